@@ -1,0 +1,1 @@
+"""Identify the parameters of FMUs from measurement campaigns, and diagnose what the model misses."""

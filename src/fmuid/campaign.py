@@ -1,0 +1,210 @@
+"""What a campaign is: measured experiments, models, parameters, stages. Values only; files are read elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmuid.errors import MeasurementsError
+
+FloatArray = NDArray[np.float64]
+Causality = Literal["input", "output"]
+Interpolation = Literal["hold", "linear"]
+
+
+def read_only(values: ArrayLike) -> FloatArray:
+    """Return an own, C-ordered float64 copy of `values` that cannot be written to."""
+    array = np.array(values, dtype=np.float64, order="C", copy=True)
+    array.flags.writeable = False
+    return array
+
+
+def frozen_mapping(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a read-only copy of `mapping`, in its order."""
+    return MappingProxyType(dict(mapping))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signal:
+    """One recorded signal.
+
+    Parameters
+    ----------
+    name
+        Measured name, such as ``tau_sensor``.
+    values
+        (N,) samples; NaN marks a missing output sample.
+    unit
+        Unit as written in the file, such as ``N.m``.
+    causality
+        ``input`` drives the model, ``output`` is compared with it.
+    sigma
+        Standard deviation of the measurement noise in `unit`, if known.
+    """
+
+    name: str
+    values: FloatArray
+    unit: str
+    causality: Causality
+    sigma: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", read_only(self.values))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Experiment:
+    """One recorded run: a time axis (N,) in s, its signals, and the settings it was run with."""
+
+    id: str
+    setup: str
+    time: FloatArray
+    signals: Mapping[str, Signal]
+    settings: Mapping[str, float] = field(default_factory=dict)
+    setting_units: Mapping[str, str] = field(default_factory=dict)
+    repeat_of: str | None = None
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", read_only(self.time))
+        for name in ("signals", "settings", "setting_units"):
+            object.__setattr__(self, name, frozen_mapping(getattr(self, name)))
+
+    @property
+    def inputs(self) -> Mapping[str, Signal]:
+        """The signals that drive the model, by measured name."""
+        return {name: s for name, s in self.signals.items() if s.causality == "input"}
+
+    @property
+    def outputs(self) -> Mapping[str, Signal]:
+        """The signals that are compared with predictions, by measured name."""
+        return {name: s for name, s in self.signals.items() if s.causality == "output"}
+
+    @property
+    def origin(self) -> str:
+        """Id of the run this one repeats, or its own."""
+        return self.repeat_of or self.id
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurements:
+    """The experiments of one measurement file, in the file's order."""
+
+    experiments: Mapping[str, Experiment]
+    title: str = ""
+    rig: str = ""
+    source: str = ""
+    licence: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "experiments", frozen_mapping(self.experiments))
+
+    def __getitem__(self, experiment_id: str) -> Experiment:
+        try:
+            return self.experiments[experiment_id]
+        except KeyError:
+            known = ", ".join(self.experiments) or "none"
+            raise MeasurementsError(
+                f"no experiment '{experiment_id}'", fix=f"the file has: {known}"
+            ) from None
+
+    def __iter__(self) -> Iterator[Experiment]:
+        return iter(self.experiments.values())
+
+    def __len__(self) -> int:
+        return len(self.experiments)
+
+    def repeats(self, experiment_id: str) -> tuple[Experiment, ...]:
+        """Return every run with the same origin as `experiment_id`, itself included."""
+        origin = self[experiment_id].origin
+        return tuple(e for e in self if e.origin == origin)
+
+
+@dataclass(frozen=True, slots=True)
+class ModelSpec:
+    """Which FMU stands for a setup, and how its variables are named.
+
+    `map` translates measured signal, setting and parameter names to FMU variables; what is not in it is
+    looked up under its own name. `initial` holds start values by FMU variable.
+    """
+
+    setup: str
+    fmu: Path
+    map: Mapping[str, str] = field(default_factory=dict)
+    initial: Mapping[str, float] = field(default_factory=dict)
+    interpolation: Interpolation = "hold"
+
+    def variable(self, name: str) -> str:
+        """Return the FMU variable that stands for a campaign's `name`."""
+        return self.map.get(name, name)
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSpec:
+    """A parameter of the campaign: start and bounds in model space, and how the search sees it."""
+
+    name: str
+    start: float
+    lower: float = -np.inf
+    upper: float = np.inf
+    unit: str | None = None
+    scale: Literal["linear", "log"] = "linear"
+    free: bool = True
+    per: Literal["campaign", "experiment"] = "campaign"
+    truth: float | None = None
+    description: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class CriterionSpec:
+    """One criterion of a stage: what is measured of the mismatch of `signal`, scaled by its demand value."""
+
+    signal: str
+    kind: str = "least_squares"
+    demand: float = 1.0
+    weight: float = 1.0
+    start_time: float = -np.inf
+    stop_time: float = np.inf
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class StageSpec:
+    """One step of the identification: which experiments, which parameters, judged how, solved by what."""
+
+    name: str
+    experiments: tuple[str, ...]
+    free: tuple[str, ...]
+    start: Mapping[str, float] = field(default_factory=dict)
+    tie: Mapping[str, str] = field(default_factory=dict)
+    criteria: tuple[CriterionSpec, ...] = ()
+    combine: str = "weighted_sum"
+    solver: str = "auto"
+    solver_options: Mapping[str, Any] = field(default_factory=dict)
+    max_evaluations: int | None = None
+    max_seconds: float | None = None
+    constraints: tuple[Mapping[str, Any], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """Everything of one identification question. `folder` anchors relative paths."""
+
+    name: str
+    title: str
+    folder: Path
+    measurements: Measurements
+    models: Mapping[str, ModelSpec]
+    parameters: Mapping[str, ParameterSpec]
+    settings: Mapping[str, float]
+    stages: Mapping[str, StageSpec]
+    identification: tuple[str, ...]
+    validation: tuple[str, ...]
+    catalogue: Path | None = None
+    published: Mapping[str, Any] = field(default_factory=dict)
