@@ -1,4 +1,4 @@
-"""What a campaign is: measured experiments, models, parameters, stages. Values only; files are read elsewhere."""
+"""What a campaign is: experiments, models, parameters, stages. Values only; files are read elsewhere."""
 
 from __future__ import annotations
 
