@@ -1,0 +1,226 @@
+"""A compiled model: what the symbolic side hands over to the C runtime and the packaging.
+
+The generated C
+===============
+``CompiledModel.c_source`` (written as ``model.c``) and ``c_header`` (``model.h``) hold functions in CasADi's form::
+
+    int model_NAME(const double** arg, double** res, casadi_int* iw, double* w, int mem);
+    int model_NAME_work(casadi_int* sz_arg, casadi_int* sz_res, casadi_int* sz_iw, casadi_int* sz_w);
+
+with ``casadi_int`` = ``long long int``. They are pure (no memory, no global state, thread-safe), use libc and libm
+only, and need work arrays of at least ``model_NAME_SZ_ARG/RES/IW/W`` entries (macros in ``model.h``; the
+largest over all functions are ``MODEL_SZ_ARG/RES/IW/W``). A NULL ``arg[i]`` reads as zeros, a NULL ``res[i]`` is not
+computed. Every result is dense, matrices column major. **Every function exists in every model**; what a
+model lacks has length zero (``MODEL_NX`` etc. may be 0, so give arrays one entry more).
+
+Vectors (all double; Boolean 0/1, Integer and enumeration ordinals as whole numbers)
+
+=====  ==================  ============================================================================================
+name   length              meaning
+=====  ==================  ============================================================================================
+t      1                   time
+x      MODEL_NX            continuous states
+u      MODEL_NU            inputs
+p      MODEL_NP            independent parameters (settable before initialisation)
+d      MODEL_ND            dependent parameters, d = dependent(p)
+z      MODEL_NZ            discrete-time variables, held between events (some are internal and have no Variable)
+pz     MODEL_NZ            pre(z); equal to z outside event iteration
+m      MODEL_NM            truth (0/1) of each relation outside noEvent, frozen during continuous integration
+y      MODEL_NY            iteration variables of nonlinear algebraic loops, loop(...) = 0
+v      MODEL_NV            every other variable (evaluated on request)
+=====  ==================  ============================================================================================
+
+``ENV`` stands for the nine arguments ``t, x, u, p, d, z, pz, m, y`` in this order (arg[0] .. arg[8]).
+
+===============  ===============================  =====================================================================
+function         arguments                        results
+===============  ===============================  =====================================================================
+dependent        p                                d
+start            p, d                             xs (nx), z (nz), y (ny): start values; a caller may replace xs entries
+                                                  by values set through FMI. pz = z at the start
+initial          ENV, xs                          residual (nx+ny), Jacobian (nx+ny, nx+ny) with respect to [x; y];
+                                                  only needed if MODEL_HAS_INITIAL is 1 (Newton from [xs; y]),
+                                                  otherwise x = xs is the solution, y from loop
+derivatives      ENV                              dx (nx)
+jacobian         ENV                              dx (nx), df/dx (nx, nx), df/dt (nx), df/dy (nx, ny); partial, y held
+loop             ENV                              r (ny), dr/dy (ny, ny), dr/dx (ny, nx), dr/dt (ny); Newton for y
+variables        ENV                              v (nv)
+partials         ENV, sx, su, sp, sy              directional derivatives: of dx (nx), of v (nv); d = dependent(p) is
+                                                  chained inside
+loop_partials    ENV, sx, su, sp                  directional derivative of r (ny) with y held: sy solves
+                                                  dr/dy sy = - this
+indicators       ENV                              g (nm): relation i is true iff g_i > 0 (g_i >= 0 where
+                                                  ``MODEL_INCLUSIVE[i]`` is 1)
+update           ENV, init (1)                    z (nz), x (nx), next_event (1), terminate (1), reinit (1)
+asserts          ENV                              a (MODEL_NASSERT): assertion i holds iff a_i is not 0
+===============  ===============================  =====================================================================
+
+Events (only if MODEL_HAS_EVENTS is 1). During integration m, z and pz = z are frozen; the indicators are watched, and
+an event is where the truth of some g_i differs from m_i (the runtime adds its hysteresis), or where t reaches
+``next_event`` (infinity: none). One event iteration at (t, x), u and p as they are::
+
+    repeat                               # outer: pre-values
+        repeat                           # inner: relations and discrete variables, mixed loops by fixed point
+            solve loop for y             # if ny > 0
+            z_new, x_new, ... = update(t, x, u, p, d, z, pz, m, y, init)
+            m_new = truth of indicators(t, x, u, p, d, z_new, pz, m, y)
+            changed = z_new != z or m_new != m;  z = z_new;  m = m_new
+        until not changed                # report an error after e.g. 100 rounds
+        again = z != pz or reinit;  pz = z;  if reinit: x = x_new
+    until not again
+    next_event = the last result of update
+
+``update`` decides every when-clause by ``condition and not pre(condition)``, the pre-value being an internal entry of z,
+so that calling it again with pz = z fires nothing. At initialisation: z = pz = start, m = truth of indicators with m =
+0, solve the initial conditions, run the *inner* loop with ``init`` = 1 (when-clauses do not fire unless they name
+``initial()``), repeat both until nothing changes, set pz = z, then do one whole event iteration with ``init`` = 0. If
+``terminate`` is 1, the simulation ends as the model asked.
+
+``model.h`` also has ``MODEL_HAS_EVENTS``, ``MODEL_HAS_INITIAL``, ``static const double MODEL_X_NOMINAL[]``,
+``MODEL_Y_NOMINAL[]``, ``static const int MODEL_INCLUSIVE[]``, ``static const char* const MODEL_ASSERT_MESSAGE[]`` (text
+and source line), ``static const int MODEL_ASSERT_WARNING[]`` (1: warn and go on), each with at least one entry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+Type = Literal["Real", "Integer", "Boolean"]
+Causality = Literal["input", "output", "parameter", "calculatedParameter", "local", "independent"]
+Variability = Literal["constant", "fixed", "tunable", "discrete", "continuous"]
+Initial = Literal["exact", "approx", "calculated"]
+Vector = Literal["t", "x", "dx", "u", "p", "d", "z", "y", "v", "constant"]
+
+BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+
+
+@dataclass(frozen=True)
+class DisplayUnit:
+    """Unit for showing a value: shown = factor * value + offset."""
+
+    name: str
+    factor: float
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit in the SI base: value in base units = factor * value + offset.
+
+    ``exponents`` follow `BASE_UNITS`; None where the unit string is not one of the SI's (then only its name is
+    known and no ``BaseUnit`` is written).
+    """
+
+    name: str
+    exponents: tuple[int, ...] | None
+    factor: float = 1.0
+    offset: float = 0.0
+    display_units: tuple[DisplayUnit, ...] = ()
+
+
+@dataclass(frozen=True)
+class Location:
+    """Where a variable's value lives: sign * vector[index]; for "constant" the variable's ``start`` is its value.
+
+    ``sign`` is -1 for a variable that is the negative of what is stored (setting it stores the negative). A
+    Boolean alias has sign +1 only.
+    """
+
+    vector: Vector
+    index: int = 0
+    sign: Literal[1, -1] = 1
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One scalar variable of the model description.
+
+    Attributes
+    ----------
+    start
+        Start value where FMI wants one (inputs, parameters, constants, states with ``initial`` exact or approx), in
+        ``unit``; for an enumeration its ordinal. None: no start attribute.
+    derivative_of
+        Name of the state this variable is the derivative of.
+    depends_on
+        For outputs and derivatives: names of the states and inputs it depends on; None elsewhere.
+    enumeration
+        Names of the literals if the type is an enumeration (``type`` is then "Integer"), else empty.
+    """
+
+    name: str
+    type: Type
+    location: Location
+    causality: Causality
+    variability: Variability
+    initial: Initial | None = None
+    start: float | None = None
+    description: str = ""
+    unit: str | None = None
+    display_unit: str | None = None
+    quantity: str | None = None
+    min: float | None = None
+    max: float | None = None
+    nominal: float | None = None
+    derivative_of: str | None = None
+    depends_on: tuple[str, ...] | None = None
+    enumeration: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The model's ``experiment`` annotation; None where it says nothing."""
+
+    start: float | None = None
+    stop: float | None = None
+    tolerance: float | None = None
+    interval: float | None = None
+
+
+@dataclass(frozen=True)
+class CompiledModel:
+    """A Modelica model after symbolic reduction: C code, variables and sizes.
+
+    Attributes
+    ----------
+    class_name, name, description
+        Qualified Modelica class name, its last part (the FMU's model identifier), the class's description string.
+    variables
+        In declaration order, outputs and inputs among them; states and their derivatives always appear (a state
+        derivative without a name in the model is called ``der(state)``); the order of ``x`` is that of the states.
+    units
+        Every unit named by a variable, sorted by name.
+    c_source, c_header
+        Texts of ``model.c`` and ``model.h`` (see the module's docstring); the same bytes for the same input.
+    content_hash
+        SHA-256 (hex) over all that defines the model; the GUID follows from it.
+    warnings
+        What the user should know about the translation (one line each), e.g. start values taken as fixed.
+    functions
+        The CasADi functions by the names above, for checks from Python.
+    """
+
+    name: str
+    class_name: str
+    description: str
+    variables: tuple[Variable, ...]
+    units: tuple[Unit, ...]
+    experiment: Experiment
+    n_x: int
+    n_u: int
+    n_p: int
+    n_d: int
+    n_z: int
+    n_m: int
+    n_y: int
+    n_v: int
+    n_assert: int
+    has_events: bool
+    has_initial: bool
+    c_source: str
+    c_header: str
+    content_hash: str
+    warnings: tuple[str, ...] = ()
+    functions: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
