@@ -1,0 +1,151 @@
+"""HDF5 files from unknown hands: the only importer of h5py.
+
+Reading follows hard links only, and refuses data kept in other files, so a file can show nothing but
+itself. Every failure of the library becomes one line.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import h5py
+import numpy as np
+
+from fmuid.campaign import FloatArray
+from fmuid.errors import FmuidError, MeasurementsError
+from fmuid.files import write_atomically
+
+Group = h5py.Group
+File = h5py.File
+Error = type[FmuidError]
+
+MAX_SAMPLES = 50_000_000  # of one dataset: 400 MB; a damaged or hostile header can claim any size
+
+# What h5py raises on damaged files, by experience and by fuzzing.
+_H5PY_ERRORS = (
+    OSError,
+    RuntimeError,
+    ValueError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    OverflowError,
+    MemoryError,
+)
+
+
+@contextmanager
+def reading(path: Path, error: Error = MeasurementsError, *, fix: str | None = None) -> Iterator[Any]:
+    """Open `path` for reading as an `h5py.File`; failures are `error`, with `fix` if the file is missing."""
+    if not path.is_file():
+        what = "is a folder, not a file" if path.is_dir() else "no such file"
+        raise error(what, where=path, fix=fix or "check the path")
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except FmuidError:
+        raise
+    except _H5PY_ERRORS as cause:
+        raise error(
+            f"cannot be read as HDF5 ({_first_line(cause)})", where=path, fix="write it again"
+        ) from None
+
+
+def write_file(path: Path, fill: Callable[[Any], None]) -> None:
+    """Write an HDF5 file in one go: `fill` gets an empty `h5py.File`; `path` changes once it is complete."""
+    memory = io.BytesIO()
+    with h5py.File(memory, "w") as file:
+        fill(file)
+    write_atomically(path, memory.getvalue())
+
+
+def open_file(path: Path, mode: Literal["r", "r+", "a", "w", "x"]) -> Any:
+    """Open a file of our own making (the history), as `h5py.File`."""
+    return h5py.File(path, mode)
+
+
+def member(group: Any, name: str, kind: Literal["group", "dataset"], error: Error, where: str) -> Any:
+    """Return the group or dataset `name` of `group`, reached by a hard link and kept in the same file."""
+    link = group.get(name, getlink=True) if name in group.keys() else None  # noqa: SIM118 - `in group` follows links
+    if link is None:
+        raise error(f"has no {kind} '{name}'", where=where, fix=f"write the {kind}")
+    if not isinstance(link, h5py.HardLink):
+        raise error(
+            f"'{name}' is a link to another place or file",
+            where=where,
+            fix="copy the data into this file itself",
+        )
+    found = group[name]
+    if not isinstance(found, h5py.Group if kind == "group" else h5py.Dataset):
+        raise error(f"'{name}' is not a {kind}", where=where, fix=f"write it as a {kind}")
+    if kind == "dataset" and (found.is_virtual or found.external):
+        raise error(
+            f"'{name}' keeps its data in other files", where=where, fix="copy the data into this file itself"
+        )
+    return found
+
+
+def samples(dataset: Any, error: Error, where: str) -> FloatArray:
+    """Return a one-dimensional float64 dataset."""
+    dtype = dataset.dtype
+    if not (dtype.kind == "f" and dtype.itemsize == 8):
+        raise error(f"has type {dtype}, not float64", where=where, fix="write it as float64")
+    if dataset.ndim != 1:
+        raise error(f"has shape {dataset.shape}, not (N,)", where=where, fix="write one value a sample")
+    if dataset.size > MAX_SAMPLES:
+        raise error(
+            f"has {dataset.size} samples, more than {MAX_SAMPLES}",
+            where=where,
+            fix="split the run or sample slower",
+        )
+    return np.asarray(dataset[()], dtype=np.float64)
+
+
+def text(holder: Any, name: str, error: Error, where: str, *, default: str | None = None) -> str:
+    """Return the string attribute `name`; without a `default` it must be there."""
+    value = _attribute(holder, name, error, where)
+    if value is None:
+        if default is None:
+            raise error(f"has no attribute '{name}'", where=where, fix=f"write the string attribute '{name}'")
+        return default
+    if isinstance(value, bytes):
+        value = value.decode("utf-8", "replace")
+    if not isinstance(value, str):
+        raise error(f"attribute '{name}' is not a string", where=where, fix="write it as a string")
+    if not value.isprintable():
+        raise error(
+            f"attribute '{name}' has unprintable characters", where=where, fix="write it as plain text"
+        )
+    return value
+
+
+def number(holder: Any, name: str, error: Error, where: str) -> float | None:
+    """Return the numeric scalar attribute `name`, or None if there is none."""
+    value = _attribute(holder, name, error, where)
+    if value is None:
+        return None
+    if not isinstance(value, (bool, int, float, np.bool_, np.integer, np.floating)):
+        raise error(f"attribute '{name}' is not a number", where=where, fix="write it as one number")
+    return float(value)
+
+
+def _attribute(holder: Any, name: str, error: Error, where: str) -> Any:
+    if name not in holder.attrs:
+        return None
+    try:
+        value = holder.attrs[name]
+    except _H5PY_ERRORS as cause:
+        raise error(
+            f"attribute '{name}' cannot be read ({_first_line(cause)})", where=where, fix="write it again"
+        ) from None
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.reshape(-1)[0]  # MATLAB writes scalars as arrays of one
+    return value
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [""])[0].strip("'\" ") or type(error).__name__
