@@ -1,3 +1,4 @@
+# ruff: noqa: E501  (the tables of the interface are wider)
 """A compiled model: what the symbolic side hands over to the C runtime and the packaging.
 
 The generated C
