@@ -1,0 +1,523 @@
+"""Campaign files (`campaign.toml`): read and checked into the values of `fmuid.campaign`."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import msgspec
+
+from fmuid.campaign import (
+    Campaign,
+    CriterionSpec,
+    Measurements,
+    ModelSpec,
+    ParameterSpec,
+    StageSpec,
+    frozen_mapping,
+)
+from fmuid.errors import CampaignError, ProblemError
+from fmuid.expressions import parse
+from fmuid.measurements import read_measurements
+from fmuid.suggest import suggestion
+
+FILE_NAME = "campaign.toml"
+_Table = Mapping[str, Any]
+
+
+class _Struct(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    pass
+
+
+class _CampaignTable(_Struct):
+    name: str | None = None
+    title: str = ""
+    measurements: str = "measurements.h5"
+    make: str | None = None
+
+
+class _ModelTable(_Struct):
+    fmu: str
+    map: dict[str, str] = {}
+    initial: dict[str, Any] = {}
+    interpolation: Literal["hold", "linear"] = "hold"
+
+
+class _ParameterTable(_Struct):
+    start: float
+    lower: float = -math.inf
+    upper: float = math.inf
+    unit: str | None = None
+    scale: Literal["linear", "log"] = "linear"
+    free: bool = True
+    per: Literal["campaign", "experiment"] = "campaign"
+    truth: float | None = None
+    description: str = ""
+
+
+class _CriterionTable(_Struct):
+    signal: str
+    kind: str = "least_squares"
+    demand: float = 1.0
+    weight: float = 1.0
+    from_: float = msgspec.field(name="from", default=-math.inf)
+    to: float = math.inf
+    options: dict[str, Any] = {}
+
+
+class _BudgetTable(_Struct):
+    evaluations: int | None = None
+    seconds: float | None = None
+
+
+class _StageTable(_Struct):
+    experiments: list[str] | None = None
+    free: list[str] | None = None
+    start: dict[str, Any] = {}
+    tie: dict[str, str] = {}
+    criteria: list[dict[str, Any]] = []
+    combine: str = "weighted_sum"
+    solver: str | dict[str, Any] = "auto"
+    budget: dict[str, Any] = {}
+    constraints: list[dict[str, Any]] = []
+
+
+class _RolesTable(_Struct):
+    identification: list[str] | None = None
+    validation: list[str] = []
+
+
+class _EffectsTable(_Struct):
+    catalogue: str
+
+
+class _Document(_Struct):
+    campaign: dict[str, Any] = {}
+    models: dict[str, dict[str, Any]] = {}
+    parameters: dict[str, dict[str, Any]] = {}
+    settings: dict[str, Any] = {}
+    stages: dict[str, dict[str, Any]] = {}
+    roles: dict[str, Any] = {}
+    effects: dict[str, Any] | None = None
+    published: dict[str, Any] = {}
+
+
+def load_campaign(path: str | Path) -> Campaign:
+    """Read and check a campaign: its `campaign.toml` and the measurement file that it names.
+
+    Parameters
+    ----------
+    path
+        The campaign's folder, or the TOML file itself.
+
+    Raises
+    ------
+    CampaignError
+        The TOML is missing, malformed, or names what does not exist; the line says in which table.
+    MeasurementsError
+        The measurement file is missing or breaks its format.
+    """
+    path = Path(path)
+    file = path / FILE_NAME if path.is_dir() else path
+    document = _convert(_read_toml(file), _Document, str(file), "")
+    head = _convert(document.campaign, _CampaignTable, str(file), "campaign")
+    folder = file.parent
+    measurements = read_measurements(
+        folder / head.measurements, fix_missing=f"make it with: {head.make}" if head.make else None
+    )
+    parameters = {n: _parameter(n, t, f"{file} [parameters.{n}]") for n, t in document.parameters.items()}
+    settings = _numbers(document.settings, f"{file} [settings]")
+    for name in settings.keys() & parameters.keys():
+        raise CampaignError(
+            f"'{name}' is a parameter too", where=f"{file} [settings]", fix="give it in one of the two tables"
+        )
+    roles = _Roles.from_table(document.roles, measurements, str(file))
+    models = {s: _model(s, t, folder, f"{file} [models.{s}]") for s, t in document.models.items()}
+    _check_models(models, measurements, roles, parameters, settings, str(file))
+    stages = {
+        n: _stage(n, t, measurements, roles, parameters, f"{file} [stages.{n}]")
+        for n, t in document.stages.items()
+    }
+    catalogue = None
+    if document.effects is not None:
+        catalogue = folder / _convert(document.effects, _EffectsTable, str(file), "effects").catalogue
+    name = head.name or file.resolve().parent.name
+    return Campaign(
+        name=name,
+        title=head.title or name,
+        folder=folder,
+        measurements=measurements,
+        models=frozen_mapping(models),
+        parameters=frozen_mapping(parameters),
+        settings=frozen_mapping(settings),
+        stages=frozen_mapping(stages),
+        identification=roles.identification,
+        validation=roles.validation,
+        catalogue=catalogue,
+        published=frozen_mapping(document.published),
+    )
+
+
+def _read_toml(file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(file.read_bytes().decode())
+    except FileNotFoundError:
+        raise CampaignError(
+            "no such file", where=file, fix="name a folder with a campaign.toml, or make one with: fmuid init"
+        ) from None
+    except UnicodeDecodeError:
+        raise CampaignError("is not UTF-8 text", where=file, fix="save it as UTF-8") from None
+    except OSError as error:
+        raise CampaignError(f"cannot be read ({error.strerror})", where=file, fix="check the path") from None
+    except RecursionError:
+        raise CampaignError("is nested too deeply", where=file, fix="flatten it") from None
+    except ValueError as error:  # TOMLDecodeError, and Python's own limit on digits
+        what, _, place = str(error).partition(" (at ")
+        line = re.match(r"line (\d+)", place)
+        where = f"{file} line {line[1]}" if line else f"{file} at its end" if place else str(file)
+        what = what[:1].lower() + what[1:]
+        raise CampaignError(f"is not TOML: {what}", where=where, fix="correct the line") from None
+
+
+_S = TypeVar("_S", bound=_Struct)
+_WORDS = {
+    "float": "a number",
+    "int": "a whole number",
+    "str": "text",
+    "bool": "true or false",
+    "object": "a table",
+    "array": "a list",
+    "null": "nothing",
+    "datetime": "a date",
+}
+
+
+def _convert(table: Any, kind: type[_S], file: str, name: str) -> _S:
+    """Convert a raw table to its struct, with msgspec's message put into the user's words."""
+    where = f"{file} [{name}]" if name else file
+    try:
+        return msgspec.convert(table, kind)
+    except msgspec.ValidationError as error:
+        message, _, place = str(error).partition(" - at `$")
+        key = place.strip(".`").replace("[...]", "")
+    if unknown := re.search(r"unknown field `(.*)`", message):
+        fields = [f.encode_name for f in msgspec.structs.fields(kind)]
+        raise CampaignError(f"unknown key '{unknown[1]}'", where=where, fix=suggestion(unknown[1], fields))
+    if missing := re.search(r"missing required field `(.*)`", message):
+        hint = ""
+        if any(isinstance(v, dict) for v in table.values()):
+            hint = '; a name with a dot needs quotes, as in [parameters."load.J"]'
+        raise CampaignError(f"has no '{missing[1]}'", where=where, fix=f"write {missing[1]} = ...{hint}")
+    if types := re.search(r"Expected `(.*)`, got `(.*)`", message):
+        expected, got = (
+            " or ".join(_WORDS.get(t.strip(), t.strip()) for t in side.split("|") if t.strip() != "null")
+            for side in types.groups()
+        )
+        what = f"'{key}' is {got}" if key else f"is {got}"
+        raise CampaignError(what, where=where, fix=f"write {expected}")
+    if choice := re.search(r"Invalid enum value '?(.*?)'?$", message):
+        choices = _choices(kind, key)
+        raise CampaignError(f"'{key}' is '{choice[1]}'", where=where, fix=suggestion(choice[1], choices))
+    raise CampaignError(f"'{key}': {message}", where=where, fix="correct the value")
+
+
+def _choices(kind: type[_Struct], key: str) -> tuple[str, ...]:
+    annotation = next((f.type for f in msgspec.structs.fields(kind) if f.encode_name == key), None)
+    return getattr(annotation, "__args__", ())
+
+
+def _numbers(table: _Table, where: str, prefix: str = "") -> dict[str, float]:
+    """Return a table of numbers; ``load.J = 1`` without quotes is the variable ``load.J`` as well."""
+    numbers: dict[str, float] = {}
+    for key, value in table.items():
+        name = prefix + key
+        if isinstance(value, dict):
+            numbers |= _numbers(value, where, f"{name}.")
+        elif isinstance(value, (bool, int, float)):
+            numbers[name] = _finite(name, value, where)
+        else:
+            raise CampaignError(f"'{name}' is not a number", where=where, fix="write a number")
+    return numbers
+
+
+def _finite(name: str, value: float, where: str) -> float:
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise CampaignError(f"'{name}' is {number:g}", where=where, fix="write a finite number")
+    return number
+
+
+def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
+    table = _convert(raw, _ModelTable, *_split(where))
+    if not table.fmu:
+        raise CampaignError("'fmu' is empty", where=where, fix="write the path of the FMU")
+    return ModelSpec(
+        setup=setup,
+        fmu=folder / table.fmu,
+        map=frozen_mapping(table.map),
+        initial=frozen_mapping(_numbers(table.initial, f"{where} initial")),
+        interpolation=table.interpolation,
+    )
+
+
+def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
+    table = _convert(raw, _ParameterTable, *_split(where))
+    _finite("start", table.start, where)
+    if math.isnan(table.lower) or math.isnan(table.upper):
+        raise CampaignError("a bound is nan", where=where, fix="write a number, or leave the bound out")
+    if table.lower >= table.upper:
+        raise CampaignError(
+            f"lower {table.lower:g} is not below upper {table.upper:g}",
+            where=where,
+            fix="swap them, or set free = false to hold it",
+        )
+    if not table.lower <= table.start <= table.upper:
+        raise CampaignError(
+            f"start {table.start:g} is outside [{table.lower:g}, {table.upper:g}]",
+            where=where,
+            fix="move the start or the bounds",
+        )
+    if table.scale == "log" and not (table.lower > 0 or (table.lower == -math.inf and table.start > 0)):
+        raise CampaignError(
+            f"scale is log but lower is {table.lower:g}",
+            where=where,
+            fix="give lower > 0, or scale = 'linear'",
+        )
+    if table.scale == "log" and not math.isfinite(table.lower):
+        raise CampaignError("scale is log without lower", where=where, fix="give lower > 0")
+    if table.truth is not None:
+        _finite("truth", table.truth, where)
+    return ParameterSpec(name=name, **msgspec.structs.asdict(table))
+
+
+@dataclass(frozen=True, slots=True)
+class _Roles:
+    identification: tuple[str, ...]
+    validation: tuple[str, ...]
+
+    @classmethod
+    def from_table(cls, raw: _Table, measurements: Measurements, file: str) -> _Roles:
+        table = _convert(raw, _RolesTable, file, "roles")
+        where = f"{file} [roles]"
+        everything = tuple(measurements.experiments)
+        held_out = expand(table.validation, measurements, everything, f"{where} validation")
+        named = {i for i in held_out if i in table.validation}
+        if table.identification is None:
+            used = tuple(i for i in everything if i not in held_out)
+        else:
+            used = expand(table.identification, measurements, everything, f"{where} identification")
+        # A repeat that one role names by its id does not come along in the other.
+        used = tuple(i for i in used if i not in named or i in (table.identification or ()))
+        for experiment_id in used:
+            if experiment_id in held_out:
+                raise CampaignError(
+                    f"'{experiment_id}' is in identification and in validation",
+                    where=where,
+                    fix="validate on runs that are not used",
+                )
+        return cls(used, held_out)
+
+
+def expand(
+    patterns: Sequence[str], measurements: Measurements, among: Sequence[str], where: str
+) -> tuple[str, ...]:
+    """Return the experiments that ids and globs name, with their repeats, in the file's order.
+
+    Globs choose among the experiment ids `among`; repeats come along if they are among them too.
+
+    Raises
+    ------
+    CampaignError
+        A pattern matches nothing.
+    """
+    chosen: set[str] = set()
+    for pattern in patterns:
+        if pattern in measurements.experiments:
+            matched = {pattern}
+            if pattern not in among:
+                raise CampaignError(
+                    f"'{pattern}' is not in the identification set",
+                    where=where,
+                    fix="see [roles] in the same file",
+                )
+        else:
+            matched = {i for i in among if fnmatchcase(i, pattern)}
+        if not matched:
+            is_glob = any(c in pattern for c in "*?[")
+            what = "matches no experiment" if is_glob else "is not an experiment"
+            first_runs = [e.id for e in measurements if e.repeat_of is None and e.id in among]
+            raise CampaignError(f"'{pattern}' {what}", where=where, fix=suggestion(pattern, first_runs))
+        chosen |= matched
+    return tuple(i for i in among if i in chosen or measurements[i].repeat_of in chosen)
+
+
+def _check_models(
+    models: Mapping[str, ModelSpec],
+    measurements: Measurements,
+    roles: _Roles,
+    parameters: Mapping[str, ParameterSpec],
+    settings: Mapping[str, float],
+    file: str,
+) -> None:
+    for experiment_id in roles.identification + roles.validation:
+        experiment = measurements[experiment_id]
+        if experiment.setup not in models:
+            raise CampaignError(
+                f"no model for setup '{experiment.setup}' of experiment '{experiment_id}'",
+                where=f"{file} [models]",
+                fix=suggestion(experiment.setup, models)
+                if models
+                else f'write [models.{experiment.setup}] with fmu = "..."',
+            )
+        for name in experiment.settings.keys() & parameters.keys():
+            raise CampaignError(
+                f"'{name}' is set by experiment '{experiment_id}'",
+                where=f"{file} [parameters.{name}]",
+                fix="a value that the run sets cannot be a parameter: remove one of the two",
+            )
+    known = parameters.keys() | settings.keys()
+    for experiment in measurements:
+        known |= experiment.signals.keys() | experiment.settings.keys()
+    for setup, model in models.items():
+        for name in model.map:
+            if name not in known:
+                raise CampaignError(
+                    f"'{name}' is no signal, setting or parameter",
+                    where=f"{file} [models.{setup}] map",
+                    fix=suggestion(name, known),
+                )
+
+
+def _stage(
+    name: str,
+    raw: _Table,
+    measurements: Measurements,
+    roles: _Roles,
+    parameters: Mapping[str, ParameterSpec],
+    where: str,
+) -> StageSpec:
+    table = _convert(raw, _StageTable, *_split(where))
+    patterns = ["*"] if table.experiments is None else table.experiments
+    experiments = expand(patterns, measurements, roles.identification, f"{where} experiments")
+    if not experiments:
+        raise CampaignError("has no experiments", where=where, fix="name some of the identification set")
+    free = tuple(p.name for p in parameters.values() if p.free) if table.free is None else tuple(table.free)
+    free = tuple(f for f in dict.fromkeys(free) if table.free is not None or f not in table.tie)
+    _known(free, parameters, f"{where} free")
+    if not free:
+        raise CampaignError("frees no parameter", where=where, fix='write free = ["..."]')
+    start = _numbers(table.start, f"{where} start")
+    _known(start, parameters, f"{where} start")
+    for key, value in start.items():
+        spec = parameters[key]
+        if not spec.lower <= value <= spec.upper:
+            raise CampaignError(
+                f"start {value:g} of '{key}' is outside [{spec.lower:g}, {spec.upper:g}]",
+                where=where,
+                fix="move the start or the bounds",
+            )
+    _check_ties(table.tie, free, parameters, f"{where} tie")
+    solver, options = _solver(table.solver, where)
+    budget = _convert(table.budget, _BudgetTable, *_split(f"{where[:-1]}.budget]"))
+    for key in ("evaluations", "seconds"):
+        limit = getattr(budget, key)
+        if limit is not None and not limit > 0:
+            raise CampaignError(f"budget {key} is {limit:g}", where=where, fix="write a positive number")
+    return StageSpec(
+        name=name,
+        experiments=experiments,
+        free=free,
+        start=frozen_mapping(start),
+        tie=frozen_mapping(table.tie),
+        criteria=tuple(
+            _criterion(t, experiments, measurements, f"{where[:-1]}.criteria]") for t in table.criteria
+        ),
+        combine=table.combine,
+        solver=solver,
+        solver_options=frozen_mapping(options),
+        max_evaluations=budget.evaluations,
+        max_seconds=budget.seconds,
+        constraints=tuple(frozen_mapping(c) for c in table.constraints),
+    )
+
+
+def _criterion(
+    raw: _Table, experiments: Sequence[str], measurements: Measurements, where: str
+) -> CriterionSpec:
+    table = _convert(raw, _CriterionTable, *_split(where))
+    outputs = {name: None for i in experiments for name in measurements[i].outputs}
+    if table.signal not in outputs:
+        raise CampaignError(
+            f"signal '{table.signal}' is not measured in these experiments",
+            where=where,
+            fix=suggestion(table.signal, outputs),
+        )
+    for key, value in (("demand", table.demand), ("weight", table.weight)):
+        if not (math.isfinite(value) and value > 0):
+            raise CampaignError(f"{key} is {value:g}", where=where, fix="write a positive number")
+    if not table.from_ < table.to:
+        raise CampaignError(
+            f"from {table.from_:g} is not before to {table.to:g}", where=where, fix="swap them"
+        )
+    return CriterionSpec(
+        signal=table.signal,
+        kind=table.kind,
+        demand=table.demand,
+        weight=table.weight,
+        start_time=table.from_,
+        stop_time=table.to,
+        options=frozen_mapping(table.options),
+    )
+
+
+def _check_ties(
+    ties: Mapping[str, str], free: Sequence[str], parameters: Mapping[str, ParameterSpec], where: str
+) -> None:
+    _known(ties, parameters, where)
+    leaders: dict[str, frozenset[str]] = {}
+    for follower, text in ties.items():
+        names = parse_expression(text, where).names
+        _known(names, parameters, where)
+        if follower in free:
+            raise CampaignError(
+                f"'{follower}' is free and tied", where=where, fix="take it out of one of the two"
+            )
+        for name in names:
+            if name in ties:
+                raise CampaignError(
+                    f"'{follower}' follows '{name}', which is tied itself",
+                    where=where,
+                    fix="tie both to one leader",
+                )
+
+
+def _solver(raw: str | _Table, where: str) -> tuple[str, dict[str, Any]]:
+    if isinstance(raw, str):
+        return raw, {}
+    options = dict(raw)
+    name = options.pop("name", None)
+    if not isinstance(name, str):
+        raise CampaignError("solver has no name", where=where, fix='write solver = { name = "bobyqa", ... }')
+    return name, options
+
+
+def _known(names: Iterable[str], parameters: Mapping[str, ParameterSpec], where: str) -> None:
+    for name in names:
+        if name not in parameters:
+            raise CampaignError(f"unknown parameter '{name}'", where=where, fix=suggestion(name, parameters))
+
+
+def _split(where: str) -> tuple[str, str]:
+    """Return file and table of ``file [table]``."""
+    file, _, table = where.rpartition(" [")
+    return file, table.removesuffix("]")

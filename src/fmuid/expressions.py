@@ -1,0 +1,135 @@
+"""Arithmetic expressions of parameters, such as ``0.5*lossTable[2,4] + 0.01`` in a stage's `tie`."""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from fmuid.errors import ProblemError
+
+_BINARY: Mapping[type[ast.operator], Callable[[float, float], float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+_FUNCTIONS: Mapping[str, Callable[..., float]] = {
+    "abs": abs,
+    "cos": math.cos,
+    "exp": math.exp,
+    "log": math.log,
+    "max": max,
+    "min": min,
+    "sin": math.sin,
+    "sqrt": math.sqrt,
+    "tan": math.tan,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Expression:
+    """A parsed expression: its text and the parameter names it needs."""
+
+    text: str
+    names: frozenset[str]
+    _tree: ast.expr
+
+    def __call__(self, values: Mapping[str, float]) -> float:
+        """Return the value at the parameter `values`.
+
+        Raises
+        ------
+        ProblemError
+            The value is not a finite real number there (a division by zero, a root of a negative number).
+        """
+        try:
+            result = _value(self._tree, values)
+        except (ArithmeticError, ValueError, TypeError) as error:
+            raise ProblemError(f"'{self.text}' has no value ({error})", fix="change the bounds") from None
+        if isinstance(result, complex) or not math.isfinite(result):
+            raise ProblemError(f"'{self.text}' is {result}", fix="change the bounds")
+        return float(result)
+
+
+def parse(text: str, *, where: object = None) -> Expression:
+    """Parse numbers, names, ``+ - * / **``, parentheses and a few functions; nothing else is run.
+
+    Names may be FMU names with dots and indices: ``load.J``, ``lossTable[2,4]``.
+
+    Raises
+    ------
+    ProblemError
+        The text is not such an expression.
+    """
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+        names: set[str] = set()
+        _check(tree, names)
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        functions = ", ".join(_FUNCTIONS)
+        raise ProblemError(
+            f"'{text}' is not an arithmetic expression",
+            where=where,
+            fix=f"use numbers, parameters, + - * / ** and {functions}",
+        ) from None
+    return Expression(text.strip(), frozenset(names), tree)
+
+
+def _check(node: ast.expr, names: set[str]) -> None:
+    name = _name(node)
+    if name is not None:
+        names.add(name)
+        return
+    match node:
+        case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+            node.value = float(value)  # no integer powers without end
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
+            _check(left, names)
+            _check(right, names)
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
+            _check(operand, names)
+        case ast.Call(func=ast.Name(id=function), args=[_, *_] as arguments, keywords=[]) if (
+            function in _FUNCTIONS
+        ):
+            for argument in arguments:
+                _check(argument, names)
+        case _:
+            raise ValueError
+
+
+def _name(node: ast.expr) -> str | None:
+    """Return the FMU name that a Name, Attribute or Subscript node spells, or None."""
+    match node:
+        case ast.Name(id=name):
+            return name
+        case ast.Attribute(value=value, attr=attribute):
+            head = _name(value)
+            return None if head is None else f"{head}.{attribute}"
+        case ast.Subscript(value=value, slice=index):
+            head = _name(value)
+            indices = index.elts if isinstance(index, ast.Tuple) else [index]
+            if head is None or not all(isinstance(i, ast.Constant) and type(i.value) is int for i in indices):
+                return None
+            return f"{head}[{','.join(ast.unparse(i) for i in indices)}]"
+    return None
+
+
+def _value(node: ast.expr, values: Mapping[str, float]) -> float:
+    name = _name(node)
+    if name is not None:
+        return values[name]
+    match node:
+        case ast.Constant(value=float() as value):
+            return value
+        case ast.BinOp(left=left, op=op, right=right):
+            return _BINARY[type(op)](_value(left, values), _value(right, values))
+        case ast.UnaryOp(op=op, operand=operand):
+            value = _value(operand, values)
+            return -value if isinstance(op, ast.USub) else value
+        case ast.Call(func=ast.Name(id=function), args=arguments):
+            return _FUNCTIONS[function](*(_value(a, values) for a in arguments))
+    raise ValueError(ast.dump(node))  # _check lets nothing else through
