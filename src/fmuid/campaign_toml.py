@@ -486,19 +486,20 @@ def _check_ties(
     _known(ties, parameters, where)
     leaders: dict[str, frozenset[str]] = {}
     for follower, text in ties.items():
-        names = parse_expression(text, where).names
-        _known(names, parameters, where)
         if follower in free:
             raise CampaignError(
                 f"'{follower}' is free and tied", where=where, fix="take it out of one of the two"
             )
-        for name in names:
-            if name in ties:
-                raise CampaignError(
-                    f"'{follower}' follows '{name}', which is tied itself",
-                    where=where,
-                    fix="tie both to one leader",
-                )
+        try:
+            leaders[follower] = parse(text).names
+        except ProblemError as error:
+            raise CampaignError(error.what, where=where, fix=error.fix) from None
+        _known(leaders[follower], parameters, where)
+    try:
+        TopologicalSorter({f: names & leaders.keys() for f, names in leaders.items()}).prepare()
+    except CycleError as error:
+        circle = " -> ".join(error.args[1])
+        raise CampaignError(f"parameters follow each other: {circle}", where=where, fix="break it") from None
 
 
 def _solver(raw: str | _Table, where: str) -> tuple[str, dict[str, Any]]:
