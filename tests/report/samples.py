@@ -1,0 +1,108 @@
+"""Figures with made-up values, one of each kind."""
+
+import numpy as np
+
+from fmuid.plots.data import (
+    Axis,
+    Bar,
+    BarFigure,
+    LineFigure,
+    MapFigure,
+    Panel,
+    ParallelFigure,
+    Scale,
+    Series,
+)
+
+TIME = np.linspace(0, 0.2, 400)
+TORQUE = Axis("tau_sensor", "N.m")
+
+
+def step_response(damping):
+    return 17.5 * (1 - np.exp(-damping * TIME) * np.cos(300 * TIME))
+
+
+def history():
+    rng = np.random.default_rng(1)
+    series = [
+        Series("measurement", TIME, step_response(40) + rng.normal(0, 0.2, TIME.size), "measurement"),
+        Series("start", TIME, step_response(5), "start"),
+        *(Series(f"evaluation {k}", TIME, step_response(5 + k), "iterate") for k in (4, 9, 20)),
+        Series("final", TIME, step_response(40), "final"),
+    ]
+    panel = Panel("step_0p5", Axis("time", "s"), TORQUE, tuple(series))
+    return LineFigure("history", "Optimisation history", (panel,), "Made up.")
+
+
+def overlays(n=5):
+    panels = []
+    for k in range(n):
+        series = (
+            Series("measurement", TIME, step_response(10 * k + 5), "measurement"),
+            Series("simulation", TIME, step_response(10 * k + 4), "final"),
+        )
+        panels.append(Panel(f"step {k}", Axis("time", "s"), TORQUE, series))
+    return LineFigure("validation", "Validation", tuple(panels))
+
+
+def friction():
+    w = np.linspace(-300, 300, 201)
+    law = np.sign(w) * (0.09 + 0.0002 * abs(w) + 0.05 * np.exp(-abs(w) / 10))
+    at = np.array([-300, -150, -50, -20, 20, 50, 150, 300.0])
+    series = (
+        Series(
+            "K_m mean(i_motor)",
+            at,
+            np.interp(at, w, law) + 0.002,
+            "measurement",
+            np.full(8, 0.003),
+            points=True,
+        ),
+        Series("law, identified", w, law, "final"),
+        Series("law, truth", w, law * 1.01, "reference"),
+    )
+    panel = Panel("Bearing friction", Axis("speed", "rad/s"), Axis("friction torque", "N.m"), series)
+    return LineFigure("friction", "Bearing friction over speed", (panel,))
+
+
+def correlation():
+    c = np.array([[1, 0.2, -0.95], [0.2, 1, 0.1], [-0.95, 0.1, 1]])
+    names = ("d_S", "J_S", "d_G")
+    return MapFigure("correlation", "Correlation", names, names, c, Axis("correlation"), (-1.0, 1.0))
+
+
+def energy_map():
+    rng = np.random.default_rng(2)
+    columns = tuple(f"{a}…{a + 5}" for a in range(-10, 10, 5)) * 3
+    values = rng.uniform(0, 0.1, (8, 12))
+    values[3, 4] = np.nan
+    groups = (("speed / (rad/s)", 4), ("load torque / (N·m)", 4), ("frequency / Hz", 4))
+    rows = tuple(f"run {k} · tau_sensor" for k in range(8))
+    return MapFigure(
+        "excess", "Excess", rows, columns, values, Axis("share of excess energy"), (0.0, 0.1), groups
+    )
+
+
+def ranked():
+    bars = (
+        Bar("mesh_loss", 0.92, "final", (0.85, 0.97), "p = 0.97"),
+        Bar("viscous", 0.3, "alternative", (0.1, 0.4), "p = 0.02"),
+        Bar("spline of speed", -0.05, "floor", (-0.2, 0.1), "decoy"),
+    )
+    return BarFigure("effects", "Effects", bars, Axis("held-out closure"), ((0.0, "nothing closed"),))
+
+
+def parallel():
+    rng = np.random.default_rng(3)
+    values = rng.uniform(0, 1, (60, 3)) * [5, 0.004, 100]
+    best = np.array([2.66, 0.003039, 70.625])
+    cost = 1 + (((values - best) / best) ** 2).sum(axis=1) * 100
+    scales = (
+        Scale(Axis("d_S", "N.m.s/rad"), 0, 5, 2.66),
+        Scale(Axis("J_S", "kg.m2"), 0, 0.004, 0.003039),
+        Scale(Axis("d_G", "N.m.s/rad"), 0, 100, 70.625),
+    )
+    return ParallelFigure("parallel", "Parallel coordinates", scales, values, cost, int(cost.argmin()))
+
+
+ALL = (history, overlays, friction, correlation, energy_map, ranked, parallel)
