@@ -92,6 +92,27 @@ def conversion(source: str, target: str | None) -> Conversion:
     return Conversion(float(quantity(1.0, given).to(wanted).magnitude), offset)
 
 
+def convert_factor(source: str, target: str | None, *, where: object = None) -> float:
+    """Return the factor of `conversion`, for values that an offset would make no sense of.
+
+    Raises
+    ------
+    UnitError
+        As `conversion`, with `where` in its line; or the two units differ by an offset, as degC and K do.
+    """
+    try:
+        found = conversion(source, target)
+    except UnitError as error:
+        raise UnitError(error.what, where=where, fix=error.fix) from None
+    if found.offset:
+        raise UnitError(
+            f"'{source}' and '{target}' differ by an offset",
+            where=where,
+            fix=f"write the values in '{target}'",
+        )
+    return found.factor
+
+
 def check_unit(unit: str) -> None:
     """Raise UnitError if `unit` is unknown."""
     _pint_unit(unit, _factors(unit))
