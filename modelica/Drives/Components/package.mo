@@ -1,0 +1,3 @@
+within Drives;
+package Components "Rotational components of a geared drive"
+end Components;

@@ -1,0 +1,3 @@
+within Drives;
+package Functions "Laws of friction"
+end Functions;

@@ -1,0 +1,2 @@
+within Drives.Interfaces;
+connector RealInput = input Real "Signal into a component";

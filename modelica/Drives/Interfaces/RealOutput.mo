@@ -1,0 +1,2 @@
+within Drives.Interfaces;
+connector RealOutput = output Real "Signal out of a component";

@@ -1,0 +1,3 @@
+within Drives;
+package Interfaces "Flanges, signal connectors and partial models"
+end Interfaces;

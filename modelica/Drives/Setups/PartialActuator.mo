@@ -1,0 +1,45 @@
+within Drives.Setups;
+partial model PartialActuator "Force-feedback actuator in its housing, from the console to the Flexspline's output"
+  parameter Real n(unit = "1") = 50 "Gear ratio";
+  parameter Types.TorqueConstant K_m = 0.7 "Torque constant of the motor";
+  parameter Types.Inertia J_R = 2e-4 "Inertia of rotor and Wave Generator (assumed: reproduces Fig. 6 of the paper)";
+  parameter Types.Inertia J_S = 0.003 "Inertia of housing, stator and Circular Spline";
+  parameter Types.RotationalSpringConstant c_S = 130000 "Stiffness of the torque sensor";
+  parameter Types.RotationalDampingConstant d_S = 0.6 "Damping of the torque sensor";
+  parameter Types.RotationalSpringConstant c_G = 25500 "Stiffness of the Flexspline";
+  parameter Types.RotationalDampingConstant d_G = 50 "Damping of the Flexspline";
+  parameter Types.Inertia J_L = 0.05 "Inertia of the load";
+  parameter Real lossTable[7, 5] = [
+    0, 1, 1, 0.09, 0.09; 
+    10, 1, 1, 0.09, 0.09; 
+    15, 1, 1, 0.09, 0.09; 
+    20, 1, 1, 0.09, 0.09; 
+    30, 1, 1, 0.09, 0.09; 
+    100, 1, 1, 0.09, 0.09; 
+    300, 1, 1, 0.09, 0.09] "Gear losses: rows of |w| (rad/s, strictly increasing), eta1, eta2, tau_bf1 (N.m), tau_bf2 (N.m)";
+  parameter Types.Angle phi_s(min = 0) = 2e-5 "Presliding deflection of the gear's friction, motor side";
+  parameter Types.Time t_s(min = 0) = 1e-3 "Damping time of the gear's stuck friction";
+  parameter Real z_e(unit = "1", min = 0, max = 0.999) = 0.9 "Purely elastic share of the presliding deflection";
+  output Types.AngularVelocity w_motor "Speed of the rotor relative to the housing";
+  output Types.Torque tau_sensor "Torque measured between housing and console";
+  Components.Fixed console "Console";
+  Components.TorqueSensor sensor(c = c_S, d = d_S) "Torque sensor";
+  Components.Inertia housing(J = J_S, phi(fixed = true), w(fixed = true)) "Housing with stator and Circular Spline";
+  Components.Motor motor(K_m = K_m) "Motor";
+  Components.Inertia rotor(J = J_R, phi(fixed = true), w(fixed = true)) "Rotor with Wave Generator";
+  Components.RelativeSpeedSensor encoder "Encoder between housing and rotor";
+  Components.HarmonicDrive gear(n = n, lossTable = lossTable, phi_s = phi_s, bristle(t_s = t_s, z_e = z_e)) "Gear";
+  Components.SpringDamper flexspline(c = c_G, d = d_G) "Compliance of the Flexspline";
+equation
+  connect(sensor.flange_b, console.flange);
+  connect(sensor.flange_a, housing.flange_a);
+  connect(housing.flange_b, motor.stator);
+  connect(housing.flange_b, gear.C);
+  connect(motor.rotor, rotor.flange_a);
+  connect(rotor.flange_b, gear.W);
+  connect(encoder.flange_a, housing.flange_b);
+  connect(encoder.flange_b, rotor.flange_b);
+  connect(gear.F, flexspline.flange_a);
+  w_motor = encoder.w_rel;
+  tau_sensor = sensor.tau_sensor;
+end PartialActuator;

@@ -1,0 +1,3 @@
+within Drives;
+package Setups "Experiment models, one FMU each"
+end Setups;

@@ -1,0 +1,14 @@
+within Drives.Signals;
+block PositionController "Position cascade: proportional position loop around a proportional speed loop"
+  parameter Types.Rate kp(start = 160.18) "Gain of the position loop";
+  parameter Real kv(unit = "V.s/m", start = 243.45) "Gain of the speed loop";
+  parameter Types.Voltage u_max(min = 0, start = 10) "Largest control signal";
+  Interfaces.RealInput s_ref(unit = "m") "Reference position";
+  Interfaces.RealInput s(unit = "m") "Measured position";
+  Interfaces.RealInput u_add(unit = "V") "Signal added to the control signal before the limit";
+  Interfaces.RealOutput u(unit = "V") "Control signal";
+  Types.Velocity v "Measured velocity";
+equation
+  v = der(s);
+  u = noEvent(max(-u_max, min(u_max, kp*kv*(s_ref - s) - kv*v + u_add)));
+end PositionController;

@@ -1,0 +1,3 @@
+within Drives;
+package Signals "Signal blocks: controllers and the normalised bristle"
+end Signals;

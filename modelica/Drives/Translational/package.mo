@@ -1,0 +1,3 @@
+within Drives;
+package Translational "Components of a linear axis"
+end Translational;
