@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,8 +22,10 @@ if TYPE_CHECKING:
 
 MAX_BYTES = 2_000_000_000
 _DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab"}
-# "tau [N.m]", "tau (N.m)": a name, and a unit in brackets at the end. lossTable[1,2] has no space before its own.
-_WITH_UNIT = re.compile(r"(?P<name>.*\S)(?:\s+\[(?P<square>[^\[\]]*)\]|\s*\((?P<round>[^()]*)\))")
+# "tau [N.m]", "tau[N.m]", "tau (N.m)": a name and its unit; but lossTable[1,2] and der(v) are names.
+_WITH_UNIT = re.compile(
+    r"(?P<name>.*\S)(?:\s+\[(?P<square>[^\[\]]*)\]|\[(?P<tight>[^\[\]]*[^\W\d][^\[\]]*)\]|\s+\((?P<round>[^()]*)\))"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +63,7 @@ def read_csv(path: str | Path, *, delimiter: str = ",") -> Table:
     """
     path = Path(path)
     text = _read_text(path)
-    rows = csv.reader(io.StringIO(text), delimiter=delimiter, strict=True)
+    rows = csv.reader(io.StringIO(text), delimiter=delimiter, strict=True, skipinitialspace=True)
     try:
         header = next((row for row in rows if any(cell.strip() for cell in row)), None)
     except csv.Error as error:
@@ -71,7 +74,7 @@ def read_csv(path: str | Path, *, delimiter: str = ",") -> Table:
     values = _read_numbers(text, rows, names, path, delimiter)
     if len(values) < 2:
         raise MeasurementsError(
-            f"has {len(values)} rows of values", where=path, fix="a run has at least 2 samples"
+            f"has {len(values)} row(s) of values", where=path, fix="a run has at least 2 samples"
         )
     time = values[:, 0]
     bad = np.flatnonzero(~np.isfinite(time))
@@ -122,7 +125,7 @@ def _read_header(header: list[str], path: Path, delimiter: str) -> tuple[list[st
         match = _WITH_UNIT.fullmatch(name)
         if match:
             name = match["name"]
-            units[name] = (match["square"] or match["round"] or "").strip()
+            units[name] = (match["square"] or match["tight"] or match["round"] or "").strip()
         names.append(name)
     if len(names) == 1:
         for other, word in _DELIMITERS.items():
@@ -152,10 +155,13 @@ def _read_numbers(text: str, rows: _csv.Reader, names: list[str], path: Path, de
     skip = rows.line_num
     n = len(names)
     try:  # NumPy's reader is fast but takes no empty cells and names no column
-        values = np.loadtxt(io.StringIO(text), delimiter=delimiter, skiprows=skip, ndmin=2, quotechar='"')
+        with warnings.catch_warnings(action="error"):  # it warns of a file without rows
+            values = np.loadtxt(
+                io.StringIO(text), delimiter=delimiter, skiprows=skip, ndmin=2, quotechar='"', comments=None
+            )
         if values.shape[1] == n:
             return values
-    except ValueError:
+    except (ValueError, UserWarning):
         pass
     cells: list[list[float]] = []
     try:
