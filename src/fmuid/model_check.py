@@ -33,6 +33,29 @@ class Finding:
         return f"{self.where}: {self.what}" + (f"; {self.fix}" if self.fix else "")
 
 
+def load_models(campaign: Campaign) -> dict[str, Simulator]:
+    """Return the FMU of each setup that an experiment with a role has, by setup.
+
+    Raises
+    ------
+    FmuError
+        An FMU is missing or cannot be used.
+    """
+    from fmuid.fmu import load_fmu
+
+    models: dict[str, Simulator] = {}
+    for setup in dict.fromkeys(experiment.setup for experiment in _first_runs(campaign)):
+        path = campaign.models[setup].fmu
+        if not path.is_file():
+            raise FmuError(
+                "no such file",
+                where=path,
+                fix=f"build it (make fmus, or fmuid build) or correct [models.{setup}] fmu",
+            )
+        models[setup] = load_fmu(path)
+    return models
+
+
 def match_models(campaign: Campaign, simulators: Mapping[str, Simulator]) -> tuple[Finding, ...]:
     """Check that everything a campaign names is in its models, with the right causality and unit.
 
@@ -105,7 +128,8 @@ def check_signals(campaign: Campaign) -> tuple[Finding, ...]:
                 Finding(
                     "warning",
                     where,
-                    f"a gap of {steps[longest]:.3g} s at {experiment.time[longest]:.6g} s, the usual step is {usual:.3g} s",
+                    f"a gap of {steps[longest]:.3g} s at {experiment.time[longest]:.6g} s"
+                    f" where {usual:.3g} s is usual",
                     "cut the run there, or leave the gap if the input was constant",
                 )
             )
@@ -127,8 +151,9 @@ def check_signals(campaign: Campaign) -> tuple[Finding, ...]:
 def check_effects(campaign: Campaign, simulators: Mapping[str, Simulator]) -> tuple[Finding, ...]:
     """Simulate each stage at its start and with one free parameter moved at a time.
 
-    A parameter is moved by a hundredth of its range (by 2 % of its start, if it has none). If no residual moves,
-    that is an error; if its whole range would move them (linearly) by less than twice the noise, a warning.
+    A parameter is moved by a hundredth of its range (by 2 % of its start, if it has none). If no residual
+    moves, that is an error; if its whole range would move them (linearly) by less than twice the noise, a
+    warning.
     """
     from fmuid.problem import Problem
 
