@@ -117,8 +117,7 @@ def _lines(figure: LineFigure) -> Canvas:
 def _panel(axes: Axes, panel: Panel, handles: dict[str, Any], *, titled: bool) -> None:
     for series in panel.series:
         handle = _series(axes, series)
-        text = "intermediate iterates" if series.role == "iterate" else series.label
-        handles.setdefault(text, handle)
+        handles.setdefault(style.legend(series), handle)
     for position, text in panel.marks:
         axes.axvline(position, color=style.GREY, linewidth=0.6, linestyle=(0, (2, 2)))
         axes.annotate(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fmuid.plots.data import Role
+from fmuid.plots.data import Role, Series
 
 BLACK = "#000000"
 ORANGE = "#E69F00"
@@ -50,3 +50,8 @@ LOOKS: dict[Role, Look] = {
     "alternative": Look(PURPLE, 1.2, dash="dash", marker="triangle", order=3),
     "band": Look(GREY, 0.0, order=0, alpha=0.3),
 }
+
+
+def legend(series: Series) -> str:
+    """Return the legend's text for a line; the iterates of a search share one."""
+    return "intermediate iterates" if series.role == "iterate" else series.label

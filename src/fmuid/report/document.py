@@ -1,0 +1,118 @@
+"""A report as a value, and its writing: one HTML page that opens offline, figures and data beside it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from fmuid.files import write_atomically
+from fmuid.plots import Format, save_data, save_figure
+from fmuid.plots.data import Cell, Figure, Table, slug, tables
+from fmuid.report.interactive import specification
+
+_PLACEHOLDER = "@plotly.js@"
+
+
+@dataclass(frozen=True, slots=True)
+class Fact:
+    """One line of what matters most: a short label, the value in words, and whether it is good news."""
+
+    label: str
+    value: str
+    tone: str = "plain"  # plain | good | warn
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A heading, a paragraph, and the figures and tables under it in their order."""
+
+    title: str
+    items: tuple[Figure | Table, ...]
+    text: str = ""
+
+    @property
+    def anchor(self) -> str:
+        """Id of the heading."""
+        return slug(self.title)
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """A whole report."""
+
+    title: str
+    subtitle: str
+    facts: tuple[Fact, ...]
+    sections: tuple[Section, ...]
+    footer: str = ""
+
+
+def write_document(document: Document, out: Path, formats: tuple[Format, ...] = ("png",)) -> Path:
+    """Write ``index.html``, ``figures/*`` and ``data/*.csv`` into `out` and return the path of the HTML.
+
+    The HTML holds everything it shows (plotly.js included, once) and asks no network; it is written last.
+
+    Raises
+    ------
+    FmuidError
+        The folder cannot be written.
+    """
+    for section in document.sections:
+        for item in section.items:
+            if isinstance(item, Table):
+                if item.name:
+                    write_atomically(out / "data" / f"{item.name}.csv", item.csv())
+            else:
+                save_figure(item, out / "figures", formats)
+                save_data(item, out / "data")
+    path = out / "index.html"
+    write_atomically(path, rendered(document))
+    return path
+
+
+def rendered(document: Document) -> str:
+    """Return the HTML of `document`."""
+    from plotly.offline import get_plotlyjs
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("fmuid.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["cell"] = shown
+    environment.tests["table"] = lambda item: isinstance(item, Table)
+    page = environment.get_template("report.html.jinja").render(
+        document=document, specification=_json, stems=lambda figure: [stem for stem, _ in tables(figure)]
+    )
+    # The library is 5 MB: put in last, so the template engine need not carry it.
+    return page.replace(_PLACEHOLDER, get_plotlyjs().replace("</script", "<\\/script"), 1)
+
+
+def _json(figure: Figure) -> str:
+    # "<" written as an escape: nothing in the data can close the script element it is embedded in.
+    text = json.dumps(specification(figure), separators=(",", ":"), allow_nan=False, default=_number)
+    return text.replace("<", "\\u003c")
+
+
+def _number(value: Any) -> float:
+    return float(value)
+
+
+def shown(cell: Cell) -> str:
+    """Return a table's cell as text: five significant digits, a dash where unknown."""
+    if cell is None or (isinstance(cell, float) and math.isnan(cell)):
+        return "–"
+    if isinstance(cell, str):
+        return cell
+    text = f"{cell:.5g}" if abs(cell) < 1e5 or not float(cell).is_integer() else f"{cell:.0f}"
+    if "e" in text:
+        mantissa, _, exponent = text.partition("e")
+        text = f"{mantissa}·10" + str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return text.replace("-", "−")

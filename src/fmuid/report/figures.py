@@ -1,0 +1,283 @@
+"""The figures of an identification, built from plain arrays: the paper's, MOPS', and residual views."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.campaign import FloatArray, ParameterSpec
+from fmuid.plots.data import (
+    Axis,
+    Bar,
+    BarFigure,
+    LineFigure,
+    MapFigure,
+    Panel,
+    ParallelFigure,
+    Role,
+    Scale,
+    Series,
+    slug,
+)
+from fmuid.report.thinning import kept_samples
+
+TIME = Axis("time", "s")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overlay:
+    """One measured signal with what models predicted for it.
+
+    Parameters
+    ----------
+    experiment, signal, unit
+        What was measured.
+    time
+        (N,) s.
+    measurement
+        (N,) the mean over repeats if there are any; NaN where a sample is missing.
+    predictions
+        (label, role, (N,) values), in the order they are drawn.
+    """
+
+    experiment: str
+    signal: str
+    unit: str
+    time: FloatArray
+    measurement: FloatArray
+    predictions: tuple[tuple[str, Role, FloatArray], ...]
+    title: str = ""
+
+    @property
+    def heading(self) -> str:
+        """Title of the panel."""
+        return self.title or f"{self.experiment} · {self.signal}"
+
+
+def overlay_panel(overlay: Overlay) -> Panel:
+    """Return measurement and predictions over time."""
+    rows = [overlay.measurement, *(y for _, _, y in overlay.predictions)]
+    keep = kept_samples(rows)
+    time = overlay.time[keep]
+    series = [Series("measurement", time, overlay.measurement[keep], "measurement")]
+    series += [Series(label, time, y[keep], role) for label, role, y in overlay.predictions]
+    return Panel(overlay.heading, TIME, Axis(overlay.signal, overlay.unit), tuple(series))
+
+
+def residual_panel(overlay: Overlay) -> Panel:
+    """Return prediction minus measurement over time, for each prediction."""
+    residuals = [(label, role, y - overlay.measurement) for label, role, y in overlay.predictions]
+    keep = kept_samples([r for _, _, r in residuals])
+    roles: dict[Role, Role] = {"start": "before", "final": "after"}
+    series = [
+        Series(label, overlay.time[keep], r[keep], roles.get(role, role)) for label, role, r in residuals
+    ]
+    return Panel(overlay.heading, TIME, Axis(f"residual of {overlay.signal}", overlay.unit), tuple(series))
+
+
+def overlay_figure(name: str, title: str, overlays: Sequence[Overlay], caption: str = "") -> LineFigure:
+    """Return a grid of overlays (the paper's Figs. 6, 7, 13 and 14)."""
+    columns = 1 if len(overlays) == 1 else 2
+    return LineFigure(name, title, tuple(overlay_panel(o) for o in overlays), caption, columns)
+
+
+def residual_figure(name: str, title: str, overlays: Sequence[Overlay], caption: str = "") -> LineFigure:
+    """Return a grid of residuals over time."""
+    columns = 1 if len(overlays) == 1 else 2
+    return LineFigure(name, title, tuple(residual_panel(o) for o in overlays), caption, columns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StageHistory:
+    """Every evaluation of one stage: `values` is (evaluations, names), `cost` (evaluations,), NaN if failed."""
+
+    stage: str
+    names: tuple[str, ...]
+    values: FloatArray
+    cost: FloatArray
+
+    @property
+    def best(self) -> int:
+        """Index of the evaluation with the lowest cost."""
+        return int(np.nanargmin(self.cost))
+
+
+def milestones(cost: FloatArray, count: int = 5) -> list[int]:
+    """Return up to `count` evaluations between the first and the best, each the best so far when it was made.
+
+    They are spread evenly over the logarithm of the cost, so that each looks different from the one before.
+    """
+    so_far = np.fmin.accumulate(cost)
+    improved = [k for k in range(1, cost.size) if cost[k] <= so_far[k] < so_far[k - 1]]
+    inner = improved[:-1]  # the last one is the best itself
+    if len(inner) <= count:
+        return inner
+    level = np.log(np.maximum(cost[inner], 1e-300))
+    wanted = np.linspace(np.log(max(cost[0], 1e-300)), np.log(max(np.nanmin(cost), 1e-300)), count + 2)[1:-1]
+    return sorted({inner[int(np.argmin(np.abs(level - w)))] for w in wanted})
+
+
+def cost_figure(stages: Sequence[StageHistory]) -> LineFigure:
+    """Return the cost of every evaluation and the best so far, stage after stage."""
+    panels = []
+    for stage in stages:
+        number = np.arange(1, stage.cost.size + 1, dtype=np.float64)
+        positive = bool(np.nanmin(stage.cost) > 0) if np.isfinite(stage.cost).any() else False
+        series = (
+            Series("evaluation", number, stage.cost, "iterate", points=True),
+            Series("best so far", number, np.fmin.accumulate(stage.cost), "final"),
+        )
+        panels.append(Panel(stage.stage, Axis("evaluation"), Axis("cost", log=positive), series))
+    caption = "Cost of every evaluation; failed simulations have none and leave a gap."
+    columns = 1 if len(panels) == 1 else 2
+    return LineFigure("cost", "Cost over the evaluations", tuple(panels), caption, columns)
+
+
+def parallel_figure(
+    stage: StageHistory, specs: Mapping[str, ParameterSpec], references: Mapping[str, float]
+) -> ParallelFigure:
+    """Return the stage's evaluations as parallel coordinates (MOPS' view)."""
+    scales = []
+    for k, name in enumerate(stage.names):
+        spec = specs.get(name)
+        unit, log = ("", False) if spec is None else (spec.unit or "", spec.scale == "log")
+        column = stage.values[:, k]
+        low, high = float(np.nanmin(column)), float(np.nanmax(column))
+        reference = references.get(name)
+        if reference is not None:
+            low, high = min(low, reference), max(high, reference)
+        if low == high:
+            low, high = low - 0.5 * abs(low) - 1e-12, high + 0.5 * abs(high) + 1e-12
+        scales.append(Scale(Axis(name, unit, log and low > 0), low, high, reference))
+    return ParallelFigure(
+        f"parallel-{slug(stage.stage)}",
+        f"Parallel coordinates: {stage.stage}",
+        tuple(scales),
+        stage.values,
+        stage.cost,
+        stage.best,
+        "One line an evaluation, darker where the cost is lower. Drag along an axis to filter.",
+    )
+
+
+def correlation_figure(stage: str, names: Sequence[str], correlation: FloatArray) -> MapFigure:
+    """Return the correlation of the estimates of one stage."""
+    return MapFigure(
+        f"correlation-{slug(stage)}",
+        f"Correlation of the estimates: {stage}",
+        tuple(names),
+        tuple(names),
+        correlation,
+        Axis("correlation"),
+        (-1.0, 1.0),
+        caption="Near ±1 the experiments determine a combination of the two, not each.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One estimated parameter beside what it is compared with."""
+
+    name: str
+    unit: str
+    start: float
+    value: float
+    standard_error: float | None
+    reference: float | None
+    stage: str = ""
+    at_bound: bool = False
+
+    @property
+    def deviation(self) -> float | None:
+        """(value - reference) / reference in percent, if there is a reference other than zero."""
+        return None if not self.reference else 100 * (self.value - self.reference) / abs(self.reference)
+
+
+def deviation_figure(estimates: Sequence[Estimate], kind: str) -> BarFigure | None:
+    """Return the estimates' deviations from the reference in percent, with 95 % intervals; None without any."""
+    bars = []
+    for e in estimates:
+        if e.deviation is None or e.reference is None:
+            continue
+        interval = None
+        if e.standard_error is not None and np.isfinite(e.standard_error):
+            half = 100 * 1.96 * e.standard_error / abs(e.reference)
+            interval = (e.deviation - half, e.deviation + half)
+        bars.append(Bar(e.name, e.deviation, "final", interval, f"{e.deviation:+.2f} %"))
+    if not bars:
+        return None
+    return BarFigure(
+        "deviations",
+        f"Deviation of the estimates from the {kind}",
+        tuple(bars),
+        Axis(f"deviation from the {kind}", "%"),
+        ((0.0, kind),),
+        "Lines: 95 % interval from the standard error, of the noise alone.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """How well one signal of one run is predicted: NRMSE (relative), RMSE and noise floor in `unit`."""
+
+    experiment: str
+    signal: str
+    unit: str
+    role: str
+    nrmse: float
+    rmse: float
+    floor: float | None = None
+
+
+def fit_figure(fits: Sequence[Fit]) -> BarFigure:
+    """Return NRMSE run by run; identification and validation runs differ in colour."""
+    bars = tuple(
+        Bar(
+            f"{f.experiment} · {f.signal}",
+            100 * f.nrmse,
+            "after" if f.role == "identification" else "before",
+            note=f"{f.role}, {100 * f.nrmse:.2g} %",
+        )
+        for f in fits
+    )
+    return BarFigure(
+        "nrmse", "Fit of every run", bars, Axis("NRMSE", "%"), caption="RMSE over the signal's range."
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrictionPoints:
+    """Bearing friction read at constant speed: `torque` = K_m mean(i_motor), all (n,), with standard errors."""
+
+    speed: FloatArray
+    torque: FloatArray
+    standard_error: FloatArray | None = None
+
+
+def friction_figure(
+    points: FrictionPoints | None, laws: Sequence[tuple[str, Role, FloatArray, FloatArray]]
+) -> LineFigure:
+    """Return bearing friction over speed (the paper's Fig. 10): measured points and (label, role, w, torque) laws."""
+    series = [Series(label, w, torque, role) for label, role, w, torque in laws]
+    if points is not None:
+        series.insert(
+            0,
+            Series(
+                "K_m · mean(i_motor) at constant speed",
+                points.speed,
+                points.torque,
+                "measurement",
+                points.standard_error,
+                points=True,
+            ),
+        )
+    panel = Panel(
+        "Bearing friction",
+        Axis("speed of the input shaft", "rad/s"),
+        Axis("friction torque", "N.m"),
+        tuple(series),
+    )
+    caption = "Points: motor torque that keeps the speed constant with no load. Lines: the bearing part of the loss table."
+    return LineFigure("friction", "Bearing friction over speed", (panel,), caption, 1)

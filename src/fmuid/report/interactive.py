@@ -1,0 +1,383 @@
+"""Figure values as plotly figures for the screen: plain dictionaries, drawn by plotly.js in the browser.
+
+Arrays travel as base64 of their bytes, so a report with many runs stays small.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import math
+from typing import Any
+
+import numpy as np
+
+from fmuid.campaign import FloatArray
+from fmuid.plots import style
+from fmuid.plots.data import (
+    Axis,
+    BarFigure,
+    Figure,
+    LineFigure,
+    MapFigure,
+    Panel,
+    ParallelFigure,
+    Scale,
+    Series,
+    pretty_unit,
+)
+
+Spec = dict[str, Any]
+
+_DASHES = {"solid": "solid", "dash": "6px,3px", "dot": "2px,2px"}
+_MARKERS = {"circle": "circle", "square": "square", "diamond": "diamond", "triangle": "triangle-up"}
+_GRID = "#E6E6E6"
+_FONT = {"family": "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif", "size": 12, "color": style.INK}
+
+
+def specification(figure: Figure) -> Spec:
+    """Return `figure` as plotly's ``{"data": [...], "layout": {...}}``."""
+    match figure:
+        case LineFigure():
+            data, layout = _lines(figure)
+        case MapFigure():
+            data, layout = _map(figure)
+        case BarFigure():
+            data, layout = _bars(figure)
+        case ParallelFigure():
+            data, layout = _parallel(figure)
+    common = {
+        "font": _FONT,
+        "paper_bgcolor": "white",
+        "plot_bgcolor": "white",
+        "autosize": True,
+        "legend": {"orientation": "h", "x": 0, "y": 1.0, "yref": "container", "yanchor": "top"},
+        "hoverlabel": {"font": {"size": 11}},
+    }
+    return {"data": data, "layout": common | layout}
+
+
+def _lines(figure: LineFigure) -> tuple[list[Spec], Spec]:
+    n = max(1, len(figure.panels))
+    columns = min(figure.columns, n)
+    rows = -(-n // columns)
+    height = 380 if columns == 1 else 265
+    layout: Spec = {
+        "height": 60 + height * rows,
+        "margin": {"l": 64, "r": 16, "t": 48, "b": 44},
+        "hovermode": "x unified",
+        "annotations": [],
+        "shapes": [],
+    }
+    data: list[Spec] = []
+    seen: set[str] = set()
+    gap_x, gap_y = 0.085, min(72 / (height * rows), 0.3 / rows)
+    width, tall = (1 - gap_x * (columns - 1)) / columns, (1 - gap_y * (rows - 1)) / rows
+    for k, panel in enumerate(figure.panels):
+        suffix = "" if k == 0 else str(k + 1)
+        row, column = divmod(k, columns)
+        left, top = column * (width + gap_x), 1 - row * (tall + gap_y)
+        layout[f"xaxis{suffix}"] = _axis(panel.x) | {
+            "domain": [left, min(left + width, 1.0)],
+            "anchor": f"y{suffix}",
+        }
+        layout[f"yaxis{suffix}"] = _axis(panel.y) | {
+            "domain": [max(top - tall, 0.0), top],
+            "anchor": f"x{suffix}",
+        }
+        if len(figure.panels) > 1:
+            layout["annotations"].append(_text(panel.title, f"x{suffix}", f"y{suffix}", 0, 1, 12))
+        _marks(layout, panel, suffix)
+        for series in panel.series:
+            text = style.legend(series)
+            place = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}", "legendgroup": text}
+            trace = _series(panel, series)
+            if text not in seen:  # an empty trace of its own carries the legend, each line keeps its name
+                data.append(
+                    trace | place | {"name": html.escape(text, quote=False), "x": [None], "y": [None]}
+                )
+                seen.add(text)
+            data.append(trace | place | {"showlegend": False})
+    return data, layout
+
+
+def _marks(layout: Spec, panel: Panel, suffix: str) -> None:
+    for position, text in panel.marks:
+        layout["shapes"].append(
+            {
+                "type": "line",
+                "xref": f"x{suffix}",
+                "yref": f"y{suffix} domain",
+                "x0": position,
+                "x1": position,
+                "y0": 0,
+                "y1": 1,
+                "line": {"color": style.GREY, "width": 1, "dash": "dot"},
+            }
+        )
+        note = _text(text, f"x{suffix}", f"y{suffix}", position, 1, 10, domain=False)
+        layout["annotations"].append(note | {"textangle": -90, "yanchor": "top", "xanchor": "left"})
+
+
+def _text(text: str, x: str, y: str, at_x: float, at_y: float, size: int, *, domain: bool = True) -> Spec:
+    return {
+        "text": html.escape(text, quote=False),
+        "xref": f"{x} domain" if domain else x,
+        "yref": f"{y} domain",
+        "x": at_x,
+        "y": at_y,
+        "xanchor": "left",
+        "yanchor": "bottom",
+        "showarrow": False,
+        "font": {"size": size},
+    }
+
+
+def _series(panel: Panel, series: Series) -> Spec:
+    look = style.LOOKS[series.role]
+    unit = html.escape(pretty_unit(panel.y.unit))
+    trace: Spec = {
+        "type": "scatter",
+        "name": html.escape(series.label, quote=False),
+        "x": packed(series.x),
+        "y": packed(series.y),
+        "hovertemplate": f"%{{y:.5~g}} {unit}",
+        "opacity": look.alpha,
+    }
+    colour = look.colour
+    if series.role == "band":
+        half = np.zeros(series.y.size) if series.error is None else series.error
+        outline = np.concatenate([series.y + half, (series.y - half)[::-1]])
+        return trace | {
+            "x": packed(np.concatenate([series.x, series.x[::-1]])),
+            "y": packed(outline),
+            "mode": "lines",
+            "line": {"width": 0},
+            "fill": "toself",
+            "fillcolor": colour,
+            "hoverinfo": "skip",
+        }
+    if series.points:
+        colour = style.INK if series.role == "measurement" else colour
+        trace |= {"mode": "markers", "marker": {"color": colour, "size": 6, "symbol": _MARKERS[look.marker]}}
+    else:
+        line = {"color": colour, "width": max(1.0, look.width * 1.3), "dash": _DASHES[look.dash]}
+        trace |= {"mode": "lines", "line": line}
+    if series.error is not None:
+        trace["error_y"] = {"type": "data", "array": packed(series.error), "thickness": 1, "width": 3}
+    return trace
+
+
+def _axis(axis: Axis) -> Spec:
+    return {
+        "title": {"text": html.escape(axis.label, quote=False), "standoff": 6, "font": {"size": 11}},
+        "type": "log" if axis.log else "linear",
+        "gridcolor": _GRID,
+        "zeroline": False,
+        "linecolor": "#444444",
+        "ticks": "outside",
+        "ticklen": 3,
+        "exponentformat": "power",
+    }
+
+
+def _map(figure: MapFigure) -> tuple[list[Spec], Spec]:
+    n_rows, n_columns = figure.values.shape
+    stops = style.DIVERGING if figure.diverging else style.SEQUENTIAL
+    columns = [html.escape(c, quote=False) for c in figure.columns]
+    groups = [f"{html.escape(name)}: " for name, n in figure.groups for _ in range(n)] or [""] * n_columns
+    trace = {
+        "type": "heatmap",
+        "z": [[None if math.isnan(v) else round(v, 6) for v in row] for row in figure.values.tolist()],
+        "zmin": figure.limits[0],
+        "zmax": figure.limits[1],
+        "colorscale": [list(stop) for stop in stops],
+        "colorbar": {
+            "title": {"text": html.escape(figure.quantity.label), "side": "right"},
+            "thickness": 12,
+            "outlinewidth": 0,
+        },
+        "xgap": 1,
+        "ygap": 1,
+        "customdata": [[g + c for g, c in zip(groups, columns, strict=True)]] * n_rows,
+        "hovertemplate": "%{y}<br>%{customdata}<br>%{z:.3~g}<extra></extra>",
+        "y": [html.escape(r, quote=False) for r in figure.rows],
+        "hoverongaps": False,
+    }
+    if figure.values.size <= 150:
+        trace |= {"texttemplate": "%{z:.2f}", "textfont": {"size": 10}}
+    annotations, shapes, start = [], [], 0
+    for name, width in figure.groups:
+        note = _text(name, "x", "y", start + width / 2 - 0.5, 1, 11, domain=False)
+        annotations.append(note | {"xanchor": "center"})
+        start += width
+        if start < n_columns:
+            line = {"color": "white", "width": 5}
+            shapes.append(
+                {
+                    "type": "line",
+                    "x0": start - 0.5,
+                    "x1": start - 0.5,
+                    "yref": "paper",
+                    "y0": 0,
+                    "y1": 1,
+                    "line": line,
+                }
+            )
+    layout = {
+        "height": 140 + 26 * n_rows,
+        "margin": {"l": 10, "r": 10, "t": 40, "b": 10},
+        "xaxis": {
+            "tickvals": list(range(n_columns)),
+            "ticktext": columns,
+            "automargin": True,
+            "showgrid": False,
+            "zeroline": False,
+            "tickangle": -45,
+        },
+        "yaxis": {"autorange": "reversed", "automargin": True, "showgrid": False, "type": "category"},
+        "annotations": annotations,
+        "shapes": shapes,
+    }
+    if n_rows == n_columns and not figure.groups:
+        layout["width"] = 260 + 44 * n_columns
+        layout["height"] = 160 + 40 * n_rows
+        layout["autosize"] = False
+    return [trace], layout
+
+
+def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
+    bars = figure.bars
+    above = [0.0 if b.interval is None else b.interval[1] - b.value for b in bars]
+    below = [0.0 if b.interval is None else b.value - b.interval[0] for b in bars]
+    trace: Spec = {
+        "type": "bar",
+        "orientation": "h",
+        "x": [b.value for b in bars],
+        "y": list(range(len(bars))),
+        "width": 0.62,
+        "marker": {"color": [style.LOOKS[b.role].colour for b in bars]},
+        "customdata": [html.escape(b.label, quote=False) for b in bars],
+        "hovertemplate": "%{customdata}: %{x:.4~g}<extra></extra>",
+    }
+    if any(b.interval for b in bars):
+        trace["error_x"] = {
+            "type": "data",
+            "array": above,
+            "arrayminus": below,
+            "thickness": 1.2,
+            "width": 4,
+            "color": style.INK,
+        }
+    layout: Spec = {
+        "height": 90 + 28 * max(1, len(bars)),
+        "margin": {"l": 10, "r": 90, "t": 30, "b": 44},
+        "showlegend": False,
+        "xaxis": _axis(figure.quantity),
+        "yaxis": {
+            "tickvals": list(range(len(bars))),
+            "ticktext": [html.escape(b.label, quote=False) for b in bars],
+            "range": [len(bars) - 0.5, -0.5],
+            "automargin": True,
+            "showgrid": False,
+            "zeroline": False,
+        },
+        "annotations": [],
+        "shapes": [],
+    }
+    if figure.limits:
+        low, high = figure.limits
+        layout["xaxis"]["range"] = [math.log10(low), math.log10(high)] if figure.quantity.log else [low, high]
+    for k, bar in enumerate(bars):
+        if bar.note:
+            end = max(bar.value, bar.interval[1] if bar.interval else bar.value, 0.0)
+            at = math.log10(end) if figure.quantity.log and end > 0 else end
+            layout["annotations"].append(
+                {
+                    "text": html.escape(bar.note, quote=False),
+                    "x": at,
+                    "y": k,
+                    "xanchor": "left",
+                    "xshift": 8,
+                    "showarrow": False,
+                    "font": {"size": 11},
+                }
+            )
+    for position, text in figure.marks:
+        at = math.log10(position) if figure.quantity.log else position
+        layout["shapes"].append(
+            {
+                "type": "line",
+                "x0": position,
+                "x1": position,
+                "yref": "paper",
+                "y0": 0,
+                "y1": 1,
+                "line": {"color": style.INK, "width": 1, "dash": "dash"},
+            }
+        )
+        layout["annotations"].append(
+            {
+                "text": html.escape(text, quote=False),
+                "x": at,
+                "yref": "paper",
+                "y": 1,
+                "yanchor": "bottom",
+                "showarrow": False,
+                "font": {"size": 11},
+            }
+        )
+    return [trace], layout
+
+
+def _parallel(figure: ParallelFigure) -> tuple[list[Spec], Spec]:
+    usable = np.isfinite(figure.cost) & np.isfinite(figure.values).all(axis=1)
+    cost, values = figure.cost[usable], figure.values[usable]
+    order = np.argsort(-cost, kind="stable")
+    log = cost.size > 0 and cost.min() > 0
+    line: Spec = {
+        "color": packed(np.log10(cost[order]) if log else cost[order]),
+        "colorscale": style.ORDERED.capitalize(),
+        "showscale": True,
+        "colorbar": {"title": {"text": "log₁₀ cost" if log else "cost", "side": "right"}, "thickness": 12},
+    }
+    dimensions = [_dimension(s, values[order, k]) for k, s in enumerate(figure.scales)]
+    dimensions.append(
+        {
+            "label": "log₁₀ cost" if log else "cost",
+            "values": packed(np.log10(cost[order]) if log else cost[order]),
+        }
+    )
+    trace = {"type": "parcoords", "line": line, "dimensions": dimensions, "labelfont": {"size": 12}}
+    return [trace], {"height": 400, "margin": {"l": 70, "r": 70, "t": 70, "b": 30}}
+
+
+def _dimension(scale: Scale, values: FloatArray) -> Spec:
+    if not scale.axis.log:
+        low, high = scale.lower, scale.upper
+        return {
+            "label": html.escape(scale.axis.label, quote=False),
+            "range": [low, high],
+            "values": packed(values),
+        }
+    low, high = math.log10(scale.lower), math.log10(scale.upper)
+    ticks = np.linspace(low, high, 5)
+    return {
+        "label": html.escape(scale.axis.label, quote=False),
+        "range": [low, high],
+        "values": packed(np.log10(values)),
+        "tickvals": ticks.tolist(),
+        "ticktext": [f"{10**t:.3g}" for t in ticks],
+    }
+
+
+def packed(values: FloatArray) -> Spec:
+    """Return an array as plotly reads it from base64: 4 bytes a number, 8 where 4 would blur neighbours."""
+    short = values.astype("<f4")
+    finite = values[np.isfinite(values)]
+    steps = np.abs(np.diff(finite))
+    steps = steps[steps > 0]
+    blur = float(np.max(np.abs(finite))) * 1e-7 if finite.size else 0.0
+    fits = finite.size == 0 or (blur < 1e30 and (steps.size == 0 or blur < 1e-2 * float(np.median(steps))))
+    kind, data = ("f4", short) if fits else ("f8", values.astype("<f8"))
+    return {"dtype": kind, "bdata": base64.b64encode(data.tobytes()).decode("ascii")}
