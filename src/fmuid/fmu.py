@@ -1,0 +1,377 @@
+"""Simulating any FMU: FMI 2.0 and 3.0, co-simulation and model exchange. The only module that knows FMPy."""
+
+from __future__ import annotations
+
+import functools
+import shutil
+import stat
+import tempfile
+import threading
+import time
+import weakref
+import zipfile
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+from types import MappingProxyType, TracebackType
+from typing import Any, Literal
+
+import fmpy
+import numpy as np
+
+from fmuid import stepper
+from fmuid.campaign import FloatArray
+from fmuid.errors import FmuError, SimulationError
+from fmuid.fmu_library import FmuLibrary
+from fmuid.fmu_plan import PreparedTask
+from fmuid.fmu_variables import read_variables
+from fmuid.simulation import Task, Variable
+from fmuid.stepper import FUNCTIONS, Outcome
+
+Interface = Literal["co-simulation", "model exchange"]
+
+_STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
+_FATAL = 4
+_SLICE = 0.1  # s between looks at Ctrl-C
+_CHECK_BUDGET = 0.5  # s for seeing whether a reset is as good as a new instance
+_MAX_PREPARED = 1024
+
+
+class Fmu:
+    """An FMU that is extracted once, instantiated once and reset between simulations; a `Simulator`.
+
+    Parameters
+    ----------
+    path
+        The ``.fmu`` file.
+    interface
+        ``co-simulation`` or ``model exchange``; None takes co-simulation where the FMU has it.
+
+    Notes
+    -----
+    * Inputs without a signal in the task hold their start value.
+    * Start values can be set of parameters (fixed and tunable), of inputs, and of variables with ``initial``
+      exact or approx (a guess the FMU may change): the states' start values. They are set before initialisation.
+    * Integer, Boolean and enumeration variables are set by their FMI type and take whole numbers only.
+    * The first simulation is repeated after a reset (for up to half a second); an FMU whose reset is missing,
+      fails or changes the predictions is instantiated anew for every simulation. `renewal` tells which.
+    * After a failed simulation the next one gets a new instance, after fmi2Fatal a new copy of the library, so
+      that predictions depend on the parameters alone, not on what was simulated before.
+    * Simulations of one object exclude each other; for parallel ones use processes (`fmuid.workers`).
+
+    Raises
+    ------
+    FmuError
+        No FMU, an FMI version other than 2.0 or 3.0, unsafe file names inside, no library for this machine, or
+        no interface that can be simulated.
+    """
+
+    def __init__(self, path: str | Path, interface: Interface | None = None) -> None:
+        self.path = Path(path)
+        self._asked = interface
+        self._description: Any = _read_description(self.path)
+        self.version = int(str(self._description.fmiVersion).split(".")[0])
+        self.interface = self._choose(interface)
+        described = (
+            self._description.modelExchange
+            if self.interface == "model exchange"
+            else self._description.coSimulation
+        )
+        self._described: Any = described
+        self._variables, self._slots = read_variables(self._description, self.version)
+        self._view = MappingProxyType(self._variables)
+        self._lock = threading.RLock()
+        self._library: FmuLibrary | None = None
+        self._folder: Path | None = None
+        self._instance: int | None = None
+        self._used = False  # the instance has simulated and needs a reset
+        self._renewal: Literal["reset", "instantiate"] | None = None
+        self._set_before: dict[str, None] = {}
+        self._prepared: dict[tuple[int, tuple[str, ...]], PreparedTask] = {}
+        self._run = stepper.runner()
+
+    @property
+    def variables(self) -> Mapping[str, Variable]:
+        """Every scalar variable by name; arrays of FMI 3.0 element by element, as ``table[1,2]``."""
+        return self._view
+
+    @property
+    def name(self) -> str:
+        """The model's name."""
+        return str(self._description.modelName)
+
+    @property
+    def tool(self) -> str:
+        """The tool that made the FMU."""
+        return str(self._description.generationTool or "unknown")
+
+    @property
+    def token(self) -> str:
+        """The FMU's guid (FMI 2.0) or instantiation token (FMI 3.0)."""
+        return str(self._description.guid)
+
+    @property
+    def default_experiment(self) -> Mapping[str, float]:
+        """What the FMU suggests of ``start``, ``stop``, ``step`` (s) and ``tolerance``."""
+        e = self._description.defaultExperiment
+        given = {"start": "startTime", "stop": "stopTime", "step": "stepSize", "tolerance": "tolerance"}
+        values = {k: getattr(e, a) for k, a in given.items()} if e is not None else {}
+        return {k: float(v) for k, v in values.items() if v is not None}
+
+    @property
+    def renewal(self) -> Literal["reset", "instantiate"] | None:
+        """How simulations are kept apart; None before the first one."""
+        return self._renewal
+
+    def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
+        """Return predictions, shape (len(task.outputs), N); see `fmuid.simulation.Simulator`.
+
+        Parameters
+        ----------
+        task
+            Times, inputs and outputs; laid out for the FMU once and remembered as long as the task is in use.
+        parameters
+            Start values by variable name; they take precedence over the task's.
+
+        Raises
+        ------
+        FmuError
+            A name is unknown or cannot be set or read; the FMU cannot be instantiated.
+        SimulationError
+            The FMU failed, ended the simulation, or an output is not finite.
+        """
+        with self._lock:
+            prepared = self._prepare(task, parameters)
+            prepared.set_parameters(parameters)
+            if self._renewal is None:
+                return self._first(prepared)
+            return self._simulate(prepared)
+
+    def close(self) -> None:
+        """Free the instance and remove the extracted files; the next simulation extracts them again."""
+        with self._lock:
+            self._discard()
+            self._library = None
+            self._prepared.clear()
+            if self._folder is not None:
+                shutil.rmtree(self._folder, ignore_errors=True)
+                self._folder = None
+
+    def __enter__(self) -> Fmu:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return load_fmu, (self.path, self._asked)
+
+    def __repr__(self) -> str:
+        return f"Fmu({str(self.path)!r}, FMI {self._description.fmiVersion}, {self.interface})"
+
+    def _choose(self, asked: Interface | None) -> Interface:
+        offered: list[Interface] = []
+        if self._description.coSimulation is not None:
+            offered.append("co-simulation")
+        if self._description.modelExchange is not None:
+            offered.append("model exchange")
+        if not offered or (asked is not None and asked not in offered):
+            raise FmuError(
+                f"offers {' and '.join(offered) or 'scheduled execution only'}"
+                + (f", not {asked}" if asked else ""),
+                where=self.path,
+                fix="export it for co-simulation",
+            )
+        return asked or offered[0]
+
+    def _load(self) -> FmuLibrary:
+        if self._library is None:
+            self._folder = _extract(self.path)
+            weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
+            platform = fmpy.platform if self.version == 2 else fmpy.platform_tuple
+            identifier = self._described.modelIdentifier
+            library = self._folder / "binaries" / platform / f"{identifier}{fmpy.sharedLibraryExtension}"
+            if not library.is_file():
+                there = sorted(p.name for p in (self._folder / "binaries").glob("*") if any(p.iterdir()))
+                raise FmuError(
+                    f"has no library for {platform} (it has: {', '.join(there) or 'none'})",
+                    where=self.path,
+                    fix="export it for this machine, or compile its sources with `fmpy compile`",
+                )
+            self._library = FmuLibrary(library, self.version, self.interface == "model exchange", self.path)
+            if self._library.functions[FUNCTIONS.index("RESET")] is None:
+                self._renewal = "instantiate"
+        return self._library
+
+    def _prepare(self, task: Task, parameters: Mapping[str, float]) -> PreparedTask:
+        names = tuple(parameters)
+        prepared = self._prepared.get((id(task), names))
+        if prepared is None:
+            library = self._load()
+            co_simulation = self._description.coSimulation if self.interface == "co-simulation" else None
+            prepared = PreparedTask(
+                task,
+                names,
+                list(self._set_before),
+                variables=self._variables,
+                slots=self._slots,
+                library=library,
+                linear_inputs=bool(co_simulation and getattr(co_simulation, "canInterpolateInputs", False)),
+                even_steps=bool(co_simulation and not co_simulation.canHandleVariableCommunicationStepSize),
+            )
+            new = [n for n in (*names, *task.start_values) if n not in self._set_before]
+            if new:  # tasks prepared earlier must from now on put these back
+                self._set_before.update(dict.fromkeys(new))
+                self._prepared.clear()
+            while len(self._prepared) >= _MAX_PREPARED:
+                self._prepared.pop(next(iter(self._prepared)))
+            self._prepared[id(task), names] = prepared  # keeps the task, and so its id, alive
+        return prepared
+
+    def _first(self, prepared: PreparedTask) -> FloatArray:
+        """Simulate, and see whether a reset brings the FMU back to where it began."""
+        begun = time.perf_counter()
+        predictions = self._simulate(prepared)
+        elapsed = time.perf_counter() - begun
+        if self._renewal is None:  # not found wanting meanwhile
+            n = len(prepared.task.time)
+            n = min(n, max(2, int(n * _CHECK_BUDGET / max(elapsed, 1e-9))))
+            same = False
+            with suppress(SimulationError):
+                again = self._simulate(prepared, n)
+                same = np.array_equal(again, predictions[:, :n])
+            if self._renewal is None:
+                self._renewal = "reset" if same else "instantiate"
+        return predictions
+
+    def _simulate(self, prepared: PreparedTask, n_times: int | None = None) -> FloatArray:
+        library = self._load()
+        if self._used and self._renewal == "instantiate":
+            self._discard()
+        if self._instance is None:
+            resources = (self._folder or Path()) / "resources"
+            self._instance = library.instantiate(self.name, self.token, resources.resolve())
+            self._used = False
+        plan = prepared.plan
+        predictions = prepared.outputs(n_times)
+        plan.instance = self._instance
+        plan.reset = int(self._used)
+        library.log.clear()
+        fatal = False
+        finished = False
+        try:
+            outcome = self._run(plan, 0, _SLICE)
+            while outcome == Outcome.PAUSED:
+                outcome = self._run(plan, 1, _SLICE)
+            if outcome == Outcome.DONE:
+                finished = self._used = True
+                return predictions
+            failed = FUNCTIONS[plan.call] if outcome == Outcome.CALL_FAILED else None
+            fatal = failed is not None and plan.status == _FATAL
+            error = self._failure(Outcome(outcome), prepared)
+        finally:
+            if not finished:  # also on Ctrl-C: nobody knows what state it is in
+                self._discard(fatal)
+        if failed == "RESET":
+            self._renewal = "instantiate"
+            return self._simulate(prepared, n_times)
+        raise error
+
+    def _failure(self, outcome: Outcome, prepared: PreparedTask) -> SimulationError:
+        plan, library = prepared.plan, prepared.library
+        at = f"at t = {plan.reached_time:.9g} s"
+        if outcome == Outcome.CALL_FAILED:
+            function = library.function_name(FUNCTIONS[plan.call])
+            status = _STATUS[plan.status] if plan.status < len(_STATUS) else str(plan.status)
+            during = "in initialisation" if plan.reached < 0 else at
+            what = f"{function} answered fmi{library.version}{status} {during}"
+        elif outcome == Outcome.NOT_FINITE:
+            what = f"output '{prepared.task.outputs[plan.column]}' is not finite {at}"
+        else:
+            what = f"{_REASONS[outcome]} {at}"
+        said = library.log.read()
+        given = ", ".join(f"{k} = {v:.9g}" for k, v in zip(prepared.names, prepared.values, strict=True))
+        return SimulationError(
+            what + (f": {said}" if said else "") + (f" (with {given})" if given else ""), where=self.path.name
+        )
+
+    def _discard(self, fatal: bool = False) -> None:
+        """Give the instance up; after fmi2Fatal nothing of the library may be called again."""
+        if self._instance is not None and self._library is not None and not fatal:
+            self._library.free(self._instance)
+        self._instance, self._used = None, False
+        if fatal:
+            self._library = None
+            self._prepared.clear()
+
+
+_REASONS = {
+    Outcome.TERMINATED: "the FMU ended the simulation",
+    Outcome.EARLY_RETURN: "the FMU returned early from a step, which was not allowed,",
+    Outcome.STEP_TOO_SMALL: "the integrator cannot keep its error within the tolerance",
+    Outcome.EVENTS_DO_NOT_SETTLE: "the event iteration does not settle",
+    Outcome.NO_MEMORY: "no memory for the integrator",
+}
+
+
+def load_fmu(path: str | Path, interface: Interface | None = None) -> Fmu:
+    """Return the FMU at `path`: in one process always the same object as long as the file does not change.
+
+    Raises
+    ------
+    FmuError
+        As `Fmu`.
+    """
+    file = Path(path).resolve()
+    try:
+        state = file.stat()
+    except OSError as error:
+        raise FmuError(f"cannot be read ({error.strerror})", where=path, fix="check the path") from None
+    return _loaded(file, interface, state.st_mtime_ns, state.st_size)
+
+
+@functools.lru_cache(maxsize=64)
+def _loaded(file: Path, interface: Interface | None, _mtime: int, _size: int) -> Fmu:
+    return Fmu(file, interface)
+
+
+def _read_description(path: Path) -> Any:
+    try:
+        _check_members(path)
+        description = fmpy.read_model_description(str(path), validate=False)
+    except FmuError:
+        raise
+    except Exception as error:  # FMPy raises whatever its parsers raise
+        reason = getattr(error, "strerror", None) or error
+        raise FmuError(f"is no readable FMU ({reason})", where=path, fix="check the file") from None
+    if str(description.fmiVersion).split(".")[0] not in {"2", "3"}:
+        raise FmuError(
+            f"is of FMI {description.fmiVersion}; 2.0 and 3.0 are supported", where=path, fix="export it anew"
+        )
+    return description
+
+
+def _check_members(path: Path) -> None:
+    """Refuse an archive that would write outside the folder it is extracted to."""
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            name = member.filename
+            climbs = name.startswith("/") or "\\" in name or ":" in name or ".." in PurePosixPath(name).parts
+            if climbs or stat.S_ISLNK(member.external_attr >> 16):
+                raise FmuError(
+                    f"holds the file name '{name}', which leads out of it", where=path, fix="do not use it"
+                )
+
+
+def _extract(path: Path) -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="fmuid-")).resolve()
+    try:
+        _check_members(path)  # the file may have changed since
+        with zipfile.ZipFile(path) as archive:
+            archive.extractall(folder)
+    except (OSError, zipfile.BadZipFile) as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise FmuError(f"cannot be extracted ({error})", where=path, fix="check the file") from None
+    return folder

@@ -1,0 +1,180 @@
+"""The loop of stepper.c in Python: the same calls in the same order, where there is no C compiler."""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from ctypes import CFUNCTYPE, byref, c_bool, c_double, c_int32, c_size_t, c_void_p
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.stepper import DTYPES, FUNCTIONS, Group, Outcome, Plan
+
+_PLACE = {name: i for i, name in enumerate(FUNCTIONS)}
+
+
+class _EndError(Exception):
+    """The run ends with this outcome."""
+
+    def __init__(self, outcome: Outcome) -> None:
+        super().__init__()
+        self.outcome = outcome
+
+
+def _array(address: int | None, n: int, dtype: str = "f8") -> NDArray[Any]:
+    if not n or not address:
+        return np.empty(0, dtype)
+    size = n * np.dtype(dtype).itemsize
+    return np.frombuffer((ctypes.c_char * size).from_address(address), dtype)
+
+
+class _Groups:
+    """Variables that are set or read together, one call for each type."""
+
+    def __init__(self, run: _Run, groups: Any, n: int, place: str) -> None:
+        self._run, self._place = run, place
+        self._calls = []
+        for g in groups[:n]:
+            g: Group
+            signature: list[Any] = [c_void_p, c_void_p, c_size_t, c_void_p]
+            arguments = [run.plan.instance, g.references, g.n_references, g.buffer]
+            if run.plan.fmi == 3:
+                signature.append(c_size_t)
+                arguments.append(g.n_values)
+            columns, places = (_array(a, g.n_columns, "i4") for a in (g.column, g.place))
+            buffer = _array(g.buffer, g.n_values, DTYPES[g.type])
+            self._calls.append(
+                (CFUNCTYPE(c_int32, *signature)(g.function), arguments, columns, places, buffer)
+            )
+
+    def set(self, row: NDArray[np.float64]) -> None:
+        for function, arguments, columns, places, buffer in self._calls:
+            buffer[places] = row[columns]
+            self._run.check(self._place, function(*arguments))
+
+    def get(self, row: NDArray[np.float64]) -> None:
+        for function, arguments, columns, places, buffer in self._calls:
+            self._run.check(self._place, function(*arguments))
+            row[columns] = buffer[places]
+
+
+class _Run:
+    """One simulation; `plan` holds its progress as it does in C."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        n = plan.n_times
+        self.time = _array(plan.time, n)
+        self.inputs = _array(plan.inputs, n * plan.n_inputs).reshape(n, -1)
+        self.predictions = _array(plan.outputs, plan.n_outputs * n).reshape(-1, n)
+        self.row = np.empty(plan.n_outputs)
+        self.set_starts = _Groups(self, plan.start_groups, plan.n_start_groups, "SET_VALUES")
+        self.set_inputs = _Groups(self, plan.input_groups, plan.n_input_groups, "SET_VALUES")
+        self.get_outputs = _Groups(self, plan.output_groups, plan.n_output_groups, "GET_VALUES")
+
+    def check(self, place: str, status: int) -> None:
+        if status > 1:
+            self.plan.call, self.plan.status = _PLACE[place], status
+            raise _EndError(Outcome.CALL_FAILED)
+
+    def call(self, place: str, *arguments: tuple[Any, Any]) -> int:
+        """Call the function at `place` of the instance with (type, value) pairs; return its status."""
+        signature = CFUNCTYPE(c_int32, c_void_p, *(kind for kind, _ in arguments))
+        function = signature(self.plan.function[_PLACE[place]])
+        return int(function(self.plan.instance, *(value for _, value in arguments)))
+
+    def do(self, place: str, *arguments: tuple[Any, Any]) -> None:
+        """Call, and end the run if that fails."""
+        self.check(place, self.call(place, *arguments))
+
+    def initialise(self) -> None:
+        plan = self.plan
+        plan.reached, plan.reached_time = -1, float(self.time[0])
+        if plan.reset:
+            self.do("RESET")
+        flag = c_int32 if plan.fmi == 2 else c_bool
+        experiment = [
+            (flag, bool(plan.tolerance_defined)),
+            (c_double, plan.tolerance),
+            (c_double, float(self.time[0])),
+            (flag, True),
+            (c_double, plan.stop),
+        ]
+        if plan.fmi == 2:
+            self.do("SETUP_EXPERIMENT", *experiment)
+        self.set_starts.set(_array(plan.starts, plan.n_starts))
+        self.do("ENTER_INITIALIZATION", *(experiment if plan.fmi == 3 else []))
+        self.set_inputs.set(self.inputs[0])
+        self.do("EXIT_INITIALIZATION")
+
+    def read(self, k: int) -> None:
+        plan = self.plan
+        self.get_outputs.get(self.row)
+        for j, value in enumerate(self.row):
+            self.predictions[j, k] = value
+            if not np.isfinite(value):
+                plan.column, plan.reached_time = j, float(self.time[k])
+                raise _EndError(Outcome.NOT_FINITE)
+        plan.reached, plan.reached_time = k, float(self.time[k])
+
+    def do_step(self, k: int) -> None:
+        plan, t = self.plan, float(self.time[k])
+        h = float(self.time[k + 1]) - t
+        self.set_inputs.set(self.inputs[k])
+        if plan.fmi == 2:
+            if plan.n_slopes:
+                columns = _array(plan.slope_columns, plan.n_slopes, "i4")
+                u = self.inputs[:, columns]
+                _array(plan.slopes, plan.n_slopes)[:] = (u[k + 1] - u[k]) / h
+                self.do(
+                    "SET_INPUT_DERIVATIVES",
+                    (c_void_p, plan.slope_references),
+                    (c_size_t, plan.n_slopes),
+                    (c_void_p, plan.slope_orders),
+                    (c_void_p, plan.slopes),
+                )
+            status = self.call("DO_STEP", (c_double, t), (c_double, h), (c_int32, 1))
+            if status == 2 and plan.function[_PLACE["GET_BOOLEAN_STATUS"]]:
+                ended = c_int32()
+                answer = self.call("GET_BOOLEAN_STATUS", (c_int32, 3), (c_void_p, ctypes.addressof(ended)))
+                if answer <= 1 and ended.value:
+                    raise _EndError(Outcome.TERMINATED)
+            self.check("DO_STEP", status)
+            return
+        event, terminate, early, last = c_bool(), c_bool(), c_bool(), c_double(t)
+        pointers = [(c_void_p, byref(p)) for p in (event, terminate, early, last)]
+        self.do("DO_STEP", (c_double, t), (c_double, h), (c_bool, True), *pointers)
+        if terminate.value:
+            raise _EndError(Outcome.TERMINATED)
+        if early.value:
+            plan.reached_time = last.value
+            raise _EndError(Outcome.EARLY_RETURN)
+
+
+_runs: dict[int, _Run] = {}
+
+
+def run(plan: Plan, resume: int, seconds: float) -> int:
+    """Simulate, or go on where the last call paused; returns PAUSED after about `seconds`."""
+    key = ctypes.addressof(plan)
+    try:
+        if resume:
+            this = _runs.pop(key)
+        else:
+            this = _Run(plan)
+            this.initialise()
+            this.read(0)
+        begun = time.monotonic()
+        for k in range(plan.reached, plan.n_times - 1):
+            this.do_step(k)
+            this.read(k + 1)
+            if time.monotonic() - begun > seconds and k + 2 < plan.n_times:
+                _runs[key] = this
+                return Outcome.PAUSED
+        if plan.function[_PLACE["TERMINATE"]]:
+            this.call("TERMINATE")
+    except _EndError as end:
+        return end.outcome
+    return Outcome.DONE
