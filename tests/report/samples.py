@@ -13,6 +13,13 @@ from fmuid.plots.data import (
     Scale,
     Series,
 )
+from fmuid.report.diagnosis_figures import (
+    DiagnosisPictures,
+    ExcessEnergy,
+    MissingQuantity,
+    RegimeBins,
+    ResidualPair,
+)
 
 TIME = np.linspace(0, 0.2, 400)
 TORQUE = Axis("tau_sensor", "N.m")
@@ -106,3 +113,95 @@ def parallel():
 
 
 ALL = (history, overlays, friction, correlation, energy_map, ranked, parallel)
+
+
+def diagnosis():
+    def effect(name, probability, held_out=None, spread=0.08):
+        entry = {"id": name, "probability": probability}
+        if held_out is not None:
+            interval = [held_out - spread, held_out + spread]
+            entry |= {
+                "score": 40 * probability,
+                "closure": {"train": held_out + 0.03, "held_out": held_out, "interval": interval},
+                "parameters": {"eta1": {"value": 0.93, "standard_error": 0.004}},
+            }
+        return entry
+
+    return {
+        "format": "fmuid-diagnosis",
+        "version": 1,
+        "verdict": {"kind": "effect", "effects": ["mesh_loss"], "port": "gear_friction"},
+        "gap": {
+            "present": True,
+            "p_value": 0.001,
+            "nominal": 9.4,
+            "nominal_refit": 6.1,
+            "corrected": 0.35,
+            "floor_units": {"tau_sensor": 0.1, "w_motor": 0.02},
+        },
+        "where": [
+            {
+                "experiment": "load_35p5",
+                "signal": "tau_sensor",
+                "regime": {"variable": "load torque", "from": 20.0, "to": 35.5},
+                "share": 0.41,
+            },
+            {"experiment": "load_25", "signal": "tau_sensor", "share": 0.2},
+        ],
+        "effects": [
+            effect("mesh_loss", 0.94, 0.93),
+            effect("viscous", 0.02, 0.2),
+            effect("stribeck", 0.01, 0.05),
+            effect("hysteresis", 0.01, -0.1, 0.2),
+            effect("none", 0.0),
+            effect("unknown", 0.02),
+        ],
+        "alias_classes": [["mesh_loss"], ["sensor_gain", "saturation"]],
+        "model": {"parameters": {"d_S": 2.66, "lossTable[1,2]": 0.93}},
+        "next_experiment": {
+            "setup": "eccentric_load",
+            "description": "largest load at 10 rad/s, both directions",
+            "separation_sigma": 7.2,
+            "between": ["mesh_loss", "viscous"],
+        },
+    }
+
+
+def pictures():
+    rng = np.random.default_rng(4)
+    time = np.linspace(0, 50, 20_000)
+    before = 2.0 * np.sin(0.3 * time) ** 3 + rng.normal(0, 0.1, time.size)
+    after = rng.normal(0, 0.11, time.size)
+    pair = ResidualPair("eccentric_load", "load_35p5", "tau_sensor", "N.m", time, before, after, 0.1)
+    fixed = ResidualPair("fixed_shaft", "prbs_0p8", "tau_sensor", "N.m", time / 100, after, after, 0.1)
+    free = ResidualPair("free_shaft", "free_100", "i_motor", "A", time / 10, after / 50, None, 0.002)
+    regimes = (
+        RegimeBins(Axis("speed", "rad/s"), np.array([-30, -10, 0, 10, 30])),
+        RegimeBins(Axis("load torque", "N.m"), np.array([-36, -12, 12, 36])),
+        RegimeBins(Axis("frequency", "Hz"), np.array([0, 1, 10, 100, 1000])),
+    )
+    share = rng.uniform(0, 0.02, (4, 11))
+    share[2] += 0.1
+    excess = ExcessEnergy(
+        tuple((e, "tau_sensor") for e in ("step_0p5", "load_25", "load_35p5", "free_100")), regimes, share
+    )
+    missing = []
+    for name, unit, low, high in (
+        ("speed", "rad/s", -30, 30),
+        ("angle", "rad", 0, 6.28),
+        ("load", "N.m", -36, 36),
+    ):
+        x = np.linspace(low, high, 13)
+        y = 0.002 * abs(x)
+        law = ("mesh_loss", np.linspace(low, high, 200), 0.002 * abs(np.linspace(low, high, 200)))
+        missing.append(
+            MissingQuantity(
+                Axis(name, unit),
+                Axis("missing gear friction torque", "N.m"),
+                x,
+                y + rng.normal(0, 0.003, 13),
+                np.full(13, 0.004),
+                (law,),
+            )
+        )
+    return DiagnosisPictures((pair, fixed, free), excess, tuple(missing))

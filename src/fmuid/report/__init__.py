@@ -1,1 +1,8 @@
 """Reports of a run: one HTML page that opens offline, with figures and their data beside it."""
+
+from __future__ import annotations
+
+from fmuid.report.diagnosis import write_diagnosis_report
+from fmuid.report.diagnosis_figures import DiagnosisPictures
+
+__all__ = ["DiagnosisPictures", "write_diagnosis_report"]

@@ -91,7 +91,7 @@ def residual_figure(name: str, title: str, overlays: Sequence[Overlay], caption:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StageHistory:
-    """Every evaluation of one stage: `values` is (evaluations, names), `cost` (evaluations,), NaN if failed."""
+    """Every evaluation of one stage: `values` (evaluations, names), `cost` (evaluations,), NaN if failed."""
 
     stage: str
     names: tuple[str, ...]
@@ -196,7 +196,7 @@ class Estimate:
 
 
 def deviation_figure(estimates: Sequence[Estimate], kind: str) -> BarFigure | None:
-    """Return the estimates' deviations from the reference in percent, with 95 % intervals; None without any."""
+    """Return deviations from the reference in percent, with 95 % intervals; None if nothing has one."""
     bars = []
     for e in estimates:
         if e.deviation is None or e.reference is None:
@@ -249,7 +249,7 @@ def fit_figure(fits: Sequence[Fit]) -> BarFigure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrictionPoints:
-    """Bearing friction read at constant speed: `torque` = K_m mean(i_motor), all (n,), with standard errors."""
+    """Bearing friction read at constant speed: `torque` = K_m mean(i_motor), all arrays (n,)."""
 
     speed: FloatArray
     torque: FloatArray
@@ -259,7 +259,7 @@ class FrictionPoints:
 def friction_figure(
     points: FrictionPoints | None, laws: Sequence[tuple[str, Role, FloatArray, FloatArray]]
 ) -> LineFigure:
-    """Return bearing friction over speed (the paper's Fig. 10): measured points and (label, role, w, torque) laws."""
+    """Return bearing friction over speed (the paper's Fig. 10); `laws` are (label, role, speeds, torques)."""
     series = [Series(label, w, torque, role) for label, role, w, torque in laws]
     if points is not None:
         series.insert(
@@ -279,5 +279,8 @@ def friction_figure(
         Axis("friction torque", "N.m"),
         tuple(series),
     )
-    caption = "Points: motor torque that keeps the speed constant with no load. Lines: the bearing part of the loss table."
+    caption = (
+        "Points: motor torque that keeps the speed constant without load. "
+        "Lines: the bearing part of the loss table."
+    )
     return LineFigure("friction", "Bearing friction over speed", (panel,), caption, 1)

@@ -1,0 +1,170 @@
+"""The report of a diagnosis: where the gap lies, what causes it, how far it shrinks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from fmuid.plots import Format
+from fmuid.plots.data import Figure, Table
+from fmuid.report import diagnosis_figures as pictures_of
+from fmuid.report.diagnosis_figures import DiagnosisPictures
+from fmuid.report.document import Document, Fact, Section, write_document
+from fmuid.report.provenance import provenance_table
+
+_NOTHING = DiagnosisPictures()
+
+
+def write_diagnosis_report(
+    diagnosis: Mapping[str, Any],
+    out: str | Path,
+    *,
+    campaign: str,
+    pictures: DiagnosisPictures = _NOTHING,
+    provenance: Mapping[str, str] | None = None,
+    formats: tuple[Format, ...] = ("png",),
+) -> Path:
+    """Write the report of a diagnosis and return the path of its ``index.html``.
+
+    Parameters
+    ----------
+    diagnosis
+        The value of the diagnosis' JSON (``fmuid-diagnosis``, version 1).
+    out
+        Folder for ``index.html``, ``figures/`` and ``data/``.
+    campaign
+        Title of the campaign.
+    pictures
+        The arrays behind the pictures.
+    provenance
+        Name and value of what the result depends on: hashes, versions, commands.
+    formats
+        File formats of the figures.
+
+    Raises
+    ------
+    FmuidError
+        The folder cannot be written.
+    """
+    sections = (
+        Section("Where", _present(_excess(pictures), pictures_of.where_table(diagnosis))),
+        Section(
+            "What",
+            _present(
+                pictures_of.effects_figure(diagnosis),
+                pictures_of.missing_figure(pictures.missing),
+                pictures_of.effects_table(diagnosis),
+            ),
+            _aliases(diagnosis),
+        ),
+        Section(
+            "How much",
+            _present(
+                pictures_of.gap_figure(diagnosis),
+                pictures_of.residuals_figure(pictures.residuals),
+                _model_table(diagnosis),
+            ),
+            _floors(diagnosis),
+        ),
+        Section("Next experiment", (), _next_experiment(diagnosis)),
+        Section("Provenance", (provenance_table(provenance or {}),)),
+    )
+    document = Document(
+        f"Diagnosis: {campaign}",
+        "Where simulation and measurement part, which effect causes it, and how far the gap shrinks with it.",
+        facts(diagnosis),
+        tuple(s for s in sections if s.items or s.text),
+    )
+    return write_document(document, Path(out), formats)
+
+
+def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
+    """Return verdict, place and size of the gap: what a reader needs within a minute."""
+    gap = diagnosis["gap"]
+    sure = diagnosis["verdict"]["kind"] in ("complete", "effect")
+    found = [Fact("Verdict", verdict_text(diagnosis), "good" if sure else "warn")]
+    where = sorted(diagnosis["where"], key=lambda w: -w["share"])
+    if where and gap["present"]:
+        top = where[0]
+        place = f"{top['experiment']}, {top['signal']}, {pictures_of.regime_text(top)}"
+        found.append(Fact("Where most of it lies", f"{place} ({100 * top['share']:.0f} %)"))
+    present = "a gap beyond the noise" if gap["present"] else "no gap beyond the noise"
+    found.append(Fact("Is there a gap", f"{present} (p = {gap['p_value']:.2g})"))
+    found.append(
+        Fact(
+            "Gap, in noise floors",
+            f"{gap['nominal']:.3g} → {gap['nominal_refit']:.3g} refitted → {gap['corrected']:.3g} corrected",
+        )
+    )
+    named = diagnosis["verdict"]["effects"]
+    for effect in diagnosis["effects"]:
+        closure = effect.get("closure", {})
+        if effect["id"] in named and closure.get("held_out") is not None:
+            low, high = closure.get("interval") or (None, None)
+            interval = "" if low is None or high is None else f" ({low:.2f} to {high:.2f})"
+            found.append(
+                Fact(f"Closed on held-out data by {effect['id']}", f"{closure['held_out']:.2f}{interval}")
+            )
+    return tuple(found)
+
+
+def verdict_text(diagnosis: Mapping[str, Any]) -> str:
+    """Return the verdict as one line."""
+    verdict = diagnosis["verdict"]
+    names, port = list(verdict["effects"]), verdict["port"]
+    probability = {e["id"]: e["probability"] for e in diagnosis["effects"]}
+    at = f" at {port}" if port else ""
+    match verdict["kind"]:
+        case "complete":
+            return "Complete: nothing is missing that these experiments could show"
+        case "effect":
+            return " and ".join(f"{n} ({100 * probability.get(n, 0.0):.0f} %)" for n in names) + at
+        case "ambiguous":
+            return " or ".join(names) + f"{at}: these sensors and experiments cannot tell them apart"
+        case "unknown":
+            return f"Unknown effect{at}: none of the catalogue explains it"
+        case _:
+            return "Not enough data to say"
+
+
+def _present(*items: Figure | Table | None) -> tuple[Figure | Table, ...]:
+    return tuple(i for i in items if i is not None and not (isinstance(i, Table) and not i.rows))
+
+
+def _excess(pictures: DiagnosisPictures) -> Figure | None:
+    return pictures_of.excess_figure(pictures.excess)
+
+
+def _aliases(diagnosis: Mapping[str, Any]) -> str:
+    classes = [" = ".join(c) for c in diagnosis["alias_classes"] if len(c) > 1]
+    return (
+        ""
+        if not classes
+        else "Cannot be told apart with these sensors and experiments: " + "; ".join(classes) + "."
+    )
+
+
+def _floors(diagnosis: Mapping[str, Any]) -> str:
+    floors = diagnosis["gap"]["floor_units"]
+    if not floors:
+        return ""
+    return "Noise floor: " + ", ".join(f"{name} {value:.3g}" for name, value in floors.items()) + "."
+
+
+def _model_table(diagnosis: Mapping[str, Any]) -> Table:
+    rows = tuple(diagnosis["model"]["parameters"].items())
+    return Table(("parameter", "value"), rows, "corrected-model", "The corrected model")
+
+
+def _next_experiment(diagnosis: Mapping[str, Any]) -> str:
+    proposal = diagnosis.get("next_experiment")
+    if not proposal:
+        return ""
+    between = " from ".join(proposal.get("between", ()))
+    text = f"{proposal.get('description', '')} (setup {proposal.get('setup', '?')})"
+    if between:
+        text += f" would separate {between}"
+    if proposal.get("separation_sigma") is not None:
+        text += f" by {proposal['separation_sigma']:.3g} standard deviations"
+    return text + "."

@@ -1,0 +1,273 @@
+"""The pictures of a diagnosis, built from plain arrays and the diagnosis' JSON value.
+
+`DiagnosisPictures` is what the diagnosis hands over beside its JSON: arrays only, computed there. Every part
+may be empty (too little data, no effect found); its picture is then left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from fmuid.campaign import FloatArray
+from fmuid.plots.data import (
+    Axis,
+    Bar,
+    BarFigure,
+    LineFigure,
+    MapFigure,
+    Panel,
+    Role,
+    Series,
+    Table,
+)
+from fmuid.report.figures import TIME
+from fmuid.report.thinning import kept_samples
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResidualPair:
+    """Residual (prediction - measurement, in `unit`) of one signal before and after the correction, all (N,).
+
+    The worst experiment of each setup is meant. `before` is that of the refitted nominal model, `after` of
+    the corrected one (None without a correction); `floor` is the standard deviation of the noise.
+    """
+
+    setup: str
+    experiment: str
+    signal: str
+    unit: str
+    time: FloatArray
+    before: FloatArray
+    after: FloatArray | None = None
+    floor: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegimeBins:
+    """The bins of one regime variable (time, speed, load torque, angle, frequency ...): B + 1 edges."""
+
+    variable: Axis
+    edges: FloatArray
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """One text a bin."""
+        texts = [f"{e:.3g}".replace("-", "−") for e in self.edges.tolist()]
+        return tuple(f"{a} … {b}" for a, b in pairwise(texts))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExcessEnergy:
+    """Share of the residual energy above the noise floor: `share` is (rows, all bins), NaN where not visited.
+
+    `rows` are (experiment, signal); within a regime variable the shares of all rows and bins sum to 1.
+    """
+
+    rows: tuple[tuple[str, str], ...]
+    regimes: tuple[RegimeBins, ...]
+    share: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MissingQuantity:
+    """What has to be added at the winning port, estimated, over one variable, and the winning law over it.
+
+    Parameters
+    ----------
+    variable
+        Speed, angle or load.
+    quantity
+        Such as ``Axis("missing gear friction torque", "N.m")``.
+    x, y, standard_error
+        (n,) estimates by bins of `variable`, and their standard errors (None if unknown).
+    laws
+        (label, x (m,), y (m,)); the first one belongs to the winning effect.
+    """
+
+    variable: Axis
+    quantity: Axis
+    x: FloatArray
+    y: FloatArray
+    standard_error: FloatArray | None = None
+    laws: tuple[tuple[str, FloatArray, FloatArray], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiagnosisPictures:
+    """Everything the report draws that is not in the diagnosis' JSON."""
+
+    residuals: tuple[ResidualPair, ...] = ()
+    excess: ExcessEnergy | None = None
+    missing: tuple[MissingQuantity, ...] = ()
+
+
+def residuals_figure(pairs: Sequence[ResidualPair]) -> LineFigure | None:
+    """Return the residuals over time before and after, one panel for each setup's worst experiment."""
+    if not pairs:
+        return None
+    panels = tuple(_residual_panel(p) for p in pairs)
+    caption = (
+        "Prediction minus measurement in the worst experiment of each setup: nominal parameters refitted "
+        "(before) and with the effect added (after). Grey: two standard deviations of the noise."
+    )
+    return LineFigure("residuals", "Residual before and after", panels, caption, 1 if len(panels) == 1 else 2)
+
+
+def _residual_panel(pair: ResidualPair) -> Panel:
+    rows = [pair.before] + ([] if pair.after is None else [pair.after])
+    keep = kept_samples(rows)
+    time = pair.time[keep]
+    series = []
+    if pair.floor is not None:
+        ends = time[[0, -1]]
+        series.append(Series("noise (2 σ)", ends, np.zeros(2), "band", np.full(2, 2 * pair.floor)))
+    series.append(Series("before", time, pair.before[keep], "before"))
+    if pair.after is not None:
+        series.append(Series("after", time, pair.after[keep], "after"))
+    axis = Axis(f"residual of {pair.signal}", pair.unit)
+    return Panel(f"{pair.setup}: {pair.experiment}", TIME, axis, tuple(series))
+
+
+def excess_figure(excess: ExcessEnergy | None) -> MapFigure | None:
+    """Return the map of excess energy: experiment and signal down, bins of the regime variables across."""
+    if excess is None:
+        return None
+    largest = float(np.nanmax(excess.share)) if np.isfinite(excess.share).any() else 0.0
+    return MapFigure(
+        "excess-energy",
+        "Where the gap lies",
+        tuple(f"{experiment} · {signal}" for experiment, signal in excess.rows),
+        tuple(label for r in excess.regimes for label in r.labels),
+        excess.share,
+        Axis("share of the energy above the noise"),
+        (0.0, max(largest, 1e-6)),
+        tuple((r.variable.label, len(r.labels)) for r in excess.regimes),
+        "Each block splits the same excess energy by another variable. Empty: not visited.",
+    )
+
+
+def missing_figure(missing: Sequence[MissingQuantity]) -> LineFigure | None:
+    """Return the missing torque (or deflection) over speed, angle and load, with the winning law over it."""
+    if not missing:
+        return None
+    panels = []
+    for m in missing:
+        series = [Series("estimated", m.x, m.y, "measurement", m.standard_error, points=True)]
+        for k, (label, x, y) in enumerate(m.laws):
+            role: Role = "final" if k == 0 else "alternative"
+            series.append(Series(label, x, y, role))
+        panels.append(Panel(f"over {m.variable.name}", m.variable, m.quantity, tuple(series)))
+    caption = "Points: what must be added at the port to explain the residual, with standard errors."
+    return LineFigure("missing", "What is missing at the port", tuple(panels), caption, min(len(panels), 3))
+
+
+def effects_figure(diagnosis: Mapping[str, Any], most: int = 12) -> BarFigure | None:
+    """Return the effects ranked by probability, with held-out closure and its interval."""
+    named = set(diagnosis["verdict"]["effects"])
+    bars = []
+    for effect in sorted(diagnosis["effects"], key=lambda e: -e["probability"])[:most]:
+        closure = effect.get("closure", {}).get("held_out")
+        if closure is None:
+            continue
+        interval = effect["closure"].get("interval")
+        role: Role = "final" if effect["id"] in named else "floor"
+        bars.append(
+            Bar(
+                effect["id"],
+                closure,
+                role,
+                None if interval is None else (interval[0], interval[1]),
+                f"probability {effect['probability']:.2g}",
+            )
+        )
+    if not bars:
+        return None
+    low = min(0.0, *(b.interval[0] if b.interval else b.value for b in bars))
+    return BarFigure(
+        "effects",
+        "Effects, ranked",
+        tuple(bars),
+        Axis("closure of the gap on held-out data"),
+        ((1.0, "all of the gap"),),
+        "Part of the gap each effect closes on runs that were not fitted, beyond refitting the nominal "
+        "parameters; lines are its bootstrap interval. Blue: the verdict.",
+        limits=(max(-1.0, low), 1.25),
+    )
+
+
+def gap_figure(diagnosis: Mapping[str, Any]) -> BarFigure:
+    """Return the gap, step by step, down to the noise floor."""
+    gap = diagnosis["gap"]
+    values = (gap["nominal"], gap["nominal_refit"], gap["corrected"])
+    bars = (
+        Bar("nominal model", values[0], "start", note=f"{values[0]:.3g}"),
+        Bar("nominal parameters refitted", values[1], "before", note=f"{values[1]:.3g}"),
+        Bar("corrected", values[2], "final", note=f"{values[2]:.3g}"),
+        Bar("noise floor", 1.0, "floor", note="1"),
+    )
+    return BarFigure(
+        "gap",
+        "From the gap to the noise floor",
+        bars,
+        Axis("gap, in multiples of the noise floor"),
+        caption="Root of the mean squared whitened residual above what noise alone gives.",
+        limits=(0.0, 1.15 * max(*values, 1.0)),
+    )
+
+
+def effects_table(diagnosis: Mapping[str, Any]) -> Table:
+    """Return every candidate with probability, score and closures."""
+    rows = []
+    for effect in sorted(diagnosis["effects"], key=lambda e: -e["probability"]):
+        closure = effect.get("closure", {})
+        interval = closure.get("interval") or (None, None)
+        parameters = ", ".join(
+            f"{name} = {p['value']:.4g}"
+            + ("" if p.get("standard_error") is None else f" ± {p['standard_error']:.2g}")
+            for name, p in effect.get("parameters", {}).items()
+        )
+        rows.append(
+            (
+                effect["id"],
+                effect["probability"],
+                effect.get("score"),
+                closure.get("train"),
+                closure.get("held_out"),
+                *interval,
+                parameters,
+            )
+        )
+    header = (
+        "effect",
+        "probability",
+        "score",
+        "closure, fitted",
+        "closure, held out",
+        "from",
+        "to",
+        "parameters ± standard error",
+    )
+    return Table(header, tuple(rows), "effects-table", "Every candidate")
+
+
+def where_table(diagnosis: Mapping[str, Any]) -> Table:
+    """Return where the gap lies, largest share first."""
+    rows = []
+    for place in sorted(diagnosis["where"], key=lambda w: -w["share"]):
+        rows.append((place["experiment"], place["signal"], regime_text(place), 100 * place["share"]))
+    header = ("experiment", "signal", "regime", "share of the excess, %")
+    return Table(header, tuple(rows), "where", "Largest parts")
+
+
+def regime_text(place: Mapping[str, Any]) -> str:
+    """Return a regime of the JSON in words."""
+    regime = place.get("regime")
+    if not regime:
+        return "whole run"
+    low, high = regime.get("from", -np.inf), regime.get("to", np.inf)
+    return f"{regime.get('variable', '')} {low:.4g} … {high:.4g}".strip()
