@@ -51,19 +51,19 @@ class Fmu:
     -----
     * Inputs without a signal in the task hold their start value.
     * Start values can be set of parameters (fixed and tunable), of inputs, and of variables with ``initial``
-      exact or approx (a guess the FMU may change): the states' start values. They are set before initialisation.
+      exact (the states' start values) or approx (a guess that the FMU may change), before initialisation.
     * Integer, Boolean and enumeration variables are set by their FMI type and take whole numbers only.
     * The first simulation is repeated after a reset (for up to half a second); an FMU whose reset is missing,
       fails or changes the predictions is instantiated anew for every simulation. `renewal` tells which.
-    * After a failed simulation the next one gets a new instance, after fmi2Fatal a new copy of the library, so
-      that predictions depend on the parameters alone, not on what was simulated before.
+    * After a failed simulation the next one gets a new instance, after fmi2Fatal a new copy of the library:
+      predictions depend on the parameters alone, not on what was simulated before.
     * Simulations of one object exclude each other; for parallel ones use processes (`fmuid.workers`).
 
     Raises
     ------
     FmuError
-        No FMU, an FMI version other than 2.0 or 3.0, unsafe file names inside, no library for this machine, or
-        no interface that can be simulated.
+        No FMU, an FMI version other than 2.0 or 3.0, unsafe file names inside, no library for this machine,
+        or no interface that can be simulated.
     """
 
     def __init__(self, path: str | Path, interface: Interface | None = None) -> None:

@@ -1,8 +1,8 @@
 """The loop over communication points in compiled code, over any FMU's C functions.
 
-``stepper.c`` is compiled on first use and kept in the user's cache folder under the hash of its content. Without
-a C compiler ``stepper_python`` runs the same calls in the same order: slower, with identical results. Set the
-environment variable ``FMUID_STEPPER=python`` to ask for that.
+``stepper.c`` is compiled on first use and kept in the user's cache folder under the hash of its content.
+Without a C compiler ``stepper_python`` runs the same calls in the same order: slower, with identical results.
+Set the environment variable ``FMUID_STEPPER=python`` to ask for that.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.stepper import DTYPES, FUNCTIONS, Group, Outcome, Plan
+from fmuid.stepper import DTYPES, FUNCTIONS, Outcome, Plan
 
 _PLACE = {name: i for i, name in enumerate(FUNCTIONS)}
 
@@ -27,7 +27,9 @@ def _array(address: int | None, n: int, dtype: str = "f8") -> NDArray[Any]:
     if not n or not address:
         return np.empty(0, dtype)
     size = n * np.dtype(dtype).itemsize
-    return np.frombuffer((ctypes.c_char * size).from_address(address), dtype)
+    memory: Any = (ctypes.c_char * size).from_address(address)
+    array: NDArray[Any] = np.frombuffer(memory, dtype)
+    return array
 
 
 class _Groups:
@@ -37,7 +39,6 @@ class _Groups:
         self._run, self._place = run, place
         self._calls = []
         for g in groups[:n]:
-            g: Group
             signature: list[Any] = [c_void_p, c_void_p, c_size_t, c_void_p]
             arguments = [run.plan.instance, g.references, g.n_references, g.buffer]
             if run.plan.fmi == 3:
