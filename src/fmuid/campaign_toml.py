@@ -1,16 +1,16 @@
 """Campaign files (`campaign.toml`): read and checked into the values of `fmuid.campaign`."""
 
+# ruff: noqa: RUF012 - msgspec copies the empty containers that are defaults
+
 from __future__ import annotations
 
 import math
-import re
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import msgspec
 
@@ -27,30 +27,27 @@ from fmuid.errors import CampaignError, ProblemError
 from fmuid.expressions import parse
 from fmuid.measurements import read_measurements
 from fmuid.suggest import suggestion
+from fmuid.toml_tables import Table, convert, finite, numbers, read_toml
 
 FILE_NAME = "campaign.toml"
 _Table = Mapping[str, Any]
 
 
-class _Struct(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    pass
-
-
-class _CampaignTable(_Struct):
+class _CampaignTable(Table):
     name: str | None = None
     title: str = ""
     measurements: str = "measurements.h5"
     make: str | None = None
 
 
-class _ModelTable(_Struct):
+class _ModelTable(Table):
     fmu: str
     map: dict[str, str] = {}
     initial: dict[str, Any] = {}
     interpolation: Literal["hold", "linear"] = "hold"
 
 
-class _ParameterTable(_Struct):
+class _ParameterTable(Table):
     start: float
     lower: float = -math.inf
     upper: float = math.inf
@@ -62,7 +59,7 @@ class _ParameterTable(_Struct):
     description: str = ""
 
 
-class _CriterionTable(_Struct):
+class _CriterionTable(Table):
     signal: str
     kind: str = "least_squares"
     demand: float = 1.0
@@ -72,12 +69,12 @@ class _CriterionTable(_Struct):
     options: dict[str, Any] = {}
 
 
-class _BudgetTable(_Struct):
+class _BudgetTable(Table):
     evaluations: int | None = None
     seconds: float | None = None
 
 
-class _StageTable(_Struct):
+class _StageTable(Table):
     experiments: list[str] | None = None
     free: list[str] | None = None
     start: dict[str, Any] = {}
@@ -89,16 +86,16 @@ class _StageTable(_Struct):
     constraints: list[dict[str, Any]] = []
 
 
-class _RolesTable(_Struct):
+class _RolesTable(Table):
     identification: list[str] | None = None
     validation: list[str] = []
 
 
-class _EffectsTable(_Struct):
+class _EffectsTable(Table):
     catalogue: str
 
 
-class _Document(_Struct):
+class _Document(Table):
     campaign: dict[str, Any] = {}
     models: dict[str, dict[str, Any]] = {}
     parameters: dict[str, dict[str, Any]] = {}
@@ -126,14 +123,14 @@ def load_campaign(path: str | Path) -> Campaign:
     """
     path = Path(path)
     file = path / FILE_NAME if path.is_dir() else path
-    document = _convert(_read_toml(file), _Document, str(file), "")
-    head = _convert(document.campaign, _CampaignTable, str(file), "campaign")
+    document = convert(read_toml(file), _Document, str(file))
+    head = convert(document.campaign, _CampaignTable, f"{file} [campaign]")
     folder = file.parent
     measurements = read_measurements(
         folder / head.measurements, fix_missing=f"make it with: {head.make}" if head.make else None
     )
     parameters = {n: _parameter(n, t, f"{file} [parameters.{n}]") for n, t in document.parameters.items()}
-    settings = _numbers(document.settings, f"{file} [settings]")
+    settings = numbers(document.settings, f"{file} [settings]")
     for name in settings.keys() & parameters.keys():
         raise CampaignError(
             f"'{name}' is a parameter too", where=f"{file} [settings]", fix="give it in one of the two tables"
@@ -147,7 +144,7 @@ def load_campaign(path: str | Path) -> Campaign:
     }
     catalogue = None
     if document.effects is not None:
-        catalogue = folder / _convert(document.effects, _EffectsTable, str(file), "effects").catalogue
+        catalogue = folder / convert(document.effects, _EffectsTable, f"{file} [effects]").catalogue
     name = head.name or file.resolve().parent.name
     return Campaign(
         name=name,
@@ -165,114 +162,22 @@ def load_campaign(path: str | Path) -> Campaign:
     )
 
 
-def _read_toml(file: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(file.read_bytes().decode())
-    except FileNotFoundError:
-        raise CampaignError(
-            "no such file", where=file, fix="name a folder with a campaign.toml, or make one with: fmuid init"
-        ) from None
-    except UnicodeDecodeError:
-        raise CampaignError("is not UTF-8 text", where=file, fix="save it as UTF-8") from None
-    except OSError as error:
-        raise CampaignError(f"cannot be read ({error.strerror})", where=file, fix="check the path") from None
-    except RecursionError:
-        raise CampaignError("is nested too deeply", where=file, fix="flatten it") from None
-    except ValueError as error:  # TOMLDecodeError, and Python's own limit on digits
-        what, _, place = str(error).partition(" (at ")
-        line = re.match(r"line (\d+)", place)
-        where = f"{file} line {line[1]}" if line else f"{file} at its end" if place else str(file)
-        what = what[:1].lower() + what[1:]
-        raise CampaignError(f"is not TOML: {what}", where=where, fix="correct the line") from None
-
-
-_S = TypeVar("_S", bound=_Struct)
-_WORDS = {
-    "float": "a number",
-    "int": "a whole number",
-    "str": "text",
-    "bool": "true or false",
-    "object": "a table",
-    "array": "a list",
-    "null": "nothing",
-    "datetime": "a date",
-}
-
-
-def _convert(table: Any, kind: type[_S], file: str, name: str) -> _S:
-    """Convert a raw table to its struct, with msgspec's message put into the user's words."""
-    where = f"{file} [{name}]" if name else file
-    try:
-        return msgspec.convert(table, kind)
-    except msgspec.ValidationError as error:
-        message, _, place = str(error).partition(" - at `$")
-        key = place.strip(".`").replace("[...]", "")
-    if unknown := re.search(r"unknown field `(.*)`", message):
-        fields = [f.encode_name for f in msgspec.structs.fields(kind)]
-        raise CampaignError(f"unknown key '{unknown[1]}'", where=where, fix=suggestion(unknown[1], fields))
-    if missing := re.search(r"missing required field `(.*)`", message):
-        hint = ""
-        if any(isinstance(v, dict) for v in table.values()):
-            hint = '; a name with a dot needs quotes, as in [parameters."load.J"]'
-        raise CampaignError(f"has no '{missing[1]}'", where=where, fix=f"write {missing[1]} = ...{hint}")
-    if types := re.search(r"Expected `(.*)`, got `(.*)`", message):
-        expected, got = (
-            " or ".join(_WORDS.get(t.strip(), t.strip()) for t in side.split("|") if t.strip() != "null")
-            for side in types.groups()
-        )
-        what = f"'{key}' is {got}" if key else f"is {got}"
-        raise CampaignError(what, where=where, fix=f"write {expected}")
-    if choice := re.search(r"Invalid enum value '?(.*?)'?$", message):
-        choices = _choices(kind, key)
-        raise CampaignError(f"'{key}' is '{choice[1]}'", where=where, fix=suggestion(choice[1], choices))
-    raise CampaignError(f"'{key}': {message}", where=where, fix="correct the value")
-
-
-def _choices(kind: type[_Struct], key: str) -> tuple[str, ...]:
-    annotation = next((f.type for f in msgspec.structs.fields(kind) if f.encode_name == key), None)
-    return getattr(annotation, "__args__", ())
-
-
-def _numbers(table: _Table, where: str, prefix: str = "") -> dict[str, float]:
-    """Return a table of numbers; ``load.J = 1`` without quotes is the variable ``load.J`` as well."""
-    numbers: dict[str, float] = {}
-    for key, value in table.items():
-        name = prefix + key
-        if isinstance(value, dict):
-            numbers |= _numbers(value, where, f"{name}.")
-        elif isinstance(value, (bool, int, float)):
-            numbers[name] = _finite(name, value, where)
-        else:
-            raise CampaignError(f"'{name}' is not a number", where=where, fix="write a number")
-    return numbers
-
-
-def _finite(name: str, value: float, where: str) -> float:
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number):
-        raise CampaignError(f"'{name}' is {number:g}", where=where, fix="write a finite number")
-    return number
-
-
 def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
-    table = _convert(raw, _ModelTable, *_split(where))
+    table = convert(raw, _ModelTable, where)
     if not table.fmu:
         raise CampaignError("'fmu' is empty", where=where, fix="write the path of the FMU")
     return ModelSpec(
         setup=setup,
         fmu=folder / table.fmu,
         map=frozen_mapping(table.map),
-        initial=frozen_mapping(_numbers(table.initial, f"{where} initial")),
+        initial=frozen_mapping(numbers(table.initial, f"{where} initial")),
         interpolation=table.interpolation,
     )
 
 
 def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
-    table = _convert(raw, _ParameterTable, *_split(where))
-    _finite("start", table.start, where)
+    table = convert(raw, _ParameterTable, where)
+    finite("start", table.start, where)
     if math.isnan(table.lower) or math.isnan(table.upper):
         raise CampaignError("a bound is nan", where=where, fix="write a number, or leave the bound out")
     if table.lower >= table.upper:
@@ -296,7 +201,7 @@ def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
     if table.scale == "log" and not math.isfinite(table.lower):
         raise CampaignError("scale is log without lower", where=where, fix="give lower > 0")
     if table.truth is not None:
-        _finite("truth", table.truth, where)
+        finite("truth", table.truth, where)
     return ParameterSpec(name=name, **msgspec.structs.asdict(table))
 
 
@@ -307,7 +212,7 @@ class _Roles:
 
     @classmethod
     def from_table(cls, raw: _Table, measurements: Measurements, file: str) -> _Roles:
-        table = _convert(raw, _RolesTable, file, "roles")
+        table = convert(raw, _RolesTable, f"{file} [roles]")
         where = f"{file} [roles]"
         everything = tuple(measurements.experiments)
         held_out = expand(table.validation, measurements, everything, f"{where} validation")
@@ -406,7 +311,7 @@ def _stage(
     parameters: Mapping[str, ParameterSpec],
     where: str,
 ) -> StageSpec:
-    table = _convert(raw, _StageTable, *_split(where))
+    table = convert(raw, _StageTable, where)
     patterns = ["*"] if table.experiments is None else table.experiments
     experiments = expand(patterns, measurements, roles.identification, f"{where} experiments")
     if not experiments:
@@ -416,7 +321,7 @@ def _stage(
     _known(free, parameters, f"{where} free")
     if not free:
         raise CampaignError("frees no parameter", where=where, fix='write free = ["..."]')
-    start = _numbers(table.start, f"{where} start")
+    start = numbers(table.start, f"{where} start")
     _known(start, parameters, f"{where} start")
     for key, value in start.items():
         spec = parameters[key]
@@ -428,7 +333,7 @@ def _stage(
             )
     _check_ties(table.tie, free, parameters, f"{where} tie")
     solver, options = _solver(table.solver, where)
-    budget = _convert(table.budget, _BudgetTable, *_split(f"{where[:-1]}.budget]"))
+    budget = convert(table.budget, _BudgetTable, f"{where[:-1]}.budget]")
     for key in ("evaluations", "seconds"):
         limit = getattr(budget, key)
         if limit is not None and not limit > 0:
@@ -454,7 +359,7 @@ def _stage(
 def _criterion(
     raw: _Table, experiments: Sequence[str], measurements: Measurements, where: str
 ) -> CriterionSpec:
-    table = _convert(raw, _CriterionTable, *_split(where))
+    table = convert(raw, _CriterionTable, where)
     outputs = {name: None for i in experiments for name in measurements[i].outputs}
     if table.signal not in outputs:
         raise CampaignError(
@@ -516,9 +421,3 @@ def _known(names: Iterable[str], parameters: Mapping[str, ParameterSpec], where:
     for name in names:
         if name not in parameters:
             raise CampaignError(f"unknown parameter '{name}'", where=where, fix=suggestion(name, parameters))
-
-
-def _split(where: str) -> tuple[str, str]:
-    """Return file and table of ``file [table]``."""
-    file, _, table = where.rpartition(" [")
-    return file, table.removesuffix("]")

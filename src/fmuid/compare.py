@@ -104,8 +104,9 @@ def _compare(
     worst = int(np.argmax(np.abs(np.nan_to_num(error, nan=np.inf))))
     outside = None
     if funnel is not None:
-        lower, upper = _funnel(result.time, time, expected, funnel[0] * scale, funnel[1])
-        outside = 1.0 - float(np.mean((values >= lower) & (values <= upper)))
+        covered = (result.time >= time[0]) & (result.time <= time[-1])
+        lower, upper = _funnel(result.time[covered], time, expected, funnel[0] * scale, funnel[1])
+        outside = 1.0 - float(np.mean((values[covered] >= lower) & (values[covered] <= upper)))
     within = nrmse <= tolerance if outside is None else outside == 0.0
     return Comparison(name, nrmse, float(np.abs(error[worst])), float(time[worst]), outside, within)
 

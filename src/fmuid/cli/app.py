@@ -1,0 +1,75 @@
+"""The commands put together, and how they end."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from fmuid.cli import building, checking, comparing, identification, importing, simulating
+from fmuid.errors import FmuidError
+
+DONE, NO, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+app = typer.Typer(
+    name="fmuid",
+    no_args_is_help=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Identify the parameters of FMUs from measurement campaigns, and diagnose what the model misses.",
+    epilog="Exit code: 0 done, 1 the answer is no, 2 bad input, 130 interrupted.",
+)
+app.command("init")(importing.init)
+app.command("build")(building.build)
+app.command("check")(checking.check)
+app.command("simulate")(simulating.simulate)
+app.command("identify")(identification.identify)
+app.command("validate")(identification.validate)
+app.command("diagnose")(identification.diagnose)
+app.command("compare")(comparing.compare)
+app.command("import")(importing.import_)
+app.command("export")(importing.export)
+app.command("report")(identification.report)
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    context: typer.Context,
+    version: bool = typer.Option(False, "--version", help="Print the version and stop."),
+) -> None:
+    if version:
+        from importlib.metadata import version as installed
+
+        typer.echo(installed("fmuid"))
+    elif context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code; every mistake of the user's is one line on stderr."""
+    try:
+        code = app(arguments, standalone_mode=False)
+    except FmuidError as error:
+        return _complain(str(error))
+    except typer.TyperException as error:  # unknown option, missing argument, value of the wrong type
+        return _complain(error.format_message().rstrip(".") + "; see fmuid --help")
+    except typer.Abort:
+        return _complain("interrupted", INTERRUPTED)
+    except BrokenPipeError:  # the reader (head, less) has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return NO
+    if code == INTERRUPTED:  # Typer has caught the Ctrl-C
+        return _complain("interrupted", INTERRUPTED)
+    return code if isinstance(code, int) else DONE
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    sys.exit(run())
+
+
+def _complain(message: str, code: int = BAD_INPUT) -> int:
+    print(f"fmuid: {' '.join(message.split())}", file=sys.stderr)
+    return code

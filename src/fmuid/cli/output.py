@@ -1,0 +1,100 @@
+"""What commands print and write."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fmuid.errors import FmuidError
+
+Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+CampaignPath = Annotated[
+    Path, typer.Argument(metavar="CAMPAIGN", help="A folder with a campaign.toml, or the file.")
+]
+
+
+class Printer:
+    """Prints unless told to be quiet, and writes the JSON file."""
+
+    def __init__(self, quiet: bool = False, json_file: Path | None = None) -> None:
+        self.quiet = quiet
+        self.json_file = json_file
+
+    def say(self, text: str) -> None:
+        """Print one line."""
+        if not self.quiet:
+            typer.echo(text)
+
+    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+        """Print rows under a header; numbers to the right, text to the left."""
+        cells = [[_cell(v) for v in row] for row in rows]
+        widths = [max(len(c) for c in column) for column in zip(header, *cells, strict=True)]
+        right = [
+            all(isinstance(v, (int, float)) or v is None for v in column)
+            for column in zip(*rows, strict=True)
+        ]
+        right = right or [False] * len(header)
+        for row in [list(header), *cells]:
+            line = (c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right, strict=True))
+            self.say("  ".join(line).rstrip())
+
+    def write(self, result: Mapping[str, Any]) -> None:
+        """Write `result` to the JSON file, if one was asked for; NaN and infinities become null."""
+        if self.json_file is not None:
+            from fmuid.files import write_atomically
+
+            write_atomically(self.json_file, json.dumps(_plain(result), indent=2, allow_nan=False) + "\n")
+
+
+def pairs(texts: Sequence[str], option: str) -> dict[str, str]:
+    """Return ``name=value`` texts as a mapping."""
+    result = {}
+    for text in texts:
+        name, equals, value = text.rpartition("=")
+        if not equals or not name.strip():
+            raise FmuidError(
+                f"'{text}' is not NAME=VALUE", where=option, fix=f"write it as in {option} d_S=2.66"
+            )
+        result[name.strip()] = value.strip()
+    return result
+
+
+def numbers(texts: Sequence[str], option: str) -> dict[str, float]:
+    """Return ``name=number`` texts as a mapping."""
+    result = {}
+    for name, value in pairs(texts, option).items():
+        try:
+            result[name] = float(value)
+        except ValueError:
+            raise FmuidError(
+                f"'{value}' of '{name}' is not a number", where=option, fix="write a number"
+            ) from None
+        if not math.isfinite(result[name]):
+            raise FmuidError(f"'{name}' is {value}", where=option, fix="write a finite number")
+    return result
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if hasattr(value, "tolist"):  # NumPy
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, (str, int)):
+        return value
+    return str(value)

@@ -1,0 +1,187 @@
+"""`fmuid simulate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from fmuid.cli.output import Json, Printer, Quiet, numbers
+from fmuid.errors import FmuError, FmuidError
+
+if TYPE_CHECKING:
+    from fmuid.campaign import FloatArray
+    from fmuid.crosscheck_csv import Table
+
+
+def simulate(
+    model: Annotated[Path, typer.Argument(metavar="FMU|CAMPAIGN", help="An .fmu file, or a campaign.")],
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="Set a parameter (repeat for more)."),
+    ] = None,
+    experiment: Annotated[
+        list[str] | None, typer.Option("--experiment", "-e", help="Id or glob of the runs of a campaign.")
+    ] = None,
+    input_: Annotated[
+        Path | None,
+        typer.Option("--input", metavar="CSV", help="Inputs of an FMU over time; sets its times too."),
+    ] = None,
+    stop: Annotated[float | None, typer.Option(help="Stop time of an FMU, s.")] = None,
+    step: Annotated[float | None, typer.Option(help="Output step of an FMU, s.")] = None,
+    output: Annotated[
+        list[str] | None, typer.Option("--output", help="Record this variable (repeat for more).")
+    ] = None,
+    interpolation: Annotated[
+        Literal["hold", "linear"], typer.Option(help="Inputs between the samples of --input.")
+    ] = "hold",
+    out: Annotated[Path | None, typer.Option(help="CSV file for an FMU, folder for a campaign.")] = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate an FMU, or the runs of a campaign at its start values, and write the results as CSV.
+
+    Examples: fmuid simulate FixedShaft.fmu --input step.csv --set d_S=2.66 --out result.csv;
+    fmuid simulate campaigns/force_feedback -e 'step_*' --set d_S=2.66
+    """
+    printer = Printer(quiet, json)
+    values = numbers(set_ or [], "--set")
+    if model.suffix == ".fmu":
+        if experiment:
+            raise FmuidError("--experiment goes with a campaign", fix="leave it out for an FMU")
+        table = _simulate_fmu(model, values, input_, stop, step, output or [], interpolation)
+        target = out or Path(f"{model.stem}.csv")
+        _write(table, target)
+        printer.say(f"{target}: {table.time.size} samples of {', '.join(table.columns)}")
+        printer.write({"model": model, "out": target, "variables": list(table.columns)})
+        return
+    if input_ or stop or step or output:
+        raise FmuidError(
+            "--input, --stop, --step and --output go with an FMU", fix="leave them out for a campaign"
+        )
+    _simulate_campaign(model, values, experiment or ["*"], out, printer)
+
+
+def _simulate_fmu(
+    path: Path,
+    values: dict[str, float],
+    input_: Path | None,
+    stop: float | None,
+    step: float | None,
+    outputs: list[str],
+    interpolation: Literal["hold", "linear"],
+) -> Table:
+    import numpy as np
+
+    from fmuid.crosscheck_csv import Table, read_csv
+    from fmuid.fmu import load_fmu
+    from fmuid.simulation import Task
+    from fmuid.suggest import suggestion
+    from fmuid.units import convert_factor
+
+    fmu = load_fmu(path)
+    variables = fmu.variables
+    for name in (*values, *outputs):
+        if name not in variables:
+            raise FmuError(f"{path.name} has no variable '{name}'", fix=suggestion(name, variables))
+    outputs = outputs or [n for n, v in variables.items() if v.causality == "output"]
+    inputs: dict[str, FloatArray] = {}
+    time: FloatArray
+    if input_ is not None:
+        table = read_csv(input_)
+        if stop is not None or step is not None:
+            raise FmuidError("--input brings its own times", fix="leave out --stop and --step")
+        time = table.time
+        for name, samples in table.columns.items():
+            if name not in variables or variables[name].causality != "input":
+                known = [n for n, v in variables.items() if v.causality == "input"]
+                raise FmuError(
+                    f"{path.name} has no input '{name}'", where=input_, fix=suggestion(name, known)
+                )
+            factor = 1.0
+            if name in table.units:
+                factor = convert_factor(table.units[name], variables[name].unit, where=f"{input_}: '{name}'")
+            inputs[name] = factor * samples
+    else:
+        default = fmu.default_experiment
+        begin = default.get("start", 0.0)
+        end = stop if stop is not None else default.get("stop", begin + 1.0)
+        if not end > begin:
+            raise FmuidError(f"stop time {end:g} s is not after {begin:g} s", fix="give a later --stop")
+        step = step if step is not None else default.get("step", (end - begin) / 500)
+        if not 0 < step <= end - begin or (end - begin) / step > 1e8:
+            raise FmuidError(
+                f"step {step:g} s does not fit into {end - begin:g} s", fix="give another --step"
+            )
+        time = np.asarray(begin + step * np.arange(round((end - begin) / step) + 1), dtype=np.float64)
+    task = Task(time, inputs, tuple(outputs), values, interpolation)
+    predictions = fmu.simulate(task, {})
+    units = {n: variables[n].unit or "" for n in outputs if variables[n].unit}
+    return Table(time, dict(zip(outputs, predictions, strict=True)), units)
+
+
+def _simulate_campaign(
+    path: Path, values: dict[str, float], patterns: list[str], out: Path | None, printer: Printer
+) -> None:
+    import numpy as np
+
+    from fmuid.campaign_toml import expand, load_campaign
+    from fmuid.cases import from_campaign
+    from fmuid.crosscheck_csv import Table
+    from fmuid.model_check import load_models, match_models
+    from fmuid.suggest import suggestion
+
+    campaign = load_campaign(path)
+    models = load_models(campaign)
+    match_models(campaign, models)
+    for name in values:
+        if name not in campaign.parameters:
+            raise FmuidError(
+                f"unknown parameter '{name}'", where="--set", fix=suggestion(name, campaign.parameters)
+            )
+    roles = set(campaign.identification + campaign.validation)
+    among = [i for i in campaign.measurements.experiments if i in roles]
+    chosen = expand(patterns, campaign.measurements, among, "--experiment")
+    target = out or Path("runs") / campaign.name / "simulated"
+    point = {p.name: p.start for p in campaign.parameters.values()} | values
+    rows: list[tuple[str, str, float]] = []
+    for experiment_id in chosen:
+        experiment = campaign.measurements[experiment_id]
+        (case,) = from_campaign(campaign, [experiment], (), models)
+        prediction = case.simulator.simulate(case.task, case.start_values(point))
+        columns: dict[str, FloatArray] = {}
+        units: dict[str, str] = {}
+        for channel, predicted in zip(case.channels, prediction, strict=True):
+            columns[channel.signal] = predicted
+            columns[f"{channel.signal}_measured"] = channel.mean
+            if channel.unit:
+                units |= {channel.signal: channel.unit, f"{channel.signal}_measured": channel.unit}
+            known = np.isfinite(channel.mean)
+            error = predicted[known] - channel.mean[known]
+            rows.append((experiment_id, channel.signal, _nrmse(error, channel.mean[known])))
+        _write(Table(experiment.time, columns, units), target / f"{experiment_id}.csv")
+    printer.table(("experiment", "signal", "NRMSE"), rows)
+    printer.say(f"{target}: {len(chosen)} files")
+    printer.write(
+        {
+            "campaign": campaign.name,
+            "out": target,
+            "parameters": point,
+            "nrmse": [{"experiment": e, "signal": s, "nrmse": v} for e, s, v in rows],
+        }
+    )
+
+
+def _nrmse(error: FloatArray, measured: FloatArray) -> float:
+    """Return the root mean square error over the range of the measurement."""
+    if not error.size:
+        return float("nan")
+    scale = float(measured.max() - measured.min()) or 1.0
+    return float((error @ error / error.size) ** 0.5) / scale
+
+
+def _write(table: Table, path: Path) -> None:
+    from fmuid.crosscheck_csv import write_csv
+
+    write_csv(table, path)
