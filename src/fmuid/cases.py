@@ -1,0 +1,373 @@
+"""Cases: one simulation each, and what its predictions are compared with."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fmuid.campaign import (
+    Campaign,
+    CriterionSpec,
+    Experiment,
+    FloatArray,
+    ModelSpec,
+    ParameterSpec,
+    frozen_mapping,
+    read_only,
+)
+from fmuid.criteria import Criterion, Target, prepare
+from fmuid.errors import FmuError, ProblemError, UnitError
+from fmuid.expressions import Expression, parse
+from fmuid.search_space import SEPARATOR
+from fmuid.simulation import Simulator, Task
+from fmuid.units import Conversion, conversion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Channel:
+    """One measured signal of a case with its repeats, in the unit of the model's variable.
+
+    Parameters
+    ----------
+    repeats
+        (R, N) samples of the runs that share this case's simulation; NaN where one is missing.
+    sigma
+        (N,) standard deviation of the noise of one sample.
+    noise
+        Where `sigma` comes from: ``given`` in the file, the ``repeats``' spread, or ``unknown``; it is then
+        the standard deviation of the signal itself, and only the relative size of its residuals has a meaning.
+    sensor
+        Expressions for ``offset``, ``gain`` and ``delay`` (s) between model and sensor, if any.
+    """
+
+    signal: str
+    variable: str
+    unit: str | None
+    repeats: FloatArray
+    sigma: FloatArray
+    noise: str
+    sensor: Mapping[str, Expression] = field(default_factory=dict)
+
+    @property
+    def count(self) -> FloatArray:
+        """(N,) number of repeats with a sample."""
+        return np.sum(np.isfinite(self.repeats), axis=0).astype(np.float64)
+
+    @property
+    def mean(self) -> FloatArray:
+        """(N,) mean over the repeats, NaN where none has a sample."""
+        with np.errstate(invalid="ignore"):
+            return np.nansum(self.repeats, axis=0) / np.where(self.count > 0, self.count, np.nan)
+
+    def sensed(self, time: FloatArray, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
+        """Return what the sensor shows for the model's (N,) output `y`."""
+        if not self.sensor:
+            return y
+        if "delay" in self.sensor:
+            y = np.interp(time - self.sensor["delay"](values), time, y)
+        gain = self.sensor["gain"](values) if "gain" in self.sensor else 1.0
+        offset = self.sensor["offset"](values) if "offset" in self.sensor else 0.0
+        return gain * y + offset
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """One simulation of a problem: its task, its channels and its criteria.
+
+    `setting` gives, by parameter name, the model's variable and the conversion from the parameter's unit to
+    the variable's; parameters it does not name do not reach this model.
+    """
+
+    id: str
+    simulator: Simulator
+    task: Task
+    channels: tuple[Channel, ...]
+    criteria: tuple[Criterion, ...]
+    setting: Mapping[str, tuple[str, Conversion]]
+    experiments: tuple[str, ...] = ()
+    setup: str = ""
+
+    def values(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return the parameters as this case sees them: ``name@case`` under its plain name."""
+        suffix = f"{SEPARATOR}{self.id}"
+        own = {n.removesuffix(suffix): v for n, v in values.items() if n.endswith(suffix)}
+        return {n: v for n, v in values.items() if SEPARATOR not in n} | own
+
+    def start_values(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return what is set on the model, by variable, in the model's units."""
+        own = self.values(values)
+        return {
+            variable: convert.factor * own[name] + convert.offset
+            for name, (variable, convert) in self.setting.items()
+            if name in own
+        }
+
+    def sensed(self, prediction: FloatArray, values: Mapping[str, float]) -> FloatArray:
+        """Return the (channels, N) sensor readings that belong to the model's outputs `prediction`."""
+        if not any(channel.sensor for channel in self.channels):
+            return prediction
+        own = self.values(values)
+        return np.array(
+            [c.sensed(self.task.time, y, own) for c, y in zip(self.channels, prediction, strict=True)]
+        )
+
+    def residuals(self, sensed: FloatArray) -> list[FloatArray]:
+        """Return the residual vector of each criterion."""
+        rows = {channel.signal: y for channel, y in zip(self.channels, sensed, strict=True)}
+        return [criterion.residuals(rows[criterion.signal]) for criterion in self.criteria]
+
+
+def experiments_of(campaign: Campaign, ids: Iterable[str], *, where: str) -> tuple[Experiment, ...]:
+    """Return the experiments that `ids` (or globs) name, in the file's order."""
+    chosen: set[str] = set()
+    experiments = campaign.measurements.experiments
+    for pattern in ids:
+        matched = [pattern] if pattern in experiments else fnmatch.filter(experiments, pattern)
+        if not matched:
+            raise ProblemError(
+                f"no experiment matches '{pattern}'", where=where, fix=f"the file has: {', '.join(experiments)}"
+            )
+        chosen |= set(matched)
+    return tuple(e for e in campaign.measurements if e.id in chosen)
+
+
+def from_campaign(
+    campaign: Campaign,
+    experiments: Sequence[Experiment],
+    criteria: Sequence[CriterionSpec],
+    simulators: Mapping[str, Simulator],
+) -> tuple[Case, ...]:
+    """Return one case for each group of runs that one simulation can stand for.
+
+    Repeats with the same time axis, inputs and settings share a case; a repeat whose inputs were recorded
+    with their own noise is simulated on its own.
+    """
+    groups: list[list[Experiment]] = []
+    for experiment in experiments:
+        for group in groups:
+            if _same_simulation(group[0], experiment):
+                group.append(experiment)
+                break
+        else:
+            groups.append([experiment])
+    used: set[str] = set()
+    cases = tuple(_case(campaign, group, criteria, simulators[group[0].setup], used) for group in groups)
+    unused = [s for s in criteria if s.signal not in used]
+    if unused:
+        raise ProblemError(
+            f"criterion on '{unused[0].signal}', which no experiment of the stage measures",
+            fix="measured: " + ", ".join(sorted({n for e in experiments for n in e.outputs})),
+        )
+    return cases
+
+
+def measured_case(
+    id: str,
+    simulator: Simulator,
+    task: Task,
+    measurements: Mapping[str, FloatArray],
+    *,
+    sigma: Mapping[str, float] | None = None,
+    criteria: Sequence[CriterionSpec] = (),
+    parameters: Mapping[str, str] | None = None,
+) -> Case:
+    """Return a case from arrays, without a campaign.
+
+    Parameters
+    ----------
+    measurements
+        (N,) or (R, N) samples by variable name, all of them among ``task.outputs``.
+    sigma
+        Noise standard deviations by variable name.
+    criteria
+        Least squares on every measured variable by default.
+    parameters
+        Parameter name -> model variable; a parameter not named here is set under its own name.
+    """
+    channels = []
+    for name in task.outputs:
+        if name not in measurements:
+            raise ProblemError(f"output '{name}' has no measurement", where=id, fix="measure it or drop it")
+        repeats = np.atleast_2d(np.asarray(measurements[name], dtype=np.float64))
+        level, noise = _noise(repeats, [(sigma or {}).get(name)])
+        channels.append(Channel(name, name, None, read_only(repeats), level, noise))
+    same = Conversion()
+    setting = {n: (n, same) for n, v in simulator.variables.items() if v.causality == "parameter"}
+    setting |= {n: (v, same) for n, v in (parameters or {}).items()}
+    specs = criteria or [CriterionSpec(c.signal) for c in channels]
+    prepared = tuple(prepare(spec, _target(task, _find(channels, spec.signal, id), {})) for spec in specs)
+    return Case(id, simulator, task, tuple(channels), prepared, frozen_mapping(setting))
+
+
+def _same_simulation(a: Experiment, b: Experiment) -> bool:
+    return (
+        a.origin == b.origin
+        and a.setup == b.setup
+        and dict(a.settings) == dict(b.settings)
+        and np.array_equal(a.time, b.time)
+        and a.inputs.keys() == b.inputs.keys()
+        and all(np.array_equal(s.values, b.inputs[n].values) for n, s in a.inputs.items())
+    )
+
+
+def _case(
+    campaign: Campaign,
+    group: Sequence[Experiment],
+    criteria: Sequence[CriterionSpec],
+    simulator: Simulator,
+    used: set[str],
+) -> Case:
+    first, model = group[0], campaign.models[group[0].setup]
+    where = f"experiment '{first.id}'"
+    variables = simulator.variables
+    specs = [spec for spec in criteria if spec.signal in first.outputs]
+    if not criteria:
+        specs = [CriterionSpec(n) for n in first.outputs if n in model.map or n in variables]
+    if not specs:
+        raise ProblemError("none of its measured outputs is judged", where=where, fix="add a criterion")
+    used.update(spec.signal for spec in specs)
+    sensors = _sensors(specs, campaign.parameters, where)
+    specs = [_without_sensor(spec) for spec in specs]
+    channels = []
+    for name in dict.fromkeys(spec.signal for spec in specs):
+        variable = _variable(model, name, simulator, where)
+        signal, unit = first.outputs[name], variables[variable].unit
+        convert = _conversion(signal.unit, unit, f"signal '{name}' of {where}")
+        repeats = convert(np.array([e.outputs[name].values for e in group]))
+        given = [e.outputs[name].sigma for e in group]
+        sigma, noise = _noise(repeats, [None if s is None else abs(convert.factor) * s for s in given])
+        channels.append(
+            Channel(name, variable, unit, read_only(repeats), sigma, noise, sensors.get(name, {}))
+        )
+    inputs = {}
+    for name, signal in first.inputs.items():
+        variable = _variable(model, name, simulator, where)
+        convert = _conversion(signal.unit, variables[variable].unit, f"signal '{name}' of {where}")
+        inputs[variable] = convert(signal.values)
+    known = _settings(campaign, first, model, simulator, where)
+    task = Task(first.time, inputs, tuple(c.variable for c in channels), known, model.interpolation)
+    setting = {}
+    for spec in campaign.parameters.values():
+        variable = model.variable(spec.name)
+        if variable in variables and variable not in _own_settings(first, model):
+            convert = _conversion(spec.unit, variables[variable].unit, f"parameter '{spec.name}'")
+            setting[spec.name] = (variable, convert)
+    raw_inputs = {name: signal.values for name, signal in first.inputs.items()}
+    prepared = tuple(prepare(s, _target(task, _find(channels, s.signal, where), raw_inputs)) for s in specs)
+    return Case(
+        first.origin if all(e.origin == first.origin for e in group) and len(group) > 1 else first.id,
+        simulator,
+        task,
+        tuple(channels),
+        prepared,
+        frozen_mapping(setting),
+        tuple(e.id for e in group),
+        first.setup,
+    )
+
+
+def _variable(model: ModelSpec, name: str, simulator: Simulator, where: str) -> str:
+    variable = model.variable(name)
+    if variable not in simulator.variables:
+        raise FmuError(
+            f"{model.fmu.name} has no variable '{variable}' for '{name}'",
+            where=where,
+            fix=f"correct [models.{model.setup}] map",
+        )
+    return variable
+
+
+def _conversion(source: str | None, target: str | None, where: str) -> Conversion:
+    if source is None:
+        return Conversion()
+    try:
+        return conversion(source, target)
+    except UnitError as error:
+        raise UnitError(error.what, where=where, fix=error.fix) from None
+
+
+def _own_settings(experiment: Experiment, model: ModelSpec) -> frozenset[str]:
+    return frozenset(model.variable(name) for name in experiment.settings)
+
+
+def _settings(
+    campaign: Campaign, experiment: Experiment, model: ModelSpec, simulator: Simulator, where: str
+) -> dict[str, float]:
+    variables = simulator.variables
+    known = {model.variable(n): v for n, v in campaign.settings.items() if model.variable(n) in variables}
+    for name, start in model.initial.items():
+        known[_variable(model, name, simulator, where)] = start
+    for name, number in experiment.settings.items():
+        variable = _variable(model, name, simulator, where)
+        unit = experiment.setting_units.get(name)
+        convert = _conversion(unit, variables[variable].unit, f"setting '{name}' of {where}")
+        known[variable] = convert.factor * number + convert.offset
+    return known
+
+
+def _sensors(
+    specs: Sequence[CriterionSpec], parameters: Mapping[str, ParameterSpec], where: str
+) -> dict[str, dict[str, Expression]]:
+    sensors: dict[str, dict[str, Expression]] = {}
+    for spec in specs:
+        entries = dict(spec.options.get("sensor", {}))
+        for key, text in entries.items():
+            expression = parse(str(text), where=f"sensor {key} of '{spec.signal}'")
+            unknown = sorted(expression.names - set(parameters))
+            if key not in ("offset", "gain", "delay") or unknown:
+                raise ProblemError(
+                    f"unknown parameter '{unknown[0]}'" if unknown else f"unknown sensor property '{key}'",
+                    where=f"sensor of '{spec.signal}' in {where}",
+                    fix="use offset, gain and delay with names from [parameters]",
+                )
+            sensors.setdefault(spec.signal, {})[key] = expression
+    return sensors
+
+
+def _without_sensor(spec: CriterionSpec) -> CriterionSpec:
+    options = {k: v for k, v in spec.options.items() if k != "sensor"}
+    return CriterionSpec(
+        spec.signal, spec.kind, spec.demand, spec.weight, spec.start_time, spec.stop_time, options
+    )
+
+
+def _find(channels: Sequence[Channel], signal: str, where: str) -> Channel:
+    for channel in channels:
+        if channel.signal == signal:
+            return channel
+    raise ProblemError(
+        f"criterion on '{signal}', which is not measured",
+        where=where,
+        fix="measured: " + ", ".join(c.signal for c in channels),
+    )
+
+
+def _target(task: Task, channel: Channel, inputs: Mapping[str, FloatArray]) -> Target:
+    return Target(
+        channel.signal, task.time, channel.mean, channel.count, channel.sigma, {**task.inputs, **inputs}
+    )
+
+
+def _noise(repeats: FloatArray, given: Sequence[float | None]) -> tuple[FloatArray, str]:
+    """Return the noise level (N,) of a channel and where it comes from."""
+    n = repeats.shape[1]
+    known = [s for s in given if s is not None and s > 0.0]
+    if len(known) == len(given):
+        return np.full(n, float(np.sqrt(np.mean(np.square(known))))), "given"
+    degrees = np.sum(np.maximum(np.sum(np.isfinite(repeats), axis=0) - 1, 0))
+    if len(repeats) > 1 and degrees > 0:
+        with np.errstate(invalid="ignore"):
+            count = np.sum(np.isfinite(repeats), axis=0)
+            mean = np.nansum(repeats, axis=0) / np.where(count > 0, count, np.nan)
+        spread = float(np.sqrt(np.nansum((repeats - mean) ** 2) / degrees))
+        # A quantised signal may repeat exactly; its noise is not below the quantum's.
+        jumps = np.abs(np.diff(repeats, axis=1))
+        quantum = float(np.min(jumps[jumps > 0.0], initial=np.inf))
+        level = max(spread, quantum / np.sqrt(12.0) if spread == 0.0 and np.isfinite(quantum) else 0.0)
+        if level > 0.0:
+            return np.full(n, level), "repeats"
+    scale = float(np.nanstd(repeats))
+    return np.full(n, scale if scale > 0.0 else 1.0), "unknown"

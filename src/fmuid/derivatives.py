@@ -1,0 +1,169 @@
+"""Finite differences that know the simulator's noise floor.
+
+A co-simulation's output is only piecewise smooth in its parameters (adaptive steps, events), so textbook
+steps of 1e-8 measure noise. The noise is estimated from a fourth difference (Hamming; More and Wild, 2011)
+and the step balances it against truncation; a step that moves the residuals by less than a hundred times
+the noise is enlarged.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.campaign import FloatArray
+from fmuid.errors import SimulationError
+from fmuid.problem import Evaluation, Problem
+
+EvaluateMany = Callable[[Sequence[FloatArray]], list[Evaluation]]
+
+_SPACING = 1e-4  # of the points of the noise estimate, in search units
+_WEIGHTS = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # fourth difference
+_GAIN = math.sqrt(math.factorial(4) ** 2 / math.factorial(8))  # from its root mean square to the noise
+_MARGIN = 100.0  # a difference must be this many times the noise
+_LARGEST_STEP = 0.1
+_SMALLEST_STEP = 1e-7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseFloor:
+    """How much predictions scatter when parameters change by next to nothing.
+
+    Parameters
+    ----------
+    residual
+        Root mean square scatter of a residual (in sigmas).
+    size
+        Root mean square of the predictions in the same unit, to judge it by.
+    outputs
+        (channels,) root mean square scatter for each case, in the outputs' units.
+    """
+
+    residual: float
+    size: float
+    outputs: tuple[FloatArray, ...]
+
+    @property
+    def relative(self) -> float:
+        """Scatter over size, not below rounding."""
+        return max(self.residual / self.size if self.size > 0.0 else 0.0, 4.0 * np.finfo(float).eps)
+
+    @property
+    def forward_step(self) -> float:
+        """Best step of a one-sided difference, in search units."""
+        return float(np.clip(2.0 * math.sqrt(self.relative), _SMALLEST_STEP, _LARGEST_STEP))
+
+    @property
+    def central_step(self) -> float:
+        """Best step of a central difference, in search units."""
+        return float(np.clip((3.0 * self.relative) ** (1.0 / 3.0), _SMALLEST_STEP, _LARGEST_STEP))
+
+
+def noise_floor(
+    problem: Problem, x: FloatArray, *, evaluate: EvaluateMany | None = None
+) -> NoiseFloor:
+    """Estimate the simulator's noise around the (n,) search point `x` from five evaluations.
+
+    Raises
+    ------
+    SimulationError
+        A point next to `x` cannot be simulated.
+    """
+    evaluate = evaluate or problem.evaluate_many
+    lower, upper = problem.space.lower, problem.space.upper
+    # Every parameter moves, alternating in sign, and towards the inside of its bounds.
+    signs = np.where(np.arange(len(x)) % 2 == 0, 1.0, -1.0)
+    reach = 4.0 * _SPACING
+    signs = np.where(x + reach * signs > upper, -1.0, np.where(x + reach * signs < lower, 1.0, signs))
+    # Uneven digits: a parameter must not land on the same rounded value twice.
+    points = evaluate([x + k * _SPACING * signs * 1.0123456789 for k in range(5)])
+    for point in points:
+        if point.failure is not None:
+            raise SimulationError(point.failure)
+    residuals = np.array([point.residuals for point in points])
+    difference = _WEIGHTS @ (residuals - residuals[0])
+    change = np.sqrt(np.mean(difference**2))
+    outputs = tuple(
+        _GAIN * np.sqrt(np.mean(np.tensordot(_WEIGHTS, np.array(p) - p[0], 1) ** 2, axis=1))
+        for p in zip(*(point.predictions for point in points), strict=True)
+    )
+    return NoiseFloor(_GAIN * float(change), _size(problem, points[0]), outputs)
+
+
+def jacobian(
+    evaluate: EvaluateMany,
+    here: Evaluation,
+    lower: FloatArray,
+    upper: FloatArray,
+    floor: NoiseFloor,
+    *,
+    central: bool,
+) -> FloatArray:
+    """Return d residuals / d search point, (m, n), by differences with steps chosen from the noise floor.
+
+    Near a bound, or where one side cannot be simulated, the other side alone is used.
+
+    Raises
+    ------
+    SimulationError
+        A parameter can be moved to neither side.
+    """
+    n = len(here.x)
+    columns: dict[int, FloatArray] = {}
+    steps = dict.fromkeys(range(n), floor.central_step if central else floor.forward_step)
+    while steps:
+        points: list[tuple[int, FloatArray]] = []
+        for i, step in steps.items():
+            points += [(i, p) for p in _moved(here.x, i, step, lower, upper, central)]
+        evaluated = evaluate([p for _, p in points])
+        again: dict[int, float] = {}
+        for i, step in steps.items():
+            sides = [e for (j, _), e in zip(points, evaluated, strict=True) if j == i and e.ok]
+            if not sides:
+                sides = [e for e in evaluate(_moved(here.x, i, -step, lower, upper, False)) if e.ok]
+            if not sides:
+                raise SimulationError(
+                    f"no simulation beside {here.parameters} succeeds", fix="narrow the bounds"
+                )
+            a, b = (sides[0], sides[1]) if len(sides) == 2 else (sides[0], here)
+            change = a.residuals - b.residuals
+            larger = min(10.0 * step, _LARGEST_STEP)
+            too_small = np.sqrt(np.mean(change**2)) < _MARGIN * floor.residual
+            if too_small and larger > step:
+                again[i] = larger
+            columns[i] = change / (a.x[i] - b.x[i])
+        steps = again
+    return np.column_stack([columns[i] for i in range(n)])
+
+
+def _moved(
+    x: FloatArray, i: int, step: float, lower: FloatArray, upper: FloatArray, central: bool
+) -> list[FloatArray]:
+    """Return the points to evaluate for parameter `i`, all inside the bounds."""
+    ends = [x[i] + step, x[i] - step]
+    inside = [end for end in ends if lower[i] <= end <= upper[i]]
+    if not inside:  # bounds closer than the step
+        inside = [max((lower[i], upper[i]), key=lambda bound: abs(bound - x[i]))]
+    points = []
+    for end in inside if central else inside[:1]:
+        point = x.copy()
+        point[i] = end
+        points.append(point)
+    return points
+
+
+def _size(problem: Problem, evaluation: Evaluation) -> float:
+    """Return the root mean square of the predictions in the residuals' unit (sigmas)."""
+    moved = []
+    for case, prediction in zip(problem.cases, evaluation.predictions, strict=True):
+        rows = {c.signal: y for c, y in zip(case.channels, prediction, strict=True)}
+        for criterion in case.criteria:
+            if criterion.rows is not None:
+                y = rows[criterion.signal]
+                moved.append(criterion.residuals(y) - criterion.residuals(np.zeros_like(y)))
+    if not moved:
+        return float(np.sqrt(np.mean(evaluation.residuals**2)))
+    return float(np.sqrt(np.mean(np.concatenate(moved) ** 2)))

@@ -1,0 +1,44 @@
+"""Where simulations run: in this process, or on any `concurrent.futures` executor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, Future
+
+from fmuid.campaign import FloatArray
+from fmuid.errors import SimulationError
+from fmuid.simulation import Simulator, Task
+
+Job = tuple[Simulator, Task, Mapping[str, float]]
+Outcome = FloatArray | SimulationError
+Runner = Callable[[Sequence[Job]], list[Outcome]]
+"""Simulates jobs and returns their outcomes in the same order; a failed run is its error, never a number."""
+
+
+def simulate(job: Job) -> Outcome:
+    """Run one job."""
+    simulator, task, parameters = job
+    try:
+        return simulator.simulate(task, parameters)
+    except SimulationError as error:
+        return error
+
+
+def in_process(jobs: Sequence[Job]) -> list[Outcome]:
+    """Run `jobs` one after the other, here."""
+    return [simulate(job) for job in jobs]
+
+
+def on_executor(executor: Executor) -> Runner:
+    """Return a runner that submits every job to `executor`."""
+
+    def run(jobs: Sequence[Job]) -> list[Outcome]:
+        futures: list[Future[Outcome]] = [executor.submit(simulate, job) for job in jobs]
+        try:
+            return [future.result() for future in futures]
+        except BaseException:
+            for future in futures:
+                future.cancel()
+            raise
+
+    return run

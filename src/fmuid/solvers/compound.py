@@ -1,0 +1,148 @@
+"""Solvers made of solvers: chains, multistart, and lexicographic order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fmuid.campaign import FloatArray
+from fmuid.errors import ProblemError, SimulationError
+from fmuid.problem import Evaluation
+from fmuid.solvers.search import Outcome, Search, Solver, Start, Status, StopSearch
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """One solver after the other, each from the best point of those before: global, then local."""
+
+    links: tuple[Solver, ...]
+
+    @property
+    def name(self) -> str:
+        """The links' names, in order."""
+        return " > ".join(link.name for link in self.links)
+
+    @property
+    def needs_residuals(self) -> bool:
+        """Whether any link does."""
+        return any(link.needs_residuals for link in self.links)
+
+    def solve(self, search: Search, start: FloatArray) -> Outcome:
+        """See `Solver.solve`."""
+        outcome = Outcome(Status.FAILED, "no solver in the chain")
+        for link in self.links:
+            outcome = link.solve(search, start)
+            if search.reached is None:
+                break
+            start = search.reached.x
+        return outcome
+
+
+@dataclass(frozen=True, slots=True)
+class MultiStart:
+    """The same solver from several starts: the given one, and a scrambled Sobol sequence in the bounds.
+
+    The starts depend on the seed alone. Where each one led is kept for the waterfall plot.
+    """
+
+    solver: Solver
+    starts: int
+
+    @property
+    def name(self) -> str:
+        """Number of starts and the solver's name."""
+        return f"{self.starts} x {self.solver.name}"
+
+    @property
+    def needs_residuals(self) -> bool:
+        """Whether the solver does."""
+        return self.solver.needs_residuals
+
+    def points(self, search: Search, start: FloatArray) -> list[FloatArray]:
+        """Return the start points."""
+        from scipy.stats import qmc
+
+        if not search.problem.space.bounded:
+            raise ProblemError(
+                "several starts need both bounds of every free parameter", fix="give lower and upper"
+            )
+        sobol = qmc.Sobol(len(search), rng=np.random.default_rng(search.seed))
+        # Sobol sequences are balanced at powers of two only; draw one and use its beginning.
+        unit = sobol.random_base2(max(1, int(np.ceil(np.log2(max(self.starts - 1, 1))))))
+        width = search.upper - search.lower
+        return [start, *(search.lower + u * width for u in unit[: self.starts - 1])]
+
+    def solve(self, search: Search, start: FloatArray) -> Outcome:
+        """See `Solver.solve`."""
+        outcome = Outcome(Status.FAILED, "no start could be simulated")
+        for point in self.points(search, start):
+            search.restart()
+            before = search.evaluations
+            try:
+                ended = self.solver.solve(search, point)
+            except SimulationError as error:  # this start is lost, not the search
+                ended = Outcome(Status.FAILED, error.what)
+            except StopSearch as stop:
+                _note(search, point, stop.outcome.status, before)
+                raise
+            best = search.best
+            if best is not None and search.reached is best:
+                outcome = ended
+            _note(search, point, ended.status, before)
+        return outcome
+
+
+def _note(search: Search, point: FloatArray, status: Status, before: int) -> None:
+    reached = search.reached
+    if reached is not None:
+        end, cost = tuple(map(float, reached.x)), reached.cost
+        search.starts.append(
+            Start(tuple(map(float, point)), end, cost, status, search.evaluations - before)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Lexicographic:
+    """Minimises the criteria of priority 1, then those of 2 while the first get no worse, and so on."""
+
+    solver: Solver
+    slack: float = field(default=1e-3)  # relative: without it later levels could not move
+
+    @property
+    def name(self) -> str:
+        """The inner solver's name."""
+        return f"lexicographic {self.solver.name}"
+
+    @property
+    def needs_residuals(self) -> bool:
+        """Whether the inner solver does."""
+        return self.solver.needs_residuals
+
+    def solve(self, search: Search, start: FloatArray) -> Outcome:
+        """See `Solver.solve`."""
+        priorities = np.array([criterion.priority for _, criterion in search.problem.criteria])
+        outcome = Outcome(Status.FAILED, "no criteria")
+        held: list[tuple[int, float]] = []
+        for level in sorted(set(priorities.tolist())):
+            mine = np.flatnonzero(priorities == level)
+            limits = tuple(held)
+
+            def cost(evaluation: Evaluation, mine: FloatArray = mine) -> float:
+                weights = search.problem.root_weights[mine] ** 2
+                return float(np.sum(weights * evaluation.criteria[mine] ** 2))
+
+            def excess(
+                evaluation: Evaluation, limits: tuple[tuple[int, float], ...] = limits
+            ) -> FloatArray:
+                return np.array([evaluation.criteria[i] - limit for i, limit in limits])
+
+            search.refocus(cost, excess)
+            outcome = self.solver.solve(search, start)
+            if search.best is None:
+                break
+            start = search.best.x
+            # A criterion that is satisfied (at most 1) may give way up to its demand.
+            best = search.best.criteria
+            held += [(int(i), max(1.0, float(best[i]) * (1.0 + self.slack))) for i in mine]
+        return outcome

@@ -1,0 +1,268 @@
+"""NLopt's solvers behind the one signature; the only importer of nlopt."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fmuid.campaign import FloatArray, frozen_mapping
+from fmuid.errors import ProblemError, SimulationError
+from fmuid.problem import Evaluation
+from fmuid.solvers.search import FEASIBLE, Outcome, Search, Status, StopRules
+
+
+@dataclass(frozen=True, slots=True)
+class _Algorithm:
+    nlopt: str
+    finite_bounds: bool = False
+    constraints: bool = False
+    gradient: bool = False
+    model: bool = False  # fits a model to the costs: a failed candidate would poison it
+    subsidiary: bool = False
+    random: bool = False
+
+
+ALGORITHMS: Mapping[str, _Algorithm] = {
+    "nelder_mead": _Algorithm("LN_NELDERMEAD"),
+    "sbplx": _Algorithm("LN_SBPLX"),
+    "cobyla": _Algorithm("LN_COBYLA", constraints=True, model=True),
+    "bobyqa": _Algorithm("LN_BOBYQA", model=True),
+    "newuoa_bound": _Algorithm("LN_NEWUOA_BOUND", model=True),
+    "praxis": _Algorithm("LN_PRAXIS", model=True),
+    "crs2": _Algorithm("GN_CRS2_LM", finite_bounds=True, random=True),
+    "isres": _Algorithm("GN_ISRES", finite_bounds=True, constraints=True, random=True),
+    # The original DIRECT codes know hidden constraints, that is candidates that fail.
+    "direct": _Algorithm("GN_ORIG_DIRECT", finite_bounds=True),
+    "direct_l": _Algorithm("GN_ORIG_DIRECT_L", finite_bounds=True),
+    "esch": _Algorithm("GN_ESCH", finite_bounds=True, random=True),
+    "mlsl": _Algorithm("G_MLSL_LDS", finite_bounds=True, subsidiary=True, model=True, random=True),
+    "ags": _Algorithm("GN_AGS", finite_bounds=True, model=True),
+    "slsqp": _Algorithm("LD_SLSQP", constraints=True, gradient=True, model=True),
+}
+_ALIASES = {"neldermead": "nelder_mead", "newuoa": "newuoa_bound", "direct-l": "direct_l", "sqp": "slsqp"}
+_OPTIONS = ("initial_step", "tolerance", "cost_tolerance", "population", "local", "evaluations")
+_GLOBAL_EVALUATIONS = 200  # a parameter, for global solvers without any stop rule: they never converge
+_RETRIES = 6
+
+
+@dataclass(frozen=True, slots=True)
+class NloptSolver:
+    """One of NLopt's algorithms (Johnson, The NLopt nonlinear-optimization package).
+
+    Parameters
+    ----------
+    name
+        A key of `ALGORITHMS`.
+    options
+        ``initial_step`` (search units, 0.1), ``tolerance`` (relative, of the point, 1e-7), ``cost_tolerance``
+        (relative, 1e-12), ``population``, ``local`` (subsidiary of MLSL, ``bobyqa``), ``evaluations`` (of
+        this solver alone, as a link of a chain).
+    """
+
+    name: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    needs_residuals: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", _ALIASES.get(self.name, self.name))
+        object.__setattr__(self, "options", frozen_mapping(self.options))
+        for key in self.options:
+            if key not in _OPTIONS:
+                raise ProblemError(
+                    f"solver '{self.name}' has no option '{key}'", fix=f"it has: {', '.join(_OPTIONS)}"
+                )
+
+    def solve(self, search: Search, start: FloatArray) -> Outcome:
+        """See `Solver.solve`."""
+        algorithm = ALGORITHMS[self.name]
+        if algorithm.finite_bounds and not search.problem.space.bounded:
+            open_ended = [
+                s.name for s in search.problem.space.free if not np.isfinite(s.lower) or not np.isfinite(s.upper)
+            ]
+            raise ProblemError(
+                f"solver '{self.name}' needs both bounds of every free parameter",
+                fix=f"give lower and upper of {', '.join(open_ended)}",
+            )
+        first = search.evaluate(start)
+        if first.failure is not None and (algorithm.model or not algorithm.finite_bounds):
+            raise SimulationError(f"the start point fails ({first.failure})", fix="choose other start values")
+        x, shrink = start, 1.0
+        for _ in range(_RETRIES):
+            try:
+                return self._run(search, algorithm, x, first, shrink)
+            except _FailedError:
+                # What is known of the cost ends where simulations fail: again, closer to the best point.
+                assert search.reached is not None  # `first` was simulated
+                x, shrink = search.reached.x, 0.25 * shrink
+        return Outcome(Status.FAILED, "simulations keep failing around the best point")
+
+    def _run(
+        self, search: Search, algorithm: _Algorithm, x: FloatArray, first: Evaluation, shrink: float
+    ) -> Outcome:
+        import nlopt
+
+        epigraph = search.problem.combination.kind == "min_max" and algorithm.constraints
+        constrained = bool(search.problem.constraints) or len(search.limits_of(first)) > 0
+        n = len(search) + epigraph
+        opt = nlopt.opt(getattr(nlopt, algorithm.nlopt), n)
+        functions = _Functions(search, opt, algorithm, epigraph)
+        inner = opt
+        if constrained and not algorithm.constraints:
+            opt = nlopt.opt(nlopt.AUGLAG, n)  # augmented Lagrangian around a solver without constraints
+            functions.opt = opt
+        lower, upper, here = search.lower, search.upper, x
+        step = shrink * float(self.options.get("initial_step", 0.1)) * np.ones(len(search))
+        if epigraph:
+            evaluation = search.evaluate(x)
+            level = evaluation.cost if evaluation.ok else 1.0
+            lower, upper = np.append(lower, 0.0), np.append(upper, 10.0 * level)
+            here, step = np.append(x, level), np.append(step, 0.1 * level + 1e-12)
+        random = algorithm.random or algorithm.subsidiary
+        if random:
+            nlopt.srand(search.seed + 1)  # 0 would mean: by the clock
+        for each in {id(opt): opt, id(inner): inner}.values():
+            each.set_lower_bounds(lower)
+            each.set_upper_bounds(upper)
+            each.set_xtol_rel(float(self.options.get("tolerance", 1e-7)))
+            each.set_ftol_rel(float(self.options.get("cost_tolerance", 1e-12)))
+            if not algorithm.finite_bounds:
+                each.set_initial_step(np.minimum(step, 0.49 * (upper - lower)))
+        if algorithm.subsidiary:
+            local = nlopt.opt(getattr(nlopt, ALGORITHMS[self.options.get("local", "bobyqa")].nlopt), n)
+            local.set_xtol_rel(1e-5)
+            local.set_ftol_rel(1e-9)
+            inner.set_local_optimizer(local)
+        if "population" in self.options:
+            inner.set_population(int(self.options["population"]))
+        if opt is not inner:
+            opt.set_local_optimizer(inner)
+        limit = self.options.get("evaluations")
+        if limit is None and algorithm.finite_bounds and search.stop == StopRules():
+            limit = _GLOBAL_EVALUATIONS * (n + 1)
+        if limit is not None:
+            opt.set_maxeval(int(limit))
+        opt.set_min_objective(functions.objective)
+        if count := functions.count(first, equality=False):
+            opt.add_inequality_mconstraint(functions.inequalities, np.full(count, FEASIBLE / 10.0))
+        if count := functions.count(first, equality=True):
+            opt.add_equality_mconstraint(functions.equalities, np.full(count, FEASIBLE / 10.0))
+        try:
+            opt.optimize(np.clip(here, lower, upper))
+        except nlopt.RoundoffLimited:
+            functions.reraise()
+            return Outcome(Status.CONVERGED, "no further progress in floating point")
+        except (nlopt.ForcedStop, RuntimeError, ValueError) as error:
+            functions.reraise()
+            return Outcome(Status.FAILED, f"NLopt: {error}")
+        functions.reraise()
+        code = opt.last_optimize_result()
+        messages = {
+            nlopt.FTOL_REACHED: "cost no longer changes",
+            nlopt.XTOL_REACHED: "parameters no longer change",
+            nlopt.SUCCESS: "done",
+        }
+        if code in messages:
+            return Outcome(Status.CONVERGED, messages[code])
+        return Outcome(Status.BUDGET, f"{limit} evaluations of {self.name}")
+
+
+class _FailedError(Exception):
+    """A candidate cannot be simulated, and the solver has no way to be told."""
+
+
+class _Functions:
+    """The callbacks of one NLopt run. An exception is kept and raised once NLopt has returned."""
+
+    def __init__(self, search: Search, opt: Any, algorithm: _Algorithm, epigraph: bool) -> None:
+        self.search, self.opt, self.algorithm, self.epigraph = search, opt, algorithm, epigraph
+        self.raised: BaseException | None = None
+
+    def reraise(self) -> None:
+        """Raise what a callback raised."""
+        if self.raised is not None:
+            raise self.raised
+
+    def count(self, evaluation: Evaluation, *, equality: bool) -> int:
+        """Return the number of constraints of a kind, epigraph ones included."""
+        return len(self._vector(evaluation, equality, 0.0))
+
+    def objective(self, x: FloatArray, gradient: FloatArray) -> float:
+        """Return the cost, or the epigraph variable."""
+        if self.epigraph:
+            if gradient.size:
+                gradient[:] = 0.0
+                gradient[-1] = 1.0
+            return float(x[-1])
+
+        def cost() -> float:
+            evaluation = self._evaluate(x)
+            if gradient.size:
+                gradient[:] = self._slopes(x, lambda e: np.array([self.search.cost_of(e)]))[0]
+            return self.search.cost_of(evaluation) if evaluation.ok else float("inf")
+
+        return self._guarded(cost, float("inf"))
+
+    def inequalities(self, result: FloatArray, x: FloatArray, gradient: FloatArray) -> None:
+        """Fill in the inequality constraints, at most 0 when kept."""
+        self._constraints(result, x, gradient, False)
+
+    def equalities(self, result: FloatArray, x: FloatArray, gradient: FloatArray) -> None:
+        """Fill in the equality constraints."""
+        self._constraints(result, x, gradient, True)
+
+    def _constraints(self, result: FloatArray, x: FloatArray, gradient: FloatArray, equality: bool) -> None:
+        level = float(x[-1]) if self.epigraph else 0.0
+
+        def fill() -> float:
+            evaluation = self._evaluate(x)
+            result[:] = self._vector(evaluation, equality, level) if evaluation.ok else np.inf
+            if gradient.size:
+                n = len(self.search)
+                gradient[:, :n] = self._slopes(x, lambda e: self._vector(e, equality, level))
+                if self.epigraph:
+                    scaled = 0 if equality else len(self.search.problem.criteria)
+                    gradient[:, n:] = 0.0
+                    gradient[len(result) - scaled :, n:] = -1.0
+            return 0.0
+
+        if self._guarded(fill, float("nan")) != 0.0:
+            result[:] = np.inf
+
+    def _vector(self, evaluation: Evaluation, equality: bool, level: float) -> FloatArray:
+        own = self.search.violations(evaluation, equality=equality)
+        if not self.epigraph or equality:
+            return own
+        weights = self.search.problem.root_weights**2
+        return np.concatenate([own, weights * evaluation.criteria - level])
+
+    def _evaluate(self, x: FloatArray) -> Evaluation:
+        evaluation = self.search.evaluate(x[: len(self.search)])
+        if not evaluation.ok and self.algorithm.model:
+            raise _FailedError
+        return evaluation
+
+    def _slopes(self, x: FloatArray, of: Callable[[Evaluation], FloatArray]) -> FloatArray:
+        """Return the (k, n) central differences of a (k,) function of evaluations."""
+        here = x[: len(self.search)]
+        step = 1e-4
+        points = [here + sign * step * unit for unit in np.eye(len(here)) for sign in (1.0, -1.0)]
+        evaluations = self.search.evaluate_many(points, "derivative")
+        columns = []
+        for i, (a, b) in enumerate(zip(evaluations[::2], evaluations[1::2], strict=True)):
+            if not (a.ok and b.ok):
+                raise _FailedError
+            columns.append((of(a) - of(b)) / (a.x[i] - b.x[i]))
+        return np.array(columns).T
+
+    def _guarded(self, function: Callable[[], float], otherwise: float) -> float:
+        if self.raised is not None:
+            return otherwise
+        try:
+            return function()
+        except BaseException as error:  # Ctrl-C too: NLopt's C code must end first
+            self.raised = error
+            self.opt.force_stop()
+            return otherwise

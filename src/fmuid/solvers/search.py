@@ -1,0 +1,236 @@
+"""A search in progress: what a solver sees of a problem. Evaluations are counted, recorded and stopped here."""
+
+from __future__ import annotations
+
+import enum
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from fmuid.campaign import FloatArray
+from fmuid.problem import Evaluation, Problem
+
+FEASIBLE = 1e-6  # a constraint broken by less counts as kept
+_REMEMBERED = 64  # evaluations a solver may ask for again
+
+
+class Status(enum.StrEnum):
+    """How a search ended; a flag and a readable word."""
+
+    CONVERGED = "converged"
+    BUDGET = "budget spent"
+    INTERRUPTED = "interrupted"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A solver's last word."""
+
+    status: Status
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class StopRules:
+    """When to stop a search: number of evaluations, seconds of evaluation, or a cost that is good enough."""
+
+    evaluations: int | None = None
+    seconds: float | None = None
+    cost: float | None = None
+
+
+class StopSearch(Exception):  # noqa: N818 - not an error: control flow out of a solver's depths
+    """A stop rule holds."""
+
+    def __init__(self, outcome: Outcome) -> None:
+        super().__init__(outcome.message)
+        self.outcome = outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """One start of a search and where it led, in search space."""
+
+    start: tuple[float, ...]
+    end: tuple[float, ...]
+    cost: float
+    status: Status
+    evaluations: int
+
+
+Record = Callable[[Evaluation, str, bool], None]
+"""Told of every evaluation: the evaluation, its purpose, whether it is the best so far."""
+Recall = Callable[[FloatArray, bool], Evaluation | None]
+"""Gives an evaluation back that an earlier, interrupted run made; the flag asks for residuals too."""
+
+
+class Search:
+    """The objective of one stage, as solvers see it.
+
+    Failed candidates have the cost NaN and never become the best.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        stop: StopRules | None = None,
+        *,
+        record: Record = lambda evaluation, purpose, improved: None,
+        recall: Recall = lambda x, residuals: None,
+        seed: int = 0,
+        needs_residuals: bool = True,
+    ) -> None:
+        self.problem = problem
+        self.stop = stop or StopRules()
+        self.seed = seed
+        self.needs_residuals = needs_residuals
+        self.lower, self.upper = problem.space.lower, problem.space.upper
+        self.evaluations = 0
+        self.failures = 0
+        self.seconds = 0.0
+        self.best: Evaluation | None = None
+        self.reached: Evaluation | None = None  # best since `restart`
+        self.starts: list[Start] = []
+        self.cost_of: Callable[[Evaluation], float] = lambda evaluation: evaluation.cost
+        self.limits_of: Callable[[Evaluation], FloatArray] = lambda evaluation: np.zeros(0)
+        self._record, self._recall = record, recall
+        self._recent: OrderedDict[bytes, Evaluation] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self.problem.space)
+
+    def restart(self) -> None:
+        """Forget what was reached (not what is best), as a new start does."""
+        self.reached = None
+
+    def refocus(
+        self, cost_of: Callable[[Evaluation], float], limits_of: Callable[[Evaluation], FloatArray]
+    ) -> None:
+        """Minimise something else from now on, subject to further limits (each at most 0)."""
+        self.cost_of, self.limits_of = cost_of, limits_of
+        self.reached = None
+        if self.best is not None:
+            self._compare(self.best)
+
+    def evaluate(self, x: FloatArray, purpose: str = "search") -> Evaluation:
+        """Evaluate one search point."""
+        return self.evaluate_many([x], purpose)[0]
+
+    def evaluate_many(self, points: Sequence[FloatArray], purpose: str = "search") -> list[Evaluation]:
+        """Evaluate points, in parallel where the problem's runner can.
+
+        Raises
+        ------
+        StopSearch
+            A stop rule holds.
+        """
+        if purpose != "uncertainty":
+            self._check_budget()
+        points = [np.clip(np.asarray(x, dtype=np.float64), self.lower, self.upper) for x in points]
+        found = {key: e for x in points if (e := self._recent.get(key := x.tobytes())) is not None}
+        recalled = set()
+        for x in points:
+            key = x.tobytes()
+            if key not in found and (old := self._recall(x, self.needs_residuals)) is not None:
+                found[key] = old
+                recalled.add(key)
+        new = {x.tobytes(): x for x in points if x.tobytes() not in found}
+        if new:
+            results = self.problem.evaluate_many(list(new.values()))
+            found |= dict(zip(new, results, strict=True))
+        for key in dict.fromkeys(x.tobytes() for x in points):
+            if key in new or key in recalled:
+                self._count(found[key], purpose, recorded=key in recalled)
+                self._remember(key, found[key])
+        return [found[x.tobytes()] for x in points]
+
+    def cost(self, x: FloatArray) -> float:
+        """Return the cost at `x`, NaN where the simulation fails."""
+        evaluation = self.evaluate(x)
+        return self.cost_of(evaluation) if evaluation.ok else float("nan")
+
+    def violations(self, evaluation: Evaluation, *, equality: bool) -> FloatArray:
+        """Return the constraint violations of one kind, limits included among the inequalities."""
+        chosen = [c.is_equality is equality for c in self.problem.constraints]
+        own = evaluation.constraints[np.array(chosen, dtype=bool)]
+        return own if equality else np.concatenate([own, self.limits_of(evaluation)])
+
+    def feasible(self, evaluation: Evaluation) -> bool:
+        """Whether every constraint is kept."""
+        return bool(
+            np.all(self.violations(evaluation, equality=False) <= FEASIBLE)
+            and np.all(np.abs(self.violations(evaluation, equality=True)) <= FEASIBLE)
+        )
+
+    def _check_budget(self) -> None:
+        stop = self.stop
+        if stop.evaluations is not None and self.evaluations >= stop.evaluations:
+            raise StopSearch(Outcome(Status.BUDGET, f"{self.evaluations} evaluations"))
+        if stop.seconds is not None and self.seconds >= stop.seconds:
+            raise StopSearch(Outcome(Status.BUDGET, f"{stop.seconds:g} s"))
+        if stop.cost is not None and self.best is not None and self.best.cost <= stop.cost:
+            raise StopSearch(Outcome(Status.CONVERGED, f"cost at most {stop.cost:g}"))
+
+    def _count(self, evaluation: Evaluation, purpose: str, *, recorded: bool) -> None:
+        self.evaluations += 1
+        self.seconds += evaluation.seconds
+        self.failures += not evaluation.ok
+        improved = purpose == "search" and self._compare(evaluation)
+        if not recorded:
+            self._record(evaluation, purpose, improved)
+
+    def _compare(self, evaluation: Evaluation) -> bool:
+        """Take `evaluation` as the best if it is; return whether it is."""
+        if not evaluation.ok:
+            return False
+        if self.reached is None or self._better(evaluation, self.reached):
+            self.reached = evaluation
+        if self.best is None or self._better(evaluation, self.best):
+            self.best = evaluation
+            return True
+        return False
+
+    def _better(self, a: Evaluation, b: Evaluation) -> bool:
+        feasible_a, feasible_b = self.feasible(a), self.feasible(b)
+        if feasible_a != feasible_b:
+            return feasible_a
+        if not feasible_a:
+            return self._broken(a) < self._broken(b)
+        return self.cost_of(a) < self.cost_of(b)
+
+    def _broken(self, evaluation: Evaluation) -> float:
+        inequality = np.maximum(self.violations(evaluation, equality=False), 0.0)
+        return float(np.sum(inequality) + np.sum(np.abs(self.violations(evaluation, equality=True))))
+
+    def _remember(self, key: bytes, evaluation: Evaluation) -> None:
+        self._recent[key] = evaluation
+        while len(self._recent) > _REMEMBERED:
+            self._recent.popitem(last=False)
+
+
+class Solver(Protocol):
+    """A way to search. Solvers are small immutable values; all of them have this one signature."""
+
+    @property
+    def name(self) -> str:
+        """The name it is asked for by."""
+        ...
+
+    @property
+    def needs_residuals(self) -> bool:
+        """Whether it works on the residual vector, not on the cost alone."""
+        ...
+
+    def solve(self, search: Search, start: FloatArray) -> Outcome:
+        """Search from the (n,) `start`; what is reached is in ``search.reached`` and ``search.best``.
+
+        Raises
+        ------
+        StopSearch
+            A stop rule holds.
+        """
+        ...

@@ -1,0 +1,356 @@
+"""How far estimates can be trusted: covariance under coloured residuals, profiles, propagation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+
+from fmuid.campaign import FloatArray
+from fmuid.derivatives import EvaluateMany, jacobian, noise_floor
+from fmuid.errors import SimulationError
+from fmuid.identifiability import Identifiability, identifiability
+from fmuid.problem import Evaluation, Problem
+
+Matrix = tuple[tuple[float, ...], ...]
+_LEVEL = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Whiteness:
+    """Residuals of one channel: are they noise?
+
+    Parameters
+    ----------
+    variance
+        Mean square of the residuals in sigmas; 1 if the model is complete and sigma right.
+    lag_one
+        Autocorrelation from sample to sample.
+    p_value
+        Of Ljung and Box's test on 20 lags; small means not white.
+    samples, effective
+        Number of samples, and of independent ones that carry as much.
+    """
+
+    case: str
+    signal: str
+    variance: float
+    lag_one: float
+    p_value: float
+    samples: int
+    effective: float
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """Covariance of the free parameters, and what it rests on.
+
+    `covariance` (n, n) is in search space, `standard_errors` (n,) and `correlation` (n, n) belong to model
+    space; a standard error is None where the experiments do not determine the parameter.
+    """
+
+    names: tuple[str, ...]
+    point: tuple[float, ...]
+    covariance: Matrix
+    standard_errors: tuple[float | None, ...]
+    intervals: tuple[tuple[float, float] | None, ...]
+    correlation: Matrix
+    degrees_of_freedom: float
+    identifiability: Identifiability
+    whiteness: tuple[Whiteness, ...] = ()
+    naive_errors: tuple[float | None, ...] = field(default=())
+    noise_floor: float = 0.0
+
+
+def uncertainty(
+    problem: Problem, best: Evaluation, *, evaluate: EvaluateMany | None = None
+) -> Uncertainty:
+    """Return the uncertainty of the estimate `best` of a problem.
+
+    The covariance is the sandwich ``(J'J)^-1 J' W J (J'J)^-1`` in search space; W holds each case's residual
+    auto- and cross-covariances, tapered (Bartlett) beyond the lag where they drown in their own scatter. White
+    residuals give the textbook covariance, coloured ones (model error, friction) a wider one.
+
+    Raises
+    ------
+    SimulationError
+        The neighbourhood of the estimate cannot be simulated.
+    """
+    from scipy.special import stdtrit
+
+    evaluate = evaluate or problem.evaluate_many
+    lower, upper = problem.space.lower, problem.space.upper
+    floor = noise_floor(problem, best.x, evaluate=evaluate)
+    here = best if best.predictions else evaluate([best.x])[0]
+    j = jacobian(evaluate, here, lower, upper, floor, central=True)
+    tolerance = max(1e-6, 5.0 * floor.central_step**2)
+    first = identifiability(problem, best.x, j, tolerance=tolerance)
+    bread = np.linalg.pinv(j.T @ j, rcond=tolerance**2, hermitian=True)
+    meat, whiteness = _meat(problem, here, j)
+    n, m = len(best.x), len(here.residuals)
+    correction = m / max(m - n, 1)
+    covariance = correction * bread @ meat @ bread
+    found = identifiability(problem, best.x, j, tolerance=tolerance, covariance=covariance)
+    found = found if first.complete else first
+    effective = sum(w.effective for w in whiteness) or float(m)
+    degrees = max(effective - n, 1.0)
+    t = float(stdtrit(degrees, 0.5 + 0.5 * _LEVEL))
+    slope = problem.space.slope(best.x)
+    spread = np.sqrt(np.diag(covariance))
+    low, high = (problem.space.to_model(best.x + sign * t * spread) for sign in (-1.0, 1.0))
+    known = [name not in found.undetermined for name in problem.space.names]
+    naive = np.sqrt(np.diag(bread) * float(here.residuals @ here.residuals) / max(m - n, 1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = covariance / np.outer(spread, spread)
+    return Uncertainty(
+        names=problem.space.names,
+        point=tuple(map(float, best.x)),
+        covariance=_matrix(covariance),
+        standard_errors=tuple(float(s) if k else None for s, k in zip(slope * spread, known, strict=True)),
+        intervals=tuple(
+            (low[name], high[name]) if k else None
+            for name, k in zip(problem.space.names, known, strict=True)
+        ),
+        correlation=_matrix(np.nan_to_num(correlation)),
+        degrees_of_freedom=degrees,
+        identifiability=found,
+        whiteness=whiteness,
+        naive_errors=tuple(float(s) if k else None for s, k in zip(slope * naive, known, strict=True)),
+        noise_floor=floor.residual,
+    )
+
+
+def profile_interval(
+    problem: Problem, estimate: Uncertainty, name: str, *, level: float = _LEVEL, evaluations: int = 400
+) -> tuple[float, float]:
+    """Return the profile-likelihood interval of one parameter, in model space.
+
+    The others are fitted again while this one moves outwards, until the cost has grown by what `level` allows
+    (scaled as the sandwich covariance is, so coloured residuals count). An end that is never reached is the
+    bound, or infinite.
+
+    Raises
+    ------
+    SimulationError
+        A refit fails.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import stdtrit
+
+    i = estimate.names.index(name)
+    x = np.array(estimate.point)
+    best = problem.evaluate(x)
+    spread = float(np.sqrt(estimate.covariance[i][i]))
+    floor = noise_floor(problem, x)
+    j = jacobian(
+        problem.evaluate_many, best, problem.space.lower, problem.space.upper, floor, central=True
+    )
+    plain = np.linalg.pinv(j.T @ j, hermitian=True)[i, i]
+    t = float(stdtrit(estimate.degrees_of_freedom, 0.5 + 0.5 * level))
+    allowed = t**2 * spread**2 / plain
+    ends = []
+    for sign, bound in ((-1.0, problem.space.lower[i]), (1.0, problem.space.upper[i])):
+        refit = _Refit(problem, i, x)
+
+        def excess(distance: float, sign: float = sign, refit: _Refit = refit) -> float:
+            return refit.cost(x[i] + sign * distance) - best.cost - allowed
+
+        far, limit = t * spread, abs(bound - x[i])
+        while excess(min(far, limit)) < 0.0 and far < min(limit, 64.0 * t * spread):
+            far *= 2.0
+        far = min(far, limit)
+        reached = excess(far) >= 0.0
+        distance = brentq(excess, 0.0, far, xtol=1e-3 * far, rtol=1e-3) if reached else limit
+        point = x.copy()
+        point[i] = x[i] + sign * distance
+        ends.append(problem.space.to_model(point)[name] if np.isfinite(distance) else sign * np.inf)
+    return ends[0], ends[1]
+
+
+class _Refit:
+    """Fits all parameters but one, each time from the last fit."""
+
+    def __init__(self, problem: Problem, i: int, x: FloatArray) -> None:
+        self.problem, self.i = problem, i
+        self.others = np.arange(len(x)) != i
+        self.x = x.copy()
+
+    def cost(self, value: float) -> float:
+        """Return the least cost with parameter i at `value` of search space."""
+        from scipy.optimize import least_squares
+
+        if not np.any(self.others):
+            return self._evaluate(np.zeros(0), value).cost
+        lower, upper = self.problem.space.lower[self.others], self.problem.space.upper[self.others]
+        start = np.clip(self.x[self.others], np.nextafter(lower, np.inf), np.nextafter(upper, -np.inf))
+        step = 1e-4
+        result = least_squares(
+            lambda others: self._evaluate(others, value).residuals,
+            start,
+            bounds=(lower, upper),
+            diff_step=step,
+            ftol=1e-9,
+            xtol=1e-8,
+        )
+        self.x[self.others] = result.x
+        return 2.0 * float(result.cost)
+
+    def _evaluate(self, others: FloatArray, value: float) -> Evaluation:
+        point = self.x.copy()
+        point[self.others], point[self.i] = others, value
+        evaluation = self.problem.evaluate(point)
+        if evaluation.failure is not None:
+            raise SimulationError(f"the profile meets a failing point ({evaluation.failure})")
+        return evaluation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Propagated:
+    """Predictions over the uncertainty of the parameters, by Monte Carlo.
+
+    `lower` and `upper` are the (channels, N) bounds of the level asked for, one pair a case; `worst` the largest
+    value of each criterion met.
+    """
+
+    lower: tuple[FloatArray, ...]
+    upper: tuple[FloatArray, ...]
+    worst: FloatArray
+    failed: int
+
+
+def propagate(
+    problem: Problem, estimate: Uncertainty, *, draws: int = 200, level: float = _LEVEL, seed: int = 0
+) -> Propagated:
+    """Simulate parameters drawn from the estimate's distribution.
+
+    Raises
+    ------
+    SimulationError
+        No draw can be simulated.
+    """
+    generator = np.random.default_rng(seed)
+    points = generator.multivariate_normal(np.array(estimate.point), np.array(estimate.covariance), draws)
+    points = np.clip(points, problem.space.lower, problem.space.upper)
+    evaluations = problem.evaluate_many(list(points))
+    good = [e for e in evaluations if e.ok]
+    if not good:
+        raise SimulationError("no draw can be simulated", fix="narrow the bounds")
+    tails = (0.5 - 0.5 * level, 0.5 + 0.5 * level)
+    bands = [np.quantile(np.array(p), tails, axis=0) for p in zip(*(e.predictions for e in good), strict=True)]
+    return Propagated(
+        tuple(b[0] for b in bands),
+        tuple(b[1] for b in bands),
+        np.max([e.criteria for e in good], axis=0),
+        draws - len(good),
+    )
+
+
+def _meat(problem: Problem, best: Evaluation, j: FloatArray) -> tuple[FloatArray, tuple[Whiteness, ...]]:
+    """Return J' W J, (n, n), and the residuals' statistics."""
+    n = j.shape[1]
+    meat = np.zeros((n, n))
+    whiteness: list[Whiteness] = []
+    by_case: dict[str, list[tuple[str, FloatArray, FloatArray, FloatArray]]] = {}
+    for (case, criterion), rows in zip(problem.criteria, problem.slices, strict=True):
+        r, jr = best.residuals[rows], j[rows]
+        if criterion.rows is None:
+            meat += jr.T @ (jr * r[:, None] ** 2)
+            continue
+        length = len(case.task.time)
+        full_r, full_j, there = np.zeros(length), np.zeros((length, n)), np.zeros(length)
+        full_r[criterion.rows], full_j[criterion.rows], there[criterion.rows] = r, jr, 1.0
+        by_case.setdefault(case.id, []).append((criterion.signal, full_r, full_j, there))
+    for case_id, channels in by_case.items():
+        lags = [_memory(r, there) for _, r, _, there in channels]
+        for (_, ra, ja, ta), lag_a in zip(channels, lags, strict=True):
+            for (_, rb, jb, tb), lag_b in zip(channels, lags, strict=True):
+                meat += _quadratic(ra, rb, ja, jb, np.sqrt(ta.sum() * tb.sum()), max(lag_a, lag_b))
+        for (signal, r, _, there), lag in zip(channels, lags, strict=True):
+            whiteness.append(_whiteness(case_id, signal, r, there, lag))
+    return 0.5 * (meat + meat.T), tuple(whiteness)
+
+
+def _correlations(r: FloatArray, there: FloatArray) -> FloatArray:
+    """Return the autocorrelation of (N,) residuals at lags 0..N-1."""
+    covariance = _cross(r, r)[: len(r)]
+    return np.asarray(covariance / covariance[0] if covariance[0] > 0.0 else np.eye(1, len(r))[0])
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return sum_k a_k b_{k+l} for lags l = 0..N-1 and, at the end, -(N-1)..-1 of a (2N,) circle."""
+    size = 2 * len(a)
+    return np.asarray(np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size))
+
+
+def _memory(r: FloatArray, there: FloatArray) -> int:
+    """Return the lag beyond which autocorrelation is scatter: the first of five lags in a row within it."""
+    rho = _correlations(r, there)
+    inside = np.abs(rho[1:]) < 2.0 / np.sqrt(max(there.sum(), 1.0))
+    run = 5
+    for lag in range(len(inside) - run):
+        if np.all(inside[lag : lag + run]):
+            return lag
+    return max(len(inside) - run, 0)
+
+
+def _quadratic(
+    ra: FloatArray, rb: FloatArray, ja: FloatArray, jb: FloatArray, count: float, lag: int
+) -> FloatArray:
+    """Return sum_kl ja_k gamma_(l-k) jb_l with gamma the tapered covariance of channels a and b."""
+    n = len(ra)
+    taper = np.zeros(2 * n)
+    # Twice the memory keeps most of a decaying correlation under the Bartlett window.
+    width = 2 * lag + 1 if lag else 1
+    decay = np.maximum(1.0 - np.arange(n) / width, 0.0)
+    taper[:n] = decay
+    taper[n + 1 :] = decay[1:][::-1]
+    gamma = _cross(ra, rb) / count * taper
+    # gamma at lag d = l - k, so (W jb)_k = sum_l gamma_(l-k) jb_l: a correlation.
+    spectrum = np.conj(np.fft.rfft(gamma))
+    moved = np.fft.irfft(spectrum[:, None] * np.fft.rfft(jb, 2 * n, axis=0), 2 * n, axis=0)[:n]
+    return np.asarray(ja.T @ moved)
+
+
+def _whiteness(case: str, signal: str, r: FloatArray, there: FloatArray, lag: int) -> Whiteness:
+    from scipy.special import chdtrc
+
+    count = int(there.sum())
+    rho = _correlations(r, there)
+    lags = min(20, max(count // 5, 1), len(rho) - 1)
+    ljung_box = count * (count + 2) * float(np.sum(rho[1 : lags + 1] ** 2 / (count - np.arange(1, lags + 1))))
+    width = 2 * lag + 1 if lag else 1
+    decay = np.maximum(1.0 - np.arange(len(rho)) / width, 0.0)
+    inflation = max(1.0 + 2.0 * float(np.sum((decay * rho)[1:])), 1.0)
+    return Whiteness(
+        case,
+        signal,
+        float(np.sum(r**2) / max(count, 1)),
+        float(rho[1]) if len(rho) > 1 else 0.0,
+        float(chdtrc(lags, ljung_box)) if lags > 0 else 1.0,
+        count,
+        count / inflation,
+    )
+
+
+def _matrix(values: FloatArray) -> Matrix:
+    return tuple(tuple(float(v) for v in row) for row in values)
+
+
+def without_intervals(estimate: Uncertainty, names: Sequence[str]) -> Uncertainty:
+    """Return `estimate` without standard errors for `names`, as for parameters at a bound."""
+    hide = partial(_hidden, estimate.names, names)
+    return replace(
+        estimate, standard_errors=hide(estimate.standard_errors), intervals=hide(estimate.intervals)
+    )
+
+
+_T = TypeVar("_T")
+
+
+def _hidden(
+    names: tuple[str, ...], hidden: Sequence[str], values: tuple[_T | None, ...]
+) -> tuple[_T | None, ...]:
+    return tuple(None if n in hidden else v for n, v in zip(names, values, strict=True))
