@@ -1,0 +1,100 @@
+"""What runs inside a worker process of `fmuid.workers.WorkerPool`."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from fmuid.errors import FmuidError
+from fmuid.runners import simulate
+
+HOLD, JOB, CALL = range(3)
+"""Kinds of message: keep an object under a number; simulate with kept ones; call a function."""
+
+
+def memory_probe(pid: int) -> Callable[[], int]:
+    """Return a function that tells the resident memory of a process in bytes, 0 where that is unknown."""
+    try:
+        file = Path(f"/proc/{pid}/statm").open("rb", buffering=0)  # noqa: SIM115 (stays open: read after every job)
+    except OSError:
+        return lambda: 0
+    page = os.sysconf("SC_PAGE_SIZE")
+
+    def probe() -> int:
+        try:
+            file.seek(0)
+            return int(file.read().split()[1]) * page
+        except (OSError, IndexError):  # the process is gone
+            return 0
+
+    return probe
+
+
+def main(connection: Connection, folder: str) -> None:
+    """Answer messages until the other end closes; temporary files go to `folder`."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    with suppress(ImportError, ValueError, OSError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # FMUs may crash a thousand times
+    tempfile.tempdir = folder
+    threading.Thread(target=_leave_with_parent, args=(folder,), daemon=True).start()
+    memory = memory_probe(os.getpid())
+    kept: dict[int, Any] = {}
+    _send(connection, True, None, memory())
+    while True:
+        try:
+            message = connection.recv_bytes()
+        except (EOFError, OSError):
+            break
+        try:
+            kind, *content = pickle.loads(message)
+            if kind == HOLD:
+                number, held = content
+                kept[number] = pickle.loads(held)
+                continue
+            if kind == JOB:
+                simulator, task, parameters = content
+                result: Any = simulate((kept[simulator], kept[task], parameters))
+            else:
+                function, arguments, keywords = content
+                result = function(*arguments, **keywords)
+        except BaseException as error:
+            _send(connection, False, error, memory())
+        else:
+            _send(connection, True, result, memory())
+    kept.clear()
+    sys.stdout.flush()
+    os._exit(0)  # an FMU's own exit handlers have brought down more than one process
+
+
+def _send(connection: Connection, fine: bool, content: Any, memory: int) -> None:
+    try:
+        message = pickle.dumps((fine, content, memory), protocol=pickle.HIGHEST_PROTOCOL)
+        pickle.loads(message) if not fine else None
+    except Exception:
+        problem = FmuidError(
+            f"a worker's answer cannot be sent: {content!r:.200}", fix="return values that can be pickled"
+        )
+        message = pickle.dumps((False, problem, memory))
+    connection.send_bytes(message)
+
+
+def _leave_with_parent(folder: str) -> None:
+    """End this process when its parent is gone, even in the middle of an FMU's endless loop."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        shutil.rmtree(folder, ignore_errors=True)
+        os._exit(1)
