@@ -1,12 +1,12 @@
 within Drives.Setups;
 model FixedShaft "Output shaft locked, motor current given"
   extends PartialActuator(lossTable = [
-    0, 1, 1, 0, 0; 
-    10, 1, 1, 0, 0; 
-    15, 1, 1, 0, 0; 
-    20, 1, 1, 0, 0; 
-    30, 1, 1, 0, 0; 
-    100, 1, 1, 0, 0; 
+    0, 1, 1, 0, 0;
+    10, 1, 1, 0, 0;
+    15, 1, 1, 0, 0;
+    20, 1, 1, 0, 0;
+    30, 1, 1, 0, 0;
+    100, 1, 1, 0, 0;
     300, 1, 1, 0, 0]);
   input Types.Current i_cmd "Motor current";
   Components.Inertia load(J = J_L) "Load";

@@ -10,12 +10,12 @@ partial model PartialActuator "Force-feedback actuator in its housing, from the 
   parameter Types.RotationalDampingConstant d_G = 50 "Damping of the Flexspline";
   parameter Types.Inertia J_L = 0.05 "Inertia of the load";
   parameter Real lossTable[7, 5] = [
-    0, 1, 1, 0.09, 0.09; 
-    10, 1, 1, 0.09, 0.09; 
-    15, 1, 1, 0.09, 0.09; 
-    20, 1, 1, 0.09, 0.09; 
-    30, 1, 1, 0.09, 0.09; 
-    100, 1, 1, 0.09, 0.09; 
+    0, 1, 1, 0.09, 0.09;
+    10, 1, 1, 0.09, 0.09;
+    15, 1, 1, 0.09, 0.09;
+    20, 1, 1, 0.09, 0.09;
+    30, 1, 1, 0.09, 0.09;
+    100, 1, 1, 0.09, 0.09;
     300, 1, 1, 0.09, 0.09] "Gear losses: rows of |w| (rad/s, strictly increasing), eta1, eta2, tau_bf1 (N.m), tau_bf2 (N.m)";
   parameter Types.Angle phi_s(min = 0) = 2e-5 "Presliding deflection of the gear's friction, motor side";
   parameter Types.Time t_s(min = 0) = 1e-3 "Damping time of the gear's stuck friction";

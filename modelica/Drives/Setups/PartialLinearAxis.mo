@@ -8,7 +8,7 @@ partial model PartialLinearAxis "Ball-screw axis (EMPS): mass with viscous and C
   parameter Types.Position q_start = 0 "Start position";
   parameter Types.Velocity v_start = 0 "Start velocity";
   parameter Types.Position s_s(min = 0) = 1e-7 "Presliding deflection of the friction";
-  parameter Types.Time t_s(min = 0) = 1e-3 "Damping time of the stuck friction";
+  parameter Types.Time t_s(min = 0) = 3e-3 "Damping time of the stuck friction";
   parameter Real z_e(unit = "1", min = 0, max = 0.999) = 0.9 "Purely elastic share of the presliding deflection";
   output Types.Position qm "Position";
   output Types.Velocity v "Velocity";
