@@ -20,7 +20,7 @@ import numpy as np
 from fmuid.campaign import FloatArray, read_only
 
 Role = Literal[
-    "measurement", "start", "iterate", "final", "reference", "before", "after", "floor", "alternative", "band"
+    "measurement", "start", "iterate", "final", "reference", "before", "after", "floor", "alternative"
 ]
 """What a line, point or bar stands for; its look follows from it (`fmuid.plots.style`)."""
 
@@ -43,6 +43,10 @@ class Axis:
             return self.name
         return f"{self.name} / ({unit})" if "/" in unit or "·" in unit else f"{self.name} / {unit}"
 
+    def wrapped(self, break_: str) -> str:
+        """Return the label, the unit of a long one on a line of its own."""
+        return self.label.replace(" / ", f"{break_}/ ", 1) if len(self.label) > 26 else self.label
+
     @property
     def column(self) -> str:
         """Header of a CSV column: ``tau_sensor [N.m]``."""
@@ -62,7 +66,7 @@ class Series:
     role
         What it stands for.
     error
-        (N,) standard errors of `y`, or None; of role ``band``: the half width drawn around `y`.
+        (N,) standard errors of `y`, or None.
     """
 
     label: str
@@ -265,7 +269,7 @@ def _panel_table(panel: Panel) -> Table:
             header.append(f"{s.label}: {panel.y.column}")
             columns.append(s.y)
             if s.error is not None:
-                header.append(f"{s.label}: {'half width' if s.role == 'band' else 'standard error'}")
+                header.append(f"{s.label}: standard error")
                 columns.append(s.error)
         rows = tuple(zip(*(c.tolist() for c in columns), strict=True))
         return Table(tuple(header), rows)

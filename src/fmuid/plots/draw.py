@@ -142,7 +142,7 @@ def _panel(axes: Axes, panel: Panel, handles: dict[str, Any], *, titled: bool) -
 
 def _label(axes: Axes, x: Axis, y: Axis) -> None:
     axes.set_xlabel(x.label)
-    axes.set_ylabel(y.label)
+    axes.set_ylabel(y.wrapped("\n"))
     if x.log:
         axes.set_xscale("log")
     if y.log:
@@ -151,11 +151,6 @@ def _label(axes: Axes, x: Axis, y: Axis) -> None:
 
 def _series(axes: Axes, series: Series) -> Any:
     look = style.LOOKS[series.role]
-    if series.role == "band":
-        width = np.zeros(series.y.size) if series.error is None else series.error
-        return axes.fill_between(
-            series.x, series.y - width, series.y + width, color=look.colour, alpha=look.alpha, linewidth=0
-        )
     common: dict[str, Any] = {"color": look.colour, "alpha": look.alpha, "zorder": look.order + 2}
     if series.points:
         if series.role == "measurement":
@@ -264,7 +259,7 @@ def _bars(figure: BarFigure) -> Canvas:
 
 
 def _bar(axes: Axes, k: int, bar: Bar) -> None:
-    axes.barh(k, bar.value, height=0.62, color=style.LOOKS[bar.role].colour, alpha=0.9)
+    axes.barh(k, bar.value, height=0.62, color=style.bar_colour(bar.role))
     end = bar.value
     if bar.interval is not None:
         low, high = bar.interval

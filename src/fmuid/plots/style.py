@@ -44,14 +44,18 @@ LOOKS: dict[Role, Look] = {
     "iterate": Look(SKY, 0.8, order=2, alpha=0.75),
     "final": Look(BLUE, 1.2, order=4),
     "reference": Look(GREEN, 1.3, dash="dot", marker="diamond", order=5),
-    "before": Look(ORANGE, 1.0, order=2),
-    "after": Look(BLUE, 1.0, order=3),
-    "floor": Look(GREY, 1.0, dash="dash", order=1),
+    "before": Look(ORANGE, 0.8, order=2),
+    "after": Look(BLUE, 0.8, order=3),
+    "floor": Look("#444444", 0.9, dash="dash", order=5),
     "alternative": Look(PURPLE, 1.2, dash="dash", marker="triangle", order=3),
-    "band": Look(GREY, 0.0, order=0, alpha=0.3),
 }
 
 
 def legend(series: Series) -> str:
     """Return the legend's text for a line; the iterates of a search share one."""
     return "intermediate iterates" if series.role == "iterate" else series.label
+
+
+def bar_colour(role: Role) -> str:
+    """Return the fill of a bar; a line's dark grey would be heavy here."""
+    return GREY if role == "floor" else LOOKS[role].colour

@@ -57,7 +57,7 @@ class RegimeBins:
     @property
     def labels(self) -> tuple[str, ...]:
         """One text a bin."""
-        texts = [f"{e:.3g}".replace("-", "−") for e in self.edges.tolist()]
+        texts = [f"{e:.4g}".replace("-", "−") for e in self.edges.tolist()]
         return tuple(f"{a} … {b}" for a, b in pairwise(texts))
 
 
@@ -113,7 +113,7 @@ def residuals_figure(pairs: Sequence[ResidualPair]) -> LineFigure | None:
     panels = tuple(_residual_panel(p) for p in pairs)
     caption = (
         "Prediction minus measurement in the worst experiment of each setup: nominal parameters refitted "
-        "(before) and with the effect added (after). Grey: two standard deviations of the noise."
+        "(before) and with the effect added (after)."
     )
     return LineFigure("residuals", "Residual before and after", panels, caption, 1 if len(panels) == 1 else 2)
 
@@ -124,8 +124,9 @@ def _residual_panel(pair: ResidualPair) -> Panel:
     time = pair.time[keep]
     series = []
     if pair.floor is not None:
-        ends = time[[0, -1]]
-        series.append(Series("noise (2 σ)", ends, np.zeros(2), "band", np.full(2, 2 * pair.floor)))
+        for side in (-2, 2):
+            level = np.full(time.size, side * pair.floor)
+            series.append(Series("noise, ±2 standard deviations", time, level, "floor"))
     series.append(Series("before", time, pair.before[keep], "before"))
     if pair.after is not None:
         series.append(Series("after", time, pair.after[keep], "after"))
@@ -144,10 +145,11 @@ def excess_figure(excess: ExcessEnergy | None) -> MapFigure | None:
         tuple(f"{experiment} · {signal}" for experiment, signal in excess.rows),
         tuple(label for r in excess.regimes for label in r.labels),
         excess.share,
-        Axis("share of the energy above the noise"),
+        Axis("share of excess"),
         (0.0, max(largest, 1e-6)),
         tuple((r.variable.label, len(r.labels)) for r in excess.regimes),
-        "Each block splits the same excess energy by another variable. Empty: not visited.",
+        "Energy of the residual above the noise; each block splits the same energy by another variable. "
+        "Empty: not visited.",
     )
 
 

@@ -71,7 +71,7 @@ def _lines(figure: LineFigure) -> tuple[list[Spec], Spec]:
     }
     data: list[Spec] = []
     seen: set[str] = set()
-    gap_x, gap_y = 0.085, min(72 / (height * rows), 0.3 / rows)
+    gap_x, gap_y = 0.085 if columns < 3 else 0.11, min(72 / (height * rows), 0.3 / rows)
     width, tall = (1 - gap_x * (columns - 1)) / columns, (1 - gap_y * (rows - 1)) / rows
     for k, panel in enumerate(figure.panels):
         suffix = "" if k == 0 else str(k + 1)
@@ -89,13 +89,11 @@ def _lines(figure: LineFigure) -> tuple[list[Spec], Spec]:
             layout["annotations"].append(_text(panel.title, f"x{suffix}", f"y{suffix}", 0, 1, 12))
         _marks(layout, panel, suffix)
         for series in panel.series:
-            text = style.legend(series)
+            text = html.escape(style.legend(series), quote=False)
             place = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}", "legendgroup": text}
             trace = _series(panel, series)
             if text not in seen:  # an empty trace of its own carries the legend, each line keeps its name
-                data.append(
-                    trace | place | {"name": html.escape(text, quote=False), "x": [None], "y": [None]}
-                )
+                data.append(trace | place | {"name": text, "x": [None], "y": [None]})
                 seen.add(text)
             data.append(trace | place | {"showlegend": False})
     return data, layout
@@ -143,20 +141,9 @@ def _series(panel: Panel, series: Series) -> Spec:
         "y": packed(series.y),
         "hovertemplate": f"%{{y:.5~g}} {unit}",
         "opacity": look.alpha,
+        "zorder": look.order,
     }
     colour = look.colour
-    if series.role == "band":
-        half = np.zeros(series.y.size) if series.error is None else series.error
-        outline = np.concatenate([series.y + half, (series.y - half)[::-1]])
-        return trace | {
-            "x": packed(np.concatenate([series.x, series.x[::-1]])),
-            "y": packed(outline),
-            "mode": "lines",
-            "line": {"width": 0},
-            "fill": "toself",
-            "fillcolor": colour,
-            "hoverinfo": "skip",
-        }
     if series.points:
         colour = style.INK if series.role == "measurement" else colour
         trace |= {"mode": "markers", "marker": {"color": colour, "size": 6, "symbol": _MARKERS[look.marker]}}
@@ -170,7 +157,11 @@ def _series(panel: Panel, series: Series) -> Spec:
 
 def _axis(axis: Axis) -> Spec:
     return {
-        "title": {"text": html.escape(axis.label, quote=False), "standoff": 6, "font": {"size": 11}},
+        "title": {
+            "text": html.escape(axis.wrapped("\n"), quote=False).replace("\n", "<br>"),
+            "standoff": 6,
+            "font": {"size": 11},
+        },
         "type": "log" if axis.log else "linear",
         "gridcolor": _GRID,
         "zeroline": False,
@@ -225,7 +216,7 @@ def _map(figure: MapFigure) -> tuple[list[Spec], Spec]:
                 }
             )
     layout = {
-        "height": 140 + 26 * n_rows,
+        "height": max(300, 140 + 26 * n_rows),
         "margin": {"l": 10, "r": 10, "t": 40, "b": 10},
         "xaxis": {
             "tickvals": list(range(n_columns)),
@@ -256,7 +247,7 @@ def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
         "x": [b.value for b in bars],
         "y": list(range(len(bars))),
         "width": 0.62,
-        "marker": {"color": [style.LOOKS[b.role].colour for b in bars]},
+        "marker": {"color": [style.bar_colour(b.role) for b in bars]},
         "customdata": [html.escape(b.label, quote=False) for b in bars],
         "hovertemplate": "%{customdata}: %{x:.4~g}<extra></extra>",
     }
@@ -270,8 +261,8 @@ def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
             "color": style.INK,
         }
     layout: Spec = {
-        "height": 90 + 28 * max(1, len(bars)),
-        "margin": {"l": 10, "r": 90, "t": 30, "b": 44},
+        "height": 100 + 28 * max(1, len(bars)),
+        "margin": {"l": 10, "r": 90, "t": 48, "b": 44},
         "showlegend": False,
         "xaxis": _axis(figure.quantity),
         "yaxis": {

@@ -1,0 +1,154 @@
+import csv
+import io
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import report_samples as samples
+
+from fmuid.errors import FmuidError
+from fmuid.plots import render, save_data, save_figure
+from fmuid.plots.data import Axis, LineFigure, Panel, Series, pretty_unit, tables
+from fmuid.report.figures import StageHistory, milestones, parallel_figure
+from fmuid.report.interactive import packed, specification
+from fmuid.report.thinning import kept_samples
+
+figures = pytest.mark.parametrize("make", samples.ALL, ids=lambda make: make.__name__)
+
+
+@figures
+def test_every_kind_is_drawn_in_every_format(make, tmp_path):
+    paths = save_figure(make(), tmp_path, ("png", "svg", "pdf"))
+    beginnings = [path.read_bytes()[:4] for path in paths]
+    assert beginnings == [b"\x89PNG", b"<?xm", b"%PDF"]
+
+
+def test_equal_values_give_equal_bytes():
+    for format in ("png", "svg", "pdf"):
+        assert render(samples.friction(), format) == render(samples.friction(), format)
+
+
+def test_axes_are_labelled_with_units():
+    text = render(samples.friction(), "svg").decode()
+    assert "speed / (rad/s)" in text
+    assert "friction torque / (N·m)" in text
+    assert "law, truth" in text
+
+
+def test_an_unknown_format_is_refused():
+    with pytest.raises(FmuidError, match="png, svg or pdf"):
+        render(samples.friction(), "jpg")
+
+
+def test_drawing_leaves_the_callers_matplotlib_alone():
+    import matplotlib
+
+    before = dict(matplotlib.rcParams)
+    render(samples.history())
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_importing_the_report_does_not_import_matplotlib():
+    code = "import sys, fmuid.report; sys.exit('matplotlib' in sys.modules or 'plotly' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@figures
+def test_plotly_accepts_every_kind(make):
+    import plotly.graph_objects as go
+
+    go.Figure(specification(make()))  # refuses what plotly.js does not know
+
+
+def test_lines_are_the_same_on_screen_as_in_the_data():
+    figure = samples.history()
+    drawn = {t["name"]: t for t in specification(figure)["data"] if not t.get("showlegend", True)}
+    raw = np.frombuffer(
+        __import__("base64").b64decode(drawn["final"]["y"]["bdata"]), drawn["final"]["y"]["dtype"]
+    )
+    np.testing.assert_allclose(raw, samples.step_response(40), rtol=1e-6, atol=1e-6)
+    assert {"evaluation 4", "evaluation 9", "evaluation 20"} <= drawn.keys()
+
+
+def test_iterates_share_one_entry_in_the_legend():
+    shown = [t["name"] for t in specification(samples.history())["data"] if t.get("showlegend", True)]
+    assert shown == ["measurement", "start", "intermediate iterates", "final"]
+
+
+def test_times_far_from_zero_keep_their_resolution():
+    time = 1e6 + np.arange(1000) * 1e-3
+    assert packed(time)["dtype"] == "f8"
+    assert packed(time - 1e6)["dtype"] == "f4"
+
+
+def test_names_cannot_become_markup():
+    panel = Panel(
+        "<b>x", Axis("<i>t", "s"), Axis("y"), (Series("<script>", np.arange(3), np.arange(3), "final"),)
+    )
+    text = str(specification(LineFigure("f", "f", (panel, panel))))
+    assert "<script>" not in text
+    assert "<b>x" not in text
+
+
+def test_data_behind_a_figure_reads_back(tmp_path):
+    (path,) = save_data(samples.history(), tmp_path)
+    header, *rows = csv.reader(io.StringIO(path.read_text()))
+    assert header[:3] == ["time [s]", "measurement: tau_sensor [N.m]", "start: tau_sensor [N.m]"]
+    values = np.array(rows, dtype=float)
+    np.testing.assert_allclose(values[:, -1], samples.step_response(40), rtol=1e-8)
+
+
+def test_series_over_different_abscissae_are_written_one_below_the_other():
+    ((_, table),) = tables(samples.friction())
+    assert table.header == ("series", "speed [rad/s]", "friction torque [N.m]", "error")
+    assert {row[0] for row in table.rows} == {"K_m mean(i_motor)", "law, identified", "law, truth"}
+    assert len(table.rows) == 8 + 2 * 201
+
+
+def test_one_table_for_each_panel():
+    names = [name for name, _ in tables(samples.overlays(3))]
+    assert names == ["validation-01-step-0", "validation-02-step-1", "validation-03-step-2"]
+
+
+def test_missing_values_are_empty_in_csv():
+    ((_, table),) = tables(samples.energy_map())
+    assert any(line.split(",")[5] == "" for line in table.csv().splitlines())
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown"),
+    [("kg.m2", "kg·m²"), ("N.m.s/rad", "N·m·s/rad"), ("s-1", "s⁻¹"), ("1", ""), ("m/s2", "m/s²")],
+)
+def test_units_as_print_has_them(unit, shown):
+    assert pretty_unit(unit) == shown
+
+
+def test_thinning_keeps_the_extremes_and_only_recorded_samples():
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=100_000), rng.normal(size=100_000)
+    a[12_345], b[54_321] = 50.0, -50.0
+    b[1000:2000] = np.nan
+    keep = kept_samples([a, b], 4000)
+    assert keep.size <= 4002
+    assert {0, 12_345, 54_321, 99_999} <= set(keep.tolist())
+    assert np.array_equal(kept_samples([a[:100]]), np.arange(100))
+
+
+def test_milestones_are_improvements_between_start_and_best():
+    cost = np.array([100.0, np.nan, 80, 90, 50, 60, 20, 10, 5, 5, 2, 1, 3])
+    found = milestones(cost, 3)
+    assert found == sorted(found)
+    assert len(found) == 3
+    assert all(cost[k] == np.nanmin(cost[: k + 1]) for k in found)
+    assert 11 not in found
+    assert 0 not in found
+
+
+def test_parallel_coordinates_survive_a_search_that_failed_in_places():
+    values = np.array([[1.0, 2.0], [1.0, 3.0], [1.0, 4.0]])
+    stage = StageHistory("linear", ("a", "b"), values, np.array([3.0, np.nan, 1.0]))
+    figure = parallel_figure(stage, {}, {"b": 5.0})
+    assert figure.best == 2
+    assert figure.scales[1].upper == 5.0
+    assert render(figure)[:4] == b"\x89PNG"
