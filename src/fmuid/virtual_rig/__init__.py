@@ -1,4 +1,4 @@
-"""A virtual test rig of the actuator that shares no code with the FMUs: own equations, own integrator, in C."""
+"""A virtual test rig of the actuator, sharing no code with the FMUs: own equations and integrator, in C."""
 
 from fmuid.virtual_rig.library import Channel, ParameterInfo, parameter_table
 from fmuid.virtual_rig.recording import Sensors, record

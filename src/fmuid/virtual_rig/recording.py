@@ -34,8 +34,8 @@ class Sensors:
     drift_time: float = 0.02
     torque_offset: float = 0.03
     current_noise: float = 0.004
-    motor_counts: int = 16384
-    load_counts: int = 20000
+    motor_counts: float = 16384.0
+    load_counts: float = 20000.0
 
     def torque_sigma(self) -> float:
         """Return the standard deviation of the torque signal within a run, N.m."""
