@@ -16,6 +16,7 @@ from fmuid.errors import MeasurementsError
 FloatArray = NDArray[np.float64]
 Causality = Literal["input", "output"]
 Interpolation = Literal["hold", "linear"]
+Sampling = Literal["hold", "linear", "preceding"]
 
 
 def read_only(values: ArrayLike) -> FloatArray:
@@ -131,18 +132,27 @@ class ModelSpec:
     """Which FMU stands for a setup, and how its variables are named.
 
     `map` translates measured signal, setting and parameter names to FMU variables; what is not in it is
-    looked up under its own name. `initial` holds start values by FMU variable.
+    looked up under its own name. A signal mapped to ``gradient(v)`` is compared with the central difference
+    of the FMU's `v` over the samples, as a differentiated encoder measures it. `initial` holds start values
+    by FMU variable. `interpolation` says when input sample k acts: ``hold`` on [t_k, t_{k+1}), ``linear``
+    between the samples, ``preceding`` on (t_{k-1}, t_k] (a recorder that writes a row after each step).
     """
 
     setup: str
     fmu: Path
     map: Mapping[str, str] = field(default_factory=dict)
     initial: Mapping[str, float] = field(default_factory=dict)
-    interpolation: Interpolation = "hold"
+    interpolation: Sampling = "hold"
 
     def variable(self, name: str) -> str:
         """Return the FMU variable that stands for a campaign's `name`."""
-        return self.map.get(name, name)
+        target = self.map.get(name, name)
+        return target[len("gradient(") : -1] if self.differentiates(name) else target
+
+    def differentiates(self, name: str) -> bool:
+        """Return whether `name` is measured as the difference of an FMU variable over the samples."""
+        target = self.map.get(name, name)
+        return target.startswith("gradient(") and target.endswith(")")
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,7 +44,7 @@ class _ModelTable(Table):
     fmu: str
     map: dict[str, str] = {}
     initial: dict[str, Any] = {}
-    interpolation: Literal["hold", "linear"] = "hold"
+    interpolation: Literal["hold", "linear", "preceding"] = "hold"
 
 
 class _ParameterTable(Table):

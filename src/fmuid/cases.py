@@ -13,6 +13,7 @@ from fmuid.campaign import (
     CriterionSpec,
     Experiment,
     FloatArray,
+    Interpolation,
     ModelSpec,
     ParameterSpec,
     frozen_mapping,
@@ -41,6 +42,8 @@ class Channel:
         the standard deviation of the signal itself, and only the relative size of its residuals has a meaning.
     sensor
         Expressions for ``offset``, ``gain`` and ``delay`` (s) between model and sensor, if any.
+    differentiated
+        Whether the sensor differentiates what it reads over its samples, as with an encoder's speed.
     """
 
     signal: str
@@ -50,6 +53,7 @@ class Channel:
     sigma: FloatArray
     noise: str
     sensor: Mapping[str, Expression] = field(default_factory=dict)
+    differentiated: bool = False
 
     @property
     def count(self) -> FloatArray:
@@ -64,6 +68,8 @@ class Channel:
 
     def sensed(self, time: FloatArray, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
         """Return what the sensor shows for the model's (N,) output `y`."""
+        if self.differentiated:
+            y = np.asarray(np.gradient(y, time))
         if not self.sensor:
             return y
         if "delay" in self.sensor:
@@ -78,7 +84,8 @@ class Case:
     """One simulation of a problem: its task, its channels and its criteria.
 
     `setting` gives, by parameter name, the model's variable and the conversion from the parameter's unit to
-    the variable's; parameters it does not name do not reach this model.
+    the variable's; parameters it does not name do not reach this model. The model's first `lead` samples come
+    before the first measured one.
     """
 
     id: str
@@ -89,6 +96,12 @@ class Case:
     setting: Mapping[str, tuple[str, Conversion]]
     experiments: tuple[str, ...] = ()
     setup: str = ""
+    lead: int = 0
+
+    @property
+    def time(self) -> FloatArray:
+        """(N,) times of the measured samples, s."""
+        return self.task.time[self.lead :]
 
     def values(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the parameters as this case sees them: ``name@case`` under its plain name."""
@@ -107,12 +120,11 @@ class Case:
 
     def sensed(self, prediction: FloatArray, values: Mapping[str, float]) -> FloatArray:
         """Return the (channels, N) sensor readings that belong to the model's outputs `prediction`."""
-        if not any(channel.sensor for channel in self.channels):
+        prediction = prediction[:, self.lead :]
+        if not any(channel.sensor or channel.differentiated for channel in self.channels):
             return prediction
         own = self.values(values)
-        return np.array(
-            [c.sensed(self.task.time, y, own) for c, y in zip(self.channels, prediction, strict=True)]
-        )
+        return np.array([c.sensed(self.time, y, own) for c, y in zip(self.channels, prediction, strict=True)])
 
     def residuals(self, sensed: FloatArray) -> list[FloatArray]:
         """Return the residual vector of each criterion."""
@@ -128,7 +140,9 @@ def experiments_of(campaign: Campaign, ids: Iterable[str], *, where: str) -> tup
         matched = [pattern] if pattern in experiments else fnmatch.filter(experiments, pattern)
         if not matched:
             raise ProblemError(
-                f"no experiment matches '{pattern}'", where=where, fix=f"the file has: {', '.join(experiments)}"
+                f"no experiment matches '{pattern}'",
+                where=where,
+                fix=f"the file has: {', '.join(experiments)}",
             )
         chosen |= set(matched)
     return tuple(e for e in campaign.measurements if e.id in chosen)
@@ -198,7 +212,9 @@ def measured_case(
     setting = {n: (n, same) for n, v in simulator.variables.items() if v.causality == "parameter"}
     setting |= {n: (v, same) for n, v in (parameters or {}).items()}
     specs = criteria or [CriterionSpec(c.signal) for c in channels]
-    prepared = tuple(prepare(spec, _target(task, _find(channels, spec.signal, id), {})) for spec in specs)
+    prepared = tuple(
+        prepare(spec, _target(task.time, _find(channels, spec.signal, id), task.inputs)) for spec in specs
+    )
     return Case(id, simulator, task, tuple(channels), prepared, frozen_mapping(setting))
 
 
@@ -235,12 +251,23 @@ def _case(
     for name in dict.fromkeys(spec.signal for spec in specs):
         variable = _variable(model, name, simulator, where)
         signal, unit = first.outputs[name], variables[variable].unit
+        if model.differentiates(name):
+            unit = f"{unit or '1'}/s"
         convert = _conversion(signal.unit, unit, f"signal '{name}' of {where}")
         repeats = convert(np.array([e.outputs[name].values for e in group]))
         given = [e.outputs[name].sigma for e in group]
         sigma, noise = _noise(repeats, [None if s is None else abs(convert.factor) * s for s in given])
         channels.append(
-            Channel(name, variable, unit, read_only(repeats), sigma, noise, sensors.get(name, {}))
+            Channel(
+                name,
+                variable,
+                unit,
+                read_only(repeats),
+                sigma,
+                noise,
+                sensors.get(name, {}),
+                model.differentiates(name),
+            )
         )
     inputs = {}
     for name, signal in first.inputs.items():
@@ -248,15 +275,24 @@ def _case(
         convert = _conversion(signal.unit, variables[variable].unit, f"signal '{name}' of {where}")
         inputs[variable] = convert(signal.values)
     known = _settings(campaign, first, model, simulator, where)
-    task = Task(first.time, inputs, tuple(c.variable for c in channels), known, model.interpolation)
+    time, raw_inputs = first.time, {name: signal.values for name, signal in first.inputs.items()}
+    lead = 0
+    if model.interpolation == "preceding":
+        lead = 1
+        time = np.concatenate([[2 * time[0] - time[1]], time])
+        inputs = {name: np.append(values, values[-1]) for name, values in inputs.items()}
+    kind: Interpolation = "linear" if model.interpolation == "linear" else "hold"
+    task = Task(time, inputs, tuple(c.variable for c in channels), known, kind)
     setting = {}
     for spec in campaign.parameters.values():
         variable = model.variable(spec.name)
         if variable in variables and variable not in _own_settings(first, model):
             convert = _conversion(spec.unit, variables[variable].unit, f"parameter '{spec.name}'")
             setting[spec.name] = (variable, convert)
-    raw_inputs = {name: signal.values for name, signal in first.inputs.items()}
-    prepared = tuple(prepare(s, _target(task, _find(channels, s.signal, where), raw_inputs)) for s in specs)
+    known_inputs = {n: u[: len(first.time)] for n, u in inputs.items()} | raw_inputs
+    prepared = tuple(
+        prepare(s, _target(first.time, _find(channels, s.signal, where), known_inputs)) for s in specs
+    )
     return Case(
         first.origin if all(e.origin == first.origin for e in group) and len(group) > 1 else first.id,
         simulator,
@@ -266,6 +302,7 @@ def _case(
         frozen_mapping(setting),
         tuple(e.id for e in group),
         first.setup,
+        lead,
     )
 
 
@@ -345,10 +382,8 @@ def _find(channels: Sequence[Channel], signal: str, where: str) -> Channel:
     )
 
 
-def _target(task: Task, channel: Channel, inputs: Mapping[str, FloatArray]) -> Target:
-    return Target(
-        channel.signal, task.time, channel.mean, channel.count, channel.sigma, {**task.inputs, **inputs}
-    )
+def _target(time: FloatArray, channel: Channel, inputs: Mapping[str, FloatArray]) -> Target:
+    return Target(channel.signal, time, channel.mean, channel.count, channel.sigma, inputs)
 
 
 def _noise(repeats: FloatArray, given: Sequence[float | None]) -> tuple[FloatArray, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -244,6 +244,8 @@ def _match_signal(signal: Signal, model: ModelSpec, variables: Mapping[str, Vari
             where=where,
             fix=suggestion(signal.name, [v.name for v in variables.values() if v.causality == "output"]),
         )
+    if model.differentiates(signal.name):
+        variable = replace(variable, unit=f"{variable.unit or '1'}/s")
     _match_unit(signal.unit, variable, where)
 
 

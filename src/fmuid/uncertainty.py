@@ -259,7 +259,7 @@ def _meat(problem: Problem, best: Evaluation, j: FloatArray) -> tuple[FloatArray
         if criterion.rows is None:
             meat += jr.T @ (jr * r[:, None] ** 2)
             continue
-        length = len(case.task.time)
+        length = len(case.time)
         full_r, full_j, there = np.zeros(length), np.zeros((length, n)), np.zeros(length)
         full_r[criterion.rows], full_j[criterion.rows], there[criterion.rows] = r, jr, 1.0
         by_case.setdefault(case.id, []).append((criterion.signal, full_r, full_j, there))

@@ -149,7 +149,7 @@ def _simulate_campaign(
     for experiment_id in chosen:
         experiment = campaign.measurements[experiment_id]
         (case,) = from_campaign(campaign, [experiment], (), models)
-        prediction = case.simulator.simulate(case.task, case.start_values(point))
+        prediction = case.sensed(case.simulator.simulate(case.task, case.start_values(point)), point)
         columns: dict[str, FloatArray] = {}
         units: dict[str, str] = {}
         for channel, predicted in zip(case.channels, prediction, strict=True):

@@ -1,0 +1,238 @@
+"""The noise floor: what repeated runs of the same experiment differ by, and whitening by it.
+
+Repeats share their inputs, so what differs between them is noise and run-level nuisance. Its spectrum,
+channel by channel and between channels, is pooled over the experiments of one setup in bands of frequency;
+residuals are then whitened by the inverse square root of it. The mean of a run (the DC bin) has a variance of
+its own: sensors shift from run to run by more than their noise averaged over a run would allow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from fmuid.campaign import FloatArray, read_only
+from fmuid.errors import ProblemError
+
+_BANDS_PER_OCTAVE = 1
+_MIN_BIN_COUNT = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RepeatedRuns:
+    """The runs of one experiment: the same inputs, recorded R times.
+
+    Parameters
+    ----------
+    id
+        Id of the first run.
+    setup
+        Its setup; noise is pooled over the experiments of a setup.
+    time
+        (N,) s, evenly spaced.
+    channels
+        Names of the C measured outputs.
+    values
+        (R, C, N) measurements, NaN where missing.
+    """
+
+    id: str
+    setup: str
+    time: FloatArray
+    channels: tuple[str, ...]
+    values: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", read_only(self.time))
+        object.__setattr__(self, "values", read_only(self.values))
+        steps = np.diff(self.time)
+        if steps.max() - steps.min() > 1e-6 * steps.mean() * len(self.time):
+            raise ProblemError(
+                "the noise spectrum needs evenly spaced samples",
+                where=self.id,
+                fix="resample the run with `fmuid import --resample` first",
+            )
+
+    @property
+    def n_repeats(self) -> int:
+        """How many runs there are."""
+        return self.values.shape[0]
+
+    @property
+    def mask(self) -> FloatArray:
+        """(C, N) 1 where every run has a sample, else 0."""
+        return np.isfinite(self.values).all(axis=0).astype(np.float64)
+
+    @property
+    def mean(self) -> FloatArray:
+        """(C, N) mean over the runs, 0 where a sample is missing."""
+        return np.where(self.mask > 0, self.values.mean(axis=0), 0.0)
+
+
+def real_spectrum(values: FloatArray) -> FloatArray:
+    """Orthonormal real Fourier coefficients over the last axis: DC, then cosine and sine of each bin.
+
+    Shape (..., N) to (..., N); keeps the sum of squares (Parseval).
+    """
+    n = values.shape[-1]
+    bins = np.fft.rfft(values, axis=-1, norm="ortho")
+    out = np.empty_like(values)
+    out[..., 0] = bins[..., 0].real
+    last = (n - 1) // 2
+    out[..., 1 : 2 * last + 1 : 2] = np.sqrt(2.0) * bins[..., 1 : last + 1].real
+    out[..., 2 : 2 * last + 2 : 2] = np.sqrt(2.0) * bins[..., 1 : last + 1].imag
+    if n % 2 == 0:
+        out[..., -1] = bins[..., -1].real
+    return out
+
+
+def coefficient_frequencies(n: int, dt: float) -> FloatArray:
+    """Frequency in Hz of every coefficient that `real_spectrum` returns for N samples."""
+    return np.ceil(np.arange(n) / 2.0) / (n * dt)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetupNoise:
+    """Noise of one setup: band edges in Hz, a (C, C) covariance a band, and the variance of a run's mean."""
+
+    channels: tuple[str, ...]
+    dt: float
+    edges: FloatArray
+    covariance: FloatArray
+    mean_variance: FloatArray
+    degrees_of_freedom: FloatArray
+    calibrated: bool
+
+    @property
+    def sigma(self) -> Mapping[str, float]:
+        """Standard deviation of each channel's noise around its run's mean, in the channel's unit."""
+        n = np.maximum(self.degrees_of_freedom, 1e-12)
+        pooled = np.average(np.diagonal(self.covariance, axis1=1, axis2=2), axis=0, weights=n)
+        return {c: float(np.sqrt(v)) for c, v in zip(self.channels, pooled, strict=True)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Whitener:
+    """Turns a residual of one experiment into components of unit variance under the noise of a single run."""
+
+    mask: FloatArray
+    factors: FloatArray
+    band_of: FloatArray
+    mean_scale: FloatArray
+
+    @property
+    def size(self) -> int:
+        """Length of a whitened residual."""
+        return int(self.mask.size)
+
+    def __call__(self, residual: FloatArray) -> FloatArray:
+        """Whiten (..., C, N) to (..., C, N); coefficient 0 of each channel is the run's mean."""
+        spectrum = real_spectrum(residual * self.mask)
+        out = np.empty_like(spectrum)
+        out[..., 0] = spectrum[..., 0] * self.mean_scale
+        for band, factor in enumerate(self.factors):
+            chosen = np.flatnonzero(self.band_of == band)
+            out[..., chosen] = factor @ spectrum[..., chosen]
+        return out
+
+
+def estimate_noise(runs: Sequence[RepeatedRuns], *, lattice: Mapping[str, float] | None = None) -> SetupNoise:
+    """Estimate the noise of one setup from the differences between repeats.
+
+    Parameters
+    ----------
+    runs
+        Experiments of one setup, with the same channels and sampling interval.
+    lattice
+        Channel -> smallest standard deviation allowed, such as that of its quantisation, which repeats at
+        rest do not show.
+
+    Returns
+    -------
+    SetupNoise
+        Covariances pooled over experiments in bands one octave wide; ``calibrated`` is False with fewer
+        than five runs of every experiment.
+
+    Raises
+    ------
+    ProblemError
+        No experiment has a second run.
+    """
+    channels = runs[0].channels
+    dt = float(np.mean(np.diff(runs[0].time)))
+    repeated = [r for r in runs if r.n_repeats > 1]
+    if not repeated:
+        raise ProblemError(
+            f"no experiment of setup '{runs[0].setup}' was repeated, so its noise cannot be measured",
+            fix="repeat at least one experiment, better five times",
+        )
+    floor = np.array([(lattice or {}).get(c, 0.0) for c in channels])
+    edges = _band_edges(max(len(r.time) for r in repeated), dt)
+    n_bands, n_channels = len(edges) - 1, len(channels)
+    total = np.zeros((n_bands, n_channels, n_channels))
+    dof = np.zeros(n_bands)
+    mean_sum, mean_dof = np.zeros(n_channels), 0
+    for run in repeated:
+        deviation = (run.values - run.mean) * run.mask
+        deviation = np.nan_to_num(deviation)
+        spectrum = real_spectrum(deviation)
+        bands = _bands_of(len(run.time), dt, edges)
+        for band in range(n_bands):
+            part = spectrum[..., bands == band]
+            total[band] += np.einsum("rcn,rdn->cd", part, part)
+            dof[band] += part.shape[-1] * (run.n_repeats - 1)
+        mean_sum += np.sum(spectrum[..., 0] ** 2, axis=0) / len(run.time)
+        mean_dof += run.n_repeats - 1
+    pooled = total.sum(axis=0) / dof.sum()
+    prior = 4.0  # bands with few differences lean on the mean spectrum, as if it were four more of them
+    covariance = (total + prior * np.diag(np.diag(pooled))) / (dof + prior)[:, None, None]
+    covariance += np.diag(np.maximum(floor**2 - np.diag(pooled), 0.0))
+    if np.any(np.diagonal(covariance, axis1=1, axis2=2) <= 0.0):
+        raise ProblemError(
+            "a signal is the same in every repeat, so its noise cannot be measured",
+            where=f"setup '{runs[0].setup}'",
+            fix="give its `sigma` in the measurement file",
+        )
+    return SetupNoise(
+        channels=channels,
+        dt=dt,
+        edges=edges,
+        covariance=covariance,
+        mean_variance=mean_sum / mean_dof,
+        degrees_of_freedom=dof,
+        calibrated=all(r.n_repeats >= 5 for r in runs),
+    )
+
+
+def whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener:
+    """Return what whitens residuals of `run` by `noise`; the mean's variance is never below its noise's."""
+    n = len(run.time)
+    factors = []
+    for covariance in noise.covariance:
+        lower = cholesky(covariance, lower=True)
+        factors.append(solve_triangular(lower, np.eye(len(lower)), lower=True))
+    lowest = np.diagonal(noise.covariance[0])
+    mean_variance = np.maximum(n * noise.mean_variance, lowest)
+    return Whitener(
+        mask=read_only(run.mask),
+        factors=read_only(np.array(factors)),
+        band_of=read_only(_bands_of(n, noise.dt, noise.edges)),
+        mean_scale=read_only(1.0 / np.sqrt(mean_variance)),
+    )
+
+
+def _band_edges(n: int, dt: float) -> FloatArray:
+    nyquist = 0.5 / dt
+    lowest = _MIN_BIN_COUNT / (n * dt)
+    count = max(1, int(np.floor(np.log2(nyquist / lowest) * _BANDS_PER_OCTAVE)))
+    inner = nyquist * 2.0 ** (-np.arange(count, 0, -1.0) / _BANDS_PER_OCTAVE)
+    return np.concatenate([[0.0], inner, [np.inf]])
+
+
+def _bands_of(n: int, dt: float, edges: FloatArray) -> FloatArray:
+    bands = np.searchsorted(edges, coefficient_frequencies(n, dt), side="right") - 1.0
+    bands[0] = -1.0  # the mean is not in any band
+    return bands

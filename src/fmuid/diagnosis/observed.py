@@ -1,0 +1,120 @@
+"""The measured side of a diagnosis: repeated runs, their noise, and residuals in units of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fmuid.campaign import Experiment, FloatArray, Measurements
+from fmuid.diagnosis.noise import RepeatedRuns, SetupNoise, Whitener, estimate_noise, whitener
+from fmuid.errors import ProblemError
+
+
+def gather_repeats(
+    measurements: Measurements, ids: Sequence[str], channels: Mapping[str, Sequence[str]]
+) -> tuple[RepeatedRuns, ...]:
+    """Group the runs of each experiment with its repeats.
+
+    Parameters
+    ----------
+    measurements
+        The campaign's runs.
+    ids
+        Experiments to use; repeats come along.
+    channels
+        Setup -> measured outputs to use.
+
+    Raises
+    ------
+    ProblemError
+        A repeat has another time axis than its first run.
+    """
+    origins = list(dict.fromkeys(measurements[i].origin for i in ids))
+    return tuple(_gather(measurements.repeats(i), tuple(channels[measurements[i].setup])) for i in origins)
+
+
+def _gather(runs: Sequence[Experiment], channels: tuple[str, ...]) -> RepeatedRuns:
+    first = runs[0]
+    for run in runs[1:]:
+        if run.time.shape != first.time.shape or not np.allclose(run.time, first.time, rtol=0, atol=1e-9):
+            raise ProblemError(
+                f"repeat '{run.id}' is sampled at other times than '{first.id}'",
+                fix="resample it onto the same time axis, or drop its `repeat_of`",
+            )
+    values = np.array([[run.signals[c].values for c in channels] for run in runs])
+    return RepeatedRuns(first.origin, first.setup, first.time, channels, values)
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """Runs with their noise floor.
+
+    Attributes
+    ----------
+    runs
+        One entry an experiment.
+    noise
+        Setup -> its noise.
+    """
+
+    runs: tuple[RepeatedRuns, ...]
+    noise: Mapping[str, SetupNoise]
+
+    @classmethod
+    def from_runs(cls, runs: Sequence[RepeatedRuns]) -> Observed:
+        """Estimate each setup's noise from its repeats."""
+        setups = dict.fromkeys(run.setup for run in runs)
+        noise = {s: estimate_noise([r for r in runs if r.setup == s]) for s in setups}
+        return cls(tuple(runs), noise)
+
+    def select(self, ids: Sequence[str]) -> Observed:
+        """Return the same noise with only the experiments `ids`."""
+        return Observed(tuple(r for r in self.runs if r.id in ids), self.noise)
+
+    @cached_property
+    def whiteners(self) -> tuple[Whitener, ...]:
+        """What whitens each experiment's residual."""
+        return tuple(whitener(r, self.noise[r.setup]) for r in self.runs)
+
+    @cached_property
+    def repeats(self) -> FloatArray:
+        """(E,) number of runs of each experiment."""
+        return np.array([float(r.n_repeats) for r in self.runs])
+
+    @cached_property
+    def scatter(self) -> FloatArray:
+        """(E,) mean square of each run's whitened deviation from the mean of its repeats."""
+        return np.array(
+            [
+                float(np.mean(w(np.nan_to_num(r.values - r.mean)) ** 2))
+                for r, w in zip(self.runs, self.whiteners, strict=True)
+            ]
+        )
+
+    def residuals(self, predictions: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
+        """Return prediction minus the mean of the repeats, whitened: one (C * N,) vector an experiment."""
+        return tuple(
+            w(p - r.mean).ravel() for p, r, w in zip(predictions, self.runs, self.whiteners, strict=True)
+        )
+
+    def whiten(self, differences: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
+        """Whiten differences of predictions: (C, N) to (C * N,), one an experiment."""
+        return tuple(w(d).ravel() for d, w in zip(differences, self.whiteners, strict=True))
+
+
+def gap(residuals: Sequence[FloatArray], observed: Observed) -> float:
+    """Return the gap in floors: G = sqrt(max(0, mean whitened residual^2 - 1)), for one run on average.
+
+    The mean of R runs carries 1/R of a run's noise, so this much is what noise alone would leave in it.
+    """
+    return float(np.sqrt(max(0.0, excess(residuals, observed))))
+
+
+def excess(residuals: Sequence[FloatArray], observed: Observed) -> float:
+    """Return G^2 before it is clipped at zero."""
+    n = np.array([r.size for r in residuals], dtype=float)
+    energy = np.array([float(r @ r) for r in residuals])
+    return float((energy - n / observed.repeats).sum() / n.sum())

@@ -1,0 +1,172 @@
+"""Least squares in units of noise: Levenberg-Marquardt within bounds, finite steps well above solver noise.
+
+A trial point whose simulation fails is not given a number: the step is shortened instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.campaign import FloatArray
+from fmuid.diagnosis.observed import Observed
+from fmuid.errors import SimulationError
+
+Predict = Callable[[Mapping[str, float]], Sequence[FloatArray]]
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """A parameter that is searched: bounds, and the step that is small but well above solver noise."""
+
+    name: str
+    start: float
+    lower: float
+    upper: float
+    step: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refit:
+    """Where a refit ended.
+
+    Attributes
+    ----------
+    values
+        Parameter -> estimate.
+    residuals
+        Whitened residual of the mean run, (M_e,) an experiment.
+    jacobian
+        d residual / d parameter, (M_e, P) an experiment, at the estimate.
+    cost
+        Sum over runs of squared whitened residuals of the mean run.
+    evaluations
+        Simulations of the whole campaign that it took.
+    converged
+        Whether it ended by its own tolerance, not by its budget.
+    """
+
+    unknowns: tuple[Unknown, ...]
+    values: Mapping[str, float]
+    residuals: tuple[FloatArray, ...]
+    jacobian: tuple[FloatArray, ...]
+    cost: float
+    evaluations: int
+    converged: bool
+
+    @property
+    def at_bounds(self) -> tuple[str, ...]:
+        """Parameters that ended at a bound."""
+        return tuple(
+            u.name
+            for u in self.unknowns
+            if min(self.values[u.name] - u.lower, u.upper - self.values[u.name]) < 1e-3 * u.step
+        )
+
+
+def refit(
+    predict: Predict,
+    observed: Observed,
+    unknowns: Sequence[Unknown],
+    *,
+    start: Mapping[str, float] | None = None,
+    max_iterations: int = 12,
+    tolerance: float = 1e-3,
+) -> Refit:
+    """Minimise the whitened squared residual of the mean runs.
+
+    Parameters
+    ----------
+    predict
+        Parameter values -> predictions (C, N) of every experiment.
+    observed
+        The measurements and their noise.
+    unknowns
+        What is searched.
+    start
+        Start values, where not those of `unknowns`.
+    max_iterations
+        Jacobians at the most.
+    tolerance
+        Ends when an iteration lowers the cost by less than this share of it, or by less than 0.5.
+
+    Raises
+    ------
+    SimulationError
+        The start itself cannot be simulated.
+    """
+    steps = np.array([u.step for u in unknowns])
+    lower = np.array([u.lower for u in unknowns])
+    upper = np.array([u.upper for u in unknowns])
+    names = [u.name for u in unknowns]
+    x = np.array([(start or {}).get(u.name, u.start) for u in unknowns])
+    x = np.clip(x, lower, upper)
+    weight = np.sqrt(observed.repeats)
+    evaluations = 0
+
+    def evaluate(point: FloatArray) -> tuple[FloatArray, ...]:
+        nonlocal evaluations
+        evaluations += 1
+        values = {n: float(v) for n, v in zip(names, point, strict=True)}
+        return observed.residuals(predict(values))
+
+    def stack(parts: Sequence[FloatArray]) -> FloatArray:
+        return np.concatenate([w * p for w, p in zip(weight, parts, strict=True)])
+
+    def differentiate(point: FloatArray, base: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
+        columns = []
+        for i in range(len(point)):
+            sign = -1.0 if point[i] + steps[i] > upper[i] else 1.0
+            moved = point.copy()
+            moved[i] += sign * steps[i]
+            part = evaluate(moved)
+            columns.append([sign * (a - b) / steps[i] for a, b in zip(part, base, strict=True)])
+        if not columns:
+            return tuple(np.zeros((b.size, 0)) for b in base)
+        return tuple(np.stack(c, axis=1) for c in zip(*columns, strict=True))
+
+    residuals = evaluate(x)
+    cost = float(np.sum(stack(residuals) ** 2))
+    damping, converged = 1e-3, len(x) == 0
+    jacobian = differentiate(x, residuals)
+    for _ in range(max_iterations):
+        if converged:
+            break
+        j = np.concatenate([w * p for w, p in zip(weight, jacobian, strict=True)]) * steps
+        r = stack(residuals)
+        gradient, normal = j.T @ r, j.T @ j
+        free = ~(((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0)))
+        if not free.any():
+            converged = True
+            break
+        improved = False
+        while damping < 1e8:
+            a = normal[np.ix_(free, free)]
+            scale = np.diag(a) + 1e-12 * (np.trace(normal) + 1e-300)
+            move = np.zeros_like(x)
+            move[free] = np.linalg.solve(a + damping * np.diag(scale), -gradient[free])
+            trial = np.clip(x + move * steps, lower, upper)
+            if np.all(np.abs(trial - x) <= 1e-6 * steps):
+                break
+            try:
+                trial_residuals = evaluate(trial)
+            except SimulationError:
+                damping *= 10.0
+                continue
+            trial_cost = float(np.sum(stack(trial_residuals) ** 2))
+            if trial_cost < cost:
+                improved = True
+                break
+            damping *= 5.0
+        if not improved:
+            converged = True
+            break
+        gained = cost - trial_cost
+        x, residuals, cost = trial, trial_residuals, trial_cost
+        damping = max(damping / 10.0, 1e-9)
+        converged = gained < max(0.5, tolerance * cost)
+        jacobian = differentiate(x, residuals)
+    values = {n: float(v) for n, v in zip(names, x, strict=True)}
+    return Refit(tuple(unknowns), values, residuals, jacobian, cost, evaluations, converged)
