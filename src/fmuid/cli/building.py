@@ -23,7 +23,7 @@ def build(
 
     Example: fmuid build modelica/Drives Drives.Setups.FixedShaft --out build/fmus
     """
-    from fmu_build.build import build as build_fmu
+    from fmu_build import build as build_fmu
 
     path = build_fmu(source, class_name, out)
     printer = Printer(quiet, json)
