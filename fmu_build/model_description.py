@@ -1,0 +1,232 @@
+"""``modelDescription.xml`` of a compiled model, for FMI 2.0 and 3.0.
+
+A variable's value reference is its position in ``CompiledModel.variables``, in both versions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Literal
+from xml.etree import ElementTree
+
+from fmu_build.model import BASE_UNITS, CompiledModel, Unit, Variable
+from fmuid.errors import BuildError
+
+FmiVersion = Literal[2, 3]
+GENERATION_TOOL = "fmuid"
+
+
+def model_description(model: CompiledModel, guid: str, sources: Sequence[str], fmi: FmiVersion = 2) -> str:
+    """Text of ``modelDescription.xml``.
+
+    Parameters
+    ----------
+    model
+        The compiled model.
+    guid
+        The GUID (FMI 2.0) or instantiation token (FMI 3.0) that the binary checks.
+    sources
+        Names of the C files in ``sources/``, in the order to compile them.
+    fmi
+        Major version of FMI.
+
+    Returns
+    -------
+    str
+        The XML document; the same text for the same arguments.
+    """
+    root = (_fmi2 if fmi == 2 else _fmi3)(model, guid, sources)
+    ElementTree.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def states(model: CompiledModel) -> list[Variable]:
+    """The variable that stands for each continuous state, in the order of the state vector."""
+    by_name = {v.name: v for v in model.variables}
+    found: dict[int, Variable] = {}
+    for derivative in derivatives(model):
+        assert derivative.derivative_of is not None
+        found[derivative.location.index] = by_name[derivative.derivative_of]
+    return [found[i] for i in range(model.n_x)]
+
+
+def derivatives(model: CompiledModel) -> list[Variable]:
+    """The variable that stands for each state derivative, in the order of the state vector."""
+    found: dict[int, Variable] = {}
+    for v in model.variables:
+        if v.derivative_of is not None and v.location.vector == "dx":
+            found.setdefault(v.location.index, v)
+    if sorted(found) != list(range(model.n_x)):
+        missing = sorted(set(range(model.n_x)) - set(found))
+        raise BuildError(f"no variable is the derivative of state number {missing}", where=model.class_name)
+    return [found[i] for i in range(model.n_x)]
+
+
+def initial_unknowns(model: CompiledModel) -> list[Variable]:
+    """Outputs, calculated parameters, states and state derivatives whose initial values are computed."""
+    of_state = {v.name for v in (*states(model), *derivatives(model))}
+    return [
+        v
+        for v in model.variables
+        if v.causality == "calculatedParameter"
+        or ((v.causality == "output" or v.name in of_state) and v.initial in ("approx", "calculated"))
+    ]
+
+
+def _number(value: float) -> str:
+    return repr(int(value)) if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))
+
+
+def _element(parent: ElementTree.Element, tag: str, **attributes: object) -> ElementTree.Element:
+    """Child with the attributes that are not None; numbers and truth values as XML writes them."""
+    text: dict[str, str] = {}
+    for key, value in attributes.items():
+        if value is None or value == "":
+            continue
+        if isinstance(value, bool):
+            text[key] = "true" if value else "false"
+        elif isinstance(value, int | float):
+            if not math.isfinite(value):
+                continue
+            text[key] = _number(value)
+        else:
+            text[key] = str(value)
+    return ElementTree.SubElement(parent, tag, text)
+
+
+def _units(root: ElementTree.Element, units: Sequence[Unit]) -> None:
+    if not units:
+        return
+    parent = _element(root, "UnitDefinitions")
+    for unit in units:
+        element = _element(parent, "Unit", name=unit.name)
+        if unit.exponents is not None:
+            exponents = {b: e for b, e in zip(BASE_UNITS, unit.exponents, strict=True) if e}
+            _element(
+                element,
+                "BaseUnit",
+                **exponents,
+                factor=None if unit.factor == 1.0 else unit.factor,
+                offset=None if unit.offset == 0.0 else unit.offset,
+            )
+        for shown in unit.display_units:
+            _element(element, "DisplayUnit", name=shown.name, factor=shown.factor, offset=shown.offset)
+
+
+def _type_names(model: CompiledModel) -> dict[tuple[str, ...], str]:
+    kinds = dict.fromkeys(v.enumeration for v in model.variables if v.enumeration)
+    return {literals: f"Enumeration{i}" for i, literals in enumerate(kinds, start=1)}
+
+
+def _start(v: Variable) -> object:
+    """Start attribute: only where FMI allows one."""
+    if v.start is None or v.causality == "independent" or (v.initial == "calculated" and v.causality != "input"):
+        return None
+    if v.type == "Boolean":
+        return bool(v.start)
+    return int(v.start) if v.type == "Integer" else float(v.start)
+
+
+def _experiment(root: ElementTree.Element, model: CompiledModel) -> None:
+    e = model.experiment
+    if (e.start, e.stop, e.tolerance, e.interval) != (None,) * 4:
+        _element(
+            root,
+            "DefaultExperiment",
+            startTime=e.start,
+            stopTime=e.stop,
+            tolerance=e.tolerance,
+            stepSize=e.interval,
+        )
+
+
+def _log_categories(root: ElementTree.Element) -> None:
+    parent = _element(root, "LogCategories")
+    _element(parent, "Category", name="logStatusError", description="Why a call failed")
+    _element(parent, "Category", name="logStatusWarning", description="What may be wrong though the run goes on")
+
+
+def _fmi2(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTree.Element:
+    root = ElementTree.Element("fmiModelDescription", {"fmiVersion": "2.0"})
+    attributes = {
+        "modelName": model.class_name,
+        "guid": guid,
+        "description": model.description,
+        "generationTool": GENERATION_TOOL,
+        "variableNamingConvention": "structured",
+        "numberOfEventIndicators": str(model.n_m),
+    }
+    root.attrib.update({k: v for k, v in attributes.items() if v})
+    abilities = {
+        "modelIdentifier": model.name,
+        "canNotUseMemoryManagementFunctions": True,
+        "canGetAndSetFMUstate": True,
+        "canSerializeFMUstate": True,
+        "providesDirectionalDerivative": True,
+    }
+    co_simulation = {"canHandleVariableCommunicationStepSize": True, "canInterpolateInputs": True}
+    for tag, more in (("ModelExchange", {}), ("CoSimulation", co_simulation)):
+        files = _element(_element(root, tag, **abilities, **more), "SourceFiles")
+        for name in sources:
+            _element(files, "File", name=name)
+    _units(root, model.units)
+    types = _type_names(model)
+    if types:
+        parent = _element(root, "TypeDefinitions")
+        for literals, type_name in types.items():
+            kind = _element(_element(parent, "SimpleType", name=type_name), "Enumeration")
+            for ordinal, literal in enumerate(literals, start=1):
+                _element(kind, "Item", name=literal, value=ordinal)
+    _log_categories(root)
+    _experiment(root, model)
+
+    index = {v.name: i for i, v in enumerate(model.variables, start=1)}
+    parent = _element(root, "ModelVariables")
+    for reference, v in enumerate(model.variables):
+        scalar = _element(
+            parent,
+            "ScalarVariable",
+            name=v.name,
+            valueReference=reference,
+            description=v.description,
+            causality=v.causality,
+            variability=v.variability,
+            initial=None if v.causality in ("input", "independent") else v.initial,
+        )
+        real = v.type == "Real"
+        _element(
+            scalar,
+            "Enumeration" if v.enumeration else v.type,
+            declaredType=types.get(v.enumeration),
+            quantity=v.quantity if v.type != "Boolean" else None,
+            unit=v.unit if real else None,
+            displayUnit=v.display_unit if real else None,
+            min=v.min if v.type != "Boolean" else None,
+            max=v.max if v.type != "Boolean" else None,
+            nominal=v.nominal if real else None,
+            start=_start(v),
+            derivative=index[v.derivative_of] if v.derivative_of else None,
+        )
+
+    structure = _element(root, "ModelStructure")
+
+    def unknowns(tag: str, variables: Iterable[Variable], with_dependencies: bool) -> None:
+        variables = list(variables)
+        if not variables:
+            return
+        group = _element(structure, tag)
+        for v in variables:
+            element = _element(group, "Unknown", index=index[v.name])
+            if with_dependencies and v.depends_on is not None:
+                known = sorted(index[name] for name in v.depends_on)
+                element.set("dependencies", " ".join(map(str, known)))
+
+    unknowns("Outputs", (v for v in model.variables if v.causality == "output"), True)
+    unknowns("Derivatives", derivatives(model), True)
+    unknowns("InitialUnknowns", initial_unknowns(model), False)
+    return root
+
+
+def _fmi3(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTree.Element:
+    raise BuildError("FMI 3.0 is not built yet", where=model.class_name, fix="use FMI 2.0")

@@ -1,0 +1,263 @@
+"""From a compiled model to an FMU: configuration header, C compiler, zip archive.
+
+The archive holds the binary for this platform, every C source and header that it was made from, and the model
+description. The same model and runtime give the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+import zipfile
+from importlib import resources
+from pathlib import Path
+
+from fmu_build.model import CompiledModel, Variable
+from fmu_build.model_description import FmiVersion, model_description, states
+from fmuid.errors import BuildError
+
+DEFAULT_TOLERANCE = 1e-6
+# Contraction into fused operations would make results depend on the processor the compiler had in mind.
+C_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
+_SHARED = ("equations.c", "events.c", "initialise.c", "integrator.c", "simulate.c")
+_HEADERS = ("instance.h", "lu.h")
+_FMI_HEADERS = {
+    2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
+    3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+}
+
+
+def package(model: CompiledModel, out: Path | str, *, fmi: FmiVersion = 2) -> Path:
+    """Write the FMU of a compiled model.
+
+    Parameters
+    ----------
+    model
+        The compiled model.
+    out
+        Path of the ``.fmu`` to write, or of a folder: then it is ``<out>/<model name>.fmu``. An FMU there that was
+        made from the same model, runtime and compiler is left as it is.
+    fmi
+        Major version of FMI: 2 or 3. Either way the FMU does co-simulation and model exchange.
+
+    Returns
+    -------
+    Path
+        The FMU.
+
+    Raises
+    ------
+    BuildError
+        No C compiler is found, or it fails.
+    """
+    out = Path(out)
+    if out.suffix != ".fmu":
+        out = out / f"{model.name}.fmu"
+    compiler = _compiler()
+    files = _sources(model, fmi)
+    key = _digest(files, " ".join((*compiler, *C_FLAGS)), _version(compiler)).encode()
+    if _comment(out) == key:
+        return out
+    sources = [name for name in files if name.endswith(".c")]
+    description = model_description(model, _guid(model, fmi), sources, fmi)
+    content = {"modelDescription.xml": description.encode()}
+    content |= {f"sources/{name}": text.encode() for name, text in files.items()}
+    if fmi == 3:
+        content["sources/buildDescription.xml"] = _build_description(model, sources).encode()
+    binary = f"binaries/{_platform(fmi)}/{model.name}{'.dylib' if platform.system() == 'Darwin' else '.so'}"
+    content[binary] = _compile(model, files, compiler)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    partial = out.with_name(f".{out.name}.{os.getpid()}")
+    try:
+        _zip(partial, content, key)
+        partial.replace(out)
+    finally:
+        partial.unlink(missing_ok=True)
+    return out
+
+
+def _digest(files: dict[str, str], *more: str) -> str:
+    return hashlib.sha256(json.dumps([sorted(files.items()), more]).encode()).hexdigest()
+
+
+def _guid(model: CompiledModel, fmi: FmiVersion) -> str:
+    h = hashlib.sha256(json.dumps([model.content_hash, fmi, sorted(_runtime(fmi).items())]).encode()).hexdigest()
+    return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
+
+
+def _runtime(fmi: FmiVersion) -> dict[str, str]:
+    folder = resources.files("fmu_build") / "runtime"
+    return {name: (folder / name).read_text() for name in (f"fmi{fmi}.c", *_SHARED, *_HEADERS)}
+
+
+def _sources(model: CompiledModel, fmi: FmiVersion) -> dict[str, str]:
+    """Everything the C compiler needs, by file name; C files first."""
+    headers = resources.files("fmpy") / "c-code"
+    files = {"model.c": model.c_source, **_runtime(fmi), "model.h": model.c_header}
+    files["model_config.h"] = configuration(model, _guid(model, fmi))
+    files |= {name: (headers / name).read_text() for name in _FMI_HEADERS[fmi]}
+    return files
+
+
+def _text(value: str) -> str:
+    """C string literal (JSON's escapes are C's for printable ASCII; the rest goes as octal UTF-8)."""
+    escaped = "".join(
+        {0x22: '\\"', 0x5C: "\\\\"}.get(b, chr(b) if 32 <= b < 127 else f"\\{b:03o}") for b in value.encode()
+    )
+    return f'"{escaped}"'
+
+
+def _settable(v: Variable) -> str:
+    if v.causality == "input":
+        return "SETTABLE_INPUT"
+    if v.causality == "parameter" and v.location.vector == "p":
+        return "SETTABLE_TUNABLE" if v.variability == "tunable" else "SETTABLE_FIXED"
+    if v.location.vector == "x" and v.initial in ("exact", "approx"):
+        return "SETTABLE_START"
+    return "SETTABLE_NO"
+
+
+def configuration(model: CompiledModel, guid: str) -> str:
+    """Text of ``model_config.h``: what of the model description the C runtime has to know."""
+
+    def initialiser(items: list[str]) -> str:
+        return "{" + ", ".join(items or ["0"]) + "}"
+
+    constants: list[float] = []
+    entries = []
+    for v in model.variables:
+        index = v.location.index
+        if v.location.vector == "constant":
+            index = len(constants)
+            constants.append(v.start if v.start is not None else 0.0)
+        vector, settable = f"VECTOR_{v.location.vector.upper()}", _settable(v)
+        kind = f"TYPE_{v.type.upper()}"
+        entries.append(f"{{{vector}, {index}, {v.location.sign}, {kind}, {settable}, {_text(v.name)}}}")
+
+    def starts(vector: str, length: int) -> list[str]:
+        values = [0.0] * length
+        for v in model.variables:
+            if v.location.vector == vector and v.start is not None and v.causality in ("input", "parameter"):
+                values[v.location.index] = v.location.sign * v.start
+        return [repr(float(value)) for value in values]
+
+    state = states(model)
+    macros = {
+        "MODEL_IDENTIFIER": _text(model.name),
+        "MODEL_GUID": _text(guid),
+        "MODEL_TOLERANCE": repr(float(model.experiment.tolerance or DEFAULT_TOLERANCE)),
+        "MODEL_N_VARIABLES": str(len(model.variables)),
+        "MODEL_VARIABLES": "{ \\\n    " + ", \\\n    ".join(entries) + "}",
+        "MODEL_P_START": initialiser(starts("p", model.n_p)),
+        "MODEL_U_START": initialiser(starts("u", model.n_u)),
+        "MODEL_CONSTANTS": initialiser([repr(float(c)) for c in constants]),
+        "MODEL_X_NAME": initialiser([_text(v.name) for v in state]),
+        "MODEL_X_SCALE": initialiser([repr(float(v.nominal or 0.0)) for v in state]),
+    }
+    lines = [f"#define {name} {value}" for name, value in macros.items()]
+    return _CONFIGURATION.replace("@MACROS@", "\n".join(lines))
+
+
+_CONFIGURATION = """\
+/* Variables of the model by value reference, start values and names. Generated. */
+#ifndef FMUID_MODEL_CONFIG_H
+#define FMUID_MODEL_CONFIG_H
+
+typedef enum { VECTOR_T, VECTOR_X, VECTOR_DX, VECTOR_U, VECTOR_P, VECTOR_D, VECTOR_Z, VECTOR_Y, VECTOR_V,
+               VECTOR_CONSTANT } Vector;
+typedef enum { TYPE_REAL, TYPE_INTEGER, TYPE_BOOLEAN } VariableType;
+typedef enum { SETTABLE_NO, SETTABLE_INPUT, SETTABLE_FIXED, SETTABLE_TUNABLE, SETTABLE_START } Settable;
+typedef struct {
+    Vector vector;
+    int index;
+    int sign;
+    VariableType type;
+    Settable settable;
+    const char *name;
+} VariableEntry;
+
+@MACROS@
+
+#endif
+"""
+
+
+def _compiler() -> tuple[str, ...]:
+    wanted = os.environ.get("CC")
+    if wanted:
+        return tuple(wanted.split())
+    for name in ("cc", "gcc", "clang"):
+        if shutil.which(name):
+            return (name,)
+    raise BuildError("no C compiler found", fix="install gcc or set the environment variable CC")
+
+
+def _version(compiler: tuple[str, ...]) -> str:
+    try:
+        done = subprocess.run([*compiler, "--version"], capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise BuildError(f"the C compiler does not run: {error}", fix="check the environment variable CC") from error
+    return done.stdout
+
+
+def _compile(model: CompiledModel, files: dict[str, str], compiler: tuple[str, ...]) -> bytes:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for file, text in files.items():
+            (folder / file).write_text(text)
+        sources = [file for file in files if file.endswith(".c")]
+        # Relative names only: nothing of this machine enters the binary.
+        command = [*compiler, *C_FLAGS, "-shared", "-o", "model.so", *sources, "-lm"]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip())
+            raise BuildError(f"the C compiler failed: {first}", where=model.class_name)
+        return (folder / "model.so").read_bytes()
+
+
+def _platform(fmi: FmiVersion) -> str:
+    system, machine = platform.system(), platform.machine().lower()
+    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
+    names = {"Linux": "linux", "Darwin": "darwin"}
+    if system not in names:
+        raise BuildError(f"FMUs cannot be built on {system}", fix="use Linux or macOS")
+    if fmi == 2:
+        if machine != "x86_64":
+            return f"{machine}-{names[system]}"
+        return f"{names[system]}64"
+    return f"{machine}-{names[system]}"
+
+
+def _build_description(model: CompiledModel, sources: list[str]) -> str:
+    files = "\n".join(f'      <SourceFile name="{name}"/>' for name in sources)
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        '<fmiBuildDescription fmiVersion="3.0">\n'
+        f'  <BuildConfiguration modelIdentifier="{model.name}">\n'
+        f'    <SourceFileSet language="C99">\n{files}\n    </SourceFileSet>\n'
+        "  </BuildConfiguration>\n</fmiBuildDescription>\n"
+    )
+
+
+def _comment(path: Path) -> bytes | None:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return archive.comment
+    except (OSError, zipfile.BadZipFile):
+        return None
+
+
+def _zip(path: Path, content: dict[str, bytes], comment: bytes) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        for name in sorted(content):
+            info = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
+            info.compress_type = zipfile.ZIP_DEFLATED
+            info.external_attr = 0o644 << 16
+            info.create_system = 3
+            archive.writestr(info, content[name])
+        archive.comment = comment

@@ -1,0 +1,201 @@
+/* Evaluation of the model's equations; nonlinear algebraic loops are solved for y by Newton's method on the way. */
+#include <math.h>
+#include <string.h>
+
+#include "instance.h"
+#include "lu.h"
+
+#define CALL(name) model_##name(me->arg, me->res, me->iw, me->w, 0)
+
+const double **environment_at(Instance *me, const double *t, const double *x, const double *u) {
+    State *s = &me->s;
+    const double **arg = me->arg;
+    arg[0] = t;
+    arg[1] = x;
+    arg[2] = u;
+    arg[3] = s->p;
+    arg[4] = s->d;
+    arg[5] = s->z;
+    arg[6] = s->pz;
+    arg[7] = s->m;
+    arg[8] = s->y;
+    for (int i = 0; i < MODEL_SZ_RES; i++) me->res[i] = NULL;
+    return arg;
+}
+
+static double residual_norm(const double *r) {
+    double norm = 0.0;
+    for (int i = 0; i < NY; i++) norm += r[i] * r[i];
+    return norm;
+}
+
+/* Solves loop(t, x, u, ..., y) = 0 for s.y, starting from the last solution; 0 on success. */
+int solve_loop(Instance *me, double t, const double *x, const double *u) {
+    if (NY == 0) return 0;
+    double r[LENGTH(NY)], y_old[LENGTH(NY)];
+    double *y = me->s.y;
+    for (int iteration = 0; iteration < 50; iteration++) {
+        environment_at(me, &t, x, u);
+        me->res[0] = r;
+        me->res[1] = me->drdy;
+        if (CALL(loop)) return 1;
+        const double norm = residual_norm(r);
+        if (!isfinite(norm)) return 1;
+        if (norm == 0.0) return lu_factor(NY, me->drdy, me->y_pivot);
+        if (lu_factor(NY, me->drdy, me->y_pivot)) return 1;
+        lu_solve(NY, me->drdy, me->y_pivot, r);
+        double step = 0.0;
+        for (int i = 0; i < NY; i++) step = fmax(step, fabs(r[i]) / fmax(MODEL_Y_NOMINAL[i], fabs(y[i])));
+        memcpy(y_old, y, sizeof y_old);
+        for (int i = 0; i < NY; i++) y[i] = y_old[i] - r[i];
+        /* Newton converges quadratically: the error after this step is about its square */
+        if (step <= 1e-9) return 0;
+        /* shorten the step while it makes the residual worse (kinks) */
+        for (double part = 0.5; part > 1e-3; part *= 0.5) {
+            double trial[LENGTH(NY)];
+            environment_at(me, &t, x, u);
+            me->res[0] = trial;
+            if (CALL(loop)) return 1;
+            const double now = residual_norm(trial);
+            if (isfinite(now) && (now < norm || step < 1e-6)) break;
+            for (int i = 0; i < NY; i++) y[i] = y_old[i] - part * r[i];
+        }
+    }
+    return 1;
+}
+
+/* The input of the current integration step at time t, in me->ut. */
+void input_at(Instance *me, double t) {
+    const Step *step = &me->s.step;
+    for (int i = 0; i < NU; i++) me->ut[i] = step->u[i] + step->du[i] * (t - step->u_time);
+}
+
+int right_hand_side(Instance *me, double t, const double *x, double *dx) {
+    input_at(me, t);
+    if (solve_loop(me, t, x, me->ut)) return 1;
+    environment_at(me, &t, x, me->ut);
+    me->res[0] = dx;
+    return CALL(derivatives);
+}
+
+/* f in me->f0 and its total derivatives with respect to x and t (slope of the inputs and loops included). */
+int linearise(Instance *me, double t, const double *x) {
+    input_at(me, t);
+    if (solve_loop(me, t, x, me->ut)) return 1;
+    environment_at(me, &t, x, me->ut);
+    me->res[0] = me->f0;
+    me->res[1] = me->jacobian;
+    me->res[2] = me->dfdt;
+    if (NY > 0) me->res[3] = me->dfdy;
+    if (CALL(jacobian)) return 1;
+
+    const double *du = me->s.step.du;
+    int ramp = 0;
+    for (int i = 0; i < NU; i++) ramp |= du[i] != 0.0;
+    if (NY > 0) {
+        double r[LENGTH(NY)];
+        environment_at(me, &t, x, me->ut);
+        me->res[0] = r;
+        me->res[1] = me->drdy;
+        me->res[2] = me->drdx;
+        me->res[3] = me->drdt;
+        if (CALL(loop) || lu_factor(NY, me->drdy, me->y_pivot)) return 1;
+        for (int j = 0; j <= NX; j++) {
+            double *slope = j < NX ? me->drdx + j * NY : me->drdt;
+            double *column = j < NX ? me->jacobian + j * NX : me->dfdt;
+            lu_solve(NY, me->drdy, me->y_pivot, slope);
+            for (int k = 0; k < NY; k++)
+                for (int i = 0; i < NX; i++) column[i] -= me->dfdy[k * NX + i] * slope[k];
+        }
+    }
+    if (ramp) {
+        double ddx[LENGTH(NX)];
+        const double now = me->s.t;
+        me->s.t = t;
+        /* the directional derivative is taken at s.t, s.x and s.u: lend it this point */
+        double x_saved[LENGTH(NX)], u_saved[LENGTH(NU)];
+        memcpy(x_saved, me->s.x, sizeof x_saved);
+        memcpy(u_saved, me->s.u, sizeof u_saved);
+        memmove(me->s.x, x, NX * sizeof *x);
+        memcpy(me->s.u, me->ut, NU * sizeof *u_saved);
+        const int failed = directional_derivative(me, NULL, du, NULL, ddx, NULL);
+        me->s.t = now;
+        memcpy(me->s.x, x_saved, sizeof x_saved);
+        memcpy(me->s.u, u_saved, sizeof u_saved);
+        if (failed) return 1;
+        for (int i = 0; i < NX; i++) me->dfdt[i] += ddx[i];
+    }
+    return 0;
+}
+
+int evaluate_derivatives(Instance *me) {
+    State *s = &me->s;
+    if (s->have_dx) return 0;
+    if (solve_loop(me, s->t, s->x, s->u)) return 1;
+    environment_at(me, &s->t, s->x, s->u);
+    me->res[0] = s->dx;
+    if (CALL(derivatives)) return 1;
+    s->have_dx = 1;
+    return 0;
+}
+
+int evaluate_variables(Instance *me) {
+    State *s = &me->s;
+    if (s->have_v) return 0;
+    if (solve_loop(me, s->t, s->x, s->u)) return 1;
+    environment_at(me, &s->t, s->x, s->u);
+    me->res[0] = s->v;
+    if (CALL(variables)) return 1;
+    s->have_v = 1;
+    return 0;
+}
+
+/* Exact derivative of dx and v in the direction (sx, su, sp) at the current point; NULL seeds are zero. */
+int directional_derivative(Instance *me, const double *sx, const double *su, const double *sp, double *ddx, double *dv) {
+    State *s = &me->s;
+    double sy[LENGTH(NY)];
+    if (NY > 0) {
+        double r[LENGTH(NY)];
+        if (solve_loop(me, s->t, s->x, s->u)) return 1;
+        environment_at(me, &s->t, s->x, s->u);
+        me->res[0] = r;
+        me->res[1] = me->drdy;
+        if (CALL(loop) || lu_factor(NY, me->drdy, me->y_pivot)) return 1;
+        environment_at(me, &s->t, s->x, s->u);
+        me->arg[9] = sx;
+        me->arg[10] = su;
+        me->arg[11] = sp;
+        me->res[0] = sy;
+        if (CALL(loop_partials)) return 1;
+        for (int i = 0; i < NY; i++) sy[i] = -sy[i];
+        lu_solve(NY, me->drdy, me->y_pivot, sy);
+    }
+    environment_at(me, &s->t, s->x, s->u);
+    me->arg[9] = sx;
+    me->arg[10] = su;
+    me->arg[11] = sp;
+    me->arg[12] = NY > 0 ? sy : NULL;
+    me->res[0] = ddx;
+    me->res[1] = dv;
+    return CALL(partials);
+}
+
+/* Failed assertions at the current point; one with level warning is told once a run. */
+Status check_assertions(Instance *me) {
+    if (MODEL_NASSERT == 0) return STATUS_OK;
+    State *s = &me->s;
+    double holds[LENGTH(MODEL_NASSERT)];
+    if (solve_loop(me, s->t, s->x, s->u))
+        return report(me, STATUS_ERROR, "t = %.9g: the model's algebraic loop has no solution", s->t);
+    environment_at(me, &s->t, s->x, s->u);
+    me->res[0] = holds;
+    CALL(asserts);
+    for (int i = 0; i < MODEL_NASSERT; i++) {
+        if (holds[i] != 0.0 && !isnan(holds[i])) continue;
+        if (!MODEL_ASSERT_WARNING[i])
+            return report(me, STATUS_ERROR, "t = %.9g: assertion violated: %s", s->t, MODEL_ASSERT_MESSAGE[i]);
+        if (!s->warned[i]) report(me, STATUS_WARNING, "t = %.9g: %s", s->t, MODEL_ASSERT_MESSAGE[i]);
+        s->warned[i] = 1;
+    }
+    return STATUS_OK;
+}

@@ -1,0 +1,115 @@
+/* Relations, event iteration and location of state events. */
+#include <math.h>
+#include <string.h>
+
+#include "instance.h"
+
+/* A relation changes during integration only when its indicator is beyond zero by this much: no chattering of a
+ * quantity that rests at its threshold. */
+static const double HYSTERESIS = 1e-10;
+
+static int indicators_at(Instance *me, double t, const double *x, const double *u, double *g) {
+    if (solve_loop(me, t, x, u)) return 1;
+    environment_at(me, &t, x, u);
+    me->res[0] = g;
+    return model_indicators(me->arg, me->res, me->iw, me->w, 0);
+}
+
+/* Truth of every relation at (t, x, u) with the present m, z and y. */
+void relations(Instance *me, double t, const double *x, const double *u, double *m) {
+    double g[LENGTH(NM)] = {0};
+    environment_at(me, &t, x, u);
+    me->res[0] = g;
+    model_indicators(me->arg, me->res, me->iw, me->w, 0);
+    for (int i = 0; i < NM; i++) m[i] = MODEL_INCLUSIVE[i] ? g[i] >= 0.0 : g[i] > 0.0;
+}
+
+/* Indicators for an importer's root finder: they cross zero where the relation shall change. */
+void event_indicators(Instance *me, double *g) {
+    State *s = &me->s;
+    indicators_at(me, s->t, s->x, s->u, g);
+    for (int i = 0; i < NM; i++) g[i] += s->m[i] != 0.0 ? HYSTERESIS : -HYSTERESIS;
+}
+
+static int same(const double *a, const double *b, int n) {
+    for (int i = 0; i < n; i++)
+        if (a[i] != b[i] && !(isnan(a[i]) && isnan(b[i]))) return 0;
+    return 1;
+}
+
+/* The event iteration at (s.t, s.x, s.u), as fmu_build/model.py defines it. With `initial` only the inner loop runs,
+ * and when-clauses fire where they name initial(). */
+Status event_iteration(Instance *me, int initial) {
+    State *s = &me->s;
+    s->have_dx = s->have_v = 0;
+    if (!MODEL_HAS_EVENTS) return STATUS_OK;
+    const double flag = initial;
+    for (int outer = 0; outer < 100; outer++) {
+        double z[LENGTH(NZ)] = {0}, x[LENGTH(NX)], m[LENGTH(NM)] = {0}, next = INFINITY, terminate = 0.0, reinit = 0.0;
+        memcpy(x, s->x, sizeof x);
+        int settled = 0;
+        for (int inner = 0; inner < 100 && !settled; inner++) {
+            if (solve_loop(me, s->t, s->x, s->u))
+                return report(me, STATUS_ERROR, "t = %.9g: an algebraic loop has no solution at an event", s->t);
+            environment_at(me, &s->t, s->x, s->u);
+            me->arg[9] = &flag;
+            me->res[0] = z;
+            me->res[1] = x;
+            me->res[2] = &next;
+            me->res[3] = &terminate;
+            me->res[4] = &reinit;
+            model_update(me->arg, me->res, me->iw, me->w, 0);
+            settled = same(z, s->z, NZ);
+            memcpy(s->z, z, NZ * sizeof *z);
+            relations(me, s->t, s->x, s->u, m);
+            settled &= same(m, s->m, NM);
+            memcpy(s->m, m, NM * sizeof *m);
+        }
+        if (!settled)
+            return report(me, STATUS_ERROR, "t = %.9g: the event iteration finds no consistent discrete variables", s->t);
+        s->next_event = next;
+        if (terminate != 0.0) s->terminate = 1;
+        if (initial) return STATUS_OK;
+        const int again = !same(s->z, s->pz, NZ) || reinit != 0.0;
+        memcpy(s->pz, s->z, sizeof s->z);
+        if (reinit != 0.0) memcpy(s->x, x, NX * sizeof *x);
+        if (!again) return STATUS_OK;
+    }
+    return report(me, STATUS_ERROR, "t = %.9g: the event iteration does not end", s->t);
+}
+
+/* Does some relation differ from m at time t of the last step? */
+static int changed_at(Instance *me, double t) {
+    State *s = &me->s;
+    double x[LENGTH(NX)], g[LENGTH(NM)] = {0};
+    dense_output(&s->step, t, x);
+    input_at(me, t);
+    if (indicators_at(me, t, x, me->ut, g)) return 0;
+    for (int i = 0; i < NM; i++)
+        if (s->m[i] != 0.0 ? g[i] < -HYSTERESIS : g[i] > HYSTERESIS) return 1;
+    return 0;
+}
+
+/* Ends the last step at the first state event in it, just past the change. */
+void find_event(Instance *me) {
+    enum { SAMPLES = 4 };
+    Step *step = &me->s.step;
+    if (NM == 0) return;
+    const double start = step->t0, end = step->t1;
+    double before = start, after = start;
+    int found = 0;
+    for (int i = 1; i <= SAMPLES && !found; i++) {
+        before = after;
+        after = i == SAMPLES ? end : start + (end - start) * i / SAMPLES;
+        found = changed_at(me, after);
+    }
+    if (!found) return;
+    for (;;) {
+        const double middle = before + 0.5 * (after - before);
+        if (middle <= before || middle >= after) break;
+        if (changed_at(me, middle)) after = middle;
+        else before = middle;
+    }
+    step->t1 = after;
+    step->event = 1;
+}

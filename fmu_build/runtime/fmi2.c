@@ -1,0 +1,412 @@
+/* FMI 2.0: co-simulation and model exchange. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fmi2Functions.h"
+#include "instance.h"
+
+#define IN(phases)                                        \
+    Instance *me = c;                                     \
+    if (!me || !allowed(me, (phases), __func__)) return fmi2Error
+
+enum {
+    BEFORE = PHASE_INSTANTIATED | PHASE_INITIALIZATION,
+    RUNNING = PHASE_STEP | PHASE_EVENT | PHASE_CONTINUOUS,
+    READABLE = BEFORE | RUNNING | PHASE_TERMINATED | PHASE_ERROR,
+    ANY = READABLE
+};
+
+static int allowed(Instance *me, int phases, const char *function) {
+    if (me->s.phase & phases) return 1;
+    report(me, STATUS_ERROR, "%s is not allowed in this state of the FMU", function);
+    return 0;
+}
+
+static void log_message(const Instance *me, Status status, const char *message) {
+    const fmi2CallbackFunctions *callbacks = me->callbacks.fmi2;
+    if (!callbacks || !callbacks->logger) return;
+    const char *category = status >= STATUS_ERROR ? "logStatusError" : "logStatusWarning";
+    callbacks->logger(callbacks->componentEnvironment, me->name, (fmi2Status)status, category, "%s", message);
+}
+
+/* A failed step or evaluation leaves the instance readable; only reset, terminate and free make sense after it. */
+static fmi2Status failed(Instance *me, Status status) {
+    if (status >= STATUS_ERROR) me->s.phase = PHASE_ERROR;
+    return (fmi2Status)status;
+}
+
+const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
+const char *fmi2GetVersion(void) { return fmi2Version; }
+
+fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
+                              fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions,
+                              fmi2Boolean visible, fmi2Boolean loggingOn) {
+    (void)fmuResourceLocation;
+    (void)visible;
+    Instance *me = calloc(1, sizeof *me);
+    if (!me) return NULL;
+    const char *name = instanceName ? instanceName : MODEL_IDENTIFIER;
+    me->name = malloc(strlen(name) + 1);
+    if (!me->name) {
+        free(me);
+        return NULL;
+    }
+    strcpy(me->name, name);
+    me->callbacks.fmi2 = (void *)functions;
+    me->log = log_message;
+    me->logging = loggingOn;
+    if (!fmuGUID || strcmp(fmuGUID, MODEL_GUID) != 0) {
+        report(me, STATUS_ERROR, "the GUID %s is not the one of this FMU, %s: modelDescription.xml and binary differ",
+               fmuGUID ? fmuGUID : "(none)", MODEL_GUID);
+        fmi2FreeInstance(me);
+        return NULL;
+    }
+    me->s.is_co_simulation = fmuType == fmi2CoSimulation;
+    set_defaults(me);
+    return me;
+}
+
+void fmi2FreeInstance(fmi2Component c) {
+    Instance *me = c;
+    if (!me) return;
+    free(me->name);
+    free(me);
+}
+
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
+                               const fmi2String categories[]) {
+    (void)nCategories;
+    (void)categories;
+    IN(ANY);
+    me->logging = loggingOn;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance, fmi2Real startTime,
+                               fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
+    IN(PHASE_INSTANTIATED);
+    if (toleranceDefined && !(tolerance >= 1e-14 && tolerance <= 0.1))
+        return (fmi2Status)report(me, STATUS_ERROR, "tolerance %g is outside 1e-14 .. 0.1", tolerance);
+    if (toleranceDefined) me->s.tolerance = tolerance;
+    me->s.start_time = me->s.t = startTime;
+    me->s.stop_defined = stopTimeDefined;
+    me->s.stop_time = stopTimeDefined ? stopTime : INFINITY;
+    me->s.initialised = 0;
+    return fmi2OK;
+}
+
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
+    IN(PHASE_INSTANTIATED);
+    me->s.phase = PHASE_INITIALIZATION;
+    return fmi2OK;
+}
+
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+    IN(PHASE_INITIALIZATION);
+    return failed(me, start_simulation(me));
+}
+
+fmi2Status fmi2Terminate(fmi2Component c) {
+    IN(RUNNING | PHASE_ERROR);
+    me->s.phase = PHASE_TERMINATED;
+    return fmi2OK;
+}
+
+fmi2Status fmi2Reset(fmi2Component c) {
+    IN(ANY);
+    set_defaults(me);
+    return fmi2OK;
+}
+
+/* Reading and writing values */
+
+fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[]) {
+    IN(READABLE);
+    for (size_t i = 0; i < nvr; i++) {
+        const Status status = get_value(me, vr[i], TYPE_REAL, &value[i]);
+        if (status > STATUS_WARNING) return (fmi2Status)status;
+    }
+    return fmi2OK;
+}
+
+static fmi2Status get_whole(fmi2Component c, VariableType type, const fmi2ValueReference vr[], size_t nvr, int value[]) {
+    IN(READABLE);
+    for (size_t i = 0; i < nvr; i++) {
+        double number = 0.0;
+        const Status status = get_value(me, vr[i], type, &number);
+        if (status > STATUS_WARNING) return (fmi2Status)status;
+        value[i] = type == TYPE_BOOLEAN ? number != 0.0 : (int)lround(number);
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Integer value[]) {
+    return get_whole(c, TYPE_INTEGER, vr, nvr, value);
+}
+
+fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Boolean value[]) {
+    return get_whole(c, TYPE_BOOLEAN, vr, nvr, value);
+}
+
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Real value[]) {
+    IN(BEFORE | RUNNING);
+    for (size_t i = 0; i < nvr; i++) {
+        const Status status = set_value(me, vr[i], TYPE_REAL, value[i]);
+        if (status > STATUS_WARNING) return (fmi2Status)status;
+    }
+    return fmi2OK;
+}
+
+static fmi2Status set_whole(fmi2Component c, VariableType type, const fmi2ValueReference vr[], size_t nvr,
+                            const int value[]) {
+    IN(BEFORE | RUNNING);
+    for (size_t i = 0; i < nvr; i++) {
+        const double number = type == TYPE_BOOLEAN ? value[i] != 0 : value[i];
+        const Status status = set_value(me, vr[i], type, number);
+        if (status > STATUS_WARNING) return (fmi2Status)status;
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer value[]) {
+    return set_whole(c, TYPE_INTEGER, vr, nvr, value);
+}
+
+fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Boolean value[]) {
+    return set_whole(c, TYPE_BOOLEAN, vr, nvr, value);
+}
+
+static fmi2Status no_strings(fmi2Component c, size_t nvr) {
+    IN(ANY);
+    return nvr == 0 ? fmi2OK : (fmi2Status)report(me, STATUS_ERROR, "the model has no variables of type String");
+}
+
+fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2String value[]) {
+    (void)vr;
+    (void)value;
+    return no_strings(c, nvr);
+}
+
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2String value[]) {
+    (void)vr;
+    (void)value;
+    return no_strings(c, nvr);
+}
+
+/* The complete state */
+
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
+    IN(ANY);
+    if (!*FMUstate) *FMUstate = malloc(sizeof(State));
+    if (!*FMUstate) return (fmi2Status)report(me, STATUS_ERROR, "no memory for an FMU state");
+    memcpy(*FMUstate, &me->s, sizeof(State));
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) {
+    IN(ANY);
+    if (!FMUstate) return (fmi2Status)report(me, STATUS_ERROR, "no FMU state to set");
+    memcpy(&me->s, FMUstate, sizeof(State));
+    return fmi2OK;
+}
+
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
+    IN(ANY);
+    if (FMUstate) {
+        free(*FMUstate);
+        *FMUstate = NULL;
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
+    (void)FMUstate;
+    IN(ANY);
+    *size = serialised_size();
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byte bytes[], size_t size) {
+    IN(ANY);
+    return (fmi2Status)serialise(me, FMUstate, bytes, size);
+}
+
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *FMUstate) {
+    IN(ANY);
+    if (!*FMUstate) *FMUstate = malloc(sizeof(State));
+    if (!*FMUstate) return (fmi2Status)report(me, STATUS_ERROR, "no memory for an FMU state");
+    return (fmi2Status)deserialise(me, bytes, size, *FMUstate);
+}
+
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[], size_t nUnknown,
+                                        const fmi2ValueReference vKnown_ref[], size_t nKnown, const fmi2Real dvKnown[],
+                                        fmi2Real dvUnknown[]) {
+    IN(PHASE_INITIALIZATION | RUNNING | PHASE_TERMINATED | PHASE_ERROR);
+    return (fmi2Status)get_directional_derivative(me, vUnknown_ref, nUnknown, vKnown_ref, nKnown, dvKnown, dvUnknown);
+}
+
+/* Model exchange */
+
+fmi2Status fmi2EnterEventMode(fmi2Component c) {
+    IN(PHASE_EVENT | PHASE_CONTINUOUS);
+    me->s.phase = PHASE_EVENT;
+    return fmi2OK;
+}
+
+fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
+    IN(PHASE_EVENT);
+    State *s = &me->s;
+    double x[LENGTH(NX)];
+    memcpy(x, s->x, sizeof x);
+    const Status status = event_iteration(me, 0);
+    info->newDiscreteStatesNeeded = fmi2False;
+    info->terminateSimulation = s->terminate;
+    info->nominalsOfContinuousStatesChanged = fmi2False;
+    info->valuesOfContinuousStatesChanged = memcmp(x, s->x, sizeof x) != 0;
+    info->nextEventTimeDefined = isfinite(s->next_event);
+    info->nextEventTime = s->next_event;
+    return failed(me, status);
+}
+
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
+    IN(PHASE_EVENT);
+    me->s.phase = PHASE_CONTINUOUS;
+    return fmi2OK;
+}
+
+fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStatePriorToCurrentPoint,
+                                       fmi2Boolean *enterEventMode, fmi2Boolean *terminateSimulation) {
+    (void)noSetFMUStatePriorToCurrentPoint;
+    IN(PHASE_CONTINUOUS);
+    *enterEventMode = fmi2False;
+    *terminateSimulation = fmi2False;
+    return failed(me, check_assertions(me));
+}
+
+fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
+    IN(PHASE_EVENT | PHASE_CONTINUOUS);
+    me->s.t = time;
+    me->s.have_dx = me->s.have_v = 0;
+    return fmi2OK;
+}
+
+static int wrong_length(const Instance *me, size_t n, size_t expected, const char *what) {
+    if (n != expected) report(me, STATUS_ERROR, "%zu %s asked for, the model has %zu", n, what, expected);
+    return n != expected;
+}
+
+fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t nx) {
+    IN(PHASE_EVENT | PHASE_CONTINUOUS);
+    if (wrong_length(me, nx, NX, "continuous states")) return fmi2Error;
+    memcpy(me->s.x, x, nx * sizeof *x);
+    me->s.have_dx = me->s.have_v = 0;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t nx) {
+    IN(PHASE_INITIALIZATION | RUNNING | PHASE_TERMINATED | PHASE_ERROR);
+    if (wrong_length(me, nx, NX, "continuous states")) return fmi2Error;
+    memcpy(x, me->s.x, nx * sizeof *x);
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t nx) {
+    IN(PHASE_INITIALIZATION | RUNNING | PHASE_TERMINATED | PHASE_ERROR);
+    if (wrong_length(me, nx, NX, "derivatives")) return fmi2Error;
+    if (evaluate_derivatives(me))
+        return (fmi2Status)report(me, STATUS_DISCARD, "t = %.9g: an algebraic loop has no solution", me->s.t);
+    memcpy(derivatives, me->s.dx, nx * sizeof *derivatives);
+    for (size_t i = 0; i < nx; i++)
+        if (!isfinite(derivatives[i]))
+            return (fmi2Status)report(me, STATUS_DISCARD, "t = %.9g: a derivative is not finite", me->s.t);
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real indicators[], size_t ni) {
+    IN(PHASE_INITIALIZATION | RUNNING | PHASE_TERMINATED | PHASE_ERROR);
+    if (wrong_length(me, ni, NM, "event indicators")) return fmi2Error;
+    if (NM > 0) event_indicators(me, indicators);
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x_nominal[], size_t nx) {
+    IN(ANY);
+    static const double nominal[] = MODEL_X_SCALE;
+    if (wrong_length(me, nx, NX, "nominal values")) return fmi2Error;
+    for (size_t i = 0; i < nx; i++) x_nominal[i] = nominal[i] > 0.0 ? nominal[i] : 1.0;
+    return fmi2OK;
+}
+
+/* Co-simulation */
+
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+                                       const fmi2Integer order[], const fmi2Real value[]) {
+    IN(PHASE_INITIALIZATION | PHASE_STEP);
+    for (size_t i = 0; i < nvr; i++) {
+        if (order[i] != 1)
+            return (fmi2Status)report(me, STATUS_ERROR, "input derivatives of order %d are not supported", order[i]);
+        const Status status = set_input_slope(me, vr[i], value[i]);
+        if (status > STATUS_WARNING) return (fmi2Status)status;
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+                                        const fmi2Integer order[], fmi2Real value[]) {
+    (void)vr;
+    (void)order;
+    (void)value;
+    IN(ANY);
+    return nvr == 0 ? fmi2OK : (fmi2Status)report(me, STATUS_ERROR, "output derivatives are not provided");
+}
+
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,
+                      fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
+    (void)noSetFMUStatePriorToCurrentPoint;
+    IN(PHASE_STEP);
+    const Status status = do_step(me, currentCommunicationPoint, communicationStepSize);
+    if (status <= STATUS_WARNING && me->s.terminate)
+        return (fmi2Status)report(me, STATUS_DISCARD, "t = %.9g: the model ends the simulation", me->s.t);
+    return failed(me, status);
+}
+
+fmi2Status fmi2CancelStep(fmi2Component c) {
+    IN(ANY);
+    return (fmi2Status)report(me, STATUS_ERROR, "steps are not asynchronous: there is nothing to cancel");
+}
+
+fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
+    (void)kind;
+    IN(ANY);
+    *value = fmi2OK;
+    return fmi2Discard;
+}
+
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
+    IN(ANY);
+    if (kind != fmi2LastSuccessfulTime) return fmi2Discard;
+    *value = me->s.t;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value) {
+    (void)c;
+    (void)kind;
+    (void)value;
+    return fmi2Discard;
+}
+
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
+    IN(ANY);
+    if (kind != fmi2Terminated) return fmi2Discard;
+    *value = me->s.terminate;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value) {
+    (void)c;
+    (void)kind;
+    (void)value;
+    return fmi2Discard;
+}

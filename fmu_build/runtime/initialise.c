@@ -1,0 +1,131 @@
+/* From start values to a consistent initial state. */
+#include <math.h>
+#include <string.h>
+
+#include "instance.h"
+#include "lu.h"
+
+/* A new or reset instance: every byte of the state is defined, so that equal runs are equal bit by bit. */
+void set_defaults(Instance *me) {
+    static const double p[] = MODEL_P_START, u[] = MODEL_U_START;
+    State *s = &me->s;
+    const int is_co_simulation = s->is_co_simulation;
+    memset(s, 0, sizeof *s);
+    s->is_co_simulation = is_co_simulation;
+    s->phase = PHASE_INSTANTIATED;
+    s->tolerance = MODEL_TOLERANCE;
+    s->next_event = INFINITY;
+    memcpy(s->p, p, NP * sizeof *p);
+    memcpy(s->u, u, NU * sizeof *u);
+}
+
+/* Newton for the implicit initial equations: unknowns [x; y], started at [xs; y]. */
+static int solve_initial(Instance *me) {
+    enum { N = NX + NY };
+    static const double x_scale[] = MODEL_X_SCALE;
+    State *s = &me->s;
+    double r[LENGTH(N)], old[LENGTH(N)];
+    double last = INFINITY;
+    for (int iteration = 0; iteration < 200; iteration++) {
+        environment_at(me, &s->t, s->x, s->u);
+        me->arg[9] = s->xs;
+        me->res[0] = r;
+        me->res[1] = me->matrix;
+        if (model_initial(me->arg, me->res, me->iw, me->w, 0)) return 1;
+        double norm = 0.0;
+        for (int i = 0; i < N; i++) norm += r[i] * r[i];
+        if (!isfinite(norm) || (norm > 4.0 * last && iteration > 0)) {
+            if (iteration == 0) return 1;
+            /* too far: go half the way back */
+            int moved = 0;
+            for (int i = 0; i < N; i++) {
+                double *value = i < NX ? &s->x[i] : &s->y[i - NX];
+                const double half = 0.5 * (*value + old[i]);
+                moved |= half != *value;
+                *value = half;
+            }
+            if (!moved) return 1;
+            continue;
+        }
+        last = norm;
+        if (norm == 0.0) return 0;
+        if (lu_factor(N, me->matrix, me->pivot)) return 1;
+        lu_solve(N, me->matrix, me->pivot, r);
+        double step = 0.0;
+        for (int i = 0; i < N; i++) {
+            double *value = i < NX ? &s->x[i] : &s->y[i - NX];
+            const double scale = i < NX ? x_scale[i] : MODEL_Y_NOMINAL[i - NX];
+            step = fmax(step, fabs(r[i]) / fmax(scale > 0.0 ? scale : 1.0, fabs(*value)));
+            old[i] = *value;
+            *value -= r[i];
+        }
+        if (step <= 1e-10) return 0;
+    }
+    return 1;
+}
+
+static Status solve_start(Instance *me) {
+    State *s = &me->s;
+    if (MODEL_HAS_INITIAL) {
+        if (solve_initial(me))
+            return report(me, STATUS_ERROR, "t = %.9g: the initial equations have no solution near the start values",
+                          s->t);
+    } else {
+        memcpy(s->x, s->xs, sizeof s->x);
+    }
+    if (solve_loop(me, s->t, s->x, s->u))
+        return report(me, STATUS_ERROR, "t = %.9g: an algebraic loop has no solution near its start values", s->t);
+    return STATUS_OK;
+}
+
+/* Dependent parameters, start values, initial equations and the first event iteration, from what has been set. */
+Status initialise(Instance *me) {
+    State *s = &me->s;
+    double xs[LENGTH(NX)] = {0};
+    s->t = s->start_time;
+    s->have_dx = s->have_v = 0;
+    me->arg[0] = s->p;
+    for (int i = 0; i < MODEL_SZ_RES; i++) me->res[i] = NULL;
+    me->res[0] = s->d;
+    model_dependent(me->arg, me->res, me->iw, me->w, 0);
+    me->arg[0] = s->p;
+    me->arg[1] = s->d;
+    me->res[0] = xs;
+    me->res[1] = s->z;
+    me->res[2] = s->y;
+    model_start(me->arg, me->res, me->iw, me->w, 0);
+    for (int i = 0; i < NX; i++)
+        if (!s->xs_set[i]) s->xs[i] = xs[i];
+    memcpy(s->x, s->xs, sizeof s->x);
+    memcpy(s->pz, s->z, sizeof s->z);
+    memset(s->m, 0, sizeof s->m);
+    s->next_event = INFINITY;
+    Status status = STATUS_OK;
+    if (!MODEL_HAS_EVENTS) {
+        status = solve_start(me);
+    } else {
+        /* The initial state and the relations depend on each other: repeat both until nothing changes. */
+        relations(me, s->t, s->x, s->u, s->m);
+        int settled = 0;
+        for (int round = 0; round < 50 && !settled && status <= STATUS_WARNING; round++) {
+            double m[LENGTH(NM)], z[LENGTH(NZ)], x[LENGTH(NX)];
+            memcpy(m, s->m, sizeof m);
+            memcpy(z, s->z, sizeof z);
+            memcpy(x, s->x, sizeof x);
+            status = solve_start(me);
+            if (status <= STATUS_WARNING) status = event_iteration(me, 1);
+            settled = !memcmp(m, s->m, sizeof m) && !memcmp(z, s->z, sizeof z) && !memcmp(x, s->x, sizeof x);
+        }
+        if (status <= STATUS_WARNING && !settled)
+            status = report(me, STATUS_ERROR, "t = %.9g: the discrete variables do not settle at initialisation", s->t);
+        memcpy(s->pz, s->z, sizeof s->z);
+        if (status <= STATUS_WARNING) status = event_iteration(me, 0);
+    }
+    for (int i = 0; i < NX && status <= STATUS_WARNING; i++)
+        if (!isfinite(s->x[i])) {
+            static const char *const name[] = MODEL_X_NAME;
+            status = report(me, STATUS_ERROR, "t = %.9g: the start value of %s is not finite", s->t, name[i]);
+        }
+    if (status <= STATUS_WARNING) s->initialised = 1;
+    return status;
+}

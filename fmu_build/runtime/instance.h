@@ -1,0 +1,124 @@
+/* One instance of the model: its state, its work memory and the operations behind the FMI functions.
+ *
+ * Sizes are compile-time constants of the model (model.h), so an instance is one flat block: State is all that a
+ * simulation changes, and copying it is what FMI calls getting and setting the FMU state. */
+#ifndef FMUID_INSTANCE_H
+#define FMUID_INSTANCE_H
+
+#include <stddef.h>
+
+#include "model.h"
+#include "model_config.h"
+
+enum { NX = MODEL_NX, NU = MODEL_NU, NP = MODEL_NP, ND = MODEL_ND, NZ = MODEL_NZ };
+enum { NM = MODEL_NM, NY = MODEL_NY, NV = MODEL_NV, STAGES = 8 };
+#define LENGTH(n) ((n) > 0 ? (n) : 1)
+
+typedef enum { STATUS_OK, STATUS_WARNING, STATUS_DISCARD, STATUS_ERROR, STATUS_FATAL } Status; /* as in FMI */
+
+typedef enum {
+    PHASE_INSTANTIATED = 1,
+    PHASE_INITIALIZATION = 2,
+    PHASE_STEP = 4,       /* co-simulation between steps */
+    PHASE_EVENT = 8,      /* model exchange */
+    PHASE_CONTINUOUS = 16,
+    PHASE_TERMINATED = 32,
+    PHASE_ERROR = 64
+} Phase;
+
+/* The last accepted integration step and the memory of the step size control. */
+typedef struct {
+    double t0, h;                 /* the step started at t0 with size h ... */
+    double t1;                    /* ... and is valid up to t1 <= t0 + h: an event may end it earlier */
+    double x0[LENGTH(NX)], x1[LENGTH(NX)];
+    double k[STAGES][LENGTH(NX)]; /* stage increments: dense output */
+    double h_next;                /* proposed size, 0 before the first step */
+    double h_old, error_old;      /* last accepted size and error, for the predictive controller */
+    double size[LENGTH(NX)];      /* largest |x| so far: scale of the states without nominal value */
+    double u[LENGTH(NU)], du[LENGTH(NU)], u_time; /* input u + du (t - u_time) that the step was made with */
+    int fresh;                    /* the integration (re)starts at t1: nothing is known beyond it */
+    int event;                    /* an event waits at t1 */
+    long steps, rejections;
+} Step;
+
+typedef struct {
+    int phase, is_co_simulation, initialised, changed, terminate, tolerance_set, stop_defined;
+    double t, start_time, stop_time, tolerance, next_event;
+    double p[LENGTH(NP)], d[LENGTH(ND)];
+    double u[LENGTH(NU)], du[LENGTH(NU)]; /* value and slope at t */
+    unsigned char u_set[LENGTH(NU)], du_set[LENGTH(NU)], xs_set[LENGTH(NX)];
+    double xs[LENGTH(NX)], x[LENGTH(NX)], z[LENGTH(NZ)], pz[LENGTH(NZ)], m[LENGTH(NM)], y[LENGTH(NY)];
+    double dx[LENGTH(NX)], v[LENGTH(NV)];
+    int have_dx, have_v;
+    unsigned char warned[LENGTH(MODEL_NASSERT)];
+    Step step;
+} State;
+
+typedef struct Instance Instance;
+typedef void (*LogFunction)(const Instance *me, Status status, const char *message);
+
+struct Instance {
+    State s;
+    /* work memory: nothing in it outlives one call */
+    const double *arg[MODEL_SZ_ARG + 1];
+    double *res[MODEL_SZ_RES + 1];
+    casadi_int iw[MODEL_SZ_IW + 1];
+    double w[MODEL_SZ_W + 1];
+    double ut[LENGTH(NU)];
+    double jacobian[LENGTH(NX) * LENGTH(NX)], dfdt[LENGTH(NX)], f0[LENGTH(NX)];
+    double matrix[LENGTH(NX + NY) * LENGTH(NX + NY)];
+    int pivot[LENGTH(NX + NY)];
+    double dfdy[LENGTH(NX) * LENGTH(NY)], drdy[LENGTH(NY) * LENGTH(NY)], drdx[LENGTH(NY) * LENGTH(NX)];
+    double drdt[LENGTH(NY)];
+    int y_pivot[LENGTH(NY)];
+    /* who to tell */
+    LogFunction log;
+    void *environment;
+    char *name;
+    int logging;
+    int quiet; /* > 0 while trying something whose failure is handled */
+    union { void *fmi2; void *fmi3; } callbacks;
+};
+
+/* Messages: a failure says what, where and when; returns `status`. */
+Status report(const Instance *me, Status status, const char *format, ...);
+
+/* equations.c: evaluation of the generated functions */
+const double **environment_at(Instance *me, const double *t, const double *x, const double *u);
+int solve_loop(Instance *me, double t, const double *x, const double *u);
+int right_hand_side(Instance *me, double t, const double *x, double *dx);
+int linearise(Instance *me, double t, const double *x);
+void input_at(Instance *me, double t);
+int evaluate_derivatives(Instance *me);
+int evaluate_variables(Instance *me);
+int directional_derivative(Instance *me, const double *sx, const double *su, const double *sp, double *ddx, double *dv);
+Status check_assertions(Instance *me);
+
+/* initialise.c */
+void set_defaults(Instance *me);
+Status initialise(Instance *me);
+
+/* events.c */
+void relations(Instance *me, double t, const double *x, const double *u, double *m);
+void event_indicators(Instance *me, double *g);
+Status event_iteration(Instance *me, int initial);
+void find_event(Instance *me);
+
+/* integrator.c */
+void restart_integration(Instance *me);
+Status integrate_step(Instance *me, double target);
+void dense_output(const Step *step, double t, double *x);
+
+/* simulate.c: what the FMI functions of both versions share */
+Status do_step(Instance *me, double t, double h);
+Status get_value(Instance *me, unsigned reference, VariableType type, double *value);
+Status set_value(Instance *me, unsigned reference, VariableType type, double value);
+Status set_input_slope(Instance *me, unsigned reference, double slope);
+Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t n_unknown, const unsigned *known,
+                                  size_t n_known, const double *seed, double *sensitivity);
+Status start_simulation(Instance *me);
+size_t serialised_size(void);
+Status serialise(const Instance *me, const State *state, char *bytes, size_t size);
+Status deserialise(const Instance *me, const char *bytes, size_t size, State *state);
+
+#endif

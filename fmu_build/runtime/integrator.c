@@ -1,0 +1,236 @@
+/* Rodas5P: a stiffly accurate Rosenbrock method of order 5 with an embedded method of order 4 and a dense output of
+ * order 4 [G. Steinebach, Construction of Rosenbrock-Wanner method Rodas5P and numerical benchmarks within the Julia
+ * Differential Equations package, BIT Numer. Math. 63:27, 2023].
+ *
+ * In the transformed variables k_i of Hairer and Wanner one step solves, with one LU factorisation,
+ *     (I/(h gamma) - J) k_i = f(t + c_i h, x + sum a_ij k_j) + sum (C_ij/h) k_j + h d_i df/dt,
+ * x1 = x + sum m_i k_i, the error estimate is k_8. J and df/dt are exact. */
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#include "instance.h"
+#include "lu.h"
+
+static const double GAMMA = 0.21193756319429014;
+static const double A[6][5] = {
+    {0},
+    {3.0},
+    {2.849394379747939, 0.45842242204463923},
+    {-6.954028509809101, 2.489845061869568, -10.358996098473584},
+    {2.8029986275628964, 0.5072464736228206, -0.3988312541770524, -0.04721187230404641},
+    {-7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256, 0.030198172008377946},
+};
+static const double C[8][7] = {
+    {0},
+    {-14.155112264123755},
+    {-17.97296035885952, -2.859693295451294},
+    {147.12150275711716, -1.41221402718213, 71.68940251302358},
+    {165.43517024871676, -0.4592823456491126, 42.90938336958603, -5.961986721573306},
+    {24.854864614690072, -3.0009227002832186, 47.4931110020768, 5.5814197821558125, -0.6610691825249471},
+    {30.91273214028599, -3.1208243349937974, 77.79954646070892, 34.28646028294783, -19.097331116725623,
+     -28.087943162872662},
+    {37.80277123390563, -3.2571969029072276, 112.26918849496327, 66.9347231244047, -40.06618937091002,
+     -54.66780262877968, -9.48861652309627},
+};
+static const double NODE[8] = {0.0, 0.6358126895828704, 0.4095798393397535, 0.9769306725060716, 0.4288403609558664,
+                               1.0, 1.0, 1.0};
+static const double D[8] = {0.21193756319429014, -0.42387512638858027, -0.3384627126235924, 1.8046452872882734,
+                            2.325825639765069, 0.0, 0.0, 0.0};
+static const double H[3][8] = {
+    {25.948786856663858, -2.5579724845846235, 10.433815404888879, -2.3679251022685204, 0.524948541321073,
+     1.1241088310450404, 0.4272876194431874, -0.17202221070155493},
+    {-9.91568850695171, -0.9689944594115154, 3.0438037242978453, -24.495224566215796, 20.176138334709044,
+     15.98066361424651, -6.789040303419874, -6.710236069923372},
+    {11.419903575922262, 2.8879645146136994, 72.92137995996029, 80.12511834622643, -52.072871366152654,
+     -59.78993625266729, -0.15582684282751913, 4.883087185713722},
+};
+
+/* Below this a scale is taken for zero: states without nominal value are resolved relative to their own size. */
+static const double SMALLEST_SCALE = 1e-6;
+
+void dense_output(const Step *step, double t, double *x) {
+    if (t >= step->t0 + step->h || step->h <= 0.0) {
+        memcpy(x, step->x1, NX * sizeof *x);
+        return;
+    }
+    const double r = (t - step->t0) / step->h, q = 1.0 - r;
+    double weight[STAGES];
+    for (int j = 0; j < STAGES; j++) weight[j] = r * q * (H[0][j] + r * (H[1][j] + r * H[2][j]));
+    for (int i = 0; i < NX; i++) {
+        double sum = 0.0;
+        for (int j = 0; j < STAGES; j++) sum += weight[j] * step->k[j][i];
+        x[i] = q * step->x0[i] + r * step->x1[i] + sum;
+    }
+}
+
+/* Starts anew at (s.t, s.x) with the present inputs; what was integrated beyond s.t is forgotten. */
+void restart_integration(Instance *me) {
+    State *s = &me->s;
+    Step *step = &s->step;
+    step->t0 = step->t1 = s->t;
+    step->h = 0.0;
+    memcpy(step->x0, s->x, sizeof s->x);
+    memcpy(step->x1, s->x, sizeof s->x);
+    memcpy(step->u, s->u, sizeof s->u);
+    memcpy(step->du, s->du, sizeof s->du);
+    step->u_time = s->t;
+    step->event = 0;
+    step->fresh = 1;
+    step->h_old = 0.0;
+}
+
+/* Absolute error of x[i] that counts as one. */
+static double tolerance_of(const State *s, int i, double x) {
+    static const double nominal[] = MODEL_X_SCALE; /* 0: not given */
+    const double scale = nominal[i] > 0.0 ? nominal[i] : fmax(SMALLEST_SCALE, s->step.size[i]);
+    return s->tolerance * fmax(scale, fabs(x));
+}
+
+/* First step size of a run from the first two derivatives [Hairer, Norsett, Wanner I, II.4]. */
+static double first_step(const Instance *me, const double *x) {
+    double d0 = 0.0, d1 = 0.0, d2 = 0.0;
+    for (int i = 0; i < NX; i++) {
+        const double unit = tolerance_of(&me->s, i, x[i]);
+        double second = me->dfdt[i];
+        for (int j = 0; j < NX; j++) second += me->jacobian[j * NX + i] * me->f0[j];
+        d0 = fmax(d0, fabs(x[i]) / unit);
+        d1 = fmax(d1, fabs(me->f0[i]) / unit);
+        d2 = fmax(d2, fabs(second) / unit);
+    }
+    const double fastest = fmax(d1, d2);
+    const double h = fastest > 1e-15 ? pow(0.01 / fastest, 0.2) : 1e-3;
+    return d0 > 1e-5 && d1 > 1e-5 ? fmin(h, d0 / d1) : h;
+}
+
+/* Stages, x1 and error estimate of one step; the largest error in units of the tolerance, NaN if a stage failed. */
+static double try_step(Instance *me, double t, double h) {
+    Step *step = &me->s.step;
+    const double *x = step->x0;
+    double(*k)[LENGTH(NX)] = step->k;
+    double *restrict matrix = me->matrix;
+    double argument[LENGTH(NX)], *x1 = step->x1;
+    for (int i = 0; i < NX * NX; i++) matrix[i] = -me->jacobian[i];
+    for (int i = 0; i < NX; i++) matrix[i * NX + i] += 1.0 / (h * GAMMA);
+    if (lu_factor(NX, matrix, me->pivot)) return NAN;
+
+    for (int stage = 0; stage < STAGES; stage++) {
+        double *restrict b = k[stage];
+        if (stage == 0) {
+            memcpy(b, me->f0, NX * sizeof *b);
+        } else {
+            if (stage < 6) {
+                memcpy(argument, x, NX * sizeof *x);
+                for (int j = 0; j < stage; j++)
+                    for (int i = 0; i < NX; i++) argument[i] += A[stage][j] * k[j][i];
+            } else {
+                for (int i = 0; i < NX; i++) argument[i] += k[stage - 1][i];
+            }
+            if (right_hand_side(me, t + NODE[stage] * h, argument, b)) return NAN;
+            for (int j = 0; j < stage; j++) {
+                const double weight = C[stage][j] / h;
+                for (int i = 0; i < NX; i++) b[i] += weight * k[j][i];
+            }
+        }
+        if (D[stage] != 0.0)
+            for (int i = 0; i < NX; i++) b[i] += h * D[stage] * me->dfdt[i];
+        lu_solve(NX, matrix, me->pivot, b);
+    }
+    double error = 0.0;
+    for (int i = 0; i < NX; i++) {
+        x1[i] = argument[i] + k[7][i];
+        const double e = fabs(k[7][i]) / tolerance_of(&me->s, i, fmax(fabs(x[i]), fabs(x1[i])));
+        if (!(e <= error)) error = e; /* keeps a NaN */
+        if (!isfinite(x1[i])) error = NAN;
+        if (isnan(error)) break;
+    }
+    return error;
+}
+
+/* Name of the state with the largest share in the error of the last attempt. */
+static const char *culprit(const Instance *me) {
+    static const char *const name[] = MODEL_X_NAME;
+    const Step *step = &me->s.step;
+    int worst = 0;
+    double largest = -1.0;
+    for (int i = 0; i < NX; i++) {
+        const double e = fabs(step->k[7][i]) / tolerance_of(&me->s, i, step->x0[i]);
+        if (!(e <= largest)) worst = i, largest = e;
+        if (isnan(e)) break;
+    }
+    return name[worst];
+}
+
+/* One accepted step from step.t1; it may run past `target` unless the integration has just (re)started there. */
+Status integrate_step(Instance *me, double target) {
+    State *s = &me->s;
+    Step *step = &s->step;
+    const double t = step->t1;
+    /* A lookahead reaches where nobody has been: never past the end of the experiment or a time event. */
+    double limit = s->next_event;
+    if (s->stop_defined && s->stop_time >= target) limit = fmin(limit, s->stop_time);
+    if (step->fresh) limit = fmin(limit, target);
+    step->event = 0;
+    memcpy(step->x0, step->x1, sizeof step->x0);
+    step->t0 = t;
+    step->h = 0.0;
+    for (int i = 0; i < NX; i++) step->size[i] = fmax(step->size[i], fabs(step->x0[i]));
+
+    const double room = limit - t;
+    if (room <= 0.0 && s->next_event <= t) { /* a time event that is due now */
+        step->event = 1;
+        return STATUS_OK;
+    }
+    if (NX == 0) {
+        step->t1 = fmin(limit, fmax(target, t));
+        step->h = step->t1 - t;
+        step->fresh = 0;
+        return STATUS_OK;
+    }
+    if (linearise(me, t, step->x0))
+        return report(me, STATUS_ERROR, "t = %.9g: the model's equations cannot be evaluated or solved", t);
+    for (int i = 0; i < NX; i++)
+        if (!isfinite(me->f0[i])) {
+            static const char *const name[] = MODEL_X_NAME;
+            return report(me, STATUS_ERROR, "t = %.9g: the derivative of %s is not finite", t, name[i]);
+        }
+    if (!(step->h_next > 0.0)) step->h_next = first_step(me, step->x0);
+
+    double h = step->h_next;
+    int rejected = 0;
+    for (;;) {
+        const int cut = h >= room || (h > 0.5 * room && isfinite(room));
+        double attempt = h;
+        if (h >= 0.999999 * room) attempt = room;
+        else if (cut) attempt = 0.5 * room; /* two equal steps instead of one and a sliver */
+        if (t + attempt <= t || attempt < 1e-290)
+            return report(me, STATUS_ERROR,
+                          "t = %.9g: the step size went below %.3g s and the error of %s still exceeds the tolerance "
+                          "%.3g; the model has a discontinuity or a singularity there",
+                          t, attempt, culprit(me), s->tolerance);
+        const double error = try_step(me, t, attempt);
+        if (error <= 1.0) {
+            double grow = error > 0.0 ? 0.9 * pow(error, -0.2) : 8.0;
+            double cap = rejected ? 1.0 : 8.0;
+            if (step->h_old > 0.0 && !cut) /* Gustafsson's predictive controller */
+                cap = fmin(cap, 0.9 * attempt / step->h_old * pow(step->error_old / (error * error + 1e-30), 0.2));
+            grow = fmax(0.2, fmin(grow, cap));
+            const double proposed = attempt * grow;
+            /* A step cut short by a limit says little about the size possible: keep the larger one. */
+            step->h_next = cut && !rejected && error > 0.0 && 0.9 * pow(error, -0.2) * attempt < h
+                               ? 0.9 * pow(error, -0.2) * attempt
+                               : (cut && !rejected ? fmax(h, proposed) : proposed);
+            step->h_old = attempt;
+            step->error_old = fmax(error, 1e-2);
+            step->h = attempt;
+            step->t1 = attempt == room ? limit : t + attempt;
+            step->fresh = 0;
+            step->steps++;
+            if (step->t1 >= s->next_event) step->event = 1;
+            return STATUS_OK;
+        }
+        rejected = 1;
+        step->rejections++;
+        h = attempt * (isfinite(error) ? fmax(0.1, 0.9 * pow(error, -0.2)) : 0.1);
+    }
+}

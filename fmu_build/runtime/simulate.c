@@ -1,0 +1,265 @@
+/* Values by reference, co-simulation steps and directional derivatives: the FMI functions without their names. */
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "instance.h"
+
+static const long MAX_STEPS = 5000000; /* in one communication step: something is wrong, do not hang */
+static const int MAX_EVENTS = 1000;    /* without progress in time */
+
+static const VariableEntry VARIABLE[] = MODEL_VARIABLES;
+
+Status report(const Instance *me, Status status, const char *format, ...) {
+    char message[512];
+    va_list list;
+    va_start(list, format);
+    vsnprintf(message, sizeof message, format, list);
+    va_end(list);
+    if (me->log && !me->quiet) me->log(me, status, message);
+    return status;
+}
+
+/* Brings what `vector` holds up to date at the current point. */
+static Status refresh(Instance *me, Vector vector) {
+    State *s = &me->s;
+    if (vector == VECTOR_T || vector == VECTOR_U || vector == VECTOR_P || vector == VECTOR_CONSTANT) return STATUS_OK;
+    if (s->phase & (PHASE_INSTANTIATED | PHASE_INITIALIZATION) && !s->initialised) {
+        const Status status = initialise(me);
+        if (status > STATUS_WARNING) return status;
+    }
+    int failed = 0;
+    if (vector == VECTOR_Y) failed = solve_loop(me, s->t, s->x, s->u);
+    if (vector == VECTOR_DX) failed = evaluate_derivatives(me);
+    if (vector == VECTOR_V) failed = evaluate_variables(me);
+    if (failed) return report(me, STATUS_ERROR, "t = %.9g: an algebraic loop has no solution", s->t);
+    return STATUS_OK;
+}
+
+static const double *vector_of(const State *s, Vector vector) {
+    static const double constants[] = MODEL_CONSTANTS;
+    switch (vector) {
+    case VECTOR_T: return &s->t;
+    case VECTOR_X: return s->x;
+    case VECTOR_DX: return s->dx;
+    case VECTOR_U: return s->u;
+    case VECTOR_P: return s->p;
+    case VECTOR_D: return s->d;
+    case VECTOR_Z: return s->z;
+    case VECTOR_Y: return s->y;
+    case VECTOR_V: return s->v;
+    default: return constants;
+    }
+}
+
+static const char *const TYPE_NAME[] = {"Real", "Integer", "Boolean"};
+
+static const VariableEntry *entry_of(const Instance *me, unsigned reference, VariableType type) {
+    if (reference >= MODEL_N_VARIABLES) {
+        report(me, STATUS_ERROR, "no variable has the value reference %u", reference);
+        return NULL;
+    }
+    if (VARIABLE[reference].type != type) {
+        report(me, STATUS_ERROR, "%s is of type %s, not %s", VARIABLE[reference].name,
+               TYPE_NAME[VARIABLE[reference].type], TYPE_NAME[type]);
+        return NULL;
+    }
+    return &VARIABLE[reference];
+}
+
+Status get_value(Instance *me, unsigned reference, VariableType type, double *value) {
+    const VariableEntry *entry = entry_of(me, reference, type);
+    if (!entry) return STATUS_ERROR;
+    const Status status = refresh(me, entry->vector);
+    if (status <= STATUS_WARNING) *value = entry->sign * vector_of(&me->s, entry->vector)[entry->index];
+    return status;
+}
+
+Status set_value(Instance *me, unsigned reference, VariableType type, double value) {
+    State *s = &me->s;
+    const VariableEntry *entry = entry_of(me, reference, type);
+    if (!entry) return STATUS_ERROR;
+    if (!isfinite(value)) return report(me, STATUS_ERROR, "%s cannot be set to %g", entry->name, value);
+    const int before = s->phase & (PHASE_INSTANTIATED | PHASE_INITIALIZATION);
+    const int i = entry->index;
+    value *= entry->sign;
+    switch (entry->settable) {
+    case SETTABLE_INPUT:
+        s->u_set[i] = 1;
+        if (s->u[i] == value) return STATUS_OK;
+        s->u[i] = value;
+        break;
+    case SETTABLE_FIXED:
+    case SETTABLE_TUNABLE:
+        if (!before && !(entry->settable == SETTABLE_TUNABLE && s->phase & (PHASE_STEP | PHASE_EVENT)))
+            return report(me, STATUS_ERROR, "parameter %s can only be set before the simulation starts", entry->name);
+        if (s->p[i] == value) return STATUS_OK;
+        s->p[i] = value;
+        if (!before) {
+            me->arg[0] = s->p;
+            me->res[0] = s->d;
+            model_dependent(me->arg, me->res, me->iw, me->w, 0);
+            s->changed = 1;
+        }
+        break;
+    case SETTABLE_START:
+        if (!before)
+            return report(me, STATUS_ERROR, "%s is a state: its start value can only be set before the simulation starts",
+                          entry->name);
+        s->xs[i] = value;
+        s->xs_set[i] = 1;
+        break;
+    default:
+        return report(me, STATUS_ERROR, "%s is computed by the model and cannot be set", entry->name);
+    }
+    s->have_dx = s->have_v = 0;
+    if (before) s->initialised = 0;
+    return STATUS_OK;
+}
+
+Status set_input_slope(Instance *me, unsigned reference, double slope) {
+    const VariableEntry *entry = entry_of(me, reference, TYPE_REAL);
+    if (!entry) return STATUS_ERROR;
+    if (entry->settable != SETTABLE_INPUT) return report(me, STATUS_ERROR, "%s is not an input", entry->name);
+    if (!isfinite(slope)) return report(me, STATUS_ERROR, "the derivative of %s cannot be %g", entry->name, slope);
+    me->s.du[entry->index] = entry->sign * slope;
+    me->s.du_set[entry->index] = 1;
+    return STATUS_OK;
+}
+
+/* Does the input now differ from the one the last step was integrated with? */
+static int input_changed(Instance *me) {
+    State *s = &me->s;
+    const Step *step = &s->step;
+    int changed = 0;
+    for (int i = 0; i < NU; i++) {
+        /* A value set without a slope at this point is held. */
+        if (s->u_set[i] && !s->du_set[i]) s->du[i] = 0.0;
+        const double expected = step->u[i] + step->du[i] * (s->t - step->u_time);
+        if (fabs(s->u[i] - expected) > 1e-14 * fabs(expected) * (step->du[i] != 0.0) || s->du[i] != step->du[i])
+            changed = 1;
+        s->u_set[i] = s->du_set[i] = 0;
+    }
+    return changed;
+}
+
+static Status handle_event(Instance *me) {
+    State *s = &me->s;
+    s->t = s->step.t1;
+    memcpy(s->x, s->step.x1, sizeof s->x);
+    dense_output(&s->step, s->t, s->x);
+    const Status status = event_iteration(me, 0);
+    restart_integration(me);
+    return status;
+}
+
+/* One communication step from t to t + h. */
+Status do_step(Instance *me, double t, double h) {
+    State *s = &me->s;
+    Step *step = &s->step;
+    const double target = t + h;
+    if (!(h >= 0.0) || !isfinite(target))
+        return report(me, STATUS_ERROR, "t = %.9g: the communication step size %g is not allowed", s->t, h);
+    if (fabs(t - s->t) > 1e-9 * (1.0 + fabs(s->t)))
+        return report(me, STATUS_ERROR, "the step starts at t = %.9g but the model is at t = %.9g", t, s->t);
+    if (input_changed(me) || s->changed || step->t1 < s->t) {
+        s->changed = 0;
+        if (MODEL_HAS_EVENTS) {
+            const Status status = event_iteration(me, 0);
+            if (status > STATUS_WARNING) return status;
+        }
+        restart_integration(me);
+    }
+    const double begin = s->t;
+    const long limit = step->steps + MAX_STEPS;
+    const double close = 4e-16 * fabs(target); /* do not integrate what is only rounding of the time */
+    int events = 0;
+    double last_event = -INFINITY;
+    while (!s->terminate) {
+        if (step->event && step->t1 <= target + close) {
+            const Status status = handle_event(me);
+            if (status > STATUS_WARNING) return status;
+            events = s->t - last_event <= 1e-12 * (1.0 + fabs(s->t)) ? events + 1 : 0;
+            last_event = s->t;
+            if (events > MAX_EVENTS)
+                return report(me, STATUS_ERROR, "t = %.9g: %d events without progress in time (chattering)", s->t, events);
+            continue;
+        }
+        if (step->t1 >= target - close) break;
+        const Status status = integrate_step(me, target);
+        if (status > STATUS_WARNING) return status;
+        if (MODEL_HAS_EVENTS) find_event(me);
+        if (step->steps > limit)
+            return report(me, STATUS_ERROR, "t = %.9g: more than %ld integration steps", step->t1, MAX_STEPS);
+    }
+    if (!s->terminate) {
+        s->t = target;
+        dense_output(step, target, s->x);
+    }
+    for (int i = 0; i < NU; i++) s->u[i] += s->du[i] * (s->t - begin);
+    s->have_dx = s->have_v = 0;
+    return check_assertions(me);
+}
+
+/* Derivative of the unknowns in the direction of the knowns: exact, for continuous states, inputs and parameters. */
+Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t n_unknown, const unsigned *known,
+                                  size_t n_known, const double *seed, double *sensitivity) {
+    State *s = &me->s;
+    double sx[LENGTH(NX)] = {0}, su[LENGTH(NU)] = {0}, sp[LENGTH(NP)] = {0};
+    double dx[LENGTH(NX)], dv[LENGTH(NV)];
+    const Status status = refresh(me, VECTOR_D);
+    if (status > STATUS_WARNING) return status;
+    for (size_t k = 0; k < n_known; k++) {
+        const VariableEntry *entry = entry_of(me, known[k], TYPE_REAL);
+        if (!entry) return STATUS_ERROR;
+        double *direction = entry->vector == VECTOR_X ? sx : entry->vector == VECTOR_U ? su : sp;
+        if (entry->vector != VECTOR_X && entry->vector != VECTOR_U && entry->vector != VECTOR_P)
+            return report(me, STATUS_ERROR, "%s is no state, input or parameter to differentiate by", entry->name);
+        direction[entry->index] += entry->sign * seed[k];
+    }
+    if (directional_derivative(me, sx, su, sp, dx, dv))
+        return report(me, STATUS_ERROR, "t = %.9g: the directional derivative cannot be computed", s->t);
+    for (size_t k = 0; k < n_unknown; k++) {
+        const VariableEntry *entry = entry_of(me, unknown[k], TYPE_REAL);
+        if (!entry) return STATUS_ERROR;
+        switch (entry->vector) {
+        case VECTOR_DX: sensitivity[k] = entry->sign * dx[entry->index]; break;
+        case VECTOR_V: sensitivity[k] = entry->sign * dv[entry->index]; break;
+        case VECTOR_X: sensitivity[k] = entry->sign * sx[entry->index]; break;
+        case VECTOR_U: sensitivity[k] = entry->sign * su[entry->index]; break;
+        case VECTOR_P: sensitivity[k] = entry->sign * sp[entry->index]; break;
+        default: return report(me, STATUS_ERROR, "%s has no directional derivative", entry->name);
+        }
+    }
+    return STATUS_OK;
+}
+
+/* Leaves the initialization mode. */
+Status start_simulation(Instance *me) {
+    State *s = &me->s;
+    Status status = s->initialised ? STATUS_OK : initialise(me);
+    if (status > STATUS_WARNING) return status;
+    restart_integration(me);
+    s->changed = 0;
+    s->phase = s->is_co_simulation ? PHASE_STEP : PHASE_EVENT;
+    return check_assertions(me);
+}
+
+/* Serialised: the GUID, so that another model's state is refused, and the bytes of State (this platform's). */
+size_t serialised_size(void) { return sizeof MODEL_GUID + sizeof(State); }
+
+Status serialise(const Instance *me, const State *state, char *bytes, size_t size) {
+    if (!state || size < serialised_size())
+        return report(me, STATUS_ERROR, "the buffer for the FMU state is too small or there is no state");
+    memcpy(bytes, MODEL_GUID, sizeof MODEL_GUID);
+    memcpy(bytes + sizeof MODEL_GUID, state, sizeof *state);
+    return STATUS_OK;
+}
+
+Status deserialise(const Instance *me, const char *bytes, size_t size, State *state) {
+    if (size < serialised_size() || memcmp(bytes, MODEL_GUID, sizeof MODEL_GUID) != 0)
+        return report(me, STATUS_ERROR, "these bytes are not a state of this FMU");
+    memcpy(state, bytes + sizeof MODEL_GUID, sizeof *state);
+    return STATUS_OK;
+}

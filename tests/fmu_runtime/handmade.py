@@ -1,0 +1,233 @@
+"""Compiled models written down by hand with CasADi: the C runtime's tests need no Modelica compiler."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import casadi as ca
+from fmu_build.model import CompiledModel, Experiment, Location, Unit, Variable
+
+ENV = "t x u p d z pz m y".split()
+
+
+def compile_by_hand(
+    name: str,
+    *,
+    states: Mapping[str, float | Callable],
+    rhs: Callable,  # environment -> list of derivatives
+    inputs: Mapping[str, float] | None = None,
+    parameters: Mapping[str, float] | None = None,
+    dependent: Mapping[str, Callable] | None = None,  # p -> value
+    outputs: Mapping[str, Callable] | None = None,  # environment -> value
+    discrete: Mapping[str, float] | None = None,
+    relations: Callable | None = None,  # environment -> list of indicators
+    update: Callable | None = None,  # environment, init -> dict(z=, x=, next=, terminate=, reinit=)
+    loops: Mapping[str, float] | None = None,
+    loop: Callable | None = None,
+    asserts: Sequence[tuple[Callable, str, bool]] = (),
+    nominal: Mapping[str, float] | None = None,
+    tunable: Sequence[str] = (),
+) -> CompiledModel:
+    inputs, parameters, dependent = dict(inputs or {}), dict(parameters or {}), dict(dependent or {})
+    outputs, discrete, loops = dict(outputs or {}), dict(discrete or {}), dict(loops or {})
+    nx, nu, np_, nd = len(states), len(inputs), len(parameters), len(dependent)
+    nz, ny, nv = len(discrete), len(loops), len(outputs)
+
+    class Environment:
+        def __init__(self, **vectors):
+            self.vectors = vectors
+            for names, letter in ((states, "x"), (inputs, "u"), (parameters, "p"), (dependent, "d"), (discrete, "z"), (loops, "y")):
+                for i, n in enumerate(names):
+                    setattr(self, n, vectors[letter][i])
+            for i, n in enumerate(discrete):
+                setattr(self, "pre_" + n, vectors["pz"][i])
+            self.time, self.relation = vectors["t"], vectors["m"]
+
+    def vec(items):
+        return ca.vertcat(*[ca.SX(i) for i in items]) if items else ca.SX(0, 1)
+
+    sizes = dict(t=1, x=nx, u=nu, p=np_, d=nd, z=nz, pz=nz, y=ny)
+    probe = {k: ca.SX.sym(k, n) for k, n in sizes.items()}
+    nm = 0
+    if relations:
+        nm = len(relations(Environment(**probe, m=ca.SX.sym("m", 50))))
+    s = {**probe, "m": ca.SX.sym("m", nm)}
+    e = Environment(**s)
+    env = [s[k] for k in ENV]
+    dx = vec(rhs(e))
+    d_of_p = vec([f(e) for f in dependent.values()])
+    v = vec([f(e) for f in outputs.values()])
+    xs = vec([f(e) if callable(f) else f for f in states.values()])
+    r = vec(loop(e)) if loop else ca.SX(0, 1)
+    x_given = ca.SX.sym("xs", nx)
+    init = ca.SX.sym("init")
+    up = update(e, init) if update else {}
+    sx, su, sp, sy = (ca.SX.sym("s" + k, sizes[k]) for k in "xupy")
+    p, d = s["p"], s["d"]
+
+    def tangent(f):
+        def along(g, by, seed):
+            return ca.jacobian(g, by) @ seed if g.numel() and by.numel() else ca.SX.zeros(g.numel(), 1)
+
+        total = along(f, s["x"], sx) + along(f, s["u"], su) + along(f, p, sp)
+        return total + along(f, d, along(d_of_p, p, sp))
+
+    both = ca.vertcat(s["x"], s["y"])
+    initial = ca.vertcat(s["x"] - x_given, r)
+    g = vec(relations(e)) if relations else ca.SX(0, 1)
+    functions = {
+        "dependent": ([p], [d_of_p]),
+        "start": ([p, d], [xs, vec(list(discrete.values())), vec(list(loops.values()))]),
+        "initial": ([*env, x_given], [initial, ca.jacobian(initial, both)]),
+        "derivatives": (env, [dx]),
+        "jacobian": (env, [dx, ca.jacobian(dx, s["x"]), ca.jacobian(dx, s["t"]), ca.jacobian(dx, s["y"])]),
+        "loop": (env, [r, ca.jacobian(r, s["y"]), ca.jacobian(r, s["x"]), ca.jacobian(r, s["t"])]),
+        "variables": (env, [v]),
+        "partials": ([*env, sx, su, sp, sy], [tangent(f) + ca.jacobian(f, s["y"]) @ sy for f in (dx, v)]),
+        "loop_partials": ([*env, sx, su, sp], [tangent(r)]),
+        "indicators": (env, [g]),
+        "update": (
+            [*env, init],
+            [
+                vec([up.get("z", {}).get(n, s["z"][i]) for i, n in enumerate(discrete)]),
+                vec([up.get("x", {}).get(n, s["x"][i]) for i, n in enumerate(states)]),
+                ca.SX(up.get("next", math.inf)),
+                ca.SX(up.get("terminate", 0)),
+                ca.SX(up.get("reinit", 0)),
+            ],
+        ),
+        "asserts": (env, [vec([f(e) for f, _, _ in asserts])]),
+    }
+    made = {
+        n: ca.Function("model_" + n, a, [ca.densify(x) for x in b]) for n, (a, b) in functions.items()
+    }
+    with TemporaryDirectory() as folder:
+        generator = ca.CodeGenerator("model.c", {"with_header": True, "casadi_int": "long long int"})
+        for f in made.values():
+            generator.add(f)
+        generator.generate(folder + "/")
+        c_source = (Path(folder) / "model.c").read_text()
+        c_header = (Path(folder) / "model.h").read_text()
+    nominals = [(nominal or {}).get(n, 1.0) for n in states]
+
+    def table(kind, macro, items):
+        return f"static const {kind} {macro}[] = {{{', '.join(items or ['0'])}}};"
+
+    lines = ["#ifndef MODEL_TABLES", "#define MODEL_TABLES"]
+    for letter, n in dict(X=nx, U=nu, P=np_, D=nd, Z=nz, M=nm, Y=ny, V=nv, ASSERT=len(asserts)).items():
+        lines.append(f"#define MODEL_N{letter} {n}")
+    works = [[f.sz_arg(), f.sz_res(), f.sz_iw(), f.sz_w()] for f in made.values()]
+    for i, k in enumerate(("ARG", "RES", "IW", "W")):
+        lines.append(f"#define MODEL_SZ_{k} {max(w[i] for w in works)}")
+    lines += [
+        f"#define MODEL_HAS_EVENTS {int(bool(update or relations))}",
+        "#define MODEL_HAS_INITIAL 0",
+        table("double", "MODEL_X_NOMINAL", [repr(n) for n in nominals]),
+        table("double", "MODEL_Y_NOMINAL", [repr(1.0)] * ny),
+        table("int", "MODEL_INCLUSIVE", ["0"] * nm),
+        table("char* const", "MODEL_ASSERT_MESSAGE", [f'"{m}"' for _, m, _ in asserts]),
+        table("int", "MODEL_ASSERT_WARNING", [str(int(w)) for _, _, w in asserts]),
+        "#endif",
+    ]
+    c_header += "\n".join(lines) + "\n"
+
+    everything = [*states, *inputs]
+    variables = [Variable("time", "Real", Location("t"), "independent", "continuous", unit="s")]
+    for i, (n, start) in enumerate(states.items()):
+        computed = callable(start)
+        variables.append(
+            Variable(n, "Real", Location("x", i), "local", "continuous", "calculated" if computed else "exact",
+                     None if computed else float(start), f"state {n}", nominal=(nominal or {}).get(n))
+        )
+        variables.append(
+            Variable(f"der({n})", "Real", Location("dx", i), "local", "continuous", "calculated",
+                     derivative_of=n, depends_on=tuple(everything))
+        )
+    for i, (n, start) in enumerate(inputs.items()):
+        variables.append(Variable(n, "Real", Location("u", i), "input", "continuous", "exact", start, unit="N.m"))
+    for i, (n, start) in enumerate(parameters.items()):
+        kind = "tunable" if n in tunable else "fixed"
+        variables.append(Variable(n, "Real", Location("p", i), "parameter", kind, "exact", start))
+    for i, n in enumerate(dependent):
+        variables.append(Variable(n, "Real", Location("d", i), "calculatedParameter", "fixed", "calculated"))
+    for i, n in enumerate(discrete):
+        variables.append(Variable(n, "Real", Location("z", i), "local", "discrete", "calculated"))
+    for i, n in enumerate(outputs):
+        variables.append(
+            Variable(n, "Real", Location("v", i), "output", "continuous", "calculated", depends_on=tuple(everything))
+        )
+    units = (Unit("N.m", (1, 2, -2, 0, 0, 0, 0, 0)), Unit("s", (0, 0, 1, 0, 0, 0, 0, 0)))
+    return CompiledModel(
+        name=name, class_name=f"Test.{name}", description=f"Test model {name}", variables=tuple(variables), units=units,
+        experiment=Experiment(0.0, 1.0, 1e-6, 0.001), n_x=nx, n_u=nu, n_p=np_, n_d=nd, n_z=nz, n_m=nm, n_y=ny, n_v=nv,
+        n_assert=len(asserts), has_events=bool(update or relations), has_initial=False, c_source=c_source,
+        c_header=c_header, content_hash=hashlib.sha256((c_source + c_header).encode()).hexdigest(),
+        functions=made,
+    )
+
+
+def pendulum() -> CompiledModel:
+    return compile_by_hand(
+        "Pendulum",
+        states={"phi": 1.0, "w": 0.0},
+        inputs={"tau": 0.0},
+        parameters={"m": 1.0, "l": 0.5, "damping": 0.1, "g": 9.81},
+        dependent={"J": lambda e: e.m * e.l**2},
+        rhs=lambda e: [e.w, (e.tau - e.damping * e.w - e.m * e.g * e.l * ca.sin(e.phi)) / e.J],
+        outputs={"energy": lambda e: e.J * e.w**2 / 2 - e.m * e.g * e.l * ca.cos(e.phi), "through": lambda e: 2 * e.tau},
+    )
+
+
+def train(name: str = "Train") -> CompiledModel:
+    """Rotor - gear spring - housing on a torque sensor (1 kHz), with a stiff friction bristle: like the actuator."""
+
+    def rhs(e):
+        dtau = e.tau_bf * (e.b + 1e-5 * e.w)
+        twist = 50 * e.phi_S - e.phi_R / 50  # flexspline
+        tau_G = 25500 * twist + 70 * (50 * e.w_S - e.w / 50) * 0.01
+        db = (e.w - ca.fabs(e.w) * e.b) / e.phi_s
+        tau_S = 130000 * e.phi_S + e.d_S * e.w_S
+        return [
+            e.w,
+            (e.K_m * e.i_cmd - dtau + tau_G / 50 * 0.02) / e.J_R,
+            e.w_S,
+            (-tau_S + 50 * e.K_m * e.i_cmd) / e.J_S,
+            db,
+        ]
+
+    return compile_by_hand(
+        name,
+        states={"phi_R": 0.0, "w": 0.0, "phi_S": 0.0, "w_S": 0.0, "b": 0.0},
+        inputs={"i_cmd": 0.0},
+        parameters={"K_m": 0.7, "J_R": 2e-4, "J_S": 0.003, "d_S": 2.66, "tau_bf": 0.06, "phi_s": 1e-4},
+        rhs=rhs,
+        outputs={"tau_sensor": lambda e: 130000 * e.phi_S + e.d_S * e.w_S, "w_motor": lambda e: e.w - e.w_S},
+    )
+
+
+def robertson() -> CompiledModel:
+    return compile_by_hand(
+        "Robertson",
+        states={"a": 1.0, "b": 0.0, "c": 0.0},
+        nominal={"a": 1.0, "b": 1e-5, "c": 1.0},
+        rhs=lambda e: [
+            -0.04 * e.a + 1e4 * e.b * e.c,
+            0.04 * e.a - 1e4 * e.b * e.c - 3e7 * e.b**2,
+            3e7 * e.b**2,
+        ],
+        outputs={"total": lambda e: e.a + e.b + e.c},
+    )
+
+
+def van_der_pol() -> CompiledModel:
+    return compile_by_hand(
+        "VanDerPol",
+        states={"x": 2.0, "v": 0.0},
+        parameters={"mu": 1000.0},
+        rhs=lambda e: [e.v, e.mu * ((1 - e.x**2) * e.v) - e.x],
+        outputs={"y": lambda e: e.x},
+    )
