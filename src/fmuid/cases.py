@@ -24,6 +24,7 @@ from fmuid.errors import FmuError, ProblemError, UnitError
 from fmuid.expressions import Expression, parse
 from fmuid.search_space import SEPARATOR
 from fmuid.simulation import Simulator, Task
+from fmuid.suggest import suggestion
 from fmuid.units import Conversion, conversion
 
 
@@ -39,7 +40,7 @@ class Channel:
         (N,) standard deviation of the noise of one sample.
     noise
         Where `sigma` comes from: ``given`` in the file, the ``repeats``' spread, or ``unknown``; it is then
-        the standard deviation of the signal itself, and only the relative size of its residuals has a meaning.
+        the standard deviation of the signal itself, and only the residuals' relative size has a meaning.
     sensor
         Expressions for ``offset``, ``gain`` and ``delay`` (s) between model and sensor, if any.
     differentiated
@@ -58,13 +59,13 @@ class Channel:
     @property
     def count(self) -> FloatArray:
         """(N,) number of repeats with a sample."""
-        return np.sum(np.isfinite(self.repeats), axis=0).astype(np.float64)
+        return np.asarray(np.sum(np.isfinite(self.repeats), axis=0), dtype=np.float64)
 
     @property
     def mean(self) -> FloatArray:
         """(N,) mean over the repeats, NaN where none has a sample."""
         with np.errstate(invalid="ignore"):
-            return np.nansum(self.repeats, axis=0) / np.where(self.count > 0, self.count, np.nan)
+            return np.asarray(np.nansum(self.repeats, axis=0) / np.where(self.count > 0, self.count, np.nan))
 
     def sensed(self, time: FloatArray, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
         """Return what the sensor shows for the model's (N,) output `y`."""
@@ -142,7 +143,7 @@ def experiments_of(campaign: Campaign, ids: Iterable[str], *, where: str) -> tup
             raise ProblemError(
                 f"no experiment matches '{pattern}'",
                 where=where,
-                fix=f"the file has: {', '.join(experiments)}",
+                fix=suggestion(pattern, experiments),
             )
         chosen |= set(matched)
     return tuple(e for e in campaign.measurements if e.id in chosen)

@@ -60,7 +60,7 @@ class Combination:
 
 @dataclass(frozen=True, slots=True)
 class Constraint:
-    """``expression`` of parameters, or the value of a ``criterion``, below `maximum`, above `minimum` or equal.
+    """An ``expression`` of parameters, or a ``criterion``, held below `maximum`, above `minimum` or equal.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class Constraint:
             raise ProblemError(
                 f"constraint on '{text}' is not understood",
                 where=where,
-                fix='write { expression = "a - b", max = 0.0 }, with criterion instead of expression, or min or equal instead of max',
+                fix='write { expression = "a - b", max = 0.0 }; or criterion = "...", and min or equal',
             )
         return cls(
             text,

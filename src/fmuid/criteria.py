@@ -126,9 +126,7 @@ def value(residuals: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(residuals))))
 
 
-def _residuals(
-    kind: str, target: Target, rows: Rows, options: dict[str, Any], where: str
-) -> Residuals:
+def _residuals(kind: str, target: Target, rows: Rows, options: dict[str, Any], where: str) -> Residuals:
     time, measured = target.time[rows], target.mean[rows]
     match kind:
         case "least_squares":
@@ -173,9 +171,7 @@ def _integral(kind: str, time: FloatArray, rows: Rows, measured: FloatArray) -> 
     return lambda p: np.array([step @ np.abs(p[rows] - measured)])
 
 
-def _spectral(
-    kind: str, target: Target, rows: Rows, options: dict[str, Any], where: str
-) -> Residuals:
+def _spectral(kind: str, target: Target, rows: Rows, options: dict[str, Any], where: str) -> Residuals:
     name = str(options.pop("input", next(iter(target.inputs), "")))
     if name not in target.inputs:
         raise ProblemError(f"no input '{name}'", where=where, fix=f"inputs: {', '.join(target.inputs)}")

@@ -62,9 +62,7 @@ class NoiseFloor:
         return float(np.clip((3.0 * self.relative) ** (1.0 / 3.0), _SMALLEST_STEP, _LARGEST_STEP))
 
 
-def noise_floor(
-    problem: Problem, x: FloatArray, *, evaluate: EvaluateMany | None = None
-) -> NoiseFloor:
+def noise_floor(problem: Problem, x: FloatArray, *, evaluate: EvaluateMany | None = None) -> NoiseFloor:
     """Estimate the simulator's noise around the (n,) search point `x` from five evaluations.
 
     Raises
@@ -86,10 +84,12 @@ def noise_floor(
     residuals = np.array([point.residuals for point in points])
     difference = _WEIGHTS @ (residuals - residuals[0])
     change = np.sqrt(np.mean(difference**2))
-    outputs = tuple(
-        _GAIN * np.sqrt(np.mean(np.tensordot(_WEIGHTS, np.array(p) - p[0], 1) ** 2, axis=1))
-        for p in zip(*(point.predictions for point in points), strict=True)
-    )
+    outputs: tuple[FloatArray, ...] = ()
+    if all(point.predictions for point in points):  # a resumed run remembers residuals only
+        outputs = tuple(
+            _GAIN * np.sqrt(np.mean(np.tensordot(_WEIGHTS, np.array(p) - p[0], 1) ** 2, axis=1))
+            for p in zip(*(point.predictions for point in points), strict=True)
+        )
     return NoiseFloor(_GAIN * float(change), _size(problem, points[0]), outputs)
 
 
@@ -125,9 +125,7 @@ def jacobian(
             if not sides:
                 sides = [e for e in evaluate(_moved(here.x, i, -step, lower, upper, False)) if e.ok]
             if not sides:
-                raise SimulationError(
-                    f"no simulation beside {here.parameters} succeeds", fix="narrow the bounds"
-                )
+                raise SimulationError(f"no simulation beside {here.parameters} succeeds", fix="narrow the bounds")
             a, b = (sides[0], sides[1]) if len(sides) == 2 else (sides[0], here)
             change = a.residuals - b.residuals
             larger = min(10.0 * step, _LARGEST_STEP)
@@ -158,6 +156,8 @@ def _moved(
 def _size(problem: Problem, evaluation: Evaluation) -> float:
     """Return the root mean square of the predictions in the residuals' unit (sigmas)."""
     moved = []
+    if not evaluation.predictions:
+        evaluation = problem.evaluate(evaluation.x)
     for case, prediction in zip(problem.cases, evaluation.predictions, strict=True):
         rows = {c.signal: y for c, y in zip(case.channels, prediction, strict=True)}
         for criterion in case.criteria:

@@ -40,7 +40,7 @@ def rise_time(time: FloatArray, y: FloatArray) -> float:
 
 
 def settling_time(time: FloatArray, y: FloatArray, band: float = 0.05) -> float:
-    """Return the time after which the response stays within `band` of its change around the end value, in s."""
+    """Return the time (s) after which the response stays within `band` of its change around its end."""
     end = steady_state(time, y)
     outside = np.flatnonzero(np.abs(y - end) > band * abs(end - y[0]))
     return float(time[min(outside[-1] + 1, len(time) - 1)] - time[0]) if len(outside) else 0.0
@@ -70,7 +70,7 @@ def frequency_response(
 
 
 def excited_frequencies(time: FloatArray, u: FloatArray, count: int = 10) -> FloatArray:
-    """Return the up to `count` frequencies (Hz) of a resampled periodogram where `u` has most power, sorted."""
+    """Return the up to `count` frequencies (Hz), sorted, where the periodogram of `u` is largest."""
     n = len(time)
     uniform = np.interp(np.linspace(time[0], time[-1], n), time, u)
     power = np.abs(np.fft.rfft((uniform - uniform.mean()) * np.hanning(n))) ** 2

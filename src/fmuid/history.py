@@ -180,9 +180,7 @@ class History:
         self._append("stage", head)
         return self._take(("stage", head))
 
-    def record(
-        self, stage: str, evaluation: Evaluation, purpose: str, improved: bool, *, residuals: bool
-    ) -> None:
+    def record(self, stage: str, evaluation: Evaluation, purpose: str, improved: bool, *, residuals: bool) -> None:
         """Append one evaluation; with `residuals` if the solver will ask for them when it resumes."""
         self._known.pop(stage, None)
         row = Row(

@@ -164,7 +164,7 @@ class Problem:
         )
 
     def evaluate(self, x: FloatArray) -> Evaluation:
-        """Return the evaluation of the (n,) search point `x`; a failed simulation gives a failed evaluation."""
+        """Return the evaluation of the (n,) search point `x`, a failed one if a simulation fails."""
         return self.evaluate_many([x])[0]
 
     def evaluate_many(self, points: Sequence[FloatArray]) -> list[Evaluation]:

@@ -21,7 +21,7 @@ _LEVEL = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Whiteness:
-    """Residuals of one channel: are they noise?
+    """Whether the residuals of one channel are noise.
 
     Parameters
     ----------
@@ -48,8 +48,8 @@ class Whiteness:
 class Uncertainty:
     """Covariance of the free parameters, and what it rests on.
 
-    `covariance` (n, n) is in search space, `standard_errors` (n,) and `correlation` (n, n) belong to model
-    space; a standard error is None where the experiments do not determine the parameter.
+    `covariance` (n, n) and `correlation` are in search space, `standard_errors` (n,) and `intervals` (95 %) in
+    model space; the latter are None where the experiments do not determine the parameter.
     """
 
     names: tuple[str, ...]
@@ -65,9 +65,7 @@ class Uncertainty:
     noise_floor: float = 0.0
 
 
-def uncertainty(
-    problem: Problem, best: Evaluation, *, evaluate: EvaluateMany | None = None
-) -> Uncertainty:
+def uncertainty_of(problem: Problem, best: Evaluation, *, evaluate: EvaluateMany | None = None) -> Uncertainty:
     """Return the uncertainty of the estimate `best` of a problem.
 
     The covariance is the sandwich ``(J'J)^-1 J' W J (J'J)^-1`` in search space; W holds each case's residual
@@ -111,8 +109,7 @@ def uncertainty(
         covariance=_matrix(covariance),
         standard_errors=tuple(float(s) if k else None for s, k in zip(slope * spread, known, strict=True)),
         intervals=tuple(
-            (low[name], high[name]) if k else None
-            for name, k in zip(problem.space.names, known, strict=True)
+            (low[name], high[name]) if k else None for name, k in zip(problem.space.names, known, strict=True)
         ),
         correlation=_matrix(np.nan_to_num(correlation)),
         degrees_of_freedom=degrees,
@@ -124,7 +121,7 @@ def uncertainty(
 
 
 def profile_interval(
-    problem: Problem, estimate: Uncertainty, name: str, *, level: float = _LEVEL, evaluations: int = 400
+    problem: Problem, estimate: Uncertainty, name: str, *, level: float = _LEVEL
 ) -> tuple[float, float]:
     """Return the profile-likelihood interval of one parameter, in model space.
 
@@ -145,9 +142,7 @@ def profile_interval(
     best = problem.evaluate(x)
     spread = float(np.sqrt(estimate.covariance[i][i]))
     floor = noise_floor(problem, x)
-    j = jacobian(
-        problem.evaluate_many, best, problem.space.lower, problem.space.upper, floor, central=True
-    )
+    j = jacobian(problem.evaluate_many, best, problem.space.lower, problem.space.upper, floor, central=True)
     plain = np.linalg.pinv(j.T @ j, hermitian=True)[i, i]
     t = float(stdtrit(estimate.degrees_of_freedom, 0.5 + 0.5 * level))
     allowed = t**2 * spread**2 / plain
@@ -167,7 +162,7 @@ def profile_interval(
         point = x.copy()
         point[i] = x[i] + sign * distance
         ends.append(problem.space.to_model(point)[name] if np.isfinite(distance) else sign * np.inf)
-    return ends[0], ends[1]
+    return float(ends[0]), float(ends[1])
 
 
 class _Refit:
@@ -273,7 +268,7 @@ def _meat(problem: Problem, best: Evaluation, j: FloatArray) -> tuple[FloatArray
     return 0.5 * (meat + meat.T), tuple(whiteness)
 
 
-def _correlations(r: FloatArray, there: FloatArray) -> FloatArray:
+def _correlations(r: FloatArray) -> FloatArray:
     """Return the autocorrelation of (N,) residuals at lags 0..N-1."""
     covariance = _cross(r, r)[: len(r)]
     return np.asarray(covariance / covariance[0] if covariance[0] > 0.0 else np.eye(1, len(r))[0])
@@ -287,7 +282,7 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def _memory(r: FloatArray, there: FloatArray) -> int:
     """Return the lag beyond which autocorrelation is scatter: the first of five lags in a row within it."""
-    rho = _correlations(r, there)
+    rho = _correlations(r)
     inside = np.abs(rho[1:]) < 2.0 / np.sqrt(max(there.sum(), 1.0))
     run = 5
     for lag in range(len(inside) - run):
@@ -318,7 +313,7 @@ def _whiteness(case: str, signal: str, r: FloatArray, there: FloatArray, lag: in
     from scipy.special import chdtrc
 
     count = int(there.sum())
-    rho = _correlations(r, there)
+    rho = _correlations(r)
     lags = min(20, max(count // 5, 1), len(rho) - 1)
     ljung_box = count * (count + 2) * float(np.sum(rho[1 : lags + 1] ** 2 / (count - np.arange(1, lags + 1))))
     width = 2 * lag + 1 if lag else 1
@@ -342,15 +337,11 @@ def _matrix(values: FloatArray) -> Matrix:
 def without_intervals(estimate: Uncertainty, names: Sequence[str]) -> Uncertainty:
     """Return `estimate` without standard errors for `names`, as for parameters at a bound."""
     hide = partial(_hidden, estimate.names, names)
-    return replace(
-        estimate, standard_errors=hide(estimate.standard_errors), intervals=hide(estimate.intervals)
-    )
+    return replace(estimate, standard_errors=hide(estimate.standard_errors), intervals=hide(estimate.intervals))
 
 
 _T = TypeVar("_T")
 
 
-def _hidden(
-    names: tuple[str, ...], hidden: Sequence[str], values: tuple[_T | None, ...]
-) -> tuple[_T | None, ...]:
+def _hidden(names: tuple[str, ...], hidden: Sequence[str], values: tuple[_T | None, ...]) -> tuple[_T | None, ...]:
     return tuple(None if n in hidden else v for n, v in zip(names, values, strict=True))

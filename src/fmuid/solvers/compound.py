@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmuid.campaign import FloatArray
 from fmuid.errors import ProblemError, SimulationError
@@ -97,9 +98,7 @@ def _note(search: Search, point: FloatArray, status: Status, before: int) -> Non
     reached = search.reached
     if reached is not None:
         end, cost = tuple(map(float, reached.x)), reached.cost
-        search.starts.append(
-            Start(tuple(map(float, point)), end, cost, status, search.evaluations - before)
-        )
+        search.starts.append(Start(tuple(map(float, point)), end, cost, status, search.evaluations - before))
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,13 +127,11 @@ class Lexicographic:
             mine = np.flatnonzero(priorities == level)
             limits = tuple(held)
 
-            def cost(evaluation: Evaluation, mine: FloatArray = mine) -> float:
+            def cost(evaluation: Evaluation, mine: NDArray[np.intp] = mine) -> float:
                 weights = search.problem.root_weights[mine] ** 2
                 return float(np.sum(weights * evaluation.criteria[mine] ** 2))
 
-            def excess(
-                evaluation: Evaluation, limits: tuple[tuple[int, float], ...] = limits
-            ) -> FloatArray:
+            def excess(evaluation: Evaluation, limits: tuple[tuple[int, float], ...] = limits) -> FloatArray:
                 return np.array([evaluation.criteria[i] - limit for i, limit in limits])
 
             search.refocus(cost, excess)

@@ -44,7 +44,7 @@ class TrustRegion:
         from scipy.optimize import least_squares
 
         _require_smooth(search, self.name)
-        bounds = (search.lower, search.upper)
+        bounds: tuple[Any, Any] = (search.lower, search.upper)
         if self.name == "lm":
             if np.any(np.isfinite(search.lower)) or np.any(np.isfinite(search.upper)):
                 raise ProblemError("solver 'lm' takes no bounds", fix="use 'trf', or remove the bounds")

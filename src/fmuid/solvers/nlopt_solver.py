@@ -108,7 +108,7 @@ class NloptSolver:
         constrained = bool(search.problem.constraints) or len(search.limits_of(first)) > 0
         n = len(search) + epigraph
         opt = nlopt.opt(getattr(nlopt, algorithm.nlopt), n)
-        functions = _Functions(search, opt, algorithm, epigraph)
+        functions = _Functions(search, opt, algorithm, epigraph, first)
         inner = opt
         if constrained and not algorithm.constraints:
             opt = nlopt.opt(nlopt.AUGLAG, n)  # augmented Lagrangian around a solver without constraints
@@ -154,9 +154,9 @@ class NloptSolver:
         except nlopt.RoundoffLimited:
             functions.reraise()
             return Outcome(Status.CONVERGED, "no further progress in floating point")
-        except (nlopt.ForcedStop, RuntimeError, ValueError) as error:
+        except (nlopt.ForcedStop, nlopt.exception) as error:
             functions.reraise()
-            return Outcome(Status.FAILED, f"NLopt: {error}")
+            return Outcome(Status.FAILED, f"NLopt gave up {error}".strip())
         functions.reraise()
         code = opt.last_optimize_result()
         messages = {
@@ -176,8 +176,11 @@ class _FailedError(Exception):
 class _Functions:
     """The callbacks of one NLopt run. An exception is kept and raised once NLopt has returned."""
 
-    def __init__(self, search: Search, opt: Any, algorithm: _Algorithm, epigraph: bool) -> None:
+    def __init__(self, search: Search, opt: Any, algorithm: _Algorithm, epigraph: bool, first: Evaluation) -> None:
         self.search, self.opt, self.algorithm, self.epigraph = search, opt, algorithm, epigraph
+        # SLSQP and COBYLA stumble over costs that are not of order one.
+        scale = search.cost_of(first) if first.ok else 1.0
+        self.scale = 1.0 / scale if scale > 0.0 else 1.0
         self.raised: BaseException | None = None
 
     def reraise(self) -> None:
@@ -200,8 +203,8 @@ class _Functions:
         def cost() -> float:
             evaluation = self._evaluate(x)
             if gradient.size:
-                gradient[:] = self._slopes(x, lambda e: np.array([self.search.cost_of(e)]))[0]
-            return self.search.cost_of(evaluation) if evaluation.ok else float("inf")
+                gradient[:] = self._slopes(x, lambda e: np.array([self._cost(e)]))[0]
+            return self._cost(evaluation) if evaluation.ok else float("inf")
 
         return self._guarded(cost, float("inf"))
 
@@ -237,6 +240,9 @@ class _Functions:
             return own
         weights = self.search.problem.root_weights**2
         return np.concatenate([own, weights * evaluation.criteria - level])
+
+    def _cost(self, evaluation: Evaluation) -> float:
+        return self.scale * self.search.cost_of(evaluation)
 
     def _evaluate(self, x: FloatArray) -> Evaluation:
         evaluation = self.search.evaluate(x[: len(self.search)])

@@ -1,4 +1,4 @@
-"""A search in progress: what a solver sees of a problem. Evaluations are counted, recorded and stopped here."""
+"""A search in progress, as a solver sees it: evaluations are counted, recorded and stopped here."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ class Search:
         problem: Problem,
         stop: StopRules | None = None,
         *,
-        record: Record = lambda evaluation, purpose, improved: None,
-        recall: Recall = lambda x, residuals: None,
+        record: Record = lambda *_: None,
+        recall: Recall = lambda *_: None,
         seed: int = 0,
         needs_residuals: bool = True,
     ) -> None:
@@ -96,7 +96,7 @@ class Search:
         self.reached: Evaluation | None = None  # best since `restart`
         self.starts: list[Start] = []
         self.cost_of: Callable[[Evaluation], float] = lambda evaluation: evaluation.cost
-        self.limits_of: Callable[[Evaluation], FloatArray] = lambda evaluation: np.zeros(0)
+        self.limits_of: Callable[[Evaluation], FloatArray] = lambda _: np.zeros(0)
         self._record, self._recall = record, recall
         self._recent: OrderedDict[bytes, Evaluation] = OrderedDict()
 

@@ -1,0 +1,403 @@
+"""The one entry point: from a campaign (or a problem) to its result."""
+
+from __future__ import annotations
+
+import hashlib
+import time as clock
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from fmuid.campaign import Campaign, ParameterSpec, StageSpec
+from fmuid.errors import ProblemError, SimulationError
+from fmuid.history import History
+from fmuid.observer import Observer, Progress
+from fmuid.problem import Evaluation, Problem
+from fmuid.result import FILE, CriterionValue, Estimate, Result, StageResult, at_bound, finite
+from fmuid.runners import Runner, in_process, on_executor
+from fmuid.search_space import SEPARATOR
+from fmuid.simulation import Simulator
+from fmuid.solvers import Outcome, Search, Solver, Status, StopRules, StopSearch, make
+from fmuid.uncertainty import Uncertainty, uncertainty_of, without_intervals
+
+_LIBRARIES = ("fmuid", "numpy", "scipy", "nlopt", "fmpy")
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """What the stages of one identification share."""
+
+    history: History
+    observer: Observer
+    seed: int
+    with_uncertainty: bool
+    specs: Mapping[str, ParameterSpec]
+
+
+def identify(
+    what: Campaign | Problem | str | Path,
+    *,
+    out: str | Path | None = None,
+    stages: Iterable[str] | None = None,
+    solver: str | None = None,
+    options: Mapping[str, Any] | None = None,
+    stop: StopRules | None = None,
+    resume: bool = False,
+    executor: Executor | None = None,
+    workers: int = 0,
+    observer: Observer | None = None,
+    simulators: Mapping[str, Simulator] | None = None,
+    seed: int = 0,
+    with_uncertainty: bool = True,
+) -> Result:
+    """Estimate the free parameters of a campaign, stage by stage, or of a single problem.
+
+    Parameters
+    ----------
+    what
+        A campaign, the path of one, or a problem.
+    out
+        Run folder for result and history; None keeps both in memory.
+    stages
+        Names of the stages to run, in the campaign's order; all by default.
+    solver, options
+        Override the stages' solver (see `fmuid.solvers`) and its options.
+    stop
+        Override the stages' budgets.
+    resume
+        Go on with the interrupted run in `out`: nothing it did is simulated again.
+    executor
+        Any `concurrent.futures` executor to simulate on; results do not depend on it.
+    workers
+        Number of supervised worker processes to simulate in instead (`fmuid.workers`); 0 for none.
+    observer
+        Told of progress.
+    simulators
+        Models by setup; the campaign's FMUs by default.
+    seed
+        Of random solvers and starts.
+    with_uncertainty
+        Whether each stage ends with its uncertainty analysis (2 n + 6 evaluations for n parameters).
+
+    Returns
+    -------
+    Result
+        Also when interrupted by Ctrl-C: its status says so, and it holds what was reached.
+
+    Raises
+    ------
+    FmuidError
+        The campaign, a model or a stage cannot be used as given.
+    """
+    begin = clock.perf_counter()
+    campaign = _campaign(what) if not isinstance(what, Problem) else None
+    folder = None if out is None else Path(out)
+    if isinstance(what, Problem):
+        plan: list[StageSpec | Problem] = [what]
+        specs = {spec.name: spec for spec in what.space.free}
+    else:
+        assert campaign is not None
+        plan = list(_chosen(campaign, stages))
+        specs = dict(campaign.parameters)
+        simulators = simulators or _models(campaign)
+    results: list[StageResult] = []
+    best: dict[str, float] = {}
+    with _runner(executor, workers) as runner, History(folder, resume=resume) as history:
+        run = _Run(history, observer or Observer(), seed, with_uncertainty, specs)
+        for step in plan:
+            problem, asked, settings, rules = _posed(step, campaign, simulators or {}, best, runner)
+            result = _stage(
+                run,
+                problem,
+                solver or asked,
+                dict(options if options is not None else {} if solver else settings),
+                stop or rules,
+            )
+            results.append(result)
+            best = dict(result.parameters)
+            if result.status is Status.INTERRUPTED:
+                break
+        summary = Result(
+            campaign=campaign.name if campaign else results[0].name,
+            title=campaign.title if campaign else "",
+            source=str(campaign.folder) if campaign else "",
+            stages=tuple(results),
+            parameters=best,
+            seconds=clock.perf_counter() - begin,
+            versions=_versions(),
+            inputs=_inputs(campaign) if campaign else {},
+            folder=None if folder is None else str(folder),
+        )
+        history.close(complete=summary.status is not Status.INTERRUPTED)
+    if folder is not None:
+        summary.to_json(folder / FILE)
+    return summary
+
+
+def _stage(run: _Run, problem: Problem, name: str, options: dict[str, Any], stop: StopRules) -> StageResult:
+    """Run one stage, or take its result from the history."""
+    solver, why = make(name, options, problem)
+    seed = int(options.get("seed", run.seed))
+    done = run.history.begin(problem, _fingerprint(problem, solver, options, seed)).result
+    if done is not None:
+        result = msgspec.json.decode(done, type=StageResult)
+        run.observer.finished(result)
+        return result
+    run.observer.started(problem, solver.name, why, stop)
+    begin = clock.perf_counter()
+    start_cost: list[float] = []
+    search = Search(
+        problem,
+        stop,
+        record=lambda evaluation, purpose, improved: record(evaluation, purpose, improved),
+        recall=lambda x, residuals: run.history.recall(problem.name, x, residuals),
+        seed=seed,
+        needs_residuals=solver.needs_residuals,
+    )
+
+    def record(evaluation: Evaluation, purpose: str, improved: bool) -> None:
+        run.history.record(problem.name, evaluation, purpose, improved, residuals=solver.needs_residuals)
+        reached = search.best
+        if evaluation.ok and not start_cost:
+            start_cost.append(evaluation.cost)
+        run.observer.evaluated(
+            Progress(
+                problem.name,
+                search.evaluations,
+                search.failures,
+                clock.perf_counter() - begin,
+                None if reached is None else reached.cost,
+                start_cost[0] if start_cost else None,
+                None if reached is None else {n: reached.parameters[n] for n in problem.space.names},
+                stop,
+            )
+        )
+
+    first: Evaluation | None = None
+    try:
+        first = search.evaluate(problem.space.start)
+        outcome = solver.solve(search, problem.space.start)
+    except StopSearch as stopped:
+        outcome = stopped.outcome
+    except KeyboardInterrupt:
+        outcome = Outcome(Status.INTERRUPTED, "stopped by the user")
+    except SimulationError as error:
+        outcome = Outcome(Status.FAILED, str(error))
+    found, complaint = None, None
+    if search.best is not None and run.with_uncertainty and outcome.status is not Status.INTERRUPTED:
+        try:
+            found = _uncertainty(run, problem, search.best)
+        except KeyboardInterrupt:
+            outcome = Outcome(Status.INTERRUPTED, "stopped by the user")
+        except SimulationError as error:
+            complaint = f"no uncertainty: {error}"
+    result = _result(run, problem, search, first, outcome, solver, why, found, clock.perf_counter() - begin)
+    if complaint is not None:
+        result = replace(result, warnings=(*result.warnings, complaint))
+    if outcome.status is not Status.INTERRUPTED:
+        run.history.finish(problem.name, msgspec.json.encode(result))
+    run.observer.finished(result)
+    return result
+
+
+def _uncertainty(run: _Run, problem: Problem, best: Evaluation) -> Uncertainty:
+    def evaluate(points: Sequence[Any]) -> list[Evaluation]:
+        evaluations = problem.evaluate_many(points)
+        for evaluation in evaluations:
+            run.history.record(problem.name, evaluation, "uncertainty", False, residuals=False)
+        return evaluations
+
+    found = uncertainty_of(problem, best, evaluate=evaluate)
+    bounds = [
+        spec.name
+        for spec in problem.space.free
+        if at_bound(best.parameters[spec.name], spec.lower, spec.upper) is not None
+    ]
+    return without_intervals(found, bounds)
+
+
+def _result(
+    run: _Run,
+    problem: Problem,
+    search: Search,
+    first: Evaluation | None,
+    outcome: Outcome,
+    solver: Solver,
+    why: str,
+    found: Uncertainty | None,
+    seconds: float,
+) -> StageResult:
+    best = search.best
+    values = problem.space.to_model(problem.space.start) if best is None else dict(best.parameters)
+    estimates = []
+    for i, free in enumerate(problem.space.free):
+        spec = run.specs.get(free.name.split(SEPARATOR)[0], free)
+        estimates.append(
+            Estimate(
+                free.name,
+                values[free.name],
+                free.start,
+                spec.unit,
+                finite(free.lower),
+                finite(free.upper),
+                None if found is None else found.standard_errors[i],
+                None if found is None else found.intervals[i],
+                at_bound(values[free.name], free.lower, free.upper),
+                spec.truth,
+                spec.description,
+            )
+        )
+    for name in problem.space.ties:
+        if name in run.specs and run.specs[name].truth is not None:
+            spec = run.specs[name]
+            estimates.append(
+                Estimate(name, values[name], spec.start, spec.unit, truth=spec.truth, description="tied")
+            )
+    started = first is not None and first.ok
+    criteria = tuple(
+        CriterionValue(
+            case.id,
+            criterion.label,
+            float(first.criteria[k]) if first is not None and started else None,
+            float(best.criteria[k]),
+        )
+        for k, (case, criterion) in enumerate(problem.criteria)
+        if best is not None
+    )
+    return StageResult(
+        name=problem.name,
+        status=outcome.status if best is not None else Status.FAILED,
+        message=outcome.message,
+        solver=solver.name,
+        why=why,
+        estimates=tuple(estimates),
+        experiments=tuple(e for case in problem.cases for e in case.experiments or (case.id,)),
+        criteria=criteria,
+        start_cost=finite(first.cost) if first is not None and started else None,
+        cost=None if best is None else best.cost,
+        evaluations=search.evaluations,
+        failures=search.failures,
+        seconds=seconds,
+        starts=tuple(search.starts),
+        uncertainty=found,
+        warnings=_warnings(search, estimates, found),
+        ties={name: expression.text for name, expression in problem.space.ties.items()},
+        parameters=values,
+    )
+
+
+def _warnings(search: Search, estimates: Sequence[Estimate], found: Uncertainty | None) -> tuple[str, ...]:
+    warnings = []
+    if found is not None and not found.identifiability.complete:
+        warnings.append(str(found.identifiability))
+    warnings += [f"{e.name} is at its {e.at_bound} bound" for e in estimates if e.at_bound]
+    if search.failures:
+        warnings.append(f"{search.failures} of {search.evaluations} candidates could not be simulated")
+    if search.best is not None and not search.feasible(search.best):
+        warnings.append("no candidate keeps every constraint")
+    return tuple(warnings)
+
+
+def _posed(
+    step: StageSpec | Problem,
+    campaign: Campaign | None,
+    simulators: Mapping[str, Simulator],
+    best: Mapping[str, float],
+    runner: Runner,
+) -> tuple[Problem, str, Mapping[str, Any], StopRules]:
+    if isinstance(step, Problem):
+        if runner is not in_process:
+            step.runner = runner
+        return step, "auto", {}, StopRules()
+    assert campaign is not None
+    problem = Problem.of_stage(campaign, step, simulators, best=best, runner=runner)
+    return problem, step.solver, step.solver_options, StopRules(step.max_evaluations, step.max_seconds)
+
+
+@contextmanager
+def _runner(executor: Executor | None, workers: int) -> Iterator[Runner]:
+    if executor is not None:
+        yield on_executor(executor)
+    elif workers > 0:
+        from fmuid.workers import WorkerPool
+
+        with WorkerPool(workers) as pool:
+            yield pool.run
+    else:
+        yield in_process
+
+
+def _campaign(what: Campaign | str | Path) -> Campaign:
+    if isinstance(what, Campaign):
+        return what
+    from fmuid.campaign_toml import load_campaign
+
+    return load_campaign(what)
+
+
+def _models(campaign: Campaign) -> Mapping[str, Simulator]:
+    from fmuid.model_check import load_models, match_models
+
+    models = load_models(campaign)
+    match_models(campaign, models)
+    return models
+
+
+def _chosen(campaign: Campaign, names: Iterable[str] | None) -> list[StageSpec]:
+    if not campaign.stages:
+        raise ProblemError(f"campaign '{campaign.name}' has no stages", fix="write [stages.<name>]")
+    wanted = list(campaign.stages) if names is None else list(names)
+    for name in wanted:
+        if name not in campaign.stages:
+            raise ProblemError(f"no stage '{name}'", fix=f"the campaign has: {', '.join(campaign.stages)}")
+    return [stage for name, stage in campaign.stages.items() if name in wanted]
+
+
+def _fingerprint(problem: Problem, solver: Solver, options: Mapping[str, Any], seed: int) -> str:
+    """Return a hash of all that decides the course of a stage; a resumed run may get a larger budget."""
+    digest = hashlib.sha256()
+    space = problem.space
+    ties = {name: expression.text for name, expression in space.ties.items()}
+    posed = (problem.labels, problem.combination, problem.constraints, space.free, dict(space.fixed), ties)
+    digest.update(repr((solver.name, sorted(options.items()), seed, *posed)).encode())
+    for case in problem.cases:
+        simulator = case.simulator
+        digest.update(str(getattr(simulator, "token", type(simulator).__qualname__)).encode())
+        task = case.task
+        digest.update(repr((case.id, task.outputs, dict(task.start_values), task.interpolation)).encode())
+        for array in (task.time, *task.inputs.values(), *(c.repeats for c in case.channels)):
+            digest.update(np.ascontiguousarray(array).tobytes())
+        for _, criterion in [pair for pair in problem.criteria if pair[0] is case]:
+            digest.update(repr((criterion.kind, criterion.demand, criterion.weight)).encode())
+    return digest.hexdigest()
+
+
+def _versions() -> dict[str, str]:
+    found = {}
+    for name in _LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _inputs(campaign: Campaign) -> dict[str, str]:
+    """Return SHA-256 hashes of what was measured and of the FMUs."""
+    digest = hashlib.sha256()
+    for experiment in campaign.measurements:
+        digest.update(experiment.id.encode() + experiment.time.tobytes())
+        for name, signal in experiment.signals.items():
+            digest.update(name.encode() + signal.values.tobytes())
+    hashes = {"measurements": digest.hexdigest()}
+    for model in campaign.models.values():
+        if model.fmu.is_file():
+            hashes[model.fmu.name] = hashlib.sha256(model.fmu.read_bytes()).hexdigest()
+    return hashes
