@@ -59,17 +59,17 @@ class RepeatedRuns:
     @property
     def n_repeats(self) -> int:
         """How many runs there are."""
-        return self.values.shape[0]
+        return int(self.values.shape[0])
 
     @property
     def mask(self) -> FloatArray:
         """(C, N) 1 where every run has a sample, else 0."""
-        return np.isfinite(self.values).all(axis=0).astype(np.float64)
+        return np.asarray(np.isfinite(self.values).all(axis=0), dtype=np.float64)
 
     @property
     def mean(self) -> FloatArray:
         """(C, N) mean over the runs, 0 where a sample is missing."""
-        return np.where(self.mask > 0, self.values.mean(axis=0), 0.0)
+        return np.asarray(np.where(self.mask > 0, self.values.mean(axis=0), 0.0))
 
 
 def real_spectrum(values: FloatArray) -> FloatArray:
@@ -91,7 +91,7 @@ def real_spectrum(values: FloatArray) -> FloatArray:
 
 def coefficient_frequencies(n: int, dt: float) -> FloatArray:
     """Frequency in Hz of every coefficient that `real_spectrum` returns for N samples."""
-    return np.ceil(np.arange(n) / 2.0) / (n * dt)
+    return np.asarray(np.ceil(np.arange(n) / 2.0) / (n * dt))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,6 +233,6 @@ def _band_edges(n: int, dt: float) -> FloatArray:
 
 
 def _bands_of(n: int, dt: float, edges: FloatArray) -> FloatArray:
-    bands = np.searchsorted(edges, coefficient_frequencies(n, dt), side="right") - 1.0
+    bands = np.asarray(np.searchsorted(edges, coefficient_frequencies(n, dt), side="right") - 1.0)
     bands[0] = -1.0  # the mean is not in any band
     return bands

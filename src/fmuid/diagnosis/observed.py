@@ -96,9 +96,7 @@ class Observed:
 
     def residuals(self, predictions: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
         """Return prediction minus the mean of the repeats, whitened: one (C * N,) vector an experiment."""
-        return tuple(
-            w(p - r.mean).ravel() for p, r, w in zip(predictions, self.runs, self.whiteners, strict=True)
-        )
+        return tuple(w(p - r.mean).ravel() for p, r, w in zip(predictions, self.runs, self.whiteners, strict=True))
 
     def whiten(self, differences: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
         """Whiten differences of predictions: (C, N) to (C * N,), one an experiment."""

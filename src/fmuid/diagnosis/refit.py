@@ -14,7 +14,8 @@ from fmuid.campaign import FloatArray
 from fmuid.diagnosis.observed import Observed
 from fmuid.errors import SimulationError
 
-Predict = Callable[[Mapping[str, float]], Sequence[FloatArray]]
+Predict = Callable[[Sequence[Mapping[str, float]]], Sequence[Sequence[FloatArray] | SimulationError]]
+"""Points in parameter space -> predictions (C, N) of every experiment, or why there are none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,7 @@ def refit(
     Parameters
     ----------
     predict
-        Parameter values -> predictions (C, N) of every experiment.
+        Simulates the campaign at several points.
     observed
         The measurements and their noise.
     unknowns
@@ -106,28 +107,32 @@ def refit(
     weight = np.sqrt(observed.repeats)
     evaluations = 0
 
-    def evaluate(point: FloatArray) -> tuple[FloatArray, ...]:
+    def evaluate(points: Sequence[FloatArray]) -> list[tuple[FloatArray, ...]]:
         nonlocal evaluations
-        evaluations += 1
-        values = {n: float(v) for n, v in zip(names, point, strict=True)}
-        return observed.residuals(predict(values))
+        evaluations += len(points)
+        wanted = [{n: float(v) for n, v in zip(names, p, strict=True)} for p in points]
+        results = []
+        for outcome in predict(wanted):
+            if isinstance(outcome, SimulationError):
+                raise outcome
+            results.append(observed.residuals(outcome))
+        return results
 
     def stack(parts: Sequence[FloatArray]) -> FloatArray:
         return np.concatenate([w * p for w, p in zip(weight, parts, strict=True)])
 
     def differentiate(point: FloatArray, base: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
-        columns = []
-        for i in range(len(point)):
-            sign = -1.0 if point[i] + steps[i] > upper[i] else 1.0
-            moved = point.copy()
-            moved[i] += sign * steps[i]
-            part = evaluate(moved)
-            columns.append([sign * (a - b) / steps[i] for a, b in zip(part, base, strict=True)])
+        signs = np.where(point + steps > upper, -1.0, 1.0)
+        moved = evaluate([point + s * h * e for s, h, e in zip(signs, steps, np.eye(len(point)), strict=True)])
+        columns = [
+            [s * (a - b) / h for a, b in zip(part, base, strict=True)]
+            for part, s, h in zip(moved, signs, steps, strict=True)
+        ]
         if not columns:
             return tuple(np.zeros((b.size, 0)) for b in base)
         return tuple(np.stack(c, axis=1) for c in zip(*columns, strict=True))
 
-    residuals = evaluate(x)
+    (residuals,) = evaluate([x])
     cost = float(np.sum(stack(residuals) ** 2))
     damping, converged = 1e-3, len(x) == 0
     jacobian = differentiate(x, residuals)
@@ -151,7 +156,7 @@ def refit(
             if np.all(np.abs(trial - x) <= 1e-6 * steps):
                 break
             try:
-                trial_residuals = evaluate(trial)
+                (trial_residuals,) = evaluate([trial])
             except SimulationError:
                 damping *= 10.0
                 continue

@@ -1,0 +1,117 @@
+"""Judging models on experiments that did not shape them.
+
+Each experiment is left out in turn. The parameters that the others alone would give come from one Gauss-Newton
+step at the full estimate (the exact answer for a linear model, and what is needed to tell an effect from an
+accident), so that a round of leaving out costs linear algebra, not simulations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.campaign import FloatArray, read_only
+from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.refit import Refit
+
+_PRIOR_STEPS = 1e3  # a parameter that the remaining experiments cannot see moves by no more than about this
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOut:
+    """Losses of one model on experiments that were left out.
+
+    Attributes
+    ----------
+    loss
+        (E,) mean squared whitened residual of a single run of the experiment, beyond the noise floor's 1.
+    per_run
+        The same for every run on its own, one array an experiment.
+    size
+        (E,) number of samples in it.
+    """
+
+    loss: FloatArray
+    per_run: tuple[FloatArray, ...]
+    size: FloatArray
+
+    @property
+    def gap(self) -> float:
+        """Gap in floors over all experiments."""
+        return gap_of(self.loss, self.size)
+
+
+def gap_of(loss: FloatArray, size: FloatArray) -> float:
+    """Return sqrt(max(0, mean excess)) of experiments with `size` samples each."""
+    return float(np.sqrt(max(0.0, float(np.average(loss, weights=size)))))
+
+
+def leave_each_out(fit: Refit, observed: Observed) -> HeldOut:
+    """Return the losses of `fit` with each experiment predicted from the others."""
+    steps = np.array([u.step for u in fit.unknowns])
+    lower = np.array([u.lower for u in fit.unknowns])
+    upper = np.array([u.upper for u in fit.unknowns])
+    x = np.array([fit.values[u.name] for u in fit.unknowns])
+    inside = (x > lower + 1e-6 * steps) & (x < upper - 1e-6 * steps)
+    parts = [j[:, inside] * steps[inside] for j in fit.jacobian]
+    normal = [n * p.T @ p for n, p in zip(observed.repeats, parts, strict=True)]
+    gradient = [n * p.T @ r for n, p, r in zip(observed.repeats, parts, fit.residuals, strict=True)]
+    total, slope = sum(normal), sum(gradient)
+    ridge = np.eye(int(inside.sum())) / _PRIOR_STEPS**2
+    predicted = []
+    for p, r, h, g in zip(parts, fit.residuals, normal, gradient, strict=True):
+        move = np.linalg.solve(total - h + ridge, -(slope - g)) if inside.any() else np.zeros(0)
+        predicted.append(r + p @ move)
+    return losses(predicted, observed)
+
+
+def losses(residuals: Sequence[FloatArray], observed: Observed) -> HeldOut:
+    """Return the losses of given whitened residuals (of the mean runs)."""
+    per_run = []
+    for r, run, w in zip(residuals, observed.runs, observed.whiteners, strict=True):
+        deviation = w(np.nan_to_num(run.values - run.mean)).reshape(run.n_repeats, -1)
+        # residual of run k = residual of the mean - its deviation from the mean
+        per_run.append(read_only(np.mean((r - deviation) ** 2, axis=1) - 1.0))
+    loss = np.array(
+        [float(np.mean(r**2)) - 1.0 / run.n_repeats for r, run in zip(residuals, observed.runs, strict=True)]
+    )
+    size = np.array([float(r.size) for r in residuals])
+    return HeldOut(read_only(loss), tuple(per_run), read_only(size))
+
+
+def closure(before: HeldOut, after: HeldOut) -> float:
+    """Return 1 - G1/G0, the share of the gap that is gone; 0 where there was none."""
+    return 1.0 - after.gap / before.gap if before.gap > 0 else 0.0
+
+
+def closure_interval(
+    before: HeldOut, after: HeldOut, *, level: float = 0.9, draws: int = 2000, seed: int = 0
+) -> tuple[float, float]:
+    """Return a bootstrap interval of the closure: runs are drawn within experiments, experiments among all."""
+    rng = np.random.default_rng(seed)
+    n = len(before.loss)
+    drawn = np.empty(draws)
+    for k in range(draws):
+        chosen = rng.integers(0, n, n)
+        b, a = np.empty(n), np.empty(n)
+        for i, e in enumerate(chosen):
+            runs = len(before.per_run[e])
+            pick = rng.integers(0, runs, runs)
+            b[i] = before.loss[e] + before.per_run[e][pick].mean() - before.per_run[e].mean()
+            a[i] = after.loss[e] + after.per_run[e][pick].mean() - after.per_run[e].mean()
+        size = before.size[chosen]
+        gap = gap_of(b, size)
+        drawn[k] = 1.0 - gap_of(a, size) / gap if gap > 0 else 0.0
+    low, high = np.quantile(drawn, [0.5 - level / 2, 0.5 + level / 2])
+    return float(low), float(high)
+
+
+def advantage(better: HeldOut, worse: HeldOut) -> tuple[float, float]:
+    """Return the mean difference of losses (worse - better) and its standard error over experiments and runs."""
+    size = better.size / better.size.sum()
+    difference = (worse.loss - better.loss) * size
+    n = len(difference)
+    spread = float(np.sqrt(n / max(n - 1, 1) * np.sum((difference - difference.mean()) ** 2)))
+    return float(difference.sum()), spread

@@ -1,0 +1,134 @@
+"""The simulated side of a diagnosis: predictions of every experiment for values of any parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fmuid.campaign import FloatArray
+from fmuid.cases import Case
+from fmuid.diagnosis.noise import RepeatedRuns
+from fmuid.diagnosis.signal_effects import disturb_input, disturb_output, split_signal_parameters
+from fmuid.errors import SimulationError
+from fmuid.runners import Runner, in_process
+from fmuid.simulation import Task
+
+Prediction = tuple[FloatArray, ...]
+"""(C, N) predicted signals, one array an experiment."""
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignModel:
+    """Cases simulated together.
+
+    Parameters
+    ----------
+    cases
+        One an experiment.
+    runner
+        Where simulations run.
+    fixed
+        Parameter values that stay, by name.
+    """
+
+    cases: tuple[Case, ...]
+    runner: Runner = in_process
+    fixed: Mapping[str, float] | None = None
+
+    @property
+    def runs(self) -> tuple[RepeatedRuns, ...]:
+        """What was measured, in the model's units."""
+        return tuple(
+            RepeatedRuns(
+                case.id,
+                case.setup,
+                case.time,
+                tuple(c.signal for c in case.channels),
+                np.stack([c.repeats for c in case.channels], axis=1),
+            )
+            for case in self.cases
+        )
+
+    def predict(self, points: Sequence[Mapping[str, float]]) -> list[Prediction | SimulationError]:
+        """Return the predictions of every point, or why one has none."""
+        return self._simulate([(point, None) for point in points])
+
+    def predict_driven(
+        self, values: Mapping[str, float], drives: Sequence[Mapping[str, Sequence[FloatArray]]]
+    ) -> list[Prediction | SimulationError]:
+        """Return predictions at `values` with further inputs driven.
+
+        Each drive gives, by input, (N,) samples for every experiment.
+        """
+        return self._simulate([(values, drive) for drive in drives])
+
+    def trajectories(self, values: Mapping[str, float], variables: Sequence[str]) -> tuple[FloatArray, ...]:
+        """Return (len(variables), N) trajectories of model variables, one array an experiment.
+
+        Raises
+        ------
+        SimulationError
+            A run failed.
+        """
+        jobs = []
+        for case in self.cases:
+            task = replace(case.task, outputs=tuple(variables))
+            jobs.append((case.simulator, task, self._start_values(case, values)))
+        outcomes = self.runner(jobs)
+        for outcome in outcomes:
+            if isinstance(outcome, SimulationError):
+                raise outcome
+        return tuple(
+            np.asarray(o)[:, case.lead :]
+            for o, case in zip(outcomes, self.cases, strict=True)
+            if not isinstance(o, SimulationError)
+        )
+
+    def _start_values(self, case: Case, values: Mapping[str, float]) -> dict[str, float]:
+        return case.start_values({**(self.fixed or {}), **values})
+
+    def _simulate(
+        self, wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]]
+    ) -> list[Prediction | SimulationError]:
+        jobs = []
+        signals = {c.signal for case in self.cases for c in case.channels}
+        signals |= {name for case in self.cases for name in case.task.inputs}
+        split = [split_signal_parameters({**(self.fixed or {}), **values}, signals) for values, _ in wanted]
+        for (_, drive), (plain, signal) in zip(wanted, split, strict=True):
+            for k, case in enumerate(self.cases):
+                jobs.append((case.simulator, _task(case, k, signal, drive), case.start_values(plain)))
+        outcomes = self.runner(jobs)
+        results: list[Prediction | SimulationError] = []
+        n = len(self.cases)
+        for i, (plain, signal) in enumerate(split):
+            part = outcomes[i * n : (i + 1) * n]
+            failed = next((o for o in part if isinstance(o, SimulationError)), None)
+            if failed is not None:
+                results.append(failed)
+                continue
+            rows = []
+            for case, outcome in zip(self.cases, part, strict=True):
+                sensed = case.sensed(np.asarray(outcome), plain)
+                names = [c.signal for c in case.channels]
+                rows.append(disturb_output(case.time, sensed, names, signal))
+            results.append(tuple(rows))
+        return results
+
+
+def _task(
+    case: Case,
+    index: int,
+    signal: Mapping[str, Mapping[str, float]],
+    drive: Mapping[str, Sequence[FloatArray]] | None,
+) -> Task:
+    task = case.task
+    inputs = {n: disturb_input(task.time, u, signal.get(n, {})) for n, u in task.inputs.items()}
+    for name, series in (drive or {}).items():
+        values = np.asarray(series[index])
+        # A step of the model ends at a measured sample: what acts during it is known at that sample.
+        inputs[name] = np.append(values, values[-1]) if case.lead else values
+    if drive is None and not signal:
+        return task
+    return replace(task, inputs=inputs)

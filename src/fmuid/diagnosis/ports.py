@@ -1,0 +1,160 @@
+"""Ports and decoys: what a free function of speed, angle, load or time could explain, if it acted at a port.
+
+A port is an input of the model that is zero by default and acts where effects act. Driving it with basis functions
+evaluated along the model's own trajectory gives the responses that any unnamed effect of that form would leave. The
+port whose responses explain the residual is where the gap arises; a decoy that beats every named effect on held-out
+experiments is evidence that the effect is none of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.campaign import FloatArray, read_only
+from fmuid.diagnosis.held_out import HeldOut, leave_each_out
+from fmuid.diagnosis.model import CampaignModel
+from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.refit import Refit, Unknown
+from fmuid.errors import SimulationError
+
+Basis = tuple[tuple[FloatArray, ...], ...]
+"""Basis functions, each with (N,) samples for every experiment."""
+
+
+@dataclass(frozen=True, slots=True)
+class Port:
+    """An additive input of the model.
+
+    Attributes
+    ----------
+    name
+        As effects name it.
+    variable
+        The model's input.
+    amplitude
+        A plausible size in `unit`; responses are taken at a fifth of it.
+    """
+
+    name: str
+    variable: str
+    amplitude: float
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decoy:
+    """A free function at a port, fitted beside the nominal parameters.
+
+    Attributes
+    ----------
+    port, over
+        Where it acts and what it is a function of.
+    fit
+        The linear fit: nominal parameters and coefficients together.
+    held_out
+        Its losses on experiments left out.
+    coefficients
+        (B,) in units of the port's amplitude.
+    """
+
+    port: str
+    over: str
+    fit: Refit
+    held_out: HeldOut
+    coefficients: FloatArray
+
+
+def hats(values: Sequence[FloatArray], knots: FloatArray) -> Basis:
+    """Piecewise-linear functions that are 1 at one of the (K,) knots and 0 at the others."""
+    basis = []
+    for k in range(len(knots)):
+        ordinates = np.zeros(len(knots))
+        ordinates[k] = 1.0
+        basis.append(tuple(read_only(np.interp(v, knots, ordinates)) for v in values))
+    return tuple(basis)
+
+
+def harmonics(values: Sequence[FloatArray], orders: Sequence[int]) -> Basis:
+    """Cosine and sine of the multiples `orders` of an angle in rad."""
+    functions: list[Callable[[FloatArray], FloatArray]] = [np.cos, np.sin]
+    return tuple(tuple(read_only(f(k * v)) for v in values) for k in orders for f in functions)
+
+
+def times(basis: Basis, factor: Sequence[FloatArray]) -> Basis:
+    """Multiply every function by a factor with (N,) samples for every experiment."""
+    return tuple(tuple(read_only(b * f) for b, f in zip(one, factor, strict=True)) for one in basis)
+
+
+def quantile_knots(values: Sequence[FloatArray], count: int) -> FloatArray:
+    """Return knots where the data are: quantiles of all experiments together, each of equal weight."""
+    resampled = [np.quantile(v, np.linspace(0, 1, 201)) for v in values]
+    knots = np.unique(np.quantile(np.concatenate(resampled), np.linspace(0, 1, count)))
+    spread = knots[-1] - knots[0]
+    kept = [knots[0]]
+    for k in knots[1:]:
+        if k - kept[-1] > 1e-3 * spread:
+            kept.append(k)
+    return np.array(kept)
+
+
+def fit_decoys(
+    model: CampaignModel,
+    observed: Observed,
+    base: Refit,
+    ports: Sequence[Port],
+    bases: Mapping[str, Basis],
+) -> tuple[Decoy, ...]:
+    """Fit every basis at every port, linearly, beside the nominal parameters of `base`.
+
+    Ports whose responses cannot be simulated are left out.
+    """
+    decoys = []
+    for port in ports:
+        step = 0.2 * port.amplitude
+        drives = [{port.variable: [step * b for b in one]} for basis in bases.values() for one in basis]
+        outcomes = model.predict_driven(base.values, drives)
+        begin = 0
+        for over, basis in bases.items():
+            part = outcomes[begin : begin + len(basis)]
+            begin += len(basis)
+            good = [p for p in part if not isinstance(p, SimulationError)]
+            if len(good) < len(part):
+                continue
+            moved = [observed.residuals(p) for p in good]
+            decoys.append(_fit(port, over, base, observed, moved, step / port.amplitude))
+    return tuple(decoys)
+
+
+def _fit(
+    port: Port,
+    over: str,
+    base: Refit,
+    observed: Observed,
+    moved: Sequence[Sequence[FloatArray]],
+    step: float,
+) -> Decoy:
+    columns = [np.stack([(m[e] - r) / step for m in moved], axis=1) for e, r in enumerate(base.residuals)]
+    jacobian = [np.hstack([j, c]) for j, c in zip(base.jacobian, columns, strict=True)]
+    weight = np.sqrt(observed.repeats)
+    names = [f"{port.name}.{over}[{k}]" for k in range(len(moved))]
+    unknowns = base.unknowns + tuple(Unknown(n, 0.0, -np.inf, np.inf, 1.0) for n in names)
+    steps = np.array([u.step for u in unknowns])
+    a = np.concatenate([w * j for w, j in zip(weight, jacobian, strict=True)]) * steps
+    r = np.concatenate([w * x for w, x in zip(weight, base.residuals, strict=True)])
+    # A coefficient that no signal shows stays near zero: prior standard deviation of three amplitudes.
+    prior = np.concatenate([np.full(len(base.unknowns), 1e-3), np.full(len(moved), 1.0 / 3.0)])
+    solution = np.linalg.solve(a.T @ a + np.diag(prior**2), -(a.T @ r))
+    residuals = tuple(x + j @ (steps * solution) for x, j in zip(base.residuals, jacobian, strict=True))
+    values = {
+        u.name: base.values.get(u.name, 0.0) + s * h for u, s, h in zip(unknowns, solution, steps, strict=True)
+    }
+    cost = float(sum(n * (x @ x) for n, x in zip(observed.repeats, residuals, strict=True)))
+    fit = Refit(_unbounded(unknowns), values, residuals, tuple(jacobian), cost, 0, True)
+    return Decoy(port.name, over, fit, leave_each_out(fit, observed), read_only(solution[len(base.unknowns) :]))
+
+
+def _unbounded(unknowns: Sequence[Unknown]) -> tuple[Unknown, ...]:
+    return tuple(Unknown(u.name, u.start, -np.inf, np.inf, u.step) for u in unknowns)
