@@ -1,39 +1,8 @@
 within Drives.Components;
 model HarmonicDrive "Harmonic Drive gear with a loss table for mesh and bearing friction"
-  parameter Real n(unit = "1", start = 50) "Gear ratio";
-  parameter Real lossTable[:, 5] = [0, 1, 1, 0, 0] "Rows of |w| (strictly increasing), eta1, eta2, tau_bf1, tau_bf2";
-  parameter Types.Angle phi_s(min = 0) = 2e-5 "Presliding deflection of the stuck gear, Wave Generator side";
-  parameter Types.Torque tau_blend(min = 0) = 1e-3 "Width over which the branches of Table 1 blend if tau_bf1 <> tau_bf2";
-  Interfaces.Flange_a W "Wave Generator";
-  Interfaces.Flange_a C "Circular Spline";
-  Interfaces.Flange_b F "Flexspline";
-  Types.AngularVelocity w "Speed of the Wave Generator relative to the Circular Spline";
-  Types.Torque tau_load "Load torque referred to the Wave Generator, T";
-  Types.Torque dtau "Loss torque at the Wave Generator";
-  Types.Power lossPower "Power turned into heat";
-  Signals.Bristle bristle "Share of the sliding torque that acts";
-protected
-  Types.Angle phi_rel "Angle of the Wave Generator relative to the Circular Spline";
-  Real losses[4] "eta1, eta2, tau_bf1, tau_bf2 at the present speed";
-  Types.Torque dtau_forward "Loss torque if it slides forward";
-  Types.Torque dtau_backward "Loss torque if it slides backward";
+  extends PartialHarmonicDrive;
 equation
-  phi_rel = W.phi - C.phi;
-  w = der(phi_rel);
-  W.phi = (1 - n)*C.phi + n*F.phi;
-  F.tau = -n*(W.tau - dtau);
-  C.tau = (n - 1)*W.tau - n*dtau;
-  tau_load = -F.tau/n;
-  losses = noEvent(Functions.interpolateLosses(abs(w), lossTable));
-  dtau_forward = noEvent(Functions.slidingTorque(tau_load, losses, tau_blend));
-  dtau_backward = -noEvent(Functions.slidingTorque(-tau_load, losses, tau_blend));
-  bristle.v = w/phi_s;
-  dtau = dtau_forward*noEvent(max(0.0, bristle.share)) + dtau_backward*noEvent(max(0.0, -bristle.share));
-  lossPower = dtau*w - phi_s*der(bristle.z)*(dtau_forward*noEvent(max(0.0, bristle.z))
-     + dtau_backward*noEvent(max(0.0, -bristle.z)));
-  annotation(Documentation(info="<html>
-<p>Eqs. (1) and (2) of the paper; the loss torque dtau acts on the speed of the Wave Generator relative to the Circular
-Spline. With the load torque T known from the Flexspline, Table 1 is explicit (Functions.slidingTorque): no algebraic
-loop. Between the two sliding values the gear is stuck; how it gets from one to the other is Signals.Bristle.</p>
-</html>"));
+  losses_forward = losses;
+  losses_backward = losses;
+  dtau = friction;
 end HarmonicDrive;

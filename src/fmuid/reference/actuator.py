@@ -1,7 +1,7 @@
 """The force-feedback actuator: equations of motion of the three setups, by hand.
 
 Bodies: housing (C, with stator and Circular Spline), rotor (W, with Wave Generator), load (L). The gear ties
-the massless Flexspline to both: phi_F = (phi_W - (1 - n) phi_C)/n. Its spring and damper give the load torque T
+the massless Flexspline to both: phi_F = (phi_W - (1 - n) phi_C)/n. Its spring and damper give the torque T
 on the motor side as a function of the states. With the loss torque D acting on w_W - w_C:
 
     J_R der(w_W) =  K_m i - T - D

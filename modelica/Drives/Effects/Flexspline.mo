@@ -1,0 +1,21 @@
+within Drives.Effects;
+model Flexspline "Compliance with backlash, hardening and rate-independent hysteresis"
+  extends Components.PartialSpringDamper;
+  parameter Types.Angle backlash(min = 0) = 0 "Lost motion";
+  parameter Real hardening(unit = "1") = 0 "Share by which the secant stiffness grows up to a wind-up of phi_hard";
+  parameter Types.Angle phi_hard(min = 0) = 1e-3 "Wind-up that hardening refers to";
+  parameter Types.Torque hysteresis(min = 0) = 0 "Torque of the hysteresis when it is wound up";
+  parameter Types.Angle hysteresis_angle(min = 0) = 3e-4 "The hysteresis is wound up over some of these";
+  Interfaces.RealInput phi_port(unit = "rad") "Deflection added to that of the spring";
+  Types.Angle wind "Deflection of the spring";
+  Real z(start = 0, fixed = true, unit = "1") "Hysteresis torque over its largest value, Bouc-Wen";
+protected
+  Types.Angle deflection "Relative angle before backlash";
+  Real contact(unit = "1") "0 within the backlash, 1 in contact";
+equation
+  deflection = phi_rel - phi_rel0 + phi_port;
+  wind = deflection - noEvent(max(-backlash/2, min(backlash/2, deflection)));
+  contact = noEvent(if backlash > 0 then min(1.0, abs(wind)/max(0.1*backlash, 1e-9)) else 1.0);
+  der(z) = noEvent(if hysteresis > 0 then (w_rel - (if w_rel*z > 0 then abs(z)*w_rel else 0.0))/hysteresis_angle else 0.0);
+  tau = c*wind*(1 + hardening*(wind/phi_hard)^2) + d*contact*w_rel + hysteresis*z;
+end Flexspline;
