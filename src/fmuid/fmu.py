@@ -218,6 +218,7 @@ class Fmu:
                 variables=self._variables,
                 slots=self._slots,
                 library=library,
+                described=self._description,
                 linear_inputs=bool(co_simulation and getattr(co_simulation, "canInterpolateInputs", False)),
                 even_steps=bool(co_simulation and not co_simulation.canHandleVariableCommunicationStepSize),
             )
@@ -312,7 +313,6 @@ _REASONS = {
     Outcome.EARLY_RETURN: "the FMU returned early from a step, which was not allowed,",
     Outcome.STEP_TOO_SMALL: "the integrator cannot keep its error within the tolerance",
     Outcome.EVENTS_DO_NOT_SETTLE: "the event iteration does not settle",
-    Outcome.NO_MEMORY: "no memory for the integrator",
 }
 
 

@@ -17,6 +17,8 @@ from fmuid.simulation import Task, Variable
 from fmuid.stepper import DTYPES, Group, Plan
 from fmuid.suggest import suggestion
 
+_TOLERANCE = 1e-6  # of the integration of model-exchange FMUs that suggest none
+
 
 class PreparedTask:
     """A `Plan` for one task and one set of parameter names, with the arrays it points into.
@@ -41,6 +43,7 @@ class PreparedTask:
         variables: Mapping[str, Variable],
         slots: Mapping[str, Slot],
         library: FmuLibrary,
+        described: Any,
         linear_inputs: bool,
         even_steps: bool,
     ) -> None:
@@ -68,15 +71,11 @@ class PreparedTask:
             inputs[:, j] = values
             self._check_whole(name, values)
         fixed = {k: v for k, v in task.start_values.items() if k not in names}
-        back = [
-            name for name in restored if name not in names and name not in fixed and slots[name].has_start
-        ]
+        back = [name for name in restored if name not in names and name not in fixed and slots[name].has_start]
         for name in [*names, *fixed]:
             refusal = self._slot(name).refusal
             if refusal is not None:
-                settable = [
-                    k for k, s in slots.items() if s.refusal is None and variables[k].causality != "input"
-                ]
+                settable = [k for k, s in slots.items() if s.refusal is None and variables[k].causality != "input"]
                 raise FmuError(
                     f"'{name}' {refusal}: its start value cannot be set",
                     where=self._where,
@@ -107,6 +106,8 @@ class PreparedTask:
         plan.linear = task.interpolation == "linear"
         plan.tolerance_defined = task.tolerance is not None
         plan.tolerance = task.tolerance or 0.0
+        if library.model_exchange:
+            self._integrate(described, inputs.shape[1])
         # Sums of time and step size may round up past the last time; the FMU must not refuse that.
         plan.stop = float(np.max(task.time[:-1] + np.diff(task.time)))
         plan.n_times, plan.n_inputs, plan.n_outputs = n, inputs.shape[1], len(task.outputs)
@@ -116,8 +117,8 @@ class PreparedTask:
         plan.n_start_groups, plan.start_groups = self._groups([*back, *fixed, *names], "Set")
         plan.n_input_groups, plan.input_groups = self._groups(list(task.inputs), "Set")
         plan.n_output_groups, plan.output_groups = self._groups(list(task.outputs), "Get")
-        if plan.linear and not library.model_exchange:
-            self._interpolate(variables, linear_inputs)
+        if plan.linear:
+            self._interpolate(variables, linear_inputs or library.model_exchange)
 
     def set_parameters(self, parameters: Mapping[str, float]) -> None:
         """Take the values of `names`, in their order, for the next run."""
@@ -138,9 +139,7 @@ class PreparedTask:
         try:
             return self._slots[name]
         except KeyError:
-            raise FmuError(
-                f"no variable '{name}'", where=self._where, fix=suggestion(name, self._slots)
-            ) from None
+            raise FmuError(f"no variable '{name}'", where=self._where, fix=suggestion(name, self._slots)) from None
 
     def _check_time(self, time: FloatArray, even_steps: bool) -> None:
         if time.ndim != 1 or len(time) < 2 or not np.isfinite(time).all() or np.any(np.diff(time) <= 0):
@@ -173,11 +172,12 @@ class PreparedTask:
         address: int = array.__array_interface__["data"][0]
         return address
 
-    def _groups(self, names: Sequence[str], action: str) -> tuple[int, Any]:
-        """Lay out variables as one call for each FMI type."""
+    def _groups(self, names: Sequence[str], action: str, only: Sequence[int] | None = None) -> tuple[int, Any]:
+        """Lay out variables, all or `only` those columns of the row, as one call for each FMI type."""
         groups: list[Group] = []
-        for suffix in dict.fromkeys(self._slots[n].suffix for n in names):
-            columns = [j for j, n in enumerate(names) if self._slots[n].suffix == suffix]
+        chosen = range(len(names)) if only is None else only
+        for suffix in dict.fromkeys(self._slots[names[j]].suffix for j in chosen):
+            columns = [j for j in chosen if self._slots[names[j]].suffix == suffix]
             members = [self._slots[names[j]] for j in columns]
             offsets: dict[int, int] = {}
             buffer: list[float] = []
@@ -207,6 +207,7 @@ class PreparedTask:
                     n_references=len(offsets),
                     n_values=len(buffer),
                     type=storage,
+                    direct=int(storage == 0 and len(columns) == len(names) == len(buffer) == len(offsets)),
                     n_columns=len(columns),
                     column=self._pointer(np.array(columns, dtype=np.int32)),
                     place=self._pointer(
@@ -219,10 +220,20 @@ class PreparedTask:
         self._kept.append(array)
         return len(groups), ctypes.cast(array, ctypes.POINTER(Group))
 
+    def _integrate(self, described: Any, n_inputs: int) -> None:
+        """Provide for the integrator of model_exchange.c."""
+        plan, experiment = self.plan, described.defaultExperiment
+        suggested = experiment.tolerance if experiment is not None else None
+        plan.tolerance = self.task.tolerance or float(suggested or _TOLERANCE)
+        plan.n_states, plan.n_indicators = described.numberOfContinuousStates, described.numberOfEventIndicators
+        exchange = described.modelExchange
+        plan.completed_step_needed = bool(exchange.needsCompletedIntegratorStep)
+        n, nz = plan.n_states, plan.n_indicators
+        plan.work = self._pointer(np.zeros(15 * n + 2 * n * n + 2 * nz + n_inputs + 1))
+        plan.pivots = self._pointer(np.zeros(n + 1, dtype=np.int32))
+
     def _interpolate(self, variables: Mapping[str, Variable], linear_inputs: bool) -> None:
-        columns = [
-            j for j, name in enumerate(self.task.inputs) if variables[name].variability == "continuous"
-        ]
+        columns = [j for j, name in enumerate(self.task.inputs) if variables[name].variability == "continuous"]
         if columns and not linear_inputs:
             raise FmuError(
                 "it cannot interpolate its inputs between communication points",
@@ -231,6 +242,7 @@ class PreparedTask:
             )
         names = list(self.task.inputs)
         plan = self.plan
+        plan.n_slope_groups, plan.slope_groups = self._groups(names, "Set", columns)
         plan.n_slopes = len(columns)
         plan.slope_columns = self._pointer(np.array(columns, dtype=np.int32))
         plan.slope_references = self._pointer(

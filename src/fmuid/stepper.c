@@ -1,105 +1,33 @@
 /* The loop over communication points for any FMU: FMI 2.0 and 3.0, co-simulation and model exchange.
  *
  * One call of fmuid_run is one whole simulation: reset, set start values, initialise, then set inputs, step and
- * read outputs at every communication point. The caller (stepper.py) fills in a Plan whose layout is mirrored
- * there field by field; stepper_python.py does the same without a compiler, call by call and digit by digit.
+ * read outputs at every communication point. The caller (stepper.py) fills in a Plan; stepper_python.py does the same
+ * without a compiler, call by call and digit by digit.
  */
+#include "stepper.h"
+
 #include <math.h>
 #include <stdarg.h>
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 #include <time.h>
 
-typedef void *Instance;
-
-/* How a value is stored on the FMU's side; fmi2Integer and fmi2Boolean are INT32, fmi3Boolean is UINT8. */
-enum { FLOAT64, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64 };
-
-/* The functions of an FMU that are called here, the same places for FMI 2.0 and 3.0. */
-enum {
-    RESET, SETUP_EXPERIMENT, ENTER_INITIALIZATION, EXIT_INITIALIZATION, TERMINATE, DO_STEP, SET_INPUT_DERIVATIVES,
-    GET_BOOLEAN_STATUS, ENTER_EVENT_MODE, UPDATE_DISCRETE_STATES, ENTER_CONTINUOUS_TIME_MODE,
-    COMPLETED_INTEGRATOR_STEP, SET_TIME, SET_STATES, GET_STATES, GET_DERIVATIVES, GET_INDICATORS, GET_NOMINALS,
-    SET_VALUES, GET_VALUES, N_FUNCTIONS
-};
-
-/* Why a run ended; mirrored in stepper.py. */
-enum { DONE, PAUSED, CALL_FAILED, NOT_FINITE, TERMINATED, EARLY_RETURN, STEP_TOO_SMALL, EVENTS_DO_NOT_SETTLE, NO_MEMORY };
-
-typedef struct {           /* variables of one type, set or read by one call */
-    void *function;        /* fmi2SetReal, fmi3GetFloat64, ... */
-    const uint32_t *references;
-    size_t n_references;
-    size_t n_values;       /* of the buffer; more than n_references if there are FMI 3.0 arrays */
-    int32_t type;
-    int32_t n_columns;
-    const int32_t *column; /* where in the row of numbers ... */
-    const int32_t *place;  /* ... and where in the buffer */
-    void *buffer;
-} Group;
-
-typedef struct {
-    Instance instance;
-    void *function[N_FUNCTIONS];
-    int32_t fmi;            /* 2 or 3 */
-    int32_t model_exchange;
-    int32_t reset;          /* the instance has run before */
-    int32_t linear;         /* inputs are interpolated, else held */
-    int32_t tolerance_defined;
-    int32_t completed_step_needed;
-    double tolerance;
-    double stop;
-    size_t n_times, n_inputs, n_outputs, n_starts, n_states, n_indicators;
-    const double *time;     /* (n_times) */
-    const double *inputs;   /* (n_times, n_inputs) */
-    const double *starts;
-    double *outputs;        /* (n_outputs, n_times) */
-    double *row;            /* scratch, max(n_inputs, n_outputs) */
-    int32_t n_start_groups, n_input_groups, n_output_groups, n_slopes;
-    const Group *start_groups, *input_groups, *output_groups;
-    const uint32_t *slope_references; /* continuous real inputs, for fmi2SetRealInputDerivatives */
-    const int32_t *slope_columns;
-    const int32_t *slope_orders;      /* all one */
-    double *slopes;
-    void *integrator;       /* state of the model-exchange integrator between pauses */
-    /* progress and outcome */
-    int64_t reached;        /* last communication point whose outputs are there, -1 before initialisation */
-    int32_t status;         /* fmi status of the call that failed */
-    int32_t call;           /* its place in `function` */
-    int32_t column;         /* output that is not finite */
-    int32_t unused;
-    double reached_time;
-} Plan;
-
-typedef int32_t (*Plain)(Instance);
-
-#define CALL(place, type, ...) \
-    do { \
-        int32_t status_ = ((type)plan->function[place])(__VA_ARGS__); \
-        if (status_ > 1) return fail(plan, place, status_); \
-    } while (0)
-#define TRY(expression) do { int32_t outcome_ = (expression); if (outcome_ != DONE) return outcome_; } while (0)
-
-static int32_t fail(Plan *plan, int32_t place, int32_t status)
+int32_t fail(Plan *plan, int32_t place, int32_t status)
 {
     plan->call = place;
     plan->status = status;
     return CALL_FAILED;
 }
 
-static int32_t exchange(Plan *plan, const Group *g, int32_t place)
+static inline int32_t exchange(Plan *plan, const Group *g, int32_t place, void *buffer)
 {
     int32_t status;
     if (plan->fmi == 2)
         status = ((int32_t (*)(Instance, const uint32_t *, size_t, void *))g->function)(
-            plan->instance, g->references, g->n_references, g->buffer);
+            plan->instance, g->references, g->n_references, buffer);
     else
         status = ((int32_t (*)(Instance, const uint32_t *, size_t, void *, size_t))g->function)(
-            plan->instance, g->references, g->n_references, g->buffer, g->n_values);
+            plan->instance, g->references, g->n_references, buffer, g->n_values);
     return status > 1 ? fail(plan, place, status) : DONE;
 }
 
@@ -107,9 +35,13 @@ static int32_t exchange(Plan *plan, const Group *g, int32_t place)
 #define PUT(T) EACH(((T *)g->buffer)[g->place[i]] = (T)row[g->column[i]])
 #define TAKE(T) EACH(row[g->column[i]] = (double)((const T *)g->buffer)[g->place[i]])
 
-static int32_t set_values(Plan *plan, const Group *groups, int32_t n_groups, const double *row)
+int32_t set_values(Plan *plan, const Group *groups, int32_t n_groups, const double *row)
 {
     for (const Group *g = groups; g < groups + n_groups; g++) {
+        if (g->direct) {
+            TRY(exchange(plan, g, SET_VALUES, (void *)row));
+            continue;
+        }
         switch (g->type) {
         case FLOAT64: PUT(double);
         case FLOAT32: PUT(float);
@@ -122,7 +54,7 @@ static int32_t set_values(Plan *plan, const Group *groups, int32_t n_groups, con
         case INT64: PUT(int64_t);
         default: PUT(uint64_t);
         }
-        TRY(exchange(plan, g, SET_VALUES));
+        TRY(exchange(plan, g, SET_VALUES, g->buffer));
     }
     return DONE;
 }
@@ -131,7 +63,8 @@ static int32_t read_outputs(Plan *plan, size_t k)
 {
     double *row = plan->row;
     for (const Group *g = plan->output_groups; g < plan->output_groups + plan->n_output_groups; g++) {
-        TRY(exchange(plan, g, GET_VALUES));
+        TRY(exchange(plan, g, GET_VALUES, g->direct ? row : g->buffer));
+        if (g->direct) continue;
         switch (g->type) {
         case FLOAT64: TAKE(double);
         case FLOAT32: TAKE(float);
@@ -265,9 +198,6 @@ static double seconds(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-static int32_t begin_model_exchange(Plan *plan);
-static int32_t integrate(Plan *plan, size_t k);
-
 /* Simulate, or go on where the last call paused; returns PAUSED after about `slice` seconds. */
 int32_t fmuid_run(Plan *plan, int32_t resume, double slice)
 {
@@ -293,6 +223,3 @@ int32_t fmuid_run(Plan *plan, int32_t resume, double slice)
     if (plan->function[TERMINATE]) ((Plain)plan->function[TERMINATE])(plan->instance);
     return DONE;
 }
-
-static int32_t begin_model_exchange(Plan *plan) { return fail(plan, ENTER_EVENT_MODE, 3); }
-static int32_t integrate(Plan *plan, size_t k) { (void)k; return fail(plan, ENTER_EVENT_MODE, 3); }

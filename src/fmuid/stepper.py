@@ -1,8 +1,8 @@
 """The loop over communication points in compiled code, over any FMU's C functions.
 
-``stepper.c`` is compiled on first use and kept in the user's cache folder under the hash of its content.
-Without a C compiler ``stepper_python`` runs the same calls in the same order: slower, with identical results.
-Set the environment variable ``FMUID_STEPPER=python`` to ask for that.
+``stepper.c`` and ``model_exchange.c`` are compiled on first use and kept in the user's cache folder under the
+hash of their content. Without a C compiler ``stepper_python`` runs the same calls in the same order: slower,
+with identical results. Set the environment variable ``FMUID_STEPPER=python`` to ask for that.
 """
 
 from __future__ import annotations
@@ -61,7 +61,6 @@ class Outcome(IntEnum):
     EARLY_RETURN = 5
     STEP_TOO_SMALL = 6
     EVENTS_DO_NOT_SETTLE = 7
-    NO_MEMORY = 8
 
 
 class Group(ctypes.Structure):
@@ -73,7 +72,9 @@ class Group(ctypes.Structure):
         ("n_references", c_size_t),
         ("n_values", c_size_t),
         ("type", c_int32),
+        ("direct", c_int32),
         ("n_columns", c_int32),
+        ("unused", c_int32),
         ("column", c_void_p),
         ("place", c_void_p),
         ("buffer", c_void_p),
@@ -108,20 +109,25 @@ class Plan(ctypes.Structure):
         ("n_start_groups", c_int32),
         ("n_input_groups", c_int32),
         ("n_output_groups", c_int32),
+        ("n_slope_groups", c_int32),
         ("n_slopes", c_int32),
         ("start_groups", POINTER(Group)),
         ("input_groups", POINTER(Group)),
         ("output_groups", POINTER(Group)),
+        ("slope_groups", POINTER(Group)),
         ("slope_references", c_void_p),
         ("slope_columns", c_void_p),
         ("slope_orders", c_void_p),
         ("slopes", c_void_p),
-        ("integrator", c_void_p),
+        ("work", c_void_p),
+        ("pivots", c_void_p),
+        ("step_size", c_double),
+        ("next_event", c_double),
+        ("next_event_defined", c_int32),
         ("reached", c_int64),
         ("status", c_int32),
         ("call", c_int32),
         ("column", c_int32),
-        ("unused", c_int32),
         ("reached_time", c_double),
     )
 
@@ -133,12 +139,12 @@ def _cache_folder() -> Path:
     return Path(base) / "fmuid" if base else Path.home() / ".cache" / "fmuid"
 
 
-def _compile(source: Path) -> Path | None:
-    """Compile `source` into the cache and return the library, or None where there is no working compiler."""
+def _compile(sources: list[Path]) -> Path | None:
+    """Compile `sources` into the cache and return the library, or None where there is no working compiler."""
     compiler = next(filter(None, map(shutil.which, [os.environ.get("CC") or "cc", "gcc", "clang"])), None)
     # Contraction to fused multiply-adds would make the results depend on the machine.
     flags = ["-std=c11", "-O2", "-shared", "-fPIC", "-ffp-contract=off"]
-    content = hashlib.sha256(source.read_bytes())
+    content = hashlib.sha256(b"".join(s.read_bytes() for s in [*sources, sources[0].with_suffix(".h")]))
     content.update(" ".join([*flags, sys.platform, platform.machine()]).encode())
     name = f"stepper-{content.hexdigest()[:24]}{'.dll' if sys.platform == 'win32' else '.so'}"
     for folder in (_cache_folder(), Path(tempfile.gettempdir()) / f"fmuid-{_user()}"):
@@ -154,7 +160,7 @@ def _compile(source: Path) -> Path | None:
                 continue
             handle, temporary = tempfile.mkstemp(dir=folder, suffix=library.suffix)
             os.close(handle)
-            command = [compiler, *flags, "-o", temporary, str(source), "-lm"]
+            command = [compiler, *flags, "-o", temporary, *map(str, sources), "-lm"]
             subprocess.run(command, check=True, capture_output=True, timeout=120)
             Path(temporary).replace(library)  # whole or not at all, whoever else compiles at the same time
             return library
@@ -181,7 +187,7 @@ def library() -> ctypes.CDLL | None:
     """Return the compiled stepper, or None where it cannot be had."""
     if os.environ.get("FMUID_STEPPER") == "python":
         return None
-    path = _compile(Path(__file__).with_name("stepper.c"))
+    path = _compile([Path(__file__).with_name(f"{n}.c") for n in ("stepper", "model_exchange")])
     if path is None:
         return None
     try:

@@ -5,17 +5,18 @@ from __future__ import annotations
 import ctypes
 import time
 from ctypes import CFUNCTYPE, byref, c_bool, c_double, c_int32, c_size_t, c_void_p
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fmuid.model_exchange_python import Integrator
 from fmuid.stepper import DTYPES, FUNCTIONS, Outcome, Plan
 
 _PLACE = {name: i for i, name in enumerate(FUNCTIONS)}
 
 
-class _EndError(Exception):
+class RunEndedError(Exception):
     """The run ends with this outcome."""
 
     def __init__(self, outcome: Outcome) -> None:
@@ -35,7 +36,7 @@ def _array(address: int | None, n: int, dtype: str = "f8") -> NDArray[Any]:
 class _Groups:
     """Variables that are set or read together, one call for each type."""
 
-    def __init__(self, run: _Run, groups: Any, n: int, place: str) -> None:
+    def __init__(self, run: Run, groups: Any, n: int, place: str) -> None:
         self._run, self._place = run, place
         self._calls = []
         for g in groups[:n]:
@@ -46,9 +47,7 @@ class _Groups:
                 arguments.append(g.n_values)
             columns, places = (_array(a, g.n_columns, "i4") for a in (g.column, g.place))
             buffer = _array(g.buffer, g.n_values, DTYPES[g.type])
-            self._calls.append(
-                (CFUNCTYPE(c_int32, *signature)(g.function), arguments, columns, places, buffer)
-            )
+            self._calls.append((CFUNCTYPE(c_int32, *signature)(g.function), arguments, columns, places, buffer))
 
     def set(self, row: NDArray[np.float64]) -> None:
         for function, arguments, columns, places, buffer in self._calls:
@@ -61,8 +60,10 @@ class _Groups:
             row[columns] = buffer[places]
 
 
-class _Run:
+class Run:
     """One simulation; `plan` holds its progress as it does in C."""
+
+    Ended = RunEndedError
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
@@ -70,15 +71,27 @@ class _Run:
         self.time = _array(plan.time, n)
         self.inputs = _array(plan.inputs, n * plan.n_inputs).reshape(n, -1)
         self.predictions = _array(plan.outputs, plan.n_outputs * n).reshape(-1, n)
+        self.integrator: Integrator | None = None
         self.row = np.empty(plan.n_outputs)
         self.set_starts = _Groups(self, plan.start_groups, plan.n_start_groups, "SET_VALUES")
         self.set_inputs = _Groups(self, plan.input_groups, plan.n_input_groups, "SET_VALUES")
+        self.set_slopes = _Groups(self, plan.slope_groups, plan.n_slope_groups, "SET_VALUES")
+        self.slope_columns = [int(j) for j in _array(plan.slope_columns, plan.n_slopes, "i4")]
         self.get_outputs = _Groups(self, plan.output_groups, plan.n_output_groups, "GET_VALUES")
 
     def check(self, place: str, status: int) -> None:
+        """End the run if the status is worse than a warning."""
         if status > 1:
             self.plan.call, self.plan.status = _PLACE[place], status
-            raise _EndError(Outcome.CALL_FAILED)
+            self.end(Outcome.CALL_FAILED)
+
+    def end(self, outcome: Outcome) -> NoReturn:
+        """End the run with this outcome."""
+        raise RunEndedError(outcome)
+
+    def has(self, place: str) -> bool:
+        """Whether the FMU has the function at `place`."""
+        return bool(self.plan.function[_PLACE[place]])
 
     def call(self, place: str, *arguments: tuple[Any, Any]) -> int:
         """Call the function at `place` of the instance with (type, value) pairs; return its status."""
@@ -91,6 +104,7 @@ class _Run:
         self.check(place, self.call(place, *arguments))
 
     def initialise(self) -> None:
+        """Bring the FMU from where it is to initialised, with inputs of the first communication point."""
         plan = self.plan
         plan.reached, plan.reached_time = -1, float(self.time[0])
         if plan.reset:
@@ -111,23 +125,24 @@ class _Run:
         self.do("EXIT_INITIALIZATION")
 
     def read(self, k: int) -> None:
+        """Read the outputs of communication point k."""
         plan = self.plan
         self.get_outputs.get(self.row)
         for j, value in enumerate(self.row):
             self.predictions[j, k] = value
             if not np.isfinite(value):
                 plan.column, plan.reached_time = j, float(self.time[k])
-                raise _EndError(Outcome.NOT_FINITE)
+                raise RunEndedError(Outcome.NOT_FINITE)
         plan.reached, plan.reached_time = k, float(self.time[k])
 
     def do_step(self, k: int) -> None:
+        """Step a co-simulation FMU from communication point k to the next."""
         plan, t = self.plan, float(self.time[k])
         h = float(self.time[k + 1]) - t
         self.set_inputs.set(self.inputs[k])
         if plan.fmi == 2:
             if plan.n_slopes:
-                columns = _array(plan.slope_columns, plan.n_slopes, "i4")
-                u = self.inputs[:, columns]
+                u = self.inputs[:, self.slope_columns]
                 _array(plan.slopes, plan.n_slopes)[:] = (u[k + 1] - u[k]) / h
                 self.do(
                     "SET_INPUT_DERIVATIVES",
@@ -137,24 +152,24 @@ class _Run:
                     (c_void_p, plan.slopes),
                 )
             status = self.call("DO_STEP", (c_double, t), (c_double, h), (c_int32, 1))
-            if status == 2 and plan.function[_PLACE["GET_BOOLEAN_STATUS"]]:
+            if status == 2 and self.has("GET_BOOLEAN_STATUS"):
                 ended = c_int32()
                 answer = self.call("GET_BOOLEAN_STATUS", (c_int32, 3), (c_void_p, ctypes.addressof(ended)))
                 if answer <= 1 and ended.value:
-                    raise _EndError(Outcome.TERMINATED)
+                    raise RunEndedError(Outcome.TERMINATED)
             self.check("DO_STEP", status)
             return
         event, terminate, early, last = c_bool(), c_bool(), c_bool(), c_double(t)
         pointers = [(c_void_p, byref(p)) for p in (event, terminate, early, last)]
         self.do("DO_STEP", (c_double, t), (c_double, h), (c_bool, True), *pointers)
         if terminate.value:
-            raise _EndError(Outcome.TERMINATED)
+            raise RunEndedError(Outcome.TERMINATED)
         if early.value:
             plan.reached_time = last.value
-            raise _EndError(Outcome.EARLY_RETURN)
+            raise RunEndedError(Outcome.EARLY_RETURN)
 
 
-_runs: dict[int, _Run] = {}
+_runs: dict[int, Run] = {}
 
 
 def run(plan: Plan, resume: int, seconds: float) -> int:
@@ -164,18 +179,23 @@ def run(plan: Plan, resume: int, seconds: float) -> int:
         if resume:
             this = _runs.pop(key)
         else:
-            this = _Run(plan)
+            this = Run(plan)
             this.initialise()
+            if plan.model_exchange:
+                this.integrator = Integrator(this)
             this.read(0)
         begun = time.monotonic()
         for k in range(plan.reached, plan.n_times - 1):
-            this.do_step(k)
+            if this.integrator is not None:
+                this.integrator.integrate(k)
+            else:
+                this.do_step(k)
             this.read(k + 1)
             if time.monotonic() - begun > seconds and k + 2 < plan.n_times:
                 _runs[key] = this
                 return Outcome.PAUSED
-        if plan.function[_PLACE["TERMINATE"]]:
+        if this.has("TERMINATE"):
             this.call("TERMINATE")
-    except _EndError as end:
+    except RunEndedError as end:
         return end.outcome
     return Outcome.DONE

@@ -96,8 +96,8 @@ class WorkerPool(Executor):
 
     Notes
     -----
-    An evaluation that crashes a worker which had done others before is tried once more in a fresh one: whether
-    it fails then depends on its parameters alone, and results are the same for any number of workers. One that
+    An evaluation that crashes a worker which had done others before is tried again in a fresh one: whether
+    it fails then depends on its parameters alone, and results are the same for any number of workers. What
     exceeds the time limit is not tried again.
 
     Workers start by ``forkserver`` where there is one, else by ``spawn``: a script must start its work under
@@ -332,7 +332,7 @@ class WorkerPool(Executor):
         worker.calls.clear()
 
     def _bury(self, worker: _Worker) -> None:
-        """Deal with a worker that died: its evaluation failed or is tried again, what it had at hand goes on."""
+        """Settle what a dead worker leaves: its evaluation failed or is tried again, the rest goes elsewhere."""
         worker.process.join(5.0)
         code = worker.process.exitcode
         if not worker.ready:

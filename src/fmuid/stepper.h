@@ -1,0 +1,93 @@
+/* What the parts of the stepper share. Mirrored in stepper.py, field by field. */
+#ifndef FMUID_STEPPER_H
+#define FMUID_STEPPER_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+typedef void *Instance;
+
+/* How a value is stored on the FMU's side; fmi2Integer and fmi2Boolean are INT32, fmi3Boolean is UINT8. */
+enum { FLOAT64, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64 };
+
+/* The functions of an FMU that are called here, the same places for FMI 2.0 and 3.0. */
+enum {
+    RESET, SETUP_EXPERIMENT, ENTER_INITIALIZATION, EXIT_INITIALIZATION, TERMINATE, DO_STEP, SET_INPUT_DERIVATIVES,
+    GET_BOOLEAN_STATUS, ENTER_EVENT_MODE, UPDATE_DISCRETE_STATES, ENTER_CONTINUOUS_TIME_MODE,
+    COMPLETED_INTEGRATOR_STEP, SET_TIME, SET_STATES, GET_STATES, GET_DERIVATIVES, GET_INDICATORS, GET_NOMINALS,
+    SET_VALUES, GET_VALUES, N_FUNCTIONS
+};
+
+/* Why a run ended; mirrored in stepper.py. */
+enum { DONE, PAUSED, CALL_FAILED, NOT_FINITE, TERMINATED, EARLY_RETURN, STEP_TOO_SMALL, EVENTS_DO_NOT_SETTLE };
+
+typedef struct {           /* variables of one type, set or read by one call */
+    void *function;        /* fmi2SetReal, fmi3GetFloat64, ... */
+    const uint32_t *references;
+    size_t n_references;
+    size_t n_values;       /* of the buffer; more than n_references if there are FMI 3.0 arrays */
+    int32_t type;
+    int32_t direct;        /* the buffer is laid out as the row of numbers: no copying */
+    int32_t n_columns;
+    int32_t unused;
+    const int32_t *column; /* where in the row of numbers ... */
+    const int32_t *place;  /* ... and where in the buffer */
+    void *buffer;
+} Group;
+
+typedef struct {
+    Instance instance;
+    void *function[N_FUNCTIONS];
+    int32_t fmi;            /* 2 or 3 */
+    int32_t model_exchange;
+    int32_t reset;          /* the instance has run before */
+    int32_t linear;         /* inputs are interpolated, else held */
+    int32_t tolerance_defined;
+    int32_t completed_step_needed;
+    double tolerance;
+    double stop;
+    size_t n_times, n_inputs, n_outputs, n_starts, n_states, n_indicators;
+    const double *time;     /* (n_times) */
+    const double *inputs;   /* (n_times, n_inputs) */
+    const double *starts;
+    double *outputs;        /* (n_outputs, n_times) */
+    double *row;            /* scratch, max(n_inputs, n_outputs) */
+    int32_t n_start_groups, n_input_groups, n_output_groups, n_slope_groups, n_slopes;
+    const Group *start_groups, *input_groups, *output_groups;
+    const Group *slope_groups;        /* continuous inputs, to interpolate them ... */
+    const uint32_t *slope_references; /* ... or to have them interpolated by fmi2SetRealInputDerivatives */
+    const int32_t *slope_columns;
+    const int32_t *slope_orders;      /* all one */
+    double *slopes;
+    /* model exchange: see model_exchange.c */
+    double *work;
+    int32_t *pivots;
+    double step_size;
+    double next_event;
+    int32_t next_event_defined;
+    /* progress and outcome */
+    int64_t reached;        /* last communication point whose outputs are there, -1 before initialisation */
+    int32_t status;         /* fmi status of the call that failed */
+    int32_t call;           /* its place in `function` */
+    int32_t column;         /* output that is not finite */
+    double reached_time;
+} Plan;
+
+typedef int32_t (*Plain)(Instance);
+
+/* Call the FMU's function at `place`; leave if it answers Discard, Error or Fatal. */
+#define CALL(place, type, ...) \
+    do { \
+        int32_t status_ = ((type)plan->function[place])(__VA_ARGS__); \
+        if (status_ > 1) return fail(plan, place, status_); \
+    } while (0)
+/* Leave with what went wrong, if anything did. */
+#define TRY(expression) do { int32_t outcome_ = (expression); if (outcome_ != DONE) return outcome_; } while (0)
+
+int32_t fail(Plan *plan, int32_t place, int32_t status);
+int32_t set_values(Plan *plan, const Group *groups, int32_t n_groups, const double *row);
+int32_t begin_model_exchange(Plan *plan);
+int32_t integrate(Plan *plan, size_t k);
+
+#endif
