@@ -1,1 +1,21 @@
 """From Modelica source to a tested FMU with packages from PyPI and a C compiler."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fmu_build.build import build
+
+if TYPE_CHECKING:
+    from fmu_build.model import CompiledModel
+
+__all__ = ["build", "compile_modelica"]
+
+
+def compile_modelica(file: Path, class_name: str, roots: Sequence[Path] = ()) -> CompiledModel:
+    """Translate a Modelica class; see `fmu_build.compiler.compile_modelica`."""
+    from fmu_build.compiler import compile_modelica as compile_
+
+    return compile_(file, class_name, roots)

@@ -1,0 +1,121 @@
+"""Modelica class to FMU in one step, cached by content."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Literal
+
+from fmu_build.sources import source_files
+from fmuid.errors import BuildError, ModelicaError
+
+Compiler = Literal["rumoca", "omc"]
+
+
+def build(
+    file: Path | str,
+    class_name: str,
+    out: Path | str,
+    fmi: str = "2",
+    compiler: str = "rumoca",
+    roots: Sequence[Path | str] = (),
+) -> Path:
+    """Build the FMU of a Modelica class.
+
+    An FMU that is already there is kept if nothing it depends on has changed: the Modelica sources, this package,
+    the versions of rumoca and CasADi, and the options.
+
+    Parameters
+    ----------
+    file
+        Modelica file with the class, or any file or the folder of its package.
+    class_name
+        Qualified class name.
+    out
+        Folder for ``<last part of the class name>.fmu``.
+    fmi
+        Version of FMI, "2" or "3".
+    compiler
+        "rumoca" (the built-in way) or "omc" (OpenModelica, if it is on the PATH).
+    roots
+        Directories of further Modelica libraries.
+
+    Returns
+    -------
+    Path
+        The FMU.
+
+    Raises
+    ------
+    ModelicaError
+        The source is wrong or outside the supported subset.
+    BuildError
+        A wrong option, or a compiler is missing or fails.
+    """
+    file, out, folders = Path(file), Path(out), [Path(r) for r in roots]
+    if fmi not in ("2", "3"):
+        raise BuildError(f"FMI version {fmi!r}", fix="choose 2 or 3")
+    if file.is_dir():
+        file /= "package.mo"
+    if not file.is_file():
+        raise ModelicaError("no such Modelica file", where=file)
+    target = out / f"{class_name.rpartition('.')[2]}.fmu"
+    stamp = target.with_suffix(".stamp")
+    state = _state(file, class_name, folders, fmi, compiler)
+    if target.is_file() and stamp.is_file() and stamp.read_text() == f"{state} {_digest(target)}":
+        return target
+    out.mkdir(parents=True, exist_ok=True)
+    if compiler == "rumoca":
+        from fmu_build.compiler import compile_modelica
+        from fmu_build.packaging import package
+
+        built = package(compile_modelica(file, class_name, folders), target, fmi=2 if fmi == "2" else 3)
+    elif compiler == "omc":
+        built = _openmodelica(file, class_name, target, fmi, folders)
+    else:
+        raise BuildError(f"no Modelica compiler {compiler!r}", fix="choose rumoca or omc")
+    partial = stamp.with_name(f".{stamp.name}.{os.getpid()}")
+    partial.write_text(f"{state} {_digest(built)}")
+    partial.replace(stamp)
+    return built
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _state(file: Path, class_name: str, roots: Sequence[Path], fmi: str, compiler: str) -> str:
+    """Digest of everything the FMU depends on."""
+    own = Path(__file__).parent
+    tools = sorted(p for p in own.rglob("*") if p.suffix in (".py", ".c", ".h", ".jinja"))
+    paths = [*source_files(file, roots), *tools]
+    versions = [metadata.version(name) for name in ("rumoca", "casadi", "fmpy")]
+    what = [class_name, fmi, compiler, os.environ.get("CC", ""), versions, [_digest(p) for p in paths]]
+    return hashlib.sha256(json.dumps(what).encode()).hexdigest()
+
+
+def _openmodelica(file: Path, class_name: str, target: Path, fmi: str, roots: Sequence[Path]) -> Path:
+    """Build with OpenModelica's own FMU export."""
+    omc = shutil.which("omc")
+    if omc is None:
+        raise BuildError("OpenModelica's omc is not on the PATH", fix="install it or leave out --compiler omc")
+    sources = [str(p) for p in source_files(file, roots)]
+    with tempfile.TemporaryDirectory() as folder:
+        loads = "".join(f"loadFile({json.dumps(p)});\n" for p in sources)
+        script = (
+            f'{loads}buildModelFMU({class_name}, version="{fmi}.0", fmuType="me_cs");\ngetErrorString();\n'
+        )
+        (Path(folder) / "build.mos").write_text(script)
+        run = subprocess.run([omc, "build.mos"], cwd=folder, capture_output=True, text=True, check=False)
+        made = sorted(Path(folder).glob("*.fmu"))
+        if not made:
+            raise BuildError(f"omc built no FMU: {run.stdout.strip() or run.stderr.strip()}", where=class_name)
+        shutil.move(made[0], target)
+    return target

@@ -1,0 +1,194 @@
+"""CasADi functions of a reduced model, and their C code."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+from fmu_build.graph import SX, Gradient, Graph, Substitution, key
+
+Functions = dict[str, ca.Function]
+
+
+@dataclass(frozen=True)
+class Ports:
+    """Symbols of the vectors, in the order of the interface (see `fmu_build.model`)."""
+
+    t: SX
+    x: list[SX]
+    u: list[SX]
+    p: list[SX]
+    d: list[SX]
+    z: list[SX]
+    pz: list[SX]
+    m: list[SX]
+    y: list[SX]
+
+    def environment(self) -> list[SX]:
+        """Arguments that most functions share."""
+        vectors = [self.x, self.u, self.p, self.d, self.z, self.pz, self.m, self.y]
+        return [self.t, *map(column, vectors)]
+
+
+@dataclass(frozen=True)
+class Expressions:
+    """Everything the generated functions compute, as scalar expressions of the ports."""
+
+    dependent: list[SX]
+    x_start: list[SX]
+    z_start: list[SX]
+    y_start: list[SX]
+    xs: list[SX]
+    initial: list[SX]
+    dx: list[SX]
+    v: list[SX]
+    residuals: list[SX]
+    indicators: list[SX]
+    init: SX
+    z_new: list[SX]
+    x_new: list[SX]
+    next_event: SX
+    terminate: SX
+    reinit: SX
+    asserts: list[SX]
+
+
+def column(items: Sequence[SX]) -> SX:
+    """Scalars as a column vector."""
+    return ca.vertcat(*items) if items else SX(0, 1)
+
+
+def dense(rows: Sequence[Gradient], symbols: Sequence[SX]) -> SX:
+    """Jacobian with the given gradients as rows, every entry stored."""
+    out = SX.zeros(len(rows), len(symbols))
+    for j, symbol in enumerate(symbols):
+        for i, row in enumerate(rows):
+            if key(symbol) in row:
+                out[i, j] = row[key(symbol)]
+    return ca.densify(out)
+
+
+def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
+    """Build the functions of the interface, common subexpressions shared."""
+    environment = ports.environment()
+    out: Functions = {}
+
+    def add(name: str, arguments: list[SX], results: list[SX]) -> None:
+        shared = ca.cse([ca.densify(r) for r in results])
+        out[name] = ca.Function(f"model_{name}", arguments, shared)
+
+    slopes_dx = [graph.gradient(r) for r in e.dx]
+    slopes_r = [graph.gradient(r) for r in e.residuals]
+    add("dependent", [column(ports.p)], [column(e.dependent)])
+    starts = [column(e.x_start), column(e.z_start), column(e.y_start)]
+    add("start", [column(ports.p), column(ports.d)], starts)
+    conditions = [*e.initial, *e.residuals]
+    slopes = [graph.gradient(r) for r in conditions]
+    jacobian = dense(slopes, [*ports.x, *ports.y])
+    add("initial", [*environment, column(e.xs)], [column(conditions), jacobian])
+    add("derivatives", environment, [column(e.dx)])
+    add(
+        "jacobian",
+        environment,
+        [column(e.dx), dense(slopes_dx, ports.x), dense(slopes_dx, [ports.t]), dense(slopes_dx, ports.y)],
+    )
+    add(
+        "loop",
+        environment,
+        [
+            column(e.residuals),
+            dense(slopes_r, ports.y),
+            dense(slopes_r, ports.x),
+            dense(slopes_r, [ports.t]),
+        ],
+    )
+    add("variables", environment, [column(e.v)])
+    seeds = [SX.sym(f"s{n}", len(v)) for n, v in (("x", ports.x), ("u", ports.u), ("p", ports.p), ("y", ports.y))]
+    along = _Direction(graph, ports, e.dependent, seeds)
+    add("partials", [*environment, *seeds], [column([along(r) for r in e.dx]), column([along(r) for r in e.v])])
+    held = _Direction(graph, ports, e.dependent, seeds[:3])
+    add("loop_partials", [*environment, *seeds[:3]], [column([held(r) for r in e.residuals])])
+    add("indicators", environment, [column(e.indicators)])
+    add(
+        "update",
+        [*environment, e.init],
+        [column(e.z_new), column(e.x_new), e.next_event, e.terminate, e.reinit],
+    )
+    add("asserts", environment, [column(e.asserts)])
+    return out
+
+
+class _Direction:
+    """Derivative of expressions along seeds of x, u, p and perhaps y, through the dependent parameters."""
+
+    def __init__(self, graph: Graph, ports: Ports, dependent: list[SX], seeds: list[SX]) -> None:
+        self._graph = graph
+        self._seed: dict[int, SX] = {}
+        for symbols, seed in zip((ports.x, ports.u, ports.p, ports.y), seeds, strict=False):
+            self._seed |= {key(s): seed[i] for i, s in enumerate(symbols)}
+        for symbol, value in zip(ports.d, dependent, strict=True):
+            self._seed[key(symbol)] = self(value)
+
+    def __call__(self, expression: SX) -> SX:
+        return self._graph.directional(expression, self._seed)
+
+
+def c_source(functions: Functions) -> str:
+    """C text of all functions; the same bytes for the same functions."""
+    generator = ca.CodeGenerator("model", {"with_header": False, "casadi_int": "long long int"})
+    for function in functions.values():
+        generator.add(function)
+    return str(generator.dump())
+
+
+def c_header(
+    functions: Functions,
+    sizes: Mapping[str, int],
+    x_nominal: Sequence[float],
+    y_nominal: Sequence[float],
+    inclusive: Sequence[bool],
+    asserts: Sequence[tuple[str, bool]],
+) -> str:
+    """Return the text of ``model.h``: sizes, tables and prototypes."""
+    lines = ["#ifndef MODEL_H", "#define MODEL_H", ""]
+    lines += ["#ifndef casadi_int", "#define casadi_int long long int", "#endif", ""]
+    lines += [f"#define MODEL_{name} {value}" for name, value in sizes.items()]
+    largest = [0, 0, 0, 0]
+    kinds = ("ARG", "RES", "IW", "W")
+    for name, f in functions.items():
+        work = (f.sz_arg(), f.sz_res(), f.sz_iw(), f.sz_w())
+        lines += [f"#define model_{name}_SZ_{kind} {n}" for kind, n in zip(kinds, work, strict=True)]
+        largest = [max(a, b) for a, b in zip(largest, work, strict=True)]
+    lines += [f"#define MODEL_SZ_{kind} {n}" for kind, n in zip(kinds, largest, strict=True)]
+    lines += [
+        "",
+        f"static const double MODEL_X_NOMINAL[] = {{{_numbers(x_nominal)}}};",
+        f"static const double MODEL_Y_NOMINAL[] = {{{_numbers(y_nominal)}}};",
+        f"static const int MODEL_INCLUSIVE[] = {{{', '.join(str(int(i)) for i in inclusive) or '0'}}};",
+        f"static const int MODEL_ASSERT_WARNING[] = {{{', '.join(str(int(w)) for _, w in asserts) or '0'}}};",
+        "static const char* const MODEL_ASSERT_MESSAGE[] = {"
+        + (", ".join(_string(text) for text, _ in asserts) or '""')
+        + "};",
+        "",
+    ]
+    signature = "(const double** arg, double** res, casadi_int* iw, double* w, int mem)"
+    lines += [f"int model_{name}{signature};" for name in functions]
+    return "\n".join([*lines, "", "#endif", ""])
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return ", ".join(repr(float(v)) if math.isfinite(v) else "1.0" for v in values) or "1.0"
+
+
+def _string(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("\r", "")
+    return '"' + escaped.replace("?", "\\?") + '"'
+
+
+def as_ports(mapping: Mapping[int, SX], expressions: Sequence[SX]) -> list[SX]:
+    """Replace symbols in several expressions."""
+    substitute = Substitution(mapping)
+    return [substitute(e) for e in expressions]

@@ -1,0 +1,183 @@
+"""From Modelica source to a `CompiledModel`."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from fmu_build import codegen, events, start
+from fmu_build import values as V
+from fmu_build.aliases import Aliases, eliminate
+from fmu_build.annotations import experiment
+from fmu_build.equations import Equations, collect, when_targets
+from fmu_build.frontend import Flat, load
+from fmu_build.graph import SX, Graph, key
+from fmu_build.index_reduction import Reduced, reduce
+from fmu_build.interface import Interface, describe
+from fmu_build.model import CompiledModel
+from fmu_build.point import Point
+from fmu_build.scope import ModelScope
+from fmu_build.sorting import Solution, solve
+
+
+def compile_modelica(file: Path, class_name: str, roots: Sequence[Path] = ()) -> CompiledModel:
+    """Translate a Modelica class: flatten, reduce the index, sort, solve, differentiate, generate C.
+
+    Parameters
+    ----------
+    file
+        Source file with the class, or any file of its package.
+    class_name
+        Qualified class name, as ``Drives.Setups.FixedShaft``.
+    roots
+        Directories of further libraries.
+
+    Raises
+    ------
+    ModelicaError
+        For source that is wrong or outside the supported subset, with file and line.
+    """
+    return compile_flat(load(Path(file), class_name, roots))
+
+
+def compile_flat(flat: Flat) -> CompiledModel:
+    """Translate a flattened class (see `compile_modelica`)."""
+    graph = Graph()
+    scope = ModelScope(flat, graph, when_targets(flat))
+    equations = collect(scope)
+    discrete_starts = _initial_parameters(scope, equations)
+    aliases = eliminate(scope, equations.continuous)
+    point = Point(scope)
+    reduced = reduce(scope, aliases, point.generic)
+    _check_left_limits(scope, aliases, reduced)
+    solution = solve(scope, reduced)
+
+    def rewrite(expression: SX) -> SX:
+        return solution.expression(aliases.substitute(expression))
+
+    happenings = events.collect(
+        scope, equations, discrete_starts, reduced.states, rewrite, aliases.substitute
+    )
+    symbols = [s.symbol for s in reduced.states]
+    xs = [SX.sym(f"start({s.name()})") for s in symbols]
+    conditions = start.initial_conditions(
+        scope, aliases, reduced.states, rewrite, equations.initial, xs, point.at_start
+    )
+    interface = describe(scope, aliases, reduced, solution, happenings, conditions, point)
+    return _generate(flat, scope, equations, reduced, solution, happenings, conditions, interface, xs, rewrite, point)
+
+
+def _initial_parameters(scope: ModelScope, equations: Equations) -> dict[int, SX]:
+    """Use up the initial equations of parameters with fixed=false and of discrete variables."""
+    discrete, parameters, equations.initial = start.discrete_starts(scope, equations.initial)
+    for declared in scope.parameters.from_initial:
+        value = parameters.get(key(V.sx(declared.symbol)))
+        if value is None:
+            raise scope.flat.error(
+                f"nothing gives '{declared.name}' (fixed = false) a value", declared.span,
+                "give it an initial equation that has it alone on one side",
+            )  # fmt: skip
+        scope.parameters.dependent.append((declared, value))
+    return discrete
+
+
+def _check_left_limits(scope: ModelScope, aliases: Aliases, reduced: Reduced) -> None:
+    states = {key(s.symbol) for s in reduced.states}
+    for symbol in scope.left_limits.values():
+        kept = aliases.substitute(symbol)
+        base = kept if kept.is_symbolic() else -kept
+        declared = scope.declared(symbol)
+        if key(base) not in states and not (declared is not None and declared.kind == "input"):
+            raise scope.flat.error(
+                f"pre({symbol.name()}) of a continuous variable that is not a state",
+                declared.span if declared else None,
+            )
+
+
+def _generate(
+    flat: Flat,
+    scope: ModelScope,
+    equations: Equations,
+    reduced: Reduced,
+    solution: Solution,
+    happenings: events.Events,
+    conditions: start.InitialConditions,
+    interface: Interface,
+    xs: list[SX],
+    rewrite: Callable[[SX], SX],
+    point: Point,
+) -> CompiledModel:
+    ports = codegen.Ports(
+        scope.time,
+        [s.symbol for s in reduced.states],
+        interface.inputs,
+        [V.sx(d.symbol) for d, _ in scope.parameters.independent],
+        [V.sx(d.symbol) for d, _ in scope.parameters.dependent],
+        [d.symbol for d in happenings.discrete],
+        [d.previous for d in happenings.discrete],
+        [r.symbol for r in scope.relations],
+        solution.iterates,
+    )
+    never = {key(scope.init): SX(0.0)}
+
+    def continuous(expressions: Sequence[SX]) -> list[SX]:
+        return codegen.as_ports(never, expressions)
+
+    dependent: list[SX] = []
+    for _, value in scope.parameters.dependent:
+        known = dict(zip(map(key, ports.d), dependent, strict=False))
+        dependent += codegen.as_ports(known, [value])
+    asserts = [rewrite(a.condition) for a in equations.asserts]
+    expressions = codegen.Expressions(
+        dependent=dependent,
+        x_start=[s.value for s in conditions.starts],
+        z_start=[d.start for d in happenings.discrete],
+        y_start=[s.value for s in interface.iterate_starts],
+        xs=xs,
+        initial=continuous(conditions.residuals),
+        dx=continuous([rewrite(s.derivative) for s in reduced.states]),
+        v=continuous(interface.evaluated),
+        residuals=continuous(solution.residuals),
+        indicators=continuous([rewrite(r.difference) for r in scope.relations]),
+        init=scope.init,
+        z_new=[d.value for d in happenings.discrete],
+        x_new=happenings.states,
+        next_event=happenings.next_event,
+        terminate=happenings.terminate,
+        reinit=happenings.reinit,
+        asserts=continuous(asserts),
+    )
+    functions = codegen.make_functions(scope.graph, ports, expressions)
+    has_events = bool(ports.z or ports.m or scope.time_events or equations.whens)
+    sizes = {
+        "NX": len(ports.x), "NU": len(ports.u), "NP": len(ports.p), "ND": len(ports.d), "NZ": len(ports.z),
+        "NM": len(ports.m), "NY": len(ports.y), "NV": len(interface.evaluated), "NASSERT": len(asserts),
+        "HAS_EVENTS": int(has_events), "HAS_INITIAL": int(not conditions.explicit),
+    }  # fmt: skip
+    messages = [
+        (f"{flat.where(a.span) or flat.class_name}: {a.message}", a.warning) for a in equations.asserts
+    ]
+    header = codegen.c_header(
+        functions, sizes, interface.x_nominal, interface.y_nominal, [r.inclusive for r in scope.relations], messages
+    )
+    model = CompiledModel(
+        name=flat.class_name.rpartition(".")[2],
+        class_name=flat.class_name,
+        description=flat.parts.get("model_description") or "",
+        variables=interface.variables,
+        units=interface.units,
+        experiment=experiment(flat.class_name, flat.files),
+        n_x=sizes["NX"], n_u=sizes["NU"], n_p=sizes["NP"], n_d=sizes["ND"], n_z=sizes["NZ"], n_m=sizes["NM"],
+        n_y=sizes["NY"], n_v=sizes["NV"], n_assert=sizes["NASSERT"],
+        has_events=has_events,
+        has_initial=not conditions.explicit,
+        c_source=codegen.c_source(functions),
+        c_header=header,
+        content_hash="",
+        warnings=tuple(scope.parameters.warnings),
+        functions=functions,
+    )  # fmt: skip
+    what = repr(replace(model, c_source="", c_header="")) + model.c_source + model.c_header
+    return replace(model, content_hash=hashlib.sha256(what.encode()).hexdigest())

@@ -1,0 +1,459 @@
+"""Flat expressions (rumoca's tree) to values: numbers where known, SX otherwise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+from fmu_build import values as V
+from fmu_build.frontend import Flat, Node
+from fmu_build.graph import SX
+from fmu_build.values import Array, Scalar, Value
+from fmuid.errors import ModelicaError
+
+_ELEMENTWISE: dict[str, Callable[..., Scalar]] = {
+    "Add": V.add,
+    "Sub": lambda a, b: a - b,
+    "AddElem": V.add,
+    "SubElem": lambda a, b: a - b,
+    "MulElem": lambda a, b: a * b,
+    "DivElem": V.divide,
+    "ExpElem": V.power,
+    "And": V.AND,
+    "Or": V.OR,
+}
+_RELATIONS = {"Lt", "Le", "Gt", "Ge", "Eq", "Neq"}
+_STEPS = {"Floor", "Integer", "Ceil", "Div", "Mod", "Rem"}
+
+
+class Scope(Protocol):
+    """Where names and the operators on model variables get their meaning."""
+
+    def lookup(self, name: str) -> Value:
+        """Return the value of a variable; KeyError if there is none."""
+
+    def derivative(self, value: Scalar) -> Scalar:
+        """Return ``der(value)``."""
+
+    def previous(self, value: Scalar) -> Scalar:
+        """Return ``pre(value)``."""
+
+    def relation(self, difference: SX, inclusive: bool) -> SX:
+        """Truth of ``difference > 0`` (``>= 0`` if inclusive), an event where it changes if it is continuous."""
+
+    def step(self, argument: SX) -> SX:
+        """``floor(argument)``, an event where it changes if the argument is continuous."""
+
+    def sample(self, start: Scalar, interval: Scalar) -> SX:
+        """Truth of ``sample(start, interval)``."""
+
+    def initial(self) -> SX:
+        """Truth of ``initial()``."""
+
+
+class Evaluator:
+    """Evaluates expression trees in a scope.
+
+    Parameters
+    ----------
+    flat
+        The flat class (for messages and enumeration literals).
+    scope
+        Meaning of names.
+    call
+        Evaluates a function by its name with positional arguments (``functions.Functions``).
+    """
+
+    def __init__(self, flat: Flat, scope: Scope, call: Callable[[Node, list[Value]], Value]) -> None:
+        self.flat = flat
+        self.scope = scope
+        self._call = call
+        self._no_event = 0
+        self._iterators: dict[str, int] = {}
+        self._last: list[tuple[Array, int]] = []  # what ``end`` means
+        self._handlers: dict[str, Callable[[Any], Value]] = {
+            "Literal": self._literal,
+            "VarRef": self._reference,
+            "Unary": self._unary,
+            "Binary": self._binary,
+            "If": self._if,
+            "Array": lambda n: Array.stack([self(e) for e in n["elements"]]),
+            "Tuple": lambda n: tuple(self(e) for e in n["elements"]),
+            "Range": self._range,
+            "Index": lambda n: self._subscripted(self(n["base"]), n["subscripts"]),
+            "FieldAccess": self._field,
+            "ArrayComprehension": self._comprehension,
+            "BuiltinCall": self._builtin,
+            "FunctionCall": self._function,
+        }
+
+    def __call__(self, node: Node) -> Value:
+        """Evaluate an expression tree.
+
+        Raises
+        ------
+        ModelicaError
+            With the source line, for a construct outside the subset or values that do not fit.
+        """
+        ((tag, content),) = node.items()
+        handler = self._handlers.get(tag)
+        span = content.get("span") if isinstance(content, Mapping) else None
+        if handler is None:
+            raise self.flat.error(f"{tag} expressions are not supported", span)
+        try:
+            return handler(content)
+        except ModelicaError:
+            raise
+        except (TypeError, ValueError, IndexError, KeyError, ArithmeticError) as error:
+            what = error.args[0] if error.args else error
+            raise self.flat.error(str(what), span) from None
+
+    def scalar(self, node: Node) -> Scalar:
+        """Evaluate an expression that must be a scalar number."""
+        value = self(node)
+        if isinstance(value, Array) and len(value.items) == 1:
+            return value.items[0]
+        if not isinstance(value, bool | int | float | SX):
+            raise self.flat.error(f"a scalar is needed here, not {V.kind(value)}", span_of(node))
+        return value
+
+    @contextmanager
+    def no_event(self) -> Iterator[None]:
+        """Evaluate relations literally inside."""
+        self._no_event += 1
+        try:
+            yield
+        finally:
+            self._no_event -= 1
+
+    @contextmanager
+    def iterator(self, name: str, value: int) -> Iterator[None]:
+        """Bind a loop variable inside."""
+        before = self._iterators.get(name)
+        self._iterators[name] = value
+        try:
+            yield
+        finally:
+            if before is None:
+                del self._iterators[name]
+            else:
+                self._iterators[name] = before
+
+    def _literal(self, node: Node) -> Value:
+        ((tag, value),) = node["value"].items()
+        if tag not in ("Real", "Integer", "Boolean", "String"):
+            raise ValueError(f"{tag} literals are not supported")
+        return value  # type: ignore[no-any-return]
+
+    def _reference(self, node: Node) -> Value:
+        name = node["name"]["name"]
+        if name in self._iterators:
+            return self._iterators[name]
+        try:
+            value = self.scope.lookup(name)
+        except KeyError:
+            ordinals = self.flat["enum_literal_ordinals"]
+            if name not in ordinals:
+                raise KeyError(f"unknown name '{name}'") from None
+            return int(ordinals[name])
+        return self._subscripted(value, node["subscripts"]) if node["subscripts"] else value
+
+    def subscripts(self, value: Array, nodes: list[Node]) -> list[list[int] | int | SX]:
+        """Zero-based subscripts: a position, several positions (slice), or an expression."""
+        out: list[list[int] | int | SX] = []
+        for dimension, node in enumerate(nodes):
+            ((tag, content),) = node.items()
+            size = value.shape[dimension]
+            if tag == "Index":
+                out.append(int(content["value"]) - 1)
+            elif tag == "Colon":
+                out.append(list(range(size)))
+            elif tag == "Expr":
+                self._last.append((value, dimension))
+                index = self(content["expr"])
+                self._last.pop()
+                if isinstance(index, SX):
+                    out.append(index - 1)
+                elif isinstance(index, Array):
+                    out.append([int(i) - 1 for i in index.items])
+                else:
+                    out.append(int(V.scalars(index)[0]) - 1)
+            else:
+                raise ValueError(f"{tag} subscripts are not supported")
+        out += [list(range(n)) for n in value.shape[len(out) :]]
+        return out
+
+    def _subscripted(self, value: Value, nodes: list[Node]) -> Value:
+        if not isinstance(value, Array):
+            raise TypeError(f"subscripts on {V.kind(value)}")
+        return select(value, self.subscripts(value, nodes))
+
+    def _unary(self, node: Node) -> Value:
+        operand = self(node["rhs"])
+        match node["op"]:
+            case "Minus" | "DotMinus":
+                return V.elementwise(lambda a: -a, operand)
+            case "Plus" | "DotPlus":
+                return operand
+            case "Not":
+                return V.elementwise(V.NOT, operand)
+        raise ValueError(f"operator {node['op']} is not supported")
+
+    def _binary(self, node: Node) -> Value:
+        op = node["op"]
+        a, b = self(node["lhs"]), self(node["rhs"])
+        if op in _RELATIONS:
+            return V.elementwise(lambda x, y: self._relation(op, x, y), a, b)
+        if isinstance(a, tuple) and isinstance(b, tuple) and op == "Sub":
+            # (a, b, ...) = f(...): outputs that are left out on the left are not needed
+            return tuple(V.elementwise(_ELEMENTWISE[op], x, y) for x, y in zip(a, b, strict=False))
+        if isinstance(a, dict) and isinstance(b, dict) and op == "Sub":
+            return {name: V.elementwise(_ELEMENTWISE[op], a[name], b[name]) for name in a}
+        if op == "Add" and (isinstance(a, str) or isinstance(b, str)):
+            return f"{a}{b}"
+        if op in _ELEMENTWISE:
+            return V.elementwise(_ELEMENTWISE[op], a, b)
+        if op == "Mul":
+            if isinstance(a, Array) and isinstance(b, Array):
+                return V.matrix_product(a, b)
+            return V.elementwise(lambda x, y: x * y, a, b)
+        if op == "Div" and not isinstance(b, Array):
+            return V.elementwise(V.divide, a, b)
+        if op == "Exp" and not isinstance(a, Array):
+            return V.elementwise(V.power, a, b)
+        raise ValueError(f"operator {op} on {V.kind(a)} and {V.kind(b)} is not supported")
+
+    def _relation(self, op: str, a: Scalar, b: Scalar) -> Scalar:
+        if op in ("Eq", "Neq"):
+            equal = V.EQUAL(a, b)
+            return equal if op == "Eq" else V.NOT(equal)
+        if not isinstance(a, SX) and not isinstance(b, SX):
+            return {"Lt": a < b, "Le": a <= b, "Gt": a > b, "Ge": a >= b}[op]
+        low, high = (a, b) if op in ("Lt", "Le") else (b, a)
+        if self._no_event:
+            return (V.LESS if op in ("Lt", "Gt") else V.LESS_EQUAL)(low, high)
+        return V.fold(self.scope.relation(V.sx(high) - V.sx(low), op in ("Le", "Ge")))
+
+    def _if(self, node: Node) -> Value:
+        branches = list(node["branches"])
+        conditions: list[Scalar] = []
+        chosen: list[Value] = []
+        for condition, expression in branches:
+            truth = self.scalar(condition)
+            if not isinstance(truth, SX):
+                if truth:
+                    last = self(expression)
+                    break
+                continue
+            conditions.append(truth)
+            chosen.append(self(expression))
+        else:
+            last = self(node["else_branch"])
+        for truth, value in zip(reversed(conditions), reversed(chosen), strict=True):
+            last = V.choose(truth, value, last)
+        return last
+
+    def _range(self, node: Node) -> Value:
+        start, end = self.scalar(node["start"]), self.scalar(node["end"])
+        step = self.scalar(node["step"]) if node["step"] else 1
+        if isinstance(start, SX) or isinstance(end, SX) or isinstance(step, SX):
+            raise ValueError("a range whose bounds are not known at translation")
+        if all(isinstance(v, int) for v in (start, end, step)):
+            items: tuple[Scalar, ...] = tuple(range(int(start), int(end) + (1 if step > 0 else -1), int(step)))
+        else:
+            n = math.floor((end - start) / step * (1 + 1e-15)) + 1
+            items = tuple(start + i * step for i in range(n))
+        return Array((len(items),), items)
+
+    def _field(self, node: Node) -> Value:
+        base = self(node["base"])
+        if not isinstance(base, dict) or node["field"] not in base:
+            raise ValueError(f"no field '{node['field']}' in {V.kind(base)}")
+        return base[node["field"]]
+
+    def _comprehension(self, node: Node) -> Value:
+        if node.get("filter"):
+            raise ValueError("array comprehension with a filter")
+        indices = [(i["name"] if "name" in i else i["ident"], i["range"]) for i in node["indices"]]
+
+        def build(level: int) -> Value:
+            if level == len(indices):
+                return self(node["expr"])
+            name, bounds = indices[level]
+            parts = []
+            for i in V.scalars(self(bounds)):
+                with self.iterator(name, int(i)):
+                    parts.append(build(level + 1))
+            return Array.stack(parts)
+
+        return build(0)
+
+    def _function(self, node: Node) -> Value:
+        return self._call(node, [self(a) for a in node["args"]])
+
+    def _builtin(self, node: Node) -> Value:
+        name, nodes = node["function"], node["args"]
+        if name in ("NoEvent", "Smooth"):
+            with self.no_event():
+                return self(nodes[-1])
+        if name == "Homotopy":
+            return self(nodes[0])
+        if name == "Size":
+            array = self(nodes[0])
+            shape = array.shape if isinstance(array, Array) else ()
+            if len(nodes) == 1:
+                return Array((len(shape),), shape)
+            return shape[int(self.scalar(nodes[1])) - 1]
+        arguments = [self(n) for n in nodes]
+        if name in V.FUNCTIONS:
+            return V.elementwise(V.FUNCTIONS[name], *arguments)
+        if name in _STEPS:
+            return V.elementwise(lambda *a: self._step(name, *a), *arguments)
+        special = _SPECIAL.get(name)
+        if special is None:
+            raise ValueError(f"{name[0].lower()}{name[1:]}() is not supported")
+        return special(self, *arguments)
+
+    def _step(self, name: str, *arguments: Scalar) -> Scalar:
+        def floor(x: Scalar) -> Scalar:
+            if isinstance(x, SX) and not self._no_event:
+                return self.scope.step(x)
+            return V.FLOOR(x)
+
+        x, *rest = arguments
+        if name in ("Floor", "Integer"):
+            return floor(x)
+        if name == "Ceil":
+            return -floor(-x)
+        y = rest[0]
+        quotient = V.divide(x, y) if isinstance(x, SX) or isinstance(y, SX) or x % y else x // y
+        if name == "Mod":
+            return x - floor(quotient) * y
+        # div and rem round towards zero
+        toward_zero = V.FUNCTIONS["Sign"](quotient) * floor(V.FUNCTIONS["Abs"](quotient))
+        return toward_zero if name == "Div" else x - toward_zero * y
+
+
+def span_of(node: Node) -> Any:
+    """Return the span of an expression node."""
+    ((_, content),) = node.items()
+    return content.get("span") if isinstance(content, Mapping) else None
+
+
+def select(value: Array, index: list[list[int] | int | SX]) -> Value:
+    """Index an array; a subscript that is an expression becomes a chain of conditions."""
+    for dimension, i in enumerate(index):
+        if isinstance(i, SX):
+            out: Value = None
+            for k in reversed(range(value.shape[dimension])):
+                part = select(value, [*index[:dimension], k, *index[dimension + 1 :]])
+                out = part if out is None else V.choose(V.EQUAL(i, k), part, out)
+            return out
+    shape = tuple(len(i) for i in index if isinstance(i, list))
+    lists = [i if isinstance(i, list) else [i] for i in index if not isinstance(i, SX)]
+    items = tuple(value[at] for at in V.product(*lists))
+    return Array(shape, items) if shape else items[0]
+
+
+def _total(e: Evaluator, a: Value) -> Value:
+    out: Scalar = 0
+    for item in V.scalars(a):
+        out = out + item
+    return out
+
+
+def _product(e: Evaluator, a: Value) -> Value:
+    out: Scalar = 1
+    for item in V.scalars(a):
+        out = out * item
+    return out
+
+
+def _extreme(function: Callable[..., Scalar]) -> Callable[..., Value]:
+    def evaluate(e: Evaluator, *arguments: Value) -> Value:
+        items = [i for a in arguments for i in V.scalars(a)]
+        out = items[0]
+        for item in items[1:]:
+            out = function(out, item)
+        return out
+
+    return evaluate
+
+
+def _fill(value: Value, *shape: Value) -> Value:
+    sizes = tuple(int(V.scalars(n)[0]) for n in shape)
+    return Array.fill(sizes, V.scalars(value)[0])
+
+
+def _identity(e: Evaluator, n: Value) -> Value:
+    size = int(V.scalars(n)[0])
+    return Array((size, size), tuple(int(i == j) for i in range(size) for j in range(size)))
+
+
+def _linspace(e: Evaluator, a: Value, b: Value, n: Value) -> Value:
+    (low,), (high,), (count,) = V.scalars(a), V.scalars(b), V.scalars(n)
+    return Array((int(count),), tuple(low + (high - low) * i / (count - 1) for i in range(int(count))))
+
+
+def _transpose(e: Evaluator, a: Value) -> Value:
+    if not isinstance(a, Array) or len(a.shape) != 2:
+        raise ValueError(f"transpose of {V.kind(a)}")
+    rows, columns = a.shape
+    return Array((columns, rows), tuple(a[(i, j)] for j in range(columns) for i in range(rows)))
+
+
+def _cross(e: Evaluator, a: Value, b: Value) -> Value:
+    x, y = V.scalars(a), V.scalars(b)
+    return Array((3,), tuple(x[i - 2] * y[i - 1] - x[i - 1] * y[i - 2] for i in range(3)))
+
+
+def _cat(e: Evaluator, dimension: Value, *parts: Value) -> Value:
+    arrays = [p for p in parts if isinstance(p, Array)]
+    axis = int(V.scalars(dimension)[0]) - 1
+    if len(arrays) != len(parts) or axis not in (0, 1):
+        raise ValueError("cat along this dimension is not supported")
+    if axis == 1:
+        return _transpose(e, _cat(e, 1, *(_transpose(e, a) for a in arrays)))
+    rows = sum(a.shape[0] for a in arrays)
+    return Array((rows, *arrays[0].shape[1:]), tuple(i for a in arrays for i in a.items))
+
+
+def _edge(e: Evaluator, a: Value) -> Value:
+    return V.elementwise(lambda b: V.AND(b, V.NOT(e.scope.previous(b))), a)
+
+
+def _change(e: Evaluator, a: Value) -> Value:
+    return V.elementwise(lambda b: V.NOT(V.EQUAL(b, e.scope.previous(b))), a)
+
+
+def _semi_linear(e: Evaluator, x: Value, positive: Value, negative: Value) -> Value:
+    a, p, n = V.scalars(x)[0], V.scalars(positive)[0], V.scalars(negative)[0]
+    return V.choose(V.LESS_EQUAL(0, a), p * a, n * a)
+
+
+_SPECIAL: dict[str, Callable[..., Value]] = {
+    "Der": lambda e, a: V.elementwise(e.scope.derivative, a),
+    "Pre": lambda e, a: V.elementwise(e.scope.previous, a),
+    "Edge": _edge,
+    "Change": _change,
+    "Sample": lambda e, start, interval: e.scope.sample(V.scalars(start)[0], V.scalars(interval)[0]),
+    "Initial": lambda e: e.scope.initial(),
+    "Min": _extreme(V.MIN),
+    "Max": _extreme(V.MAX),
+    "Sum": _total,
+    "Product": _product,
+    "Zeros": lambda e, *n: _fill(0, *n),
+    "Ones": lambda e, *n: _fill(1, *n),
+    "Fill": lambda e, v, *n: _fill(v, *n),
+    "Identity": _identity,
+    "Linspace": _linspace,
+    "Transpose": _transpose,
+    "Cross": _cross,
+    "Cat": _cat,
+    "Ndims": lambda e, a: len(a.shape) if isinstance(a, Array) else 0,
+    "Scalar": lambda e, a: V.scalars(a)[0],
+    "Vector": lambda e, a: Array((len(V.scalars(a)),), V.scalars(a)),
+    "SemiLinear": _semi_linear,
+}

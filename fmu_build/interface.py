@@ -1,0 +1,276 @@
+"""The variables of a reduced model as FMI sees them: location, causality, variability, start, unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fmu_build import values as V
+from fmu_build.aliases import Aliases
+from fmu_build.events import Events
+from fmu_build.graph import SX, key
+from fmu_build.index_reduction import Reduced
+from fmu_build.model import Causality, Initial, Location, Unit, Variable
+from fmu_build.point import Point
+from fmu_build.scope import ModelScope
+from fmu_build.sorting import Solution
+from fmu_build.start import InitialConditions, Start, declared_start, start_of
+from fmu_build.units import make_unit
+from fmu_build.variables import Declared
+
+
+@dataclass(frozen=True)
+class Interface:
+    """Variables and the vectors they need.
+
+    Attributes
+    ----------
+    inputs
+        Symbols of u.
+    evaluated
+        Expressions of v.
+    iterate_starts
+        Start values of y.
+    """
+
+    variables: tuple[Variable, ...]
+    units: tuple[Unit, ...]
+    inputs: list[SX]
+    evaluated: list[SX]
+    iterate_starts: list[Start]
+    x_nominal: list[float]
+    y_nominal: list[float]
+
+
+def describe(
+    scope: ModelScope,
+    aliases: Aliases,
+    reduced: Reduced,
+    solution: Solution,
+    happenings: Events,
+    conditions: InitialConditions,
+    point: Point,
+) -> Interface:
+    """List every declared scalar and every state derivative with its place in the vectors."""
+    return _Describer(scope, aliases, reduced, solution, happenings, conditions, point).run()
+
+
+class _Describer:
+    def __init__(
+        self,
+        scope: ModelScope,
+        aliases: Aliases,
+        reduced: Reduced,
+        solution: Solution,
+        happenings: Events,
+        conditions: InitialConditions,
+        point: Point,
+    ) -> None:
+        self.scope = scope
+        self.aliases = aliases
+        self.states = reduced.states
+        self.solution = solution
+        self.conditions = conditions
+        self.point = point
+        declared = scope.declarations.scalars.values()
+        self.inputs = [V.sx(d.symbol) for d in declared if d.kind == "input"]
+        self.place: dict[int, Location] = {}
+        parameters = scope.parameters
+        for vector, symbols in (
+            ("x", [s.symbol for s in self.states]),
+            ("u", self.inputs),
+            ("p", [V.sx(d.symbol) for d, _ in parameters.independent]),
+            ("d", [V.sx(d.symbol) for d, _ in parameters.dependent]),
+            ("z", [d.symbol for d in happenings.discrete]),
+            ("y", solution.iterates),
+        ):
+            for i, symbol in enumerate(symbols):
+                self.place[key(symbol)] = Location(vector, i)  # type: ignore[arg-type]
+        self.rates = [solution.expression(s.derivative) for s in self.states]
+        self.evaluated: list[SX] = []
+        for i, rate in enumerate(self.rates):
+            if not rate.is_constant() and key(rate) not in self.place:
+                self.place[key(rate)] = Location("dx", i)
+
+    def run(self) -> Interface:
+        variables = [self._variable(d) for d in self.scope.declarations.scalars.values()]
+        variables += self._unnamed_states()
+        names = {v.location.index: v.name for v in reversed(variables) if self._is_state(v)}
+        variables += [self._derivative(i, names[i], variables) for i in range(len(self.states))]
+        return Interface(
+            tuple(variables),
+            self._units(variables),
+            self.inputs,
+            self.evaluated,
+            [start_of(self.scope, self.aliases, s) for s in self.solution.iterates],
+            [self._nominal(s.symbol) for s in self.states],
+            [self._nominal(s) for s in self.solution.iterates],
+        )
+
+    def _is_state(self, variable: Variable) -> bool:
+        if variable.location.vector != "x" or variable.location.sign != 1:
+            return False
+        return variable.name == self.states[variable.location.index].symbol.name()
+
+    def _variable(self, declared: Declared) -> Variable:
+        node = declared.node
+        number = self._number
+        common = {
+            "name": declared.name,
+            "type": declared.type,
+            "description": node["description"] or "",
+            "unit": node["unit"] or None,
+            "display_unit": node["display_unit"] or None,
+            "quantity": node["quantity"] or None,
+            "min": number(declared, "min"),
+            "max": number(declared, "max"),
+            "nominal": number(declared, "nominal"),
+            "enumeration": declared.literals,
+        }
+        output = self.scope.declarations.is_output(declared)
+        match declared.kind:
+            case "constant":
+                place: dict[str, object] = {
+                    "location": Location("constant"), "causality": "local", "variability": "constant",
+                    "initial": "exact", "start": float(V.sx(self._constant(declared))),
+                }  # fmt: skip
+            case "parameter":
+                place = self._parameter(declared)
+            case "input":
+                start = declared_start(self.scope, declared)
+                place = {
+                    "location": self.place[key(V.sx(declared.symbol))], "causality": "input",
+                    "variability": "continuous" if declared.type == "Real" else "discrete",
+                    "start": self.point.number(start),
+                }  # fmt: skip
+            case "discrete":
+                location = self.place[key(V.sx(declared.symbol))]
+                place = {
+                    "location": location, "causality": "output" if output else "local",
+                    "variability": "discrete", "initial": "calculated",
+                }  # fmt: skip
+            case _:
+                place = self._continuous(declared, "output" if output else "local")
+        if output:
+            place["depends_on"] = self._depends_on(declared)
+        return Variable(**common, **place)
+
+    def _constant(self, declared: Declared) -> V.Scalar:
+        value = self.scope.lookup(declared.node["name"])
+        return V.scalars(value)[declared.position]
+
+    def _number(self, declared: Declared, attribute: str) -> float | None:
+        value = self.scope.declarations.attribute(declared, attribute, self.scope.evaluate)
+        return None if value is None else self.point.number(V.sx(value))
+
+    def _parameter(self, declared: Declared) -> dict[str, object]:
+        alias = self.scope.parameters.aliases.get(declared.name)
+        location = self.place[key(V.sx(declared.symbol) if alias is None else alias)]
+        if location.vector == "p" and alias is None:
+            value = self.scope.parameters.independent[location.index][1]
+            return {
+                "location": location, "causality": "parameter", "variability": "fixed", "initial": "exact",
+                "start": value,
+            }  # fmt: skip
+        return {
+            "location": location, "causality": "calculatedParameter", "variability": "fixed",
+            "initial": "calculated",
+        }  # fmt: skip
+
+    def _continuous(self, declared: Declared, causality: Causality) -> dict[str, object]:
+        representative, sign = self.aliases.of[declared.name]
+        symbol = V.sx(representative.symbol)
+        expression = self.solution.expression(symbol)
+        found = self.place.get(key(expression))
+        if found is None and not expression.is_symbolic():
+            negative = -expression
+            found = self.place.get(key(negative)) if negative.is_symbolic() else None
+            sign = -sign if found is not None else sign
+        if found is None:
+            found = Location("v", len(self.evaluated))
+            self.evaluated.append(expression)
+            self.place[key(expression)] = found
+        sign = 1 if sign > 0 else -1
+        location = Location(found.vector, found.index, sign if found.sign > 0 else (-1 if sign > 0 else 1))
+        place: dict[str, object] = {
+            "location": location, "causality": causality, "variability": "continuous", "initial": "calculated",
+        }  # fmt: skip
+        if found.vector == "x" and declared.name == self.states[found.index].symbol.name():
+            initial, value = self._state_start(found.index)
+            place |= {"initial": initial, "start": value}
+        return place
+
+    def _state_start(self, index: int) -> tuple[Initial, float | None]:
+        value = self.conditions.starts[index].value
+        if self.conditions.free[index]:
+            return "approx", self.point.number(value)
+        if value.is_constant():
+            return "exact", float(value)
+        return "calculated", None
+
+    def _unnamed_states(self) -> list[Variable]:
+        out = []
+        for i, state in enumerate(self.states):
+            if self.scope.declared(state.symbol) is None:
+                initial, value = self._state_start(i)
+                base = self.scope.declared(state.base)
+                unit = base.node["unit"] if base else None
+                for _ in range(state.order):
+                    unit = _per_second(unit)
+                out.append(
+                    Variable(
+                        state.symbol.name(), "Real", Location("x", i), "local", "continuous", initial, value,
+                        unit=unit,
+                    )  # fmt: skip
+                )
+        return out
+
+    def _derivative(self, index: int, name: str, variables: list[Variable]) -> Variable:
+        unit = next(v.unit for v in variables if v.name == name)
+        return Variable(
+            f"der({name})", "Real", Location("dx", index), "local", "continuous", "calculated",
+            unit=_per_second(unit), derivative_of=name, depends_on=self._names(self.rates[index]),
+        )  # fmt: skip
+
+    def _depends_on(self, declared: Declared) -> tuple[str, ...]:
+        if declared.kind != "continuous":
+            return ()
+        representative, _ = self.aliases.of[declared.name]
+        return self._names(self.solution.expression(V.sx(representative.symbol)))
+
+    def _names(self, expression: SX) -> tuple[str, ...]:
+        symbols = set(self.scope.graph.symbols(expression))
+        if symbols & {key(y) for y in self.solution.iterates}:
+            for residual in self.solution.residuals:
+                symbols |= self.scope.graph.symbols(residual)
+        known = [*(s.symbol for s in self.states), *self.inputs]
+        return tuple(s.name() for s in known if key(s) in symbols)
+
+    def _nominal(self, symbol: SX) -> float:
+        group = self.aliases.groups.get(key(symbol))
+        for declared, _ in group.members if group else ():
+            value = self._number(declared, "nominal")
+            if value:
+                return abs(value)
+        return 1.0
+
+    def _units(self, variables: list[Variable]) -> tuple[Unit, ...]:
+        shown: dict[str, set[str]] = {}
+        for variable in variables:
+            if variable.unit:
+                displays = shown.setdefault(variable.unit, set())
+                if variable.display_unit:
+                    displays.add(variable.display_unit)
+        return tuple(make_unit(name, shown[name]) for name in sorted(shown))
+
+
+def _per_second(unit: str | None) -> str | None:
+    if not unit:
+        return None
+    numerator, slash, denominator = unit.partition("/")
+    if not slash:
+        return f"{unit}/s"
+    if denominator == "s":
+        return f"{numerator}/s2"
+    if denominator[:1] == "s" and denominator[1:].isdigit():
+        return f"{numerator}/s{int(denominator[1:]) + 1}"
+    return f"{numerator}/({denominator.strip('()')}.s)"

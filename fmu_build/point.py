@@ -1,0 +1,68 @@
+"""Numbers at the default parameters and start values, for decisions that depend on them (ranks, consistency)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from fmu_build import values as V
+from fmu_build.graph import SX, key
+from fmu_build.scope import ModelScope
+from fmu_build.start import declared_start
+
+_OFF = 1e-2  # a generic point lies this far from the start values
+
+
+class Point:
+    """Evaluates expressions with default parameters.
+
+    Parameters
+    ----------
+    scope
+        The model; all its parameters must have been looked up.
+    """
+
+    def __init__(self, scope: ModelScope) -> None:
+        self._scope = scope
+        self._number: dict[int, float] = {
+            key(V.sx(declared.symbol)): value for declared, value in scope.parameters.independent
+        }
+        for declared, expression in scope.parameters.dependent:
+            self._number[key(V.sx(declared.symbol))] = self.number(expression)
+
+    def number(self, expression: SX) -> float:
+        """Return one expression's value."""
+        return float(self.at_start([expression], {})[0])
+
+    def generic(self, expressions: list[SX]) -> np.ndarray[Any, Any]:
+        """Return values a little off the start, where no coefficient vanishes by chance."""
+        return self._evaluate(expressions, {}, _OFF)
+
+    def at_start(self, expressions: list[SX], states: Mapping[int, SX]) -> np.ndarray[Any, Any]:
+        """Return values at the start values, and at given values (expressions of parameters) of states."""
+        known = {k: float(self._evaluate([v], {}, 0.0)[0]) for k, v in states.items()}
+        return self._evaluate(expressions, known, 0.0)
+
+    def _evaluate(self, expressions: list[SX], known: Mapping[int, float], off: float) -> np.ndarray[Any, Any]:
+        if not expressions:
+            return np.zeros(0)
+        whole = ca.vertcat(*expressions)
+        symbols = ca.symvar(whole)
+        values = [known.get(key(s), self._value(s, off * math.sin(1.0 + i))) for i, s in enumerate(symbols)]
+        function = ca.Function("f", [ca.vertcat(*symbols) if symbols else SX(0, 1)], [whole])
+        return np.asarray(function(np.array(values)), dtype=float).ravel()
+
+    def _value(self, symbol: SX, off: float) -> float:
+        k = key(symbol)
+        if k in self._number:
+            return self._number[k]
+        declared = self._scope.declared(symbol)
+        if declared is None or declared.kind in ("parameter", "constant"):
+            return off
+        start = declared_start(self._scope, declared)
+        value = float(start) if start.is_constant() else self.number(start)
+        return value if declared.kind == "discrete" else value + off * max(1.0, abs(value))

@@ -1,0 +1,255 @@
+"""Meaning of names and operators in a model's equations: variables, derivatives, pre-values, events."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from fmu_build import values as V
+from fmu_build.expressions import Evaluator
+from fmu_build.frontend import Flat
+from fmu_build.functions import Functions
+from fmu_build.graph import SX, Graph, key
+from fmu_build.values import Scalar, Value
+from fmu_build.variables import Declarations, Declared, Parameters
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A relation outside noEvent: true iff ``difference > 0`` (``>= 0`` if inclusive)."""
+
+    symbol: SX
+    difference: SX
+    inclusive: bool
+
+
+@dataclass(frozen=True)
+class Held:
+    """An internal discrete variable: its new value at an event, and its start value."""
+
+    symbol: SX
+    previous: SX
+    value: SX
+    start: SX
+
+
+class ModelScope:
+    """Scope of equations; collects what the expressions ask for (derivatives, relations, held values)."""
+
+    def __init__(self, flat: Flat, graph: Graph, discrete: set[str]) -> None:
+        self.flat = flat
+        self.graph = graph
+        self.declarations = Declarations(flat, discrete)
+        self.parameters = Parameters(self.declarations)
+        self.evaluate = Evaluator(flat, self, Functions(flat))
+        self.time = SX.sym("time")
+        self.init = SX.sym("initial()")
+        self.relations: list[Relation] = []
+        self.held: list[Held] = []
+        self.time_events: list[SX] = []
+        self.left_limits: dict[int, SX] = {}  # continuous variables that pre() is applied to
+        self._relation_of: dict[tuple[int, bool], SX] = {}
+        self._step_of: dict[int, SX] = {}
+        self._derivative: dict[int, SX] = {}
+        self.integral: dict[int, SX] = {}  # derivative symbol -> what it is the derivative of
+        self._previous: dict[int, SX] = {}
+        self._current: dict[int, SX] = {}
+        self._discrete: set[int] = {key(self.init)}
+
+    # ---- names
+
+    def lookup(self, name: str) -> Value:
+        """Return the value of a variable or parameter."""
+        if name == "time":
+            return self.time
+        node = self.flat.parts["variables"].get(name)
+        if node is None:
+            return self._record(name)
+        if name not in self.declarations.values:
+            return self.parameters.lookup(name, self._evaluate_binding)  # a String
+        first = next(iter(V.scalars(self.declarations.values[name])), None)
+        declared = self.declarations.by_symbol[key(first)] if isinstance(first, SX) else None
+        if declared is not None and declared.kind in ("parameter", "constant"):
+            value = self.parameters.lookup(name, self._evaluate_binding)
+            self._discrete |= {key(s) for s in V.scalars(value) if isinstance(s, SX) and s.is_symbolic()}
+            return value
+        value = self.declarations.values[name]
+        if declared is not None and (declared.kind == "discrete" or declared.type != "Real"):
+            self._discrete |= {key(s) for s in V.scalars(value) if isinstance(s, SX)}
+        return value
+
+    def _evaluate_binding(self, node: Any) -> Value:
+        with self.evaluate.no_event():
+            return self.evaluate(node)
+
+    def _record(self, name: str) -> Value:
+        prefix = f"{name}."
+        members = [n for n in self.flat.parts["variables"] if n.startswith(prefix)]
+        if not members:
+            raise KeyError(name)
+        out: dict[str, Value] = {}
+        for member in members:
+            field = member.removeprefix(prefix).partition(".")[0]
+            if field not in out:
+                out[field] = self.lookup(prefix + field)
+        return out
+
+    # ---- derivatives
+
+    def derivative_symbol(self, symbol: SX) -> SX:
+        """Symbol of the time derivative of a continuous variable (or of a derivative)."""
+        found = self._derivative.get(key(symbol))
+        if found is None:
+            found = SX.sym(f"der({symbol.name()})")
+            self._derivative[key(symbol)] = found
+            self.integral[key(found)] = symbol
+        return found
+
+    def has_derivative(self, symbol: SX) -> bool:
+        """Whether the derivative of a symbol has been asked for."""
+        return key(symbol) in self._derivative
+
+    def has_input_derivative(self, symbol: SX) -> bool:
+        """Whether a symbol is an input, whose derivative nobody knows."""
+        declared = self.declared(symbol)
+        return declared is not None and declared.kind == "input"
+
+    def derivative(self, value: Scalar) -> Scalar:
+        """Total time derivative by the chain rule."""
+        if not isinstance(value, SX):
+            return 0.0
+        out: Scalar = 0.0
+        for k, partial in self.graph.gradient(value).items():
+            rate = self._rate(k)
+            if rate is not None:
+                out = out + partial * rate
+        return V.fold(out) if isinstance(out, SX) else out
+
+    def _rate(self, k: int) -> SX | None:
+        if k == key(self.time):
+            return SX(1.0)
+        if k in self._discrete:
+            return None
+        declared = self.declarations.by_symbol.get(k)
+        if declared is not None:
+            if declared.kind == "input":
+                raise self.flat.error(
+                    f"the derivative of input '{declared.name}' is needed",
+                    declared.span,
+                    "let a filter or an integrator stand between the input and what differentiates it",
+                )
+            if declared.kind != "continuous":
+                return None
+            return self.derivative_symbol(SX(declared.symbol))
+        if k in self.integral:
+            return self.derivative_symbol(self._derivative[key(self.integral[k])])
+        return None
+
+    # ---- discrete-time operators
+
+    def previous_symbol(self, symbol: SX) -> SX:
+        """Symbol of the pre-value of a discrete variable."""
+        found = self._previous.get(key(symbol))
+        if found is None:
+            found = SX.sym(f"pre({symbol.name()})")
+            self._previous[key(symbol)] = found
+            self._current[key(found)] = symbol
+            self._discrete.add(key(found))
+        return found
+
+    def previous(self, value: Scalar) -> Scalar:
+        """``pre(value)``."""
+        if not isinstance(value, SX):
+            return value
+        if not value.is_symbolic():
+            raise ValueError("pre() of an expression")
+        declared = self.declarations.by_symbol.get(key(value))
+        if declared is None or declared.kind in ("parameter", "constant"):
+            return value
+        if declared.kind == "discrete":
+            return self.previous_symbol(value)
+        if declared.kind == "input" and declared.type != "Real":
+            copy = SX.sym(f"copy({declared.name})")
+            previous = self.previous_symbol(copy)
+            self.held.append(Held(copy, previous, value, value))
+            return previous
+        self.left_limits[key(value)] = value
+        return value
+
+    def is_continuous(self, value: SX) -> bool:
+        """Whether an expression can change between events."""
+        return not self.graph.symbols(value) <= self._discrete
+
+    def relation(self, difference: SX, inclusive: bool) -> SX:
+        """Truth of ``difference > 0``, an event if it is continuous."""
+        if not self.is_continuous(difference):
+            return SX(V.LESS_EQUAL(0.0, difference) if inclusive else V.LESS(0.0, difference))
+        same = (self.graph.same(difference), inclusive)
+        if same not in self._relation_of:
+            symbol = SX.sym(f"relation {len(self.relations) + 1}")
+            self._discrete.add(key(symbol))
+            self._relation_of[same] = symbol
+            self.relations.append(Relation(symbol, difference, inclusive))
+        return self._relation_of[same]
+
+    def step(self, argument: SX) -> SX:
+        """``floor(argument)``, held between events if the argument is continuous."""
+        if not self.is_continuous(argument):
+            return ca.floor(argument)
+        same = self.graph.same(argument)
+        if same not in self._step_of:
+            symbol = SX.sym(f"step {len(self._step_of) + 1}")
+            self._discrete.add(key(symbol))
+            self._step_of[same] = symbol
+            self.held.append(Held(symbol, self.previous_symbol(symbol), ca.floor(argument), SX(0.0)))
+            self.relation(argument - symbol, True)
+            self.relation(argument - symbol - 1, True)
+        return self._step_of[same]
+
+    def sample(self, start: Scalar, interval: Scalar) -> SX:
+        """Truth of ``sample(start, interval)``: time has reached the next of its instants."""
+        first, distance = V.sx(start), V.sx(interval)
+        if self.is_continuous(first) or self.is_continuous(distance):
+            raise ValueError("sample() with a start or an interval that varies")
+        count = SX.sym(f"sample {len(self.time_events) + 1}")
+        before = self.previous_symbol(count)
+        self._discrete.add(key(count))
+        due = SX.binary(ca.OP_LE, first + before * distance, self.time)
+        # At initialisation, count the instants that lie before the start of the simulation.
+        passed = ca.fmax(0.0, ca.ceil((self.time - first) / distance - 1e-9))
+        value = ca.if_else(self.init, passed, before + due)
+        self.held.append(Held(count, before, value, SX(0.0)))
+        self.time_events.append(first + count * distance)
+        return ca.logic_and(due, ca.logic_not(self.init))
+
+    def initial(self) -> SX:
+        """Truth of ``initial()``."""
+        return self.init
+
+    def hold(self, name: str, value: SX, start: SX) -> Held:
+        """Make an internal discrete variable."""
+        symbol = SX.sym(name)
+        self._discrete.add(key(symbol))
+        held = Held(symbol, self.previous_symbol(symbol), value, start)
+        self.held.append(held)
+        return held
+
+    def declared(self, symbol: SX) -> Declared | None:
+        """Return the declaration of a symbol."""
+        return self.declarations.by_symbol.get(key(symbol))
+
+    def is_event_symbol(self, k: int) -> bool:
+        """Whether a symbol changes at events only (not a parameter)."""
+        declared = self.declarations.by_symbol.get(k)
+        return k in self._discrete and (declared is None or declared.kind not in ("parameter", "constant"))
+
+    def is_parameter(self, k: int) -> bool:
+        """Whether a symbol is a parameter."""
+        declared = self.declarations.by_symbol.get(k)
+        return declared is not None and declared.kind == "parameter"
+
+    def current_of(self, symbol: SX) -> SX:
+        """Return the variable of a pre-value symbol; other symbols as they are."""
+        return self._current.get(key(symbol), symbol)

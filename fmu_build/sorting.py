@@ -1,0 +1,156 @@
+"""Matching and sorting into blocks, and the solution of each block."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import casadi as ca
+
+from fmu_build.equations import Equation
+from fmu_build.graph import SX, Gradient, Graph, Substitution, is_number, key
+from fmu_build.index_reduction import Reduced
+from fmu_build.matching import augment, components
+from fmu_build.scope import ModelScope
+
+_MOST_CRAMER = 3
+_MOST_SYMBOLIC = 8  # larger linear remainders are left to the numeric solver, which pivots
+
+
+@dataclass
+class Solution:
+    """Unknowns as expressions of t, x, u, p, d, z, pz, m and the iteration variables y.
+
+    Attributes
+    ----------
+    expression
+        Rewrites any expression so that only those are left.
+    iterates, residuals
+        Iteration variables y of nonlinear loops and the residuals that determine them.
+    """
+
+    expression: Substitution
+    iterates: list[SX] = field(default_factory=list)
+    residuals: list[SX] = field(default_factory=list)
+
+
+def solve(scope: ModelScope, reduced: Reduced) -> Solution:
+    """Sort the equations and solve them block by block, symbolically where they are linear."""
+    graph = scope.graph
+    column = {key(s): i for i, s in enumerate(reduced.unknowns)}
+    rows = [
+        sorted(column[k] for k in graph.symbols(e.residual) if k in column)
+        for e in reduced.equations
+    ]
+    row_of: dict[int, int] = {}
+    for row, equation in enumerate(reduced.equations):
+        if not augment(row, rows, row_of, set()):
+            raise scope.flat.error("structurally singular after index reduction", equation.span)
+    successors = [[row_of[c] for c in cs if row_of[c] != r] for r, cs in enumerate(rows)]
+    column_of = {r: c for c, r in row_of.items()}
+    solution = Solution(Substitution())
+    for block in components(successors):
+        _solve_block(
+            scope,
+            solution,
+            [reduced.equations[r] for r in block],
+            [reduced.unknowns[column_of[r]] for r in block],
+        )
+    return solution
+
+
+def _solve_block(scope: ModelScope, solution: Solution, equations: list[Equation], unknowns: list[SX]) -> None:
+    graph = scope.graph
+    residuals = [e.residual for e in equations]
+    left = list(unknowns)
+    order: list[tuple[SX, SX]] = []
+    while True:
+        pivot = _pivot(graph, residuals, left)
+        if pivot is None:
+            break
+        row, symbol, slope = pivot
+        rest = Substitution({key(symbol): SX(0.0)})(residuals[row])
+        value = -rest / slope if float(slope) != -1.0 else rest
+        order.append((symbol, value))
+        del residuals[row]
+        left = [s for s in left if key(s) != key(symbol)]
+        replace = Substitution({key(symbol): value})
+        residuals = [replace(r) if key(symbol) in graph.symbols(r) else r for r in residuals]
+    if left:
+        _solve_rest(scope, solution, residuals, left, equations)
+    for symbol, value in reversed(order):
+        solution.expression.define(symbol, solution.expression(value))
+
+
+def _pivot(graph: Graph, residuals: list[SX], left: list[SX]) -> tuple[int, SX, SX] | None:
+    """Cheapest (equation, unknown) whose coefficient is a number: the fewest other terms meet (Markowitz)."""
+    keys = {key(s): s for s in left}
+    meets = dict.fromkeys(keys, 0)
+    found: list[list[int]] = []
+    for residual in residuals:
+        inside = [k for k in keys if k in graph.symbols(residual)]
+        found.append(inside)
+        for k in inside:
+            meets[k] += 1
+    best: tuple[int, int, int] | None = None
+    for row, inside in enumerate(found):
+        gradient: Gradient | None = None
+        for k in inside:
+            cost = (len(inside) - 1) * (meets[k] - 1)
+            if best is not None and cost >= best[0]:
+                continue
+            if gradient is None:
+                gradient = graph.gradient(residuals[row])
+            if k in gradient and is_number(gradient[k]):
+                best = (cost, row, k)
+    if best is None:
+        return None
+    return best[1], keys[best[2]], graph.gradient(residuals[best[1]])[best[2]]
+
+
+def _solve_rest(
+    scope: ModelScope, solution: Solution, residuals: list[SX], left: list[SX], equations: list[Equation]
+) -> None:
+    graph = scope.graph
+    keys = [key(s) for s in left]
+    zero = Substitution(dict.fromkeys(keys, SX(0.0)))
+    gradients = [graph.gradient(r) for r in residuals]
+    linear = all(
+        not graph.symbols(g[k]) & set(keys) for g in gradients for k in keys if k in g
+    )
+    if not linear or len(left) > _MOST_SYMBOLIC:
+        solution.iterates += left
+        solution.residuals += [solution.expression(r) for r in residuals]
+        return
+    a = [[solution.expression(g[k]) if k in g else SX(0.0) for k in keys] for g in gradients]
+    b = [-solution.expression(zero(r)) for r in residuals]
+    determinant, values = _linear(a, b)
+    if determinant is not None and is_number(determinant) and float(determinant) == 0.0:
+        raise scope.flat.error(
+            f"singular: the equations do not determine {', '.join(s.name() for s in left)}", equations[0].span
+        )
+    for symbol, value in zip(left, values, strict=True):
+        solution.expression.define(symbol, value)
+
+
+def _linear(a: list[list[SX]], b: list[SX]) -> tuple[SX | None, list[SX]]:
+    """Solve a small linear system without choosing pivots: coefficients may vanish in some modes of a model."""
+    n = len(b)
+    if n > _MOST_CRAMER:
+        solved = ca.solve(ca.vertcat(*[ca.horzcat(*row) for row in a]), ca.vertcat(*b))
+        return None, [solved[i] for i in range(n)]
+    whole = _determinant(a)
+    values = []
+    for column in range(n):
+        swapped = [[b[i] if j == column else a[i][j] for j in range(n)] for i in range(n)]
+        values.append(_determinant(swapped) / whole)
+    return whole, values
+
+
+def _determinant(a: list[list[SX]]) -> SX:
+    if len(a) == 1:
+        return a[0][0]
+    total = SX(0.0)
+    for j, entry in enumerate(a[0]):
+        minor = [[row[k] for k in range(len(a)) if k != j] for row in a[1:]]
+        total = total + (-1) ** j * entry * _determinant(minor)
+    return total

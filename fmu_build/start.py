@@ -1,0 +1,212 @@
+"""Start values and initial conditions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fmu_build import values as V
+from fmu_build.aliases import Aliases
+from fmu_build.equations import Equation
+from fmu_build.graph import SX, Graph, key
+from fmu_build.index_reduction import State
+from fmu_build.scope import ModelScope
+from fmu_build.variables import Declared
+
+Evaluate = Callable[[list[SX]], np.ndarray[Any, Any]]
+_CONSISTENT = 1e-9
+
+
+@dataclass(frozen=True)
+class Start:
+    """Start value of a symbol: an expression of parameters, and whether it is fixed or given at all."""
+
+    value: SX
+    fixed: bool
+    given: bool
+
+
+@dataclass
+class InitialConditions:
+    """Start values of the states and the equations that must hold at the start.
+
+    Attributes
+    ----------
+    starts
+        One for each state.
+    residuals
+        One for each state, in its order; a state whose start value is its initial condition has the residual
+        ``x - xs``.
+    explicit
+        Whether all residuals are of that form.
+    """
+
+    starts: list[Start]
+    residuals: list[SX]
+    explicit: bool
+    free: list[bool]
+
+
+def start_of(scope: ModelScope, aliases: Aliases, symbol: SX) -> Start:
+    """Start value of a continuous symbol: of its alias group's fixed member, or else of the first with a start."""
+    group = aliases.groups.get(key(symbol))
+    if group is None:
+        return Start(SX(0.0), False, False)
+    fixed = [(d, s) for d, s in group.members if d.fixed]
+    given = [(d, s) for d, s in group.members if d.has_start]
+    first = [m for m in group.members if m[0] is group.representative and m[0].has_start]
+    for declared, sign in [*fixed, *first, *given]:
+        value = declared_start(scope, declared)
+        return Start(sign * value, bool(fixed), declared.has_start)
+    return Start(SX(0.0), False, False)
+
+
+def declared_start(scope: ModelScope, declared: Declared) -> SX:
+    """Start attribute of a variable as an expression of parameters (0 where not given)."""
+    with scope.evaluate.no_event():
+        value = scope.declarations.attribute(declared, "start", scope.evaluate)
+    return V.sx(0.0 if value is None else value)
+
+
+def initial_conditions(
+    scope: ModelScope,
+    aliases: Aliases,
+    states: list[State],
+    rewrite: Callable[[SX], SX],
+    equations: list[Equation],
+    start_symbols: list[SX],
+    evaluate: Callable[[list[SX], dict[int, SX]], np.ndarray[Any, Any]],
+) -> InitialConditions:
+    """Decide what determines each state at the start.
+
+    A fixed start value and every initial equation is a condition; states that no condition reaches keep their start
+    value (with a warning). Conditions that repeat others are checked and left out.
+
+    Parameters
+    ----------
+    rewrite
+        Rewrites an expression to states and what else is known.
+    start_symbols
+        Symbols of the start values ``xs``, for the residuals.
+    evaluate
+        Evaluates expressions at the default parameters and given states.
+    """
+    flat, graph = scope.flat, scope.graph
+    starts = [start_of(scope, aliases, s.symbol) for s in states]
+    conditions = [(rewrite(e.residual), e.span) for e in equations]
+    own = {key(s.symbol) for s in states}
+    for k, group in aliases.groups.items():
+        fixed = [(d, s) for d, s in group.members if d.fixed and d.kind == "continuous"]
+        for position, (declared, sign) in enumerate(fixed):
+            if position == 0 and k in own:
+                continue
+            value = rewrite(sign * V.sx(group.representative.symbol)) - declared_start(scope, declared)
+            conditions.append((value, declared.span))
+    at_start = {key(s.symbol): start.value for s, start in zip(states, starts, strict=True)}
+    columns = [i for i, start in enumerate(starts) if not start.fixed]
+    columns.sort(key=lambda i: (starts[i].given, -states[i].order, i))
+    free, used = _independent(graph, [c for c, _ in conditions], columns, states, at_start, evaluate)
+    for row, (residual, span) in enumerate(conditions):
+        if row in used:
+            continue
+        (value,) = evaluate([residual], at_start)
+        if not free and not abs(value) <= _CONSISTENT * 10:
+            raise flat.error("initial conditions contradict each other (a fixed start value is one too)", span)
+        if free and not abs(value) <= 1e-6:
+            raise flat.error("more initial conditions than states (a fixed start value is one too)", span)
+    unsure = [states[i].symbol.name() for i, s in enumerate(starts) if not s.fixed and i not in free]
+    if unsure:
+        scope.parameters.warnings.append(f"start values taken as fixed: {', '.join(unsure)}")
+    residuals = [s.symbol - xs for s, xs in zip(states, start_symbols, strict=True)]
+    for column, row in zip(sorted(free), sorted(used), strict=True):
+        residuals[column] = conditions[row][0]
+    return InitialConditions(starts, residuals, not free, [i in free for i in range(len(states))])
+
+
+def _independent(
+    graph: Graph,
+    conditions: list[SX],
+    columns: list[int],
+    states: list[State],
+    at_start: dict[int, SX],
+    evaluate: Callable[[list[SX], dict[int, SX]], np.ndarray[Any, Any]],
+) -> tuple[set[int], set[int]]:
+    """States that conditions determine, and the conditions that do so, by the rank near the start."""
+    if not conditions or not columns:
+        return set(), set()
+    gradients = [graph.gradient(c) for c in conditions]
+    wanted = [(i, j, g[key(states[c].symbol)]) for i, g in enumerate(gradients)
+              for j, c in enumerate(columns) if key(states[c].symbol) in g]  # fmt: skip
+    # A little off the start, where a coefficient may vanish by chance.
+    near = {k: v + 1e-3 * math.sin(1.0 + i) for i, (k, v) in enumerate(at_start.items())}
+    matrix = np.zeros((len(conditions), len(columns)))
+    for (i, j, _), value in zip(wanted, evaluate([e for _, _, e in wanted], near), strict=True):
+        matrix[i, j] = value
+    scale = np.abs(matrix).max(axis=1)
+    matrix = matrix / np.where(scale > 0.0, scale, 1.0)[:, None]
+    rows = _greedy(matrix.T)
+    chosen = _greedy(matrix[rows])
+    return {columns[j] for j in chosen}, set(rows)
+
+
+def _greedy(matrix: np.ndarray[Any, Any]) -> list[int]:
+    """First columns of a matrix that are linearly independent."""
+    basis = np.zeros((matrix.shape[0], 0))
+    chosen = []
+    for j in range(matrix.shape[1]):
+        rest = matrix[:, j] - basis @ (basis.T @ matrix[:, j])
+        rest -= basis @ (basis.T @ rest)
+        if np.linalg.norm(rest) > 1e-9:
+            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
+            chosen.append(j)
+    return chosen
+
+
+def discrete_starts(
+    scope: ModelScope, equations: list[Equation]
+) -> tuple[dict[int, SX], dict[int, SX], list[Equation]]:
+    """Split initial equations: those of discrete variables and of parameters with fixed=false, and the rest.
+
+    Returns
+    -------
+    discrete, parameters, rest
+        Start values by the discrete variable's symbol; values of parameters by their symbols; other equations.
+    """
+    discrete: dict[int, SX] = {}
+    parameters: dict[int, SX] = {}
+    rest = []
+    for equation in equations:
+        place = _explicit(scope, equation)
+        if place is None:
+            rest.append(equation)
+        elif place[2]:
+            parameters[place[0]] = place[1]
+        else:
+            discrete[place[0]] = place[1]
+    return discrete, parameters, rest
+
+
+def _explicit(scope: ModelScope, equation: Equation) -> tuple[int, SX, bool] | None:
+    if equation.sides is None:
+        return None
+    for one, other in (equation.sides, equation.sides[::-1]):
+        if not one.is_symbolic():
+            continue
+        symbol = scope.current_of(one)
+        declared = scope.declared(symbol)
+        if declared is None:
+            continue
+        unbound = any(declared is d for d in scope.parameters.from_initial)
+        if declared.kind != "discrete" and not unbound:
+            continue
+        if not all(scope.is_parameter(k) for k in scope.graph.symbols(other)):
+            raise scope.flat.error(
+                f"the initial equation of '{declared.name}' depends on more than parameters", equation.span
+            )
+        return key(symbol), other, unbound
+    return None
+
