@@ -1,9 +1,9 @@
 """Ports and decoys: what a free function of speed, angle, load or time could explain, if it acted at a port.
 
-A port is an input of the model that is zero by default and acts where effects act. Driving it with basis functions
-evaluated along the model's own trajectory gives the responses that any unnamed effect of that form would leave. The
-port whose responses explain the residual is where the gap arises; a decoy that beats every named effect on held-out
-experiments is evidence that the effect is none of them.
+A port is an input of the model that is zero by default and acts where effects act. Driving it with basis
+functions evaluated along the model's own trajectory gives the responses that any unnamed effect of that form would
+leave. The port whose responses explain the residual is where the gap arises; a decoy that beats every named effect
+on held-out experiments is evidence that the effect is none of them.
 """
 
 from __future__ import annotations
