@@ -176,6 +176,9 @@ def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
 
 
 def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
+    if "start" not in raw and any(isinstance(value, dict) for value in raw.values()):
+        fix = f'a name with dots needs quotes, as in [parameters."{name}.{next(iter(raw))}"]'
+        raise CampaignError("has no 'start'", where=where, fix=fix)
     table = convert(raw, _ParameterTable, where)
     finite("start", table.start, where)
     if math.isnan(table.lower) or math.isnan(table.upper):
@@ -333,7 +336,7 @@ def _stage(
             )
     _check_ties(table.tie, free, parameters, f"{where} tie")
     solver, options = _solver(table.solver, where)
-    budget = convert(table.budget, _BudgetTable, f"{where[:-1]}.budget]")
+    budget = convert(table.budget, _BudgetTable, f"{where} budget")
     for key in ("evaluations", "seconds"):
         limit = getattr(budget, key)
         if limit is not None and not limit > 0:
@@ -345,7 +348,8 @@ def _stage(
         start=frozen_mapping(start),
         tie=frozen_mapping(table.tie),
         criteria=tuple(
-            _criterion(t, experiments, measurements, f"{where[:-1]}.criteria]") for t in table.criteria
+            _criterion(t, experiments, measurements, f"{where} criterion {i}")
+            for i, t in enumerate(table.criteria, 1)
         ),
         combine=table.combine,
         solver=solver,
@@ -356,9 +360,7 @@ def _stage(
     )
 
 
-def _criterion(
-    raw: _Table, experiments: Sequence[str], measurements: Measurements, where: str
-) -> CriterionSpec:
+def _criterion(raw: _Table, experiments: Sequence[str], measurements: Measurements, where: str) -> CriterionSpec:
     table = convert(raw, _CriterionTable, where)
     outputs = {name: None for i in experiments for name in measurements[i].outputs}
     if table.signal not in outputs:
@@ -371,9 +373,7 @@ def _criterion(
         if not (math.isfinite(value) and value > 0):
             raise CampaignError(f"{key} is {value:g}", where=where, fix="write a positive number")
     if not table.from_ < table.to:
-        raise CampaignError(
-            f"from {table.from_:g} is not before to {table.to:g}", where=where, fix="swap them"
-        )
+        raise CampaignError(f"from {table.from_:g} is not before to {table.to:g}", where=where, fix="swap them")
     return CriterionSpec(
         signal=table.signal,
         kind=table.kind,
@@ -392,9 +392,7 @@ def _check_ties(
     leaders: dict[str, frozenset[str]] = {}
     for follower, text in ties.items():
         if follower in free:
-            raise CampaignError(
-                f"'{follower}' is free and tied", where=where, fix="take it out of one of the two"
-            )
+            raise CampaignError(f"'{follower}' is free and tied", where=where, fix="take it out of one of the two")
         try:
             leaders[follower] = parse(text).names
         except ProblemError as error:

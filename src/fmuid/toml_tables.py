@@ -66,21 +66,19 @@ def convert(table: Any, kind: type[_T], where: str) -> _T:
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
         message, _, place = str(error).partition(" - at `$")
-        key = place.strip(".`").replace("[...]", "")
+        inside = "a value in " if "[" in place else ""
+        key = place.strip(".`").partition("[")[0]
     if unknown := re.search(r"unknown field `(.*)`", message):
         fields = [f.encode_name for f in msgspec.structs.fields(kind)]
         raise CampaignError(f"unknown key '{unknown[1]}'", where=where, fix=suggestion(unknown[1], fields))
     if missing := re.search(r"missing required field `(.*)`", message):
-        hint = ""
-        if any(isinstance(v, dict) for v in table.values()):
-            hint = '; a name with a dot needs quotes, as in [parameters."load.J"]'
-        raise CampaignError(f"has no '{missing[1]}'", where=where, fix=f"write {missing[1]} = ...{hint}")
+        raise CampaignError(f"has no '{missing[1]}'", where=where, fix=f"write {missing[1]} = ...")
     if types := re.search(r"Expected `(.*)`, got `(.*)`", message):
         expected, got = (
             " or ".join(_WORDS.get(t.strip(), t.strip()) for t in side.split("|") if t.strip() != "null")
             for side in types.groups()
         )
-        what = f"'{key}' is {got}" if key else f"is {got}"
+        what = f"{inside}'{key}' is {got}" if key else f"is {got}"
         raise CampaignError(what, where=where, fix=f"write {expected}")
     if choice := re.search(r"Invalid enum value '?(.*?)'?$", message):
         choices = _choices(kind, key)

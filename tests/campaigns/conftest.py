@@ -77,9 +77,7 @@ def run(
     tau = rng.standard_normal(11)
     tau[3] = np.nan
     signals = {
-        drive: Signal(
-            drive, np.sin(time + len(repeat_of or id)), "A" if drive == "i_cmd" else "rad/s", "input"
-        ),
+        drive: Signal(drive, np.sin(time + len(repeat_of or id)), "A" if drive == "i_cmd" else "rad/s", "input"),
         "tau": Signal("tau", tau, "N.m", "output", sigma=0.1),
         "w_motor": Signal("w_motor", rng.standard_normal(11), "rad/s", "output"),
     }

@@ -326,6 +326,7 @@ def test_no_hdf5(content: bytes | None, line: str, tmp_path: Path, monkeypatch: 
 
 
 @settings(
+    derandomize=True,
     max_examples=100,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
@@ -333,9 +334,7 @@ def test_no_hdf5(content: bytes | None, line: str, tmp_path: Path, monkeypatch: 
 )
 @given(damage=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.binary(min_size=1, max_size=8)), max_size=6),
        keep=st.one_of(st.just(1.0), st.floats(0, 1)))  # fmt: skip
-def test_damaged_files_give_no_traceback(
-    folder: Path, damage: list[tuple[float, bytes]], keep: float
-) -> None:
+def test_damaged_files_give_no_traceback(folder: Path, damage: list[tuple[float, bytes]], keep: float) -> None:
     content = bytearray((folder / "measurements.h5").read_bytes())
     for place, new in damage:
         at = int(place * len(content))
@@ -353,7 +352,11 @@ def test_damaged_files_give_no_traceback(
 
 
 @settings(
-    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], database=None
+    derandomize=True,
+    max_examples=50,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    database=None,
 )
 @given(
     values=st.lists(st.floats(), min_size=0, max_size=4),
