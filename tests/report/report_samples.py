@@ -85,9 +85,7 @@ def energy_map():
     values[3, 4] = np.nan
     groups = (("speed / (rad/s)", 4), ("load torque / (N·m)", 4), ("frequency / Hz", 4))
     rows = tuple(f"run {k} · tau_sensor" for k in range(8))
-    return MapFigure(
-        "excess", "Excess", rows, columns, values, Axis("share of excess energy"), (0.0, 0.1), groups
-    )
+    return MapFigure("excess", "Excess", rows, columns, values, Axis("share of excess energy"), (0.0, 0.1), groups)
 
 
 def ranked():

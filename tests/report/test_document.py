@@ -17,9 +17,7 @@ def written(tmp_path_factory):
     out = tmp_path_factory.mktemp("report")
     table = Table(("parameter", "estimate"), ((HOSTILE, 2.66), ("J_S", None)), "estimates", "Estimates")
     sections = (Section("Estimates", (table,), "Hello"), Section("Figures", tuple(f() for f in samples.ALL)))
-    document = Document(
-        f"Identification {HOSTILE}", "Subtitle", (Fact("Best", "d_S = 2.66", "good"),), sections
-    )
+    document = Document(f"Identification {HOSTILE}", "Subtitle", (Fact("Best", "d_S = 2.66", "good"),), sections)
     return write_document(document, out)
 
 
@@ -70,11 +68,14 @@ def test_page_draws_in_a_browser(written):
         "--enable-unsafe-swiftshader",
         "--enable-logging=stderr",
     ]
-    command += ["--host-resolver-rules=MAP * ~NOTFOUND", "--virtual-time-budget=20000", "--dump-dom"]
-    done = subprocess.run(
-        [*command, written.as_uri()], capture_output=True, text=True, timeout=100, check=False
-    )
-    assert 'data-ready="true"' in done.stdout, done.stderr[-2000:]
+    command += [
+        "--host-resolver-rules=MAP * ~NOTFOUND",
+        "--virtual-time-budget=20000",
+        "--window-size=1100,9000",
+        "--dump-dom",
+    ]
+    done = subprocess.run([*command, written.as_uri()], capture_output=True, text=True, timeout=100, check=False)
+    assert f'data-drawn="{len(samples.ALL)}"' in done.stdout, done.stderr[-2000:]
     drawn = Page(done.stdout.replace("<script", "<!--").replace("</script>", "-->"))
     canvases = [a for t, a in drawn.tags if t == "svg" and "main-svg" in a.get("class", "")]
     assert len(canvases) >= len(samples.ALL)

@@ -64,9 +64,7 @@ def test_plotly_accepts_every_kind(make):
 def test_lines_are_the_same_on_screen_as_in_the_data():
     figure = samples.history()
     drawn = {t["name"]: t for t in specification(figure)["data"] if not t.get("showlegend", True)}
-    raw = np.frombuffer(
-        __import__("base64").b64decode(drawn["final"]["y"]["bdata"]), drawn["final"]["y"]["dtype"]
-    )
+    raw = np.frombuffer(__import__("base64").b64decode(drawn["final"]["y"]["bdata"]), drawn["final"]["y"]["dtype"])
     np.testing.assert_allclose(raw, samples.step_response(40), rtol=1e-6, atol=1e-6)
     assert {"evaluation 4", "evaluation 9", "evaluation 20"} <= drawn.keys()
 
@@ -83,9 +81,7 @@ def test_times_far_from_zero_keep_their_resolution():
 
 
 def test_names_cannot_become_markup():
-    panel = Panel(
-        "<b>x", Axis("<i>t", "s"), Axis("y"), (Series("<script>", np.arange(3), np.arange(3), "final"),)
-    )
+    panel = Panel("<b>x", Axis("<i>t", "s"), Axis("y"), (Series("<script>", np.arange(3), np.arange(3), "final"),))
     text = str(specification(LineFigure("f", "f", (panel, panel))))
     assert "<script>" not in text
     assert "<b>x" not in text

@@ -12,7 +12,7 @@ import jinja2
 
 from fmuid.files import write_atomically
 from fmuid.plots import Format, save_data, save_figure
-from fmuid.plots.data import Cell, Figure, Table, slug, tables
+from fmuid.plots.data import Cell, Figure, ParallelFigure, Table, slug, tables
 from fmuid.report.interactive import specification
 
 _PLACEHOLDER = "@plotly.js@"
@@ -88,6 +88,7 @@ def rendered(document: Document) -> str:
     )
     environment.filters["cell"] = shown
     environment.tests["table"] = lambda item: isinstance(item, Table)
+    environment.tests["webgl"] = lambda item: isinstance(item, ParallelFigure)
     page = environment.get_template("report.html.jinja").render(
         document=document, specification=_json, stems=lambda figure: [stem for stem, _ in tables(figure)]
     )

@@ -22,6 +22,7 @@ from fmuid.plots.data import (
     slug,
 )
 from fmuid.report.thinning import kept_samples
+from fmuid.validation import RunScore
 
 TIME = Axis("time", "s")
 
@@ -71,9 +72,7 @@ def residual_panel(overlay: Overlay) -> Panel:
     residuals = [(label, role, y - overlay.measurement) for label, role, y in overlay.predictions]
     keep = kept_samples([r for _, _, r in residuals])
     roles: dict[Role, Role] = {"start": "before", "final": "after"}
-    series = [
-        Series(label, overlay.time[keep], r[keep], roles.get(role, role)) for label, role, r in residuals
-    ]
+    series = [Series(label, overlay.time[keep], r[keep], roles.get(role, role)) for label, role, r in residuals]
     return Panel(overlay.heading, TIME, Axis(f"residual of {overlay.signal}", overlay.unit), tuple(series))
 
 
@@ -120,19 +119,28 @@ def milestones(cost: FloatArray, count: int = 5) -> list[int]:
 
 
 def cost_figure(stages: Sequence[StageHistory]) -> LineFigure:
-    """Return the cost of every evaluation and the best so far, stage after stage."""
-    panels = []
+    """Return cost and best cost so far over the evaluations of all stages, each relative to its start."""
+    numbers, costs, best, marks = [], [], [], []
+    first = 1
     for stage in stages:
-        number = np.arange(1, stage.cost.size + 1, dtype=np.float64)
-        positive = bool(np.nanmin(stage.cost) > 0) if np.isfinite(stage.cost).any() else False
-        series = (
-            Series("evaluation", number, stage.cost, "iterate", points=True),
-            Series("best so far", number, np.fmin.accumulate(stage.cost), "final"),
-        )
-        panels.append(Panel(stage.stage, Axis("evaluation"), Axis("cost", log=positive), series))
-    caption = "Cost of every evaluation; failed simulations have none and leave a gap."
-    columns = 1 if len(panels) == 1 else 2
-    return LineFigure("cost", "Cost over the evaluations", tuple(panels), caption, columns)
+        finite = stage.cost[np.isfinite(stage.cost)]
+        scale = finite[0] if finite.size and finite[0] > 0 else 1.0
+        marks.append((float(first), stage.stage))
+        # A missing value between two stages breaks the line.
+        numbers.append(np.append(np.arange(first, first + stage.cost.size, dtype=np.float64), np.nan))
+        costs.append(np.append(stage.cost / scale, np.nan))
+        best.append(np.append(np.fmin.accumulate(stage.cost / scale), np.nan))
+        first += stage.cost.size
+    number, cost = np.concatenate(numbers), np.concatenate(costs)
+    log = bool(np.nanmin(cost) > 0) if np.isfinite(cost).any() else False
+    series = (
+        Series("evaluation", number, cost, "iterate", points=True),
+        Series("best so far", number, np.concatenate(best), "final"),
+    )
+    y = Axis("cost over the stage's first", log=log)
+    panel = Panel("Search", Axis("evaluation"), y, series, tuple(marks))
+    caption = "Failed simulations have no cost and leave a gap. Vertical lines: the stages."
+    return LineFigure("cost", "Cost over the evaluations", (panel,), caption, 1)
 
 
 def parallel_figure(
@@ -178,16 +186,12 @@ def correlation_figure(stage: str, names: Sequence[str], correlation: FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One estimated parameter beside what it is compared with."""
+    """An estimate beside what it is compared with."""
 
     name: str
-    unit: str
-    start: float
     value: float
     standard_error: float | None
     reference: float | None
-    stage: str = ""
-    at_bound: bool = False
 
     @property
     def deviation(self) -> float | None:
@@ -218,33 +222,20 @@ def deviation_figure(estimates: Sequence[Estimate], kind: str) -> BarFigure | No
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Fit:
-    """How well one signal of one run is predicted: NRMSE (relative), RMSE and noise floor in `unit`."""
-
-    experiment: str
-    signal: str
-    unit: str
-    role: str
-    nrmse: float
-    rmse: float
-    floor: float | None = None
-
-
-def fit_figure(fits: Sequence[Fit]) -> BarFigure:
-    """Return NRMSE run by run; identification and validation runs differ in colour."""
+def fit_figure(name: str, scores: Sequence[RunScore]) -> BarFigure:
+    """Return NRMSE run by run, with what the noise alone would leave of it."""
     bars = tuple(
         Bar(
-            f"{f.experiment} · {f.signal}",
-            100 * f.nrmse,
-            "after" if f.role == "identification" else "before",
-            note=f"{f.role}, {100 * f.nrmse:.2g} %",
+            f"{s.experiment} · {s.signal}",
+            100 * s.nrmse,
+            note=f"{100 * s.nrmse:.2g} %"
+            + ("" if not s.noise_floor else f", {s.rmse / s.noise_floor:.3g} noise floors"),
         )
-        for f in fits
+        for s in scores
+        if s.failure is None
     )
-    return BarFigure(
-        "nrmse", "Fit of every run", bars, Axis("NRMSE", "%"), caption="RMSE over the signal's range."
-    )
+    caption = "RMSE over the standard deviation of the measurement: 0 is perfect, 100 % no better than its mean."
+    return BarFigure(name, "NRMSE of every run", bars, Axis("NRMSE", "%"), caption=caption)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

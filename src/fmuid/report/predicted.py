@@ -1,0 +1,48 @@
+"""Measurements of a case beside predictions of it, and which of its signals a campaign judges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from fmuid import cases as case_building
+from fmuid.campaign import Campaign, FloatArray
+from fmuid.cases import Case
+from fmuid.plots.data import Role
+from fmuid.report.figures import Overlay
+
+
+def judged_signals(campaign: Campaign) -> set[tuple[str, str]]:
+    """Return (setup, signal) of everything a stage of the campaign judges."""
+    found: set[tuple[str, str]] = set()
+    for stage in campaign.stages.values():
+        for run in case_building.experiments_of(campaign, stage.experiments, where=stage.name):
+            signals = [c.signal for c in stage.criteria] or list(run.outputs)
+            found |= {(run.setup, s) for s in signals}
+    return found
+
+
+def overlays(
+    campaign: Campaign, case: Case, versions: Sequence[tuple[str, Role, FloatArray | None]]
+) -> list[Overlay]:
+    """Return one overlay for each channel of `case`; `versions` are (label, role, predictions)."""
+    found = []
+    for k, channel in enumerate(case.channels):
+        drawn = tuple((label, role, p[k]) for label, role, p in versions if p is not None)
+        found.append(
+            Overlay(
+                case.id,
+                channel.signal,
+                channel.unit or "",
+                case.task.time,
+                channel.mean,
+                drawn,
+                heading(campaign, case),
+            )
+        )
+    return found
+
+
+def heading(campaign: Campaign, case: Case) -> str:
+    """Return the title of a case's panel: its id and what the run was."""
+    run = campaign.measurements.experiments.get(case.experiments[0] if case.experiments else case.id)
+    return f"{case.id}: {run.description}" if run is not None and run.description else case.id
