@@ -70,9 +70,7 @@ def staircase(time: FloatArray, *, values: Sequence[float], dwell: float, rise: 
     return np.asarray(np.interp(time, knots, levels))
 
 
-_KINDS: Mapping[str, Callable[..., FloatArray]] = {
-    f.__name__: f for f in (step, sine, prbs, polyline, staircase)
-}
+_KINDS: Mapping[str, Callable[..., FloatArray]] = {f.__name__: f for f in (step, sine, prbs, polyline, staircase)}
 
 
 def samples(kind: str, time: FloatArray, options: Mapping[str, Any], where: str) -> FloatArray:

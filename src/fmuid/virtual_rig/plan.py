@@ -88,9 +88,7 @@ def load_plan(path: Path) -> Plan:
     return Plan(
         rig=Rig(np.array(table.loss_table), numbers(table.parameters, f"{file} [rig.parameters]")),
         sensors=_sensors(numbers(table.sensors, f"{file} [rig.sensors]"), f"{file} [rig.sensors]"),
-        experiments=tuple(
-            _planned(n, t, f"{file} [experiments.{n}]") for n, t in document.experiments.items()
-        ),
+        experiments=tuple(_planned(n, t, f"{file} [experiments.{n}]") for n, t in document.experiments.items()),
         repeats=table.repeats,
         seed=table.seed,
         title=table.title,

@@ -67,9 +67,7 @@ class Rig:
     def __post_init__(self) -> None:
         table = read_only(self.loss_table)
         if table.ndim != 2 or table.shape[1] != 5 or len(table) == 0 or np.any(np.diff(table[:, 0]) <= 0):
-            raise CampaignError(
-                "a loss table needs rows of five values with rising speed", where="virtual rig"
-            )
+            raise CampaignError("a loss table needs rows of five values with rising speed", where="virtual rig")
         unknown = self.parameters.keys() - parameter_table().keys()
         if unknown:
             known = ", ".join(parameter_table())
