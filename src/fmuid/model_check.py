@@ -337,7 +337,8 @@ def _match_unit(unit: str | None, variable: Variable, where: str) -> None:
     try:
         conversion(unit, variable.unit)
     except UnitError as error:
-        raise UnitError(f"{error.what} of variable '{variable.name}'", where=where, fix=error.fix) from None
+        at = f" of variable '{variable.name}'" if "converted" in error.what else ""
+        raise UnitError(error.what + at, where=where, fix=error.fix) from None
 
 
 def _undriven(experiment: Experiment, model: ModelSpec, variables: Mapping[str, Variable]) -> Sequence[str]:
