@@ -121,7 +121,7 @@ def test_fit_of_every_run_is_given_with_its_noise_floor(written):
     assert values["run"] == "check"
     assert float(values["RMSE"]) == pytest.approx(0.01, rel=0.2)
     assert float(values["noise floor"]) == pytest.approx(0.01)
-    assert float(values["NRMSE, %"]) < 1.0
+    assert float(values["NRMSE, %"]) < 1.5
 
 
 def test_page_says_how_it_went_and_what_it_rests_on(written):

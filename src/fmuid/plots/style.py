@@ -53,7 +53,7 @@ LOOKS: dict[Role, Look] = {
 
 def legend(series: Series) -> str:
     """Return the legend's text for a line; the iterates of a search share one."""
-    return "intermediate iterates" if series.role == "iterate" else series.label
+    return "intermediate iterates" if series.role == "iterate" and not series.points else series.label
 
 
 def bar_colour(role: Role) -> str:

@@ -109,9 +109,9 @@ def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
                 f"median {100 * median:.2g} %, worst {100 * worst_fit.nrmse:.2g} % ({worst_fit.experiment})",
             )
         )
-    criteria = [c for s in result.stages for c in s.criteria]
+    criteria = {(c.case, c.label): c.value for s in result.stages for c in s.criteria}  # the last stage counts
     if criteria:
-        satisfied = sum(c.value <= 1 for c in criteria)
+        satisfied = sum(value <= 1 for value in criteria.values())
         tone = "good" if satisfied == len(criteria) else "plain"
         found.append(Fact("Demands satisfied", f"{satisfied} of {len(criteria)}", tone))
     warnings = sum(len(s.warnings) for s in result.stages)
@@ -139,13 +139,14 @@ def _estimates_section(result: Result, campaign: Campaign | None) -> Section:
 
 def _estimates_table(result: Result, published: Mapping[str, Mapping[str, float]]) -> Table:
     stage_of = {e.name: s.name for s in result.stages for e in s.estimates}
+    first = {e.name: e.start for s in reversed(result.stages) for e in s.estimates}
     truths = any(e.truth is not None for e in result.estimates)
     header = ["parameter", "unit", "start", "estimate", "standard error", "95 % from", "to"]
     header += ["truth", "deviation, %"] if truths else []
     header += [*published, "stage", "note"]
     rows = []
     for e in result.estimates:
-        row: list[Cell] = [e.name, pretty_unit(e.unit or ""), e.start, e.value, e.standard_error]
+        row: list[Cell] = [e.name, pretty_unit(e.unit or ""), first[e.name], e.value, e.standard_error]
         row += e.interval or (None, None)
         if truths:
             row += [e.truth, None if e.relative_error is None else 100 * e.relative_error]

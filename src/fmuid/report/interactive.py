@@ -81,7 +81,7 @@ def _lines(figure: LineFigure) -> tuple[list[Spec], Spec]:
             "domain": [left, min(left + width, 1.0)],
             "anchor": f"y{suffix}",
         }
-        layout[f"yaxis{suffix}"] = _axis(panel.y) | {
+        layout[f"yaxis{suffix}"] = _axis(panel.y, panel.y.wrapped("\n")) | {
             "domain": [max(top - tall, 0.0), top],
             "anchor": f"x{suffix}",
         }
@@ -155,10 +155,11 @@ def _series(panel: Panel, series: Series) -> Spec:
     return trace
 
 
-def _axis(axis: Axis) -> Spec:
+def _axis(axis: Axis, label: str = "") -> Spec:
+    label = label or axis.label
     return {
         "title": {
-            "text": html.escape(axis.wrapped("\n"), quote=False).replace("\n", "<br>"),
+            "text": html.escape(label, quote=False).replace("\n", "<br>"),
             "standoff": 6,
             "font": {"size": 11},
         },
