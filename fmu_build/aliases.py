@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from fmu_build import values as V
+from fmu_build import algebra
 from fmu_build.equations import Equation
 from fmu_build.graph import SX, Graph, Substitution, is_number, key
 from fmu_build.scope import ModelScope
@@ -90,7 +90,7 @@ def eliminate(scope: ModelScope, equations: list[Equation]) -> Aliases:
         groups.setdefault(root, Group(representative)).members.append((declared, sign))
         of[declared.name] = (representative, sign)
         if root != k:
-            _define(scope, substitute, V.sx(declared.symbol), V.sx(representative.symbol), sign)
+            _define(scope, substitute, algebra.sx(declared.symbol), algebra.sx(representative.symbol), sign)
     left = [Equation(substitute(e.residual), e.span) for e in rest]
     return Aliases(groups, of, substitute, left)
 
@@ -100,7 +100,7 @@ def _rank(declared: Declared) -> tuple[object, ...]:
 
 
 def _alias(graph: Graph, residual: SX, candidates: dict[int, Declared]) -> tuple[int, int, int] | None:
-    """(a, b, sign) if the residual says a = sign * b."""
+    """Return (a, b, sign) if the residual says a = sign * b."""
     symbols = graph.symbols(residual)
     if len(symbols) != 2 or not symbols <= candidates.keys():
         return None

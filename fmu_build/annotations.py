@@ -30,7 +30,9 @@ def _class_text(class_name: str, files: Sequence[Path]) -> str:
     best, best_score = "", -1
     for path in files:
         text = re.sub(r"//[^\n]*|/\*.*?\*/", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
-        match = re.search(rf"\b(?:model|block|class)\s+{re.escape(name)}\b.*?\bend\s+{re.escape(name)}\s*;", text, re.DOTALL)
+        match = re.search(
+            rf"\b(?:model|block|class)\s+{re.escape(name)}\b.*?\bend\s+{re.escape(name)}\s*;", text, re.DOTALL
+        )
         if match is None:
             continue
         within = re.search(r"\bwithin\s+([\w.]*)\s*;", text)

@@ -109,9 +109,7 @@ def _openmodelica(file: Path, class_name: str, target: Path, fmi: str, roots: Se
     sources = [str(p) for p in source_files(file, roots)]
     with tempfile.TemporaryDirectory() as folder:
         loads = "".join(f"loadFile({json.dumps(p)});\n" for p in sources)
-        script = (
-            f'{loads}buildModelFMU({class_name}, version="{fmi}.0", fmuType="me_cs");\ngetErrorString();\n'
-        )
+        script = f'{loads}buildModelFMU({class_name}, version="{fmi}.0", fmuType="me_cs");\ngetErrorString();\n'
         (Path(folder) / "build.mos").write_text(script)
         run = subprocess.run([omc, "build.mos"], cwd=folder, capture_output=True, text=True, check=False)
         made = sorted(Path(folder).glob("*.fmu"))

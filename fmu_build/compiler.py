@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from fmu_build import codegen, events, start
-from fmu_build import values as V
+from fmu_build import algebra, codegen, events, start
 from fmu_build.aliases import Aliases, eliminate
 from fmu_build.annotations import experiment
 from fmu_build.equations import Equations, collect, when_targets
@@ -57,23 +56,21 @@ def compile_flat(flat: Flat) -> CompiledModel:
     def rewrite(expression: SX) -> SX:
         return solution.expression(aliases.substitute(expression))
 
-    happenings = events.collect(
-        scope, equations, discrete_starts, reduced.states, rewrite, aliases.substitute
-    )
+    happenings = events.collect(scope, equations, discrete_starts, reduced.states, rewrite, aliases.substitute)
     symbols = [s.symbol for s in reduced.states]
     xs = [SX.sym(f"start({s.name()})") for s in symbols]
     conditions = start.initial_conditions(
         scope, aliases, reduced.states, rewrite, equations.initial, xs, point.at_start
     )
     interface = describe(scope, aliases, reduced, solution, happenings, conditions, point)
-    return _generate(flat, scope, equations, reduced, solution, happenings, conditions, interface, xs, rewrite, point)
+    return _generate(flat, scope, equations, reduced, solution, happenings, conditions, interface, xs, rewrite)
 
 
 def _initial_parameters(scope: ModelScope, equations: Equations) -> dict[int, SX]:
     """Use up the initial equations of parameters with fixed=false and of discrete variables."""
     discrete, parameters, equations.initial = start.discrete_starts(scope, equations.initial)
     for declared in scope.parameters.from_initial:
-        value = parameters.get(key(V.sx(declared.symbol)))
+        value = parameters.get(key(algebra.sx(declared.symbol)))
         if value is None:
             raise scope.flat.error(
                 f"nothing gives '{declared.name}' (fixed = false) a value", declared.span,
@@ -107,14 +104,13 @@ def _generate(
     interface: Interface,
     xs: list[SX],
     rewrite: Callable[[SX], SX],
-    point: Point,
 ) -> CompiledModel:
     ports = codegen.Ports(
         scope.time,
         [s.symbol for s in reduced.states],
         interface.inputs,
-        [V.sx(d.symbol) for d, _ in scope.parameters.independent],
-        [V.sx(d.symbol) for d, _ in scope.parameters.dependent],
+        [algebra.sx(d.symbol) for d, _ in scope.parameters.independent],
+        [algebra.sx(d.symbol) for d, _ in scope.parameters.dependent],
         [d.symbol for d in happenings.discrete],
         [d.previous for d in happenings.discrete],
         [r.symbol for r in scope.relations],
@@ -156,11 +152,14 @@ def _generate(
         "NM": len(ports.m), "NY": len(ports.y), "NV": len(interface.evaluated), "NASSERT": len(asserts),
         "HAS_EVENTS": int(has_events), "HAS_INITIAL": int(not conditions.explicit),
     }  # fmt: skip
-    messages = [
-        (f"{flat.where(a.span) or flat.class_name}: {a.message}", a.warning) for a in equations.asserts
-    ]
+    messages = [(f"{flat.where(a.span) or flat.class_name}: {a.message}", a.warning) for a in equations.asserts]
     header = codegen.c_header(
-        functions, sizes, interface.x_nominal, interface.y_nominal, [r.inclusive for r in scope.relations], messages
+        functions,
+        sizes,
+        interface.x_nominal,
+        interface.y_nominal,
+        [r.inclusive for r in scope.relations],
+        messages,
     )
     model = CompiledModel(
         name=flat.class_name.rpartition(".")[2],

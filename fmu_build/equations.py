@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
-from fmu_build import values as V
+from fmu_build import algebra
+from fmu_build.algebra import Scalar, Value
 from fmu_build.expressions import span_of
 from fmu_build.frontend import Flat, Node
 from fmu_build.graph import SX, key
 from fmu_build.scope import ModelScope
-from fmu_build.values import Scalar, Value
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def collect(scope: ModelScope) -> Equations:
         For whatever cannot be translated, with its source line.
     """
     flat, out = scope.flat, Equations()
-    for name, node in flat.parts["variables"].items():
+    for name in flat.parts["variables"]:
         if name in scope.declarations.values:
             scope.lookup(name)
     for name, node in flat.parts["variables"].items():
@@ -103,22 +103,24 @@ def collect(scope: ModelScope) -> Equations:
 
 def _binding(scope: ModelScope, out: Equations, name: str, node: Node) -> None:
     values = scope.declarations.values.get(name)
-    if values is None or node["binding"] is None or not V.scalars(values):
+    if values is None or node["binding"] is None or not algebra.scalars(values):
         return
-    first = V.scalars(values)[0]
+    first = algebra.scalars(values)[0]
     declared = scope.declared(first) if isinstance(first, SX) else None
     if declared is None or declared.kind not in ("continuous", "discrete"):
         return
     bound = scope.evaluate(node["binding"])
-    difference = V.elementwise(lambda a, b: V.sx(a) - V.sx(b), values, bound)
-    for symbol, item, residual in zip(V.scalars(values), _spread(bound, values), V.scalars(difference), strict=True):
-        equation = Equation(V.sx(residual), node["source_span"], (V.sx(symbol), V.sx(item)))
+    difference = algebra.elementwise(lambda a, b: algebra.sx(a) - algebra.sx(b), values, bound)
+    for symbol, item, residual in zip(
+        algebra.scalars(values), _spread(bound, values), algebra.scalars(difference), strict=True
+    ):
+        equation = Equation(algebra.sx(residual), node["source_span"], (algebra.sx(symbol), algebra.sx(item)))
         (out.continuous if declared.kind == "continuous" else out.discrete).append(equation)
 
 
 def _spread(value: Value, like: Value) -> tuple[Scalar, ...]:
-    items = V.scalars(value)
-    return items if len(items) == len(V.scalars(like)) else items * len(V.scalars(like))
+    items = algebra.scalars(value)
+    return items if len(items) == len(algebra.scalars(like)) else items * len(algebra.scalars(like))
 
 
 def _instances(scope: ModelScope, equations: list[Node], structured: list[Node]) -> Iterator[tuple[Node, Any]]:
@@ -184,14 +186,14 @@ def _scalar_equations(scope: ModelScope, node: Node, span: Any) -> list[Equation
             ]
         else:
             pairs = _pairs(scope, left, right, span)
-        return [Equation(V.sx(a) - V.sx(b), span, (V.sx(a), V.sx(b))) for a, b in pairs]
-    return [Equation(V.sx(item), span) for item in V.scalars(scope.evaluate(node))]
+        return [Equation(algebra.sx(a) - algebra.sx(b), span, (algebra.sx(a), algebra.sx(b))) for a, b in pairs]
+    return [Equation(algebra.sx(item), span) for item in algebra.scalars(scope.evaluate(node))]
 
 
 def _pairs(scope: ModelScope, left: Value, right: Value, span: Any) -> list[tuple[Scalar, Scalar]]:
     if isinstance(left, dict) and isinstance(right, dict):
         return [pair for name in left for pair in _pairs(scope, left[name], right[name], span)]
-    a, b = V.scalars(left), V.scalars(right)
+    a, b = algebra.scalars(left), algebra.scalars(right)
     if len(a) != len(b):
         if len(b) == 1:
             b = b * len(a)
@@ -204,8 +206,8 @@ def _pairs(scope: ModelScope, left: Value, right: Value, span: Any) -> list[tupl
 
 def _assertion(scope: ModelScope, node: Node) -> Assertion:
     with scope.evaluate.no_event():
-        condition = V.sx(scope.evaluate.scalar(node["condition"]))
-        level = scope.evaluate.scalar(node["level"]) if node.get("level") else 2
+        condition = algebra.sx(scope.evaluate.scalar(node["condition"]))
+        level = int(scope.evaluate.scalar(node["level"])) if node.get("level") else 2
     span = node.get("span") or span_of(node["condition"])
     return Assertion(condition, _text(scope, node["message"]), level == 1, span)
 
@@ -226,7 +228,7 @@ def _text(scope: ModelScope, node: Node) -> str:
 
 
 def _branch(scope: ModelScope, node: Node) -> Branch:
-    conditions = tuple(V.sx(c) for c in V.scalars(scope.evaluate(node["condition"])))
+    conditions = tuple(algebra.sx(c) for c in algebra.scalars(scope.evaluate(node["condition"])))
     assign: list[tuple[SX, SX]] = []
     reinit: list[tuple[SX, SX]] = []
     asserts: list[Assertion] = []
@@ -238,7 +240,7 @@ def _branch(scope: ModelScope, node: Node) -> Branch:
             assign += _assignments(scope, content)
         elif tag == "Reinit":
             state = _target(scope, content["state"], span)
-            reinit.append((state, V.sx(scope.evaluate.scalar(content["value"]))))
+            reinit.append((state, algebra.sx(scope.evaluate.scalar(content["value"]))))
         elif tag == "Assert":
             asserts.append(_assertion(scope, content))
         elif tag == "Terminate":
@@ -255,10 +257,10 @@ def _assignments(scope: ModelScope, content: Node) -> list[tuple[SX, SX]]:
     whole = scope.declarations.values.get(name)
     if whole is not None:
         return [
-            (V.sx(t), V.sx(v))
-            for t, v in zip(V.scalars(whole), _spread(value, whole), strict=True)
+            (algebra.sx(t), algebra.sx(v))
+            for t, v in zip(algebra.scalars(whole), _spread(value, whole), strict=True)
         ]
-    return [(_target(scope, name, content.get("span")), V.sx(V.scalars(value)[0]))]
+    return [(_target(scope, name, content.get("span")), algebra.sx(algebra.scalars(value)[0]))]
 
 
 def _target(scope: ModelScope, name: Any, span: Any) -> SX:

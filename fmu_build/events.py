@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from fmu_build import values as V
+from fmu_build import algebra
 from fmu_build.equations import Branch, Equation, Equations
 from fmu_build.graph import SX, Substitution, if_else, key
 from fmu_build.index_reduction import State
@@ -147,8 +147,8 @@ def _definitions(scope: ModelScope, equations: list[Equation]) -> dict[int, SX]:
             column.setdefault(key(side), len(column))
     incidence = [[column[key(s)] for s in row] for row in sides]
     row_of: dict[int, int] = {}
-    for row, equation in enumerate(equations):
-        if not augment(row, incidence, row_of, set()):
+    for number, equation in enumerate(equations):
+        if not augment(number, incidence.__getitem__, row_of, set()):
             raise scope.flat.error("this equation defines no discrete variable that is still open", equation.span)
     out = {}
     for k, c in column.items():
@@ -168,7 +168,7 @@ def _entries(scope: ModelScope, values: dict[int, SX], starts: dict[int, SX]) ->
     for declared in scope.declarations.scalars.values():
         if declared.kind != "discrete":
             continue
-        symbol = V.sx(declared.symbol)
+        symbol = algebra.sx(declared.symbol)
         if key(symbol) not in values:
             raise scope.flat.error(f"nothing determines '{declared.name}'", declared.span)
         start = starts.get(key(symbol), declared_start(scope, declared))

@@ -1,3 +1,4 @@
+# ruff: noqa: ARG001, ARG005  (built-in functions of one table share a signature)
 """Flat expressions (rumoca's tree) to values: numbers where known, SX otherwise."""
 
 from __future__ import annotations
@@ -5,24 +6,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import product
 from typing import Any, Protocol
 
-from fmu_build import values as V
+from fmu_build import algebra
+from fmu_build.algebra import Array, Scalar, Value
 from fmu_build.frontend import Flat, Node
 from fmu_build.graph import SX
-from fmu_build.values import Array, Scalar, Value
 from fmuid.errors import ModelicaError
 
 _ELEMENTWISE: dict[str, Callable[..., Scalar]] = {
-    "Add": V.add,
+    "Add": algebra.add,
     "Sub": lambda a, b: a - b,
-    "AddElem": V.add,
+    "AddElem": algebra.add,
     "SubElem": lambda a, b: a - b,
     "MulElem": lambda a, b: a * b,
-    "DivElem": V.divide,
-    "ExpElem": V.power,
-    "And": V.AND,
-    "Or": V.OR,
+    "DivElem": algebra.divide,
+    "ExpElem": algebra.power,
+    "And": algebra.AND,
+    "Or": algebra.OR,
 }
 _RELATIONS = {"Lt", "Le", "Gt", "Ge", "Eq", "Neq"}
 _STEPS = {"Floor", "Integer", "Ceil", "Div", "Mod", "Rem"}
@@ -71,7 +73,7 @@ class Evaluator:
         self.scope = scope
         self._call = call
         self._no_event = 0
-        self._iterators: dict[str, int] = {}
+        self._iterators: dict[str, Scalar] = {}
         self._last: list[tuple[Array, int]] = []  # what ``end`` means
         self._handlers: dict[str, Callable[[Any], Value]] = {
             "Literal": self._literal,
@@ -116,7 +118,7 @@ class Evaluator:
         if isinstance(value, Array) and len(value.items) == 1:
             return value.items[0]
         if not isinstance(value, bool | int | float | SX):
-            raise self.flat.error(f"a scalar is needed here, not {V.kind(value)}", span_of(node))
+            raise self.flat.error(f"a scalar is needed here, not {algebra.kind(value)}", span_of(node))
         return value
 
     @contextmanager
@@ -129,7 +131,7 @@ class Evaluator:
             self._no_event -= 1
 
     @contextmanager
-    def iterator(self, name: str, value: int) -> Iterator[None]:
+    def iterator(self, name: str, value: Scalar) -> Iterator[None]:
         """Bind a loop variable inside."""
         before = self._iterators.get(name)
         self._iterators[name] = value
@@ -179,7 +181,7 @@ class Evaluator:
                 elif isinstance(index, Array):
                     out.append([int(i) - 1 for i in index.items])
                 else:
-                    out.append(int(V.scalars(index)[0]) - 1)
+                    out.append(int(algebra.scalars(index)[0]) - 1)
             else:
                 raise ValueError(f"{tag} subscripts are not supported")
         out += [list(range(n)) for n in value.shape[len(out) :]]
@@ -187,54 +189,54 @@ class Evaluator:
 
     def _subscripted(self, value: Value, nodes: list[Node]) -> Value:
         if not isinstance(value, Array):
-            raise TypeError(f"subscripts on {V.kind(value)}")
+            raise TypeError(f"subscripts on {algebra.kind(value)}")
         return select(value, self.subscripts(value, nodes))
 
     def _unary(self, node: Node) -> Value:
         operand = self(node["rhs"])
         match node["op"]:
             case "Minus" | "DotMinus":
-                return V.elementwise(lambda a: -a, operand)
+                return algebra.elementwise(lambda a: -a, operand)
             case "Plus" | "DotPlus":
                 return operand
             case "Not":
-                return V.elementwise(V.NOT, operand)
+                return algebra.elementwise(algebra.NOT, operand)
         raise ValueError(f"operator {node['op']} is not supported")
 
     def _binary(self, node: Node) -> Value:
         op = node["op"]
         a, b = self(node["lhs"]), self(node["rhs"])
         if op in _RELATIONS:
-            return V.elementwise(lambda x, y: self._relation(op, x, y), a, b)
+            return algebra.elementwise(lambda x, y: self._relation(op, x, y), a, b)
         if isinstance(a, tuple) and isinstance(b, tuple) and op == "Sub":
             # (a, b, ...) = f(...): outputs that are left out on the left are not needed
-            return tuple(V.elementwise(_ELEMENTWISE[op], x, y) for x, y in zip(a, b, strict=False))
+            return tuple(algebra.elementwise(_ELEMENTWISE[op], x, y) for x, y in zip(a, b, strict=False))
         if isinstance(a, dict) and isinstance(b, dict) and op == "Sub":
-            return {name: V.elementwise(_ELEMENTWISE[op], a[name], b[name]) for name in a}
+            return {name: algebra.elementwise(_ELEMENTWISE[op], a[name], b[name]) for name in a}
         if op == "Add" and (isinstance(a, str) or isinstance(b, str)):
             return f"{a}{b}"
         if op in _ELEMENTWISE:
-            return V.elementwise(_ELEMENTWISE[op], a, b)
+            return algebra.elementwise(_ELEMENTWISE[op], a, b)
         if op == "Mul":
             if isinstance(a, Array) and isinstance(b, Array):
-                return V.matrix_product(a, b)
-            return V.elementwise(lambda x, y: x * y, a, b)
+                return algebra.matrix_product(a, b)
+            return algebra.elementwise(lambda x, y: x * y, a, b)
         if op == "Div" and not isinstance(b, Array):
-            return V.elementwise(V.divide, a, b)
+            return algebra.elementwise(algebra.divide, a, b)
         if op == "Exp" and not isinstance(a, Array):
-            return V.elementwise(V.power, a, b)
-        raise ValueError(f"operator {op} on {V.kind(a)} and {V.kind(b)} is not supported")
+            return algebra.elementwise(algebra.power, a, b)
+        raise ValueError(f"operator {op} on {algebra.kind(a)} and {algebra.kind(b)} is not supported")
 
     def _relation(self, op: str, a: Scalar, b: Scalar) -> Scalar:
         if op in ("Eq", "Neq"):
-            equal = V.EQUAL(a, b)
-            return equal if op == "Eq" else V.NOT(equal)
+            equal = algebra.EQUAL(a, b)
+            return equal if op == "Eq" else algebra.NOT(equal)
         if not isinstance(a, SX) and not isinstance(b, SX):
             return {"Lt": a < b, "Le": a <= b, "Gt": a > b, "Ge": a >= b}[op]
         low, high = (a, b) if op in ("Lt", "Le") else (b, a)
         if self._no_event:
-            return (V.LESS if op in ("Lt", "Gt") else V.LESS_EQUAL)(low, high)
-        return V.fold(self.scope.relation(V.sx(high) - V.sx(low), op in ("Le", "Ge")))
+            return (algebra.LESS if op in ("Lt", "Gt") else algebra.LESS_EQUAL)(low, high)
+        return algebra.fold(self.scope.relation(algebra.sx(high) - algebra.sx(low), op in ("Le", "Ge")))
 
     def _if(self, node: Node) -> Value:
         branches = list(node["branches"])
@@ -252,7 +254,7 @@ class Evaluator:
         else:
             last = self(node["else_branch"])
         for truth, value in zip(reversed(conditions), reversed(chosen), strict=True):
-            last = V.choose(truth, value, last)
+            last = algebra.choose(truth, value, last)
         return last
 
     def _range(self, node: Node) -> Value:
@@ -270,7 +272,7 @@ class Evaluator:
     def _field(self, node: Node) -> Value:
         base = self(node["base"])
         if not isinstance(base, dict) or node["field"] not in base:
-            raise ValueError(f"no field '{node['field']}' in {V.kind(base)}")
+            raise ValueError(f"no field '{node['field']}' in {algebra.kind(base)}")
         return base[node["field"]]
 
     def _comprehension(self, node: Node) -> Value:
@@ -283,7 +285,7 @@ class Evaluator:
                 return self(node["expr"])
             name, bounds = indices[level]
             parts = []
-            for i in V.scalars(self(bounds)):
+            for i in algebra.scalars(self(bounds)):
                 with self.iterator(name, int(i)):
                     parts.append(build(level + 1))
             return Array.stack(parts)
@@ -307,10 +309,10 @@ class Evaluator:
                 return Array((len(shape),), shape)
             return shape[int(self.scalar(nodes[1])) - 1]
         arguments = [self(n) for n in nodes]
-        if name in V.FUNCTIONS:
-            return V.elementwise(V.FUNCTIONS[name], *arguments)
+        if name in algebra.FUNCTIONS:
+            return algebra.elementwise(algebra.FUNCTIONS[name], *arguments)
         if name in _STEPS:
-            return V.elementwise(lambda *a: self._step(name, *a), *arguments)
+            return algebra.elementwise(lambda *a: self._step(name, *a), *arguments)
         special = _SPECIAL.get(name)
         if special is None:
             raise ValueError(f"{name[0].lower()}{name[1:]}() is not supported")
@@ -320,7 +322,7 @@ class Evaluator:
         def floor(x: Scalar) -> Scalar:
             if isinstance(x, SX) and not self._no_event:
                 return self.scope.step(x)
-            return V.FLOOR(x)
+            return algebra.FLOOR(x)
 
         x, *rest = arguments
         if name in ("Floor", "Integer"):
@@ -328,11 +330,11 @@ class Evaluator:
         if name == "Ceil":
             return -floor(-x)
         y = rest[0]
-        quotient = V.divide(x, y) if isinstance(x, SX) or isinstance(y, SX) or x % y else x // y
+        quotient = algebra.divide(x, y) if isinstance(x, SX) or isinstance(y, SX) or x % y else x // y
         if name == "Mod":
             return x - floor(quotient) * y
         # div and rem round towards zero
-        toward_zero = V.FUNCTIONS["Sign"](quotient) * floor(V.FUNCTIONS["Abs"](quotient))
+        toward_zero = algebra.FUNCTIONS["Sign"](quotient) * floor(algebra.FUNCTIONS["Abs"](quotient))
         return toward_zero if name == "Div" else x - toward_zero * y
 
 
@@ -349,31 +351,31 @@ def select(value: Array, index: list[list[int] | int | SX]) -> Value:
             out: Value = None
             for k in reversed(range(value.shape[dimension])):
                 part = select(value, [*index[:dimension], k, *index[dimension + 1 :]])
-                out = part if out is None else V.choose(V.EQUAL(i, k), part, out)
+                out = part if out is None else algebra.choose(algebra.EQUAL(i, k), part, out)
             return out
     shape = tuple(len(i) for i in index if isinstance(i, list))
     lists = [i if isinstance(i, list) else [i] for i in index if not isinstance(i, SX)]
-    items = tuple(value[at] for at in V.product(*lists))
+    items = tuple(value[at] for at in product(*lists))
     return Array(shape, items) if shape else items[0]
 
 
 def _total(e: Evaluator, a: Value) -> Value:
     out: Scalar = 0
-    for item in V.scalars(a):
+    for item in algebra.scalars(a):
         out = out + item
     return out
 
 
 def _product(e: Evaluator, a: Value) -> Value:
     out: Scalar = 1
-    for item in V.scalars(a):
+    for item in algebra.scalars(a):
         out = out * item
     return out
 
 
 def _extreme(function: Callable[..., Scalar]) -> Callable[..., Value]:
     def evaluate(e: Evaluator, *arguments: Value) -> Value:
-        items = [i for a in arguments for i in V.scalars(a)]
+        items = [i for a in arguments for i in algebra.scalars(a)]
         out = items[0]
         for item in items[1:]:
             out = function(out, item)
@@ -383,35 +385,35 @@ def _extreme(function: Callable[..., Scalar]) -> Callable[..., Value]:
 
 
 def _fill(value: Value, *shape: Value) -> Value:
-    sizes = tuple(int(V.scalars(n)[0]) for n in shape)
-    return Array.fill(sizes, V.scalars(value)[0])
+    sizes = tuple(int(algebra.scalars(n)[0]) for n in shape)
+    return Array.fill(sizes, algebra.scalars(value)[0])
 
 
 def _identity(e: Evaluator, n: Value) -> Value:
-    size = int(V.scalars(n)[0])
+    size = int(algebra.scalars(n)[0])
     return Array((size, size), tuple(int(i == j) for i in range(size) for j in range(size)))
 
 
 def _linspace(e: Evaluator, a: Value, b: Value, n: Value) -> Value:
-    (low,), (high,), (count,) = V.scalars(a), V.scalars(b), V.scalars(n)
+    (low,), (high,), (count,) = algebra.scalars(a), algebra.scalars(b), algebra.scalars(n)
     return Array((int(count),), tuple(low + (high - low) * i / (count - 1) for i in range(int(count))))
 
 
 def _transpose(e: Evaluator, a: Value) -> Value:
     if not isinstance(a, Array) or len(a.shape) != 2:
-        raise ValueError(f"transpose of {V.kind(a)}")
+        raise ValueError(f"transpose of {algebra.kind(a)}")
     rows, columns = a.shape
     return Array((columns, rows), tuple(a[(i, j)] for j in range(columns) for i in range(rows)))
 
 
 def _cross(e: Evaluator, a: Value, b: Value) -> Value:
-    x, y = V.scalars(a), V.scalars(b)
+    x, y = algebra.scalars(a), algebra.scalars(b)
     return Array((3,), tuple(x[i - 2] * y[i - 1] - x[i - 1] * y[i - 2] for i in range(3)))
 
 
 def _cat(e: Evaluator, dimension: Value, *parts: Value) -> Value:
     arrays = [p for p in parts if isinstance(p, Array)]
-    axis = int(V.scalars(dimension)[0]) - 1
+    axis = int(algebra.scalars(dimension)[0]) - 1
     if len(arrays) != len(parts) or axis not in (0, 1):
         raise ValueError("cat along this dimension is not supported")
     if axis == 1:
@@ -421,27 +423,27 @@ def _cat(e: Evaluator, dimension: Value, *parts: Value) -> Value:
 
 
 def _edge(e: Evaluator, a: Value) -> Value:
-    return V.elementwise(lambda b: V.AND(b, V.NOT(e.scope.previous(b))), a)
+    return algebra.elementwise(lambda b: algebra.AND(b, algebra.NOT(e.scope.previous(b))), a)
 
 
 def _change(e: Evaluator, a: Value) -> Value:
-    return V.elementwise(lambda b: V.NOT(V.EQUAL(b, e.scope.previous(b))), a)
+    return algebra.elementwise(lambda b: algebra.NOT(algebra.EQUAL(b, e.scope.previous(b))), a)
 
 
 def _semi_linear(e: Evaluator, x: Value, positive: Value, negative: Value) -> Value:
-    a, p, n = V.scalars(x)[0], V.scalars(positive)[0], V.scalars(negative)[0]
-    return V.choose(V.LESS_EQUAL(0, a), p * a, n * a)
+    a, p, n = algebra.scalars(x)[0], algebra.scalars(positive)[0], algebra.scalars(negative)[0]
+    return algebra.choose(algebra.LESS_EQUAL(0, a), p * a, n * a)
 
 
 _SPECIAL: dict[str, Callable[..., Value]] = {
-    "Der": lambda e, a: V.elementwise(e.scope.derivative, a),
-    "Pre": lambda e, a: V.elementwise(e.scope.previous, a),
+    "Der": lambda e, a: algebra.elementwise(e.scope.derivative, a),
+    "Pre": lambda e, a: algebra.elementwise(e.scope.previous, a),
     "Edge": _edge,
     "Change": _change,
-    "Sample": lambda e, start, interval: e.scope.sample(V.scalars(start)[0], V.scalars(interval)[0]),
+    "Sample": lambda e, start, interval: e.scope.sample(algebra.scalars(start)[0], algebra.scalars(interval)[0]),
     "Initial": lambda e: e.scope.initial(),
-    "Min": _extreme(V.MIN),
-    "Max": _extreme(V.MAX),
+    "Min": _extreme(algebra.MIN),
+    "Max": _extreme(algebra.MAX),
     "Sum": _total,
     "Product": _product,
     "Zeros": lambda e, *n: _fill(0, *n),
@@ -453,7 +455,7 @@ _SPECIAL: dict[str, Callable[..., Value]] = {
     "Cross": _cross,
     "Cat": _cat,
     "Ndims": lambda e, a: len(a.shape) if isinstance(a, Array) else 0,
-    "Scalar": lambda e, a: V.scalars(a)[0],
-    "Vector": lambda e, a: Array((len(V.scalars(a)),), V.scalars(a)),
+    "Scalar": lambda e, a: algebra.scalars(a)[0],
+    "Vector": lambda e, a: Array((len(algebra.scalars(a)),), algebra.scalars(a)),
     "SemiLinear": _semi_linear,
 }

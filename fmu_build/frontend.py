@@ -61,10 +61,10 @@ class Flat:
         """Return the source place of a span as ``file:line``; None if unknown."""
         if not isinstance(span, Mapping) or "start" not in span:
             return None
-        text = self._texts.get(self._sources.get(span.get("source"), Path()))
-        if text is None:
+        path = self._sources.get(span["source"])
+        if path is None:
             return None
-        path = self._sources[span["source"]]
+        text = self._texts[path]
         line = text[: int(span["start"])].count(b"\n") + 1
         return f"{path.name}:{line}"
 

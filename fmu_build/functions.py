@@ -1,24 +1,27 @@
+# ruff: noqa: ARG002  (a function's scope refuses what a model's scope offers)
 """Modelica functions by symbolic execution of their algorithms."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
+from itertools import product
 from typing import Any
 
-from fmu_build import values as V
+from fmu_build import algebra
+from fmu_build.algebra import Array, Scalar, Value
 from fmu_build.expressions import Evaluator, span_of
 from fmu_build.frontend import Flat, Node
 from fmu_build.graph import SX
-from fmu_build.values import Array, Scalar, Value
 
 _MAX_ROUNDS = 100_000  # of a while loop with a condition known at translation
 
 
-class _Return(Exception):
+class _Return(Exception):  # noqa: N818  (not an error)
     pass
 
 
-class _Break(Exception):
+class _Break(Exception):  # noqa: N818
     pass
 
 
@@ -79,13 +82,14 @@ class Functions:
         self._flat = flat
         functions = flat.parts.get("functions") or {}
         self._by_name: dict[str, Node] = dict(functions)
-        self._by_instance: dict[int, Node] = {f["instance_id"]: f for f in functions.values()}
+        self._by_instance: dict[Any, Node] = {f["instance_id"]: f for f in functions.values()}
         self._depth = 0
 
     def __call__(self, call: Node, arguments: list[Value]) -> Value:
         """Return the result (a tuple if the function has several outputs) of a call."""
         resolved = call["name"].get("resolved_function") or {}
-        function = self._by_instance.get(resolved.get("instance_id"), self._by_name.get(call["name"]["name"]))
+        function = self._by_instance.get(resolved.get("instance_id"))
+        function = function or self._by_name.get(call["name"]["name"])
         if function is None:
             raise ValueError(f"function '{call['name']['name']}' is not supported")
         if function.get("external"):
@@ -103,7 +107,7 @@ class Functions:
                     row = [item if a is actual else a for a in arguments]
                     row[position] = item
                     parts.append(self._vectorised(function, row))
-                return Array(actual.shape, tuple(V.scalars(p)[0] for p in parts))
+                return Array(actual.shape, tuple(algebra.scalars(p)[0] for p in parts))
         if self._depth > 50:
             raise ValueError(f"function '{function['name']}' calls itself without end")
         self._depth += 1
@@ -128,10 +132,8 @@ class Functions:
             if function["is_constructor"]:
                 return dict(frame.variables)
             body = _Body(self._flat, frame, evaluator)
-            try:
+            with suppress(_Return):
                 body.run(function["body"])
-            except _Return:
-                pass
             results = tuple(frame.lookup(o["name"]) for o in function["outputs"])
         return results[0] if len(results) == 1 else results
 
@@ -217,7 +219,7 @@ class _Body:
                 "return or break that depends on a condition not known at translation", span_of(first["cond"])
             ) from None
         after = self._frame.variables
-        self._frame.variables = {name: V.choose(condition, then[name], after[name]) for name in after}
+        self._frame.variables = {name: algebra.choose(condition, then[name], after[name]) for name in after}
 
     def _run_for(self, node: Node) -> None:
         self._loop(list(node["indices"]), node["equations"])
@@ -227,7 +229,7 @@ class _Body:
             self.run(statements)
             return
         first, *rest = indices
-        for i in V.scalars(self._evaluate(first["range"])):
+        for i in algebra.scalars(self._evaluate(first["range"])):
             with self._evaluate.iterator(first["ident"], i):
                 try:
                     self._loop(rest, statements)
@@ -236,7 +238,7 @@ class _Body:
 
     def _run_while(self, node: Node) -> None:
         block = node.get("block") or node
-        condition_node = block.get("cond") or block.get("condition")
+        condition_node = block["cond"] if "cond" in block else block["condition"]
         for _ in range(_MAX_ROUNDS):
             condition = self._evaluate.scalar(condition_node)
             if isinstance(condition, SX):
@@ -282,24 +284,24 @@ class _Body:
             return
         array = self._frame.variables[name]
         if not isinstance(array, Array):
-            raise self._flat.error(f"subscripts on {V.kind(array)}", target.get("span"))
+            raise self._flat.error(f"subscripts on {algebra.kind(array)}", target.get("span"))
         index = self._evaluate.subscripts(array, subscripts)
         self._frame.variables[name] = _replace(array, index, value)
 
 
 def _replace(array: Array, index: list[list[int] | int | SX], value: Value) -> Array:
     new = list(array.items)
-    source = iter(V.scalars(value))
+    source = iter(algebra.scalars(value))
     if any(isinstance(i, SX) for i in index):
-        (item,) = V.scalars(value)
+        (item,) = algebra.scalars(value)
         for position, at in enumerate(array.indices()):
             hit: Scalar = True
             for i, k in zip(index, at, strict=True):
-                hit = V.AND(hit, V.EQUAL(i, k) if isinstance(i, SX) else i == k)
-            new[position] = V.scalars(V.choose(hit, item, new[position]))[0]
+                hit = algebra.AND(hit, algebra.EQUAL(i, k) if isinstance(i, SX) else i == k)
+            new[position] = algebra.scalars(algebra.choose(hit, item, new[position]))[0]
         return Array(array.shape, tuple(new))
     lists = [i if isinstance(i, list) else [i] for i in index if not isinstance(i, SX)]
-    for at in V.product(*lists):
+    for at in product(*lists):
         new[array.offset(at)] = next(source)
     return Array(array.shape, tuple(new))
 

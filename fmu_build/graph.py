@@ -1,3 +1,4 @@
+# ruff: noqa: ARG005  (rules of one table share a signature)
 """Walks over CasADi SX expression graphs: symbols, exact sparse gradients, substitution.
 
 CasADi differentiates ``if c then f else g`` into products such as ``c * f'``, which is NaN where the branch not

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu_build import values as V
+from fmu_build import algebra
 from fmu_build.aliases import Aliases, preference
 from fmu_build.equations import Equation
 from fmu_build.graph import SX, Graph, key
@@ -55,7 +55,7 @@ class _System:
         self.place: dict[int, tuple[int, int]] = {}  # symbol -> (variable, order)
         for group in aliases.groups.values():
             if group.representative.kind == "continuous":
-                self._add(len(self.chains), V.sx(group.representative.symbol))
+                self._add(len(self.chains), algebra.sx(group.representative.symbol))
         for equation in self.equations:
             self._meet(equation.residual)
 
@@ -90,7 +90,7 @@ class _System:
     def differentiate(self, equation: int) -> int:
         """Append the time derivative of an equation."""
         old = self.equations[equation]
-        residual = V.sx(self.scope.derivative(old.residual))
+        residual = algebra.sx(self.scope.derivative(old.residual))
         self._meet(residual)
         self.equations.append(Equation(residual, old.span))
         self.origin.append(self.origin[equation])
@@ -140,9 +140,8 @@ def _match(system: _System, original: int, equation_of: dict[int, int]) -> None:
     """Match one equation with a highest derivative, differentiating the minimal set where that is impossible."""
     row = system.leaf(original)
     while True:
-        incidence = _Rows(system)
         seen: set[int] = set()
-        if augment(row, incidence, equation_of, seen):
+        if augment(row, system.highest, equation_of, seen):
             return
         coloured = sorted({row, *(equation_of[c] for c in seen)})
         if any(_times(system, e) >= _MOST for e in coloured):
@@ -153,19 +152,6 @@ def _match(system: _System, original: int, equation_of: dict[int, int]) -> None:
         for variable in seen:
             equation_of[variable] = successor[equation_of[variable]]
         row = successor[row]
-
-
-class _Rows:
-    """Incidence by the highest derivatives, looked up as needed."""
-
-    def __init__(self, system: _System) -> None:
-        self._system = system
-
-    def __getitem__(self, equation: int) -> list[int]:
-        return self._system.highest(equation)
-
-    def __len__(self) -> int:
-        return len(self._system.equations)
 
 
 def _times(system: _System, equation: int) -> int:
@@ -181,7 +167,7 @@ def _check_structure(system: _System) -> None:
     matched: dict[int, int] = {}
     for row in range(len(rows)):
         seen: set[int] = set()
-        if not augment(row, rows, matched, seen):
+        if not augment(row, rows.__getitem__, matched, seen):
             involved = sorted({row, *(matched[c] for c in seen)})
             _singular(system, involved, [system.chains[c][0] for c in sorted(seen)])
     missing = [system.chains[c][0].name() for c in range(len(system.chains)) if c not in matched]
@@ -265,7 +251,7 @@ def _independent(
         column = matrix[:, j]
         rest = column - basis @ (basis.T @ column)
         rest -= basis @ (basis.T @ rest)
-        if np.linalg.norm(rest) > 1e-9 * max(np.linalg.norm(column), 1e-300):
+        if np.linalg.norm(rest) > 1e-9 * max(float(np.linalg.norm(column)), 1e-300):
             basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
             chosen.append(j)
     _check_static(system, entries, set(chosen), columns, leaves)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
-from fmu_build import values as V
+from fmu_build import algebra
 from fmu_build.aliases import Aliases
 from fmu_build.events import Events
 from fmu_build.graph import SX, key
@@ -72,14 +73,14 @@ class _Describer:
         self.conditions = conditions
         self.point = point
         declared = scope.declarations.scalars.values()
-        self.inputs = [V.sx(d.symbol) for d in declared if d.kind == "input"]
+        self.inputs = [algebra.sx(d.symbol) for d in declared if d.kind == "input"]
         self.place: dict[int, Location] = {}
         parameters = scope.parameters
         for vector, symbols in (
             ("x", [s.symbol for s in self.states]),
             ("u", self.inputs),
-            ("p", [V.sx(d.symbol) for d, _ in parameters.independent]),
-            ("d", [V.sx(d.symbol) for d, _ in parameters.dependent]),
+            ("p", [algebra.sx(d.symbol) for d, _ in parameters.independent]),
+            ("d", [algebra.sx(d.symbol) for d, _ in parameters.dependent]),
             ("z", [d.symbol for d in happenings.discrete]),
             ("y", solution.iterates),
         ):
@@ -114,7 +115,7 @@ class _Describer:
     def _variable(self, declared: Declared) -> Variable:
         node = declared.node
         number = self._number
-        common = {
+        common: dict[str, Any] = {
             "name": declared.name,
             "type": declared.type,
             "description": node["description"] or "",
@@ -129,21 +130,21 @@ class _Describer:
         output = self.scope.declarations.is_output(declared)
         match declared.kind:
             case "constant":
-                place: dict[str, object] = {
+                place: dict[str, Any] = {
                     "location": Location("constant"), "causality": "local", "variability": "constant",
-                    "initial": "exact", "start": float(V.sx(self._constant(declared))),
+                    "initial": "exact", "start": float(algebra.sx(self._constant(declared))),
                 }  # fmt: skip
             case "parameter":
                 place = self._parameter(declared)
             case "input":
                 start = declared_start(self.scope, declared)
                 place = {
-                    "location": self.place[key(V.sx(declared.symbol))], "causality": "input",
+                    "location": self.place[key(algebra.sx(declared.symbol))], "causality": "input",
                     "variability": "continuous" if declared.type == "Real" else "discrete",
                     "start": self.point.number(start),
                 }  # fmt: skip
             case "discrete":
-                location = self.place[key(V.sx(declared.symbol))]
+                location = self.place[key(algebra.sx(declared.symbol))]
                 place = {
                     "location": location, "causality": "output" if output else "local",
                     "variability": "discrete", "initial": "calculated",
@@ -154,17 +155,17 @@ class _Describer:
             place["depends_on"] = self._depends_on(declared)
         return Variable(**common, **place)
 
-    def _constant(self, declared: Declared) -> V.Scalar:
+    def _constant(self, declared: Declared) -> algebra.Scalar:
         value = self.scope.lookup(declared.node["name"])
-        return V.scalars(value)[declared.position]
+        return algebra.scalars(value)[declared.position]
 
     def _number(self, declared: Declared, attribute: str) -> float | None:
         value = self.scope.declarations.attribute(declared, attribute, self.scope.evaluate)
-        return None if value is None else self.point.number(V.sx(value))
+        return None if value is None else self.point.number(algebra.sx(value))
 
-    def _parameter(self, declared: Declared) -> dict[str, object]:
+    def _parameter(self, declared: Declared) -> dict[str, Any]:
         alias = self.scope.parameters.aliases.get(declared.name)
-        location = self.place[key(V.sx(declared.symbol) if alias is None else alias)]
+        location = self.place[key(algebra.sx(declared.symbol) if alias is None else alias)]
         if location.vector == "p" and alias is None:
             value = self.scope.parameters.independent[location.index][1]
             return {
@@ -176,9 +177,9 @@ class _Describer:
             "initial": "calculated",
         }  # fmt: skip
 
-    def _continuous(self, declared: Declared, causality: Causality) -> dict[str, object]:
+    def _continuous(self, declared: Declared, causality: Causality) -> dict[str, Any]:
         representative, sign = self.aliases.of[declared.name]
-        symbol = V.sx(representative.symbol)
+        symbol = algebra.sx(representative.symbol)
         expression = self.solution.expression(symbol)
         found = self.place.get(key(expression))
         if found is None and not expression.is_symbolic():
@@ -189,9 +190,8 @@ class _Describer:
             found = Location("v", len(self.evaluated))
             self.evaluated.append(expression)
             self.place[key(expression)] = found
-        sign = 1 if sign > 0 else -1
-        location = Location(found.vector, found.index, sign if found.sign > 0 else (-1 if sign > 0 else 1))
-        place: dict[str, object] = {
+        location = Location(found.vector, found.index, 1 if sign * found.sign > 0 else -1)
+        place: dict[str, Any] = {
             "location": location, "causality": causality, "variability": "continuous", "initial": "calculated",
         }  # fmt: skip
         if found.vector == "x" and declared.name == self.states[found.index].symbol.name():
@@ -216,12 +216,9 @@ class _Describer:
                 unit = base.node["unit"] if base else None
                 for _ in range(state.order):
                     unit = _per_second(unit)
-                out.append(
-                    Variable(
-                        state.symbol.name(), "Real", Location("x", i), "local", "continuous", initial, value,
-                        unit=unit,
-                    )  # fmt: skip
-                )
+                place = Location("x", i)
+                name = state.symbol.name()
+                out.append(Variable(name, "Real", place, "local", "continuous", initial, value, unit=unit))
         return out
 
     def _derivative(self, index: int, name: str, variables: list[Variable]) -> Variable:
@@ -235,7 +232,7 @@ class _Describer:
         if declared.kind != "continuous":
             return ()
         representative, _ = self.aliases.of[declared.name]
-        return self._names(self.solution.expression(V.sx(representative.symbol)))
+        return self._names(self.solution.expression(algebra.sx(representative.symbol)))
 
     def _names(self, expression: SX) -> tuple[str, ...]:
         symbols = set(self.scope.graph.symbols(expression))

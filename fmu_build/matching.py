@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 
-def augment(row: int, incidence: Sequence[Sequence[int]], row_of: dict[int, int], seen: set[int]) -> bool:
+def augment(row: int, incidence: Callable[[int], Sequence[int]], row_of: dict[int, int], seen: set[int]) -> bool:
     """Find an augmenting path from `row` and flip it; `seen` collects the visited columns.
 
     Parameters
     ----------
     incidence
-        Columns of each row.
+        Columns of a row.
     row_of
         Matched row of each column, changed in place.
     """
     # Depth first without recursion: (row, iterator over its columns, column by which the row was entered).
     path: list[tuple[int, int]] = []
-    stack = [(row, iter(incidence[row]))]
+    stack = [(row, iter(incidence(row)))]
     while stack:
         current, columns = stack[-1]
         for column in columns:
@@ -29,7 +29,7 @@ def augment(row: int, incidence: Sequence[Sequence[int]], row_of: dict[int, int]
                 for r, c in path:
                     row_of[c] = r
                 return True
-            stack.append((row_of[column], iter(incidence[row_of[column]])))
+            stack.append((row_of[column], iter(incidence(row_of[column]))))
             break
         else:
             stack.pop()

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from fmu_build import values as V
+from fmu_build import algebra
 from fmu_build.graph import SX, key
 from fmu_build.scope import ModelScope
 from fmu_build.start import declared_start
@@ -29,10 +29,10 @@ class Point:
     def __init__(self, scope: ModelScope) -> None:
         self._scope = scope
         self._number: dict[int, float] = {
-            key(V.sx(declared.symbol)): value for declared, value in scope.parameters.independent
+            key(algebra.sx(declared.symbol)): value for declared, value in scope.parameters.independent
         }
         for declared, expression in scope.parameters.dependent:
-            self._number[key(V.sx(declared.symbol))] = self.number(expression)
+            self._number[key(algebra.sx(declared.symbol))] = self.number(expression)
 
     def number(self, expression: SX) -> float:
         """Return one expression's value."""

@@ -7,12 +7,12 @@ from typing import Any
 
 import casadi as ca
 
-from fmu_build import values as V
+from fmu_build import algebra
+from fmu_build.algebra import Scalar, Value
 from fmu_build.expressions import Evaluator
 from fmu_build.frontend import Flat
 from fmu_build.functions import Functions
 from fmu_build.graph import SX, Graph, key
-from fmu_build.values import Scalar, Value
 from fmu_build.variables import Declarations, Declared, Parameters
 
 
@@ -69,15 +69,15 @@ class ModelScope:
             return self._record(name)
         if name not in self.declarations.values:
             return self.parameters.lookup(name, self._evaluate_binding)  # a String
-        first = next(iter(V.scalars(self.declarations.values[name])), None)
+        first = next(iter(algebra.scalars(self.declarations.values[name])), None)
         declared = self.declarations.by_symbol[key(first)] if isinstance(first, SX) else None
         if declared is not None and declared.kind in ("parameter", "constant"):
             value = self.parameters.lookup(name, self._evaluate_binding)
-            self._discrete |= {key(s) for s in V.scalars(value) if isinstance(s, SX) and s.is_symbolic()}
+            self._discrete |= {key(s) for s in algebra.scalars(value) if isinstance(s, SX) and s.is_symbolic()}
             return value
         value = self.declarations.values[name]
         if declared is not None and (declared.kind == "discrete" or declared.type != "Real"):
-            self._discrete |= {key(s) for s in V.scalars(value) if isinstance(s, SX)}
+            self._discrete |= {key(s) for s in algebra.scalars(value) if isinstance(s, SX)}
         return value
 
     def _evaluate_binding(self, node: Any) -> Value:
@@ -125,7 +125,7 @@ class ModelScope:
             rate = self._rate(k)
             if rate is not None:
                 out = out + partial * rate
-        return V.fold(out) if isinstance(out, SX) else out
+        return algebra.fold(out) if isinstance(out, SX) else out
 
     def _rate(self, k: int) -> SX | None:
         if k == key(self.time):
@@ -185,7 +185,7 @@ class ModelScope:
     def relation(self, difference: SX, inclusive: bool) -> SX:
         """Truth of ``difference > 0``, an event if it is continuous."""
         if not self.is_continuous(difference):
-            return SX(V.LESS_EQUAL(0.0, difference) if inclusive else V.LESS(0.0, difference))
+            return SX(algebra.LESS_EQUAL(0.0, difference) if inclusive else algebra.LESS(0.0, difference))
         same = (self.graph.same(difference), inclusive)
         if same not in self._relation_of:
             symbol = SX.sym(f"relation {len(self.relations) + 1}")
@@ -210,7 +210,7 @@ class ModelScope:
 
     def sample(self, start: Scalar, interval: Scalar) -> SX:
         """Truth of ``sample(start, interval)``: time has reached the next of its instants."""
-        first, distance = V.sx(start), V.sx(interval)
+        first, distance = algebra.sx(start), algebra.sx(interval)
         if self.is_continuous(first) or self.is_continuous(distance):
             raise ValueError("sample() with a start or an interval that varies")
         count = SX.sym(f"sample {len(self.time_events) + 1}")

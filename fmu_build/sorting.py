@@ -37,13 +37,10 @@ def solve(scope: ModelScope, reduced: Reduced) -> Solution:
     """Sort the equations and solve them block by block, symbolically where they are linear."""
     graph = scope.graph
     column = {key(s): i for i, s in enumerate(reduced.unknowns)}
-    rows = [
-        sorted(column[k] for k in graph.symbols(e.residual) if k in column)
-        for e in reduced.equations
-    ]
+    rows = [sorted(column[k] for k in graph.symbols(e.residual) if k in column) for e in reduced.equations]
     row_of: dict[int, int] = {}
     for row, equation in enumerate(reduced.equations):
-        if not augment(row, rows, row_of, set()):
+        if not augment(row, rows.__getitem__, row_of, set()):
             raise scope.flat.error("structurally singular after index reduction", equation.span)
     successors = [[row_of[c] for c in cs if row_of[c] != r] for r, cs in enumerate(rows)]
     column_of = {r: c for c, r in row_of.items()}
@@ -114,9 +111,7 @@ def _solve_rest(
     keys = [key(s) for s in left]
     zero = Substitution(dict.fromkeys(keys, SX(0.0)))
     gradients = [graph.gradient(r) for r in residuals]
-    linear = all(
-        not graph.symbols(g[k]) & set(keys) for g in gradients for k in keys if k in g
-    )
+    linear = all(not graph.symbols(g[k]) & set(keys) for g in gradients for k in keys if k in g)
     if not linear or len(left) > _MOST_SYMBOLIC:
         solution.iterates += left
         solution.residuals += [solution.expression(r) for r in residuals]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu_build import values as V
+from fmu_build import algebra
 from fmu_build.aliases import Aliases
 from fmu_build.equations import Equation
 from fmu_build.graph import SX, Graph, key
@@ -69,7 +69,7 @@ def declared_start(scope: ModelScope, declared: Declared) -> SX:
     """Start attribute of a variable as an expression of parameters (0 where not given)."""
     with scope.evaluate.no_event():
         value = scope.declarations.attribute(declared, "start", scope.evaluate)
-    return V.sx(0.0 if value is None else value)
+    return algebra.sx(0.0 if value is None else value)
 
 
 def initial_conditions(
@@ -83,8 +83,8 @@ def initial_conditions(
 ) -> InitialConditions:
     """Decide what determines each state at the start.
 
-    A fixed start value and every initial equation is a condition; states that no condition reaches keep their start
-    value (with a warning). Conditions that repeat others are checked and left out.
+    A fixed start value and every initial equation is a condition; states that no condition reaches keep their
+    start value (with a warning). Conditions that repeat others are checked and left out.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def initial_conditions(
         for position, (declared, sign) in enumerate(fixed):
             if position == 0 and k in own:
                 continue
-            value = rewrite(sign * V.sx(group.representative.symbol)) - declared_start(scope, declared)
+            value = rewrite(sign * algebra.sx(group.representative.symbol)) - declared_start(scope, declared)
             conditions.append((value, declared.span))
     at_start = {key(s.symbol): start.value for s, start in zip(states, starts, strict=True)}
     columns = [i for i, start in enumerate(starts) if not start.fixed]
@@ -209,4 +209,3 @@ def _explicit(scope: ModelScope, equation: Equation) -> tuple[int, SX, bool] | N
             )
         return key(symbol), other, unbound
     return None
-

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from fmu_build import values as V
+from fmu_build import algebra
+from fmu_build.algebra import Array, Scalar, Value
 from fmu_build.frontend import Flat, Node
 from fmu_build.graph import SX, key
 from fmu_build.model import Type
-from fmu_build.values import Array, Scalar, Value
 
 Kind = Literal["constant", "parameter", "input", "discrete", "continuous"]
 _TYPES: dict[str, Type] = {"real": "Real", "integer": "Integer", "boolean": "Boolean"}
@@ -70,7 +70,7 @@ def names(name: str, dims: list[int]) -> list[str]:
 
 
 def kind_word(node: Node) -> str:
-    """rumoca's variability or causality as one word."""
+    """Return rumoca's variability or causality as one word."""
     return next(iter(node)) if isinstance(node, Mapping) else str(node)
 
 
@@ -159,7 +159,7 @@ class Declarations:
         if isinstance(value, Array):
             return value.items[declared.position]
         if not isinstance(value, bool | int | float | SX):
-            raise self.flat.error(f"{name} of '{declared.name}' is {V.kind(value)}", declared.span)
+            raise self.flat.error(f"{name} of '{declared.name}' is {algebra.kind(value)}", declared.span)
         return value
 
 
@@ -219,20 +219,20 @@ class Parameters:
             return bound
         shape = tuple(node["dims"])
         if not isinstance(bound, Array) and shape:
-            bound = Array.fill(shape, V.scalars(bound)[0])
+            bound = Array.fill(shape, algebra.scalars(bound)[0])
         if isinstance(bound, Array) and bound.shape != shape:
             what = f"'{name}' has size {list(shape)}, its value has size {list(bound.shape)}"
             raise self._flat.error(what, node["source_span"])
         final = self._flat.parts["variable_final_flags"].get(name, False)
         items = [
             self._scalar(self._declarations.scalars[scalar], item, final)
-            for scalar, item in zip(names(name, node["dims"]), V.scalars(bound), strict=True)
+            for scalar, item in zip(names(name, node["dims"]), algebra.scalars(bound), strict=True)
         ]
         return Array(shape, tuple(items)) if shape else items[0]
 
     def _scalar(self, declared: Declared, value: Scalar, final: bool) -> Scalar:
         if isinstance(value, SX):
-            value = V.fold(value)
+            value = algebra.fold(value)
         if isinstance(value, SX):
             if declared.kind == "constant":
                 what = f"'{declared.name}' decides the structure and must not depend on settable parameters"

@@ -1,0 +1,226 @@
+"""Modelica values during translation: numbers, SX scalars, arrays, records, and the operations on them."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import casadi as ca
+
+from fmu_build.graph import SX, if_else
+
+Scalar = bool | int | float | SX
+Number = bool | int | float
+
+
+@dataclass(frozen=True)
+class Array:
+    """An array of scalars in row-major order."""
+
+    shape: tuple[int, ...]
+    items: tuple[Scalar, ...]
+
+    @staticmethod
+    def fill(shape: Sequence[int], value: Scalar) -> Array:
+        """Make an array of equal entries."""
+        return Array(tuple(shape), (value,) * math.prod(shape))
+
+    @staticmethod
+    def stack(parts: Sequence[Value]) -> Array:
+        """Make an array from its rows; they must have one shape."""
+        shapes = {p.shape if isinstance(p, Array) else () for p in parts}
+        if len(shapes) > 1:
+            raise ValueError("array elements of different sizes")
+        inner = shapes.pop() if shapes else ()
+        items = tuple(i for p in parts for i in scalars(p))
+        return Array((len(parts), *inner), items)
+
+    def __getitem__(self, index: tuple[int, ...]) -> Scalar:
+        return self.items[self.offset(index)]
+
+    def offset(self, index: Sequence[int]) -> int:
+        """Position of a zero-based multi-index in `items`."""
+        position = 0
+        for i, n in zip(index, self.shape, strict=True):
+            if not 0 <= i < n:
+                raise IndexError(f"subscript {i + 1} is outside 1..{n}")
+            position = position * n + i
+        return position
+
+    def indices(self) -> Iterator[tuple[int, ...]]:
+        """Every zero-based multi-index in order."""
+        return product(*map(range, self.shape))
+
+
+Record = dict[str, "Value"]
+Value = Scalar | str | Array | Record | tuple["Value", ...] | None
+
+
+def is_numeric(value: Value) -> bool:
+    """Whether a value is known at translation time."""
+    if isinstance(value, Array):
+        return all(not isinstance(i, SX) for i in value.items)
+    return isinstance(value, bool | int | float)
+
+
+def sx(value: Value) -> SX:
+    """Scalar as SX."""
+    if isinstance(value, SX):
+        return value
+    if isinstance(value, bool | int | float):
+        return SX(float(value))
+    raise TypeError(f"a scalar is needed here, not {kind(value)}")
+
+
+def fold(value: SX) -> Scalar:
+    """Turn a constant SX back into a number."""
+    return float(value) if value.is_constant() else value
+
+
+def kind(value: Value) -> str:
+    """Word for messages."""
+    if isinstance(value, Array):
+        return f"an array of size {list(value.shape)}"
+    names: dict[type, str] = {str: "a String", dict: "a record", tuple: "several results", type(None): "nothing"}
+    return names.get(type(value), "a scalar")
+
+
+def scalars(value: Value) -> tuple[Scalar, ...]:
+    """All scalar entries of a value in row-major order."""
+    if isinstance(value, Array):
+        return value.items
+    if isinstance(value, dict):
+        return tuple(i for v in value.values() for i in scalars(v))
+    if isinstance(value, tuple):
+        return tuple(i for v in value for i in scalars(v))
+    if isinstance(value, bool | int | float | SX):
+        return (value,)
+    raise TypeError(f"a number is needed here, not {kind(value)}")
+
+
+def elementwise(function: Callable[..., Scalar], *values: Value) -> Value:
+    """Apply a scalar function element by element; scalars go with every element."""
+    shapes = {v.shape for v in values if isinstance(v, Array)}
+    if not shapes:
+        for v in values:
+            scalars(v)
+        return function(*values)
+    if len(shapes) > 1:
+        raise ValueError(f"arrays of different sizes: {' and '.join(str(list(s)) for s in sorted(shapes))}")
+    shape = shapes.pop()
+    rows = zip(*(v.items if isinstance(v, Array) else (v,) * math.prod(shape) for v in values), strict=True)
+    return Array(shape, tuple(function(*row) for row in rows))
+
+
+def add(a: Scalar, b: Scalar) -> Scalar:
+    """Sum, leaving exact zeros out of the graph."""
+    return a + b
+
+
+def divide(a: Scalar, b: Scalar) -> Scalar:
+    """Quotient; a constant zero divisor is an error of the model."""
+    if isinstance(b, bool | int | float) and b == 0:
+        raise ZeroDivisionError("division by zero")
+    return a / b
+
+
+def power(a: Scalar, b: Scalar) -> Scalar:
+    """Return ``a ^ b`` (a Real in Modelica)."""
+    if isinstance(a, SX) or isinstance(b, SX):
+        return SX(sx(a) ** sx(b))
+    return float(a**b)
+
+
+def matrix_product(a: Array, b: Array) -> Value:
+    """Modelica's ``*`` between arrays: scalar, matrix-vector, vector-matrix and matrix products."""
+    if a.shape[-1] != b.shape[0] or len(a.shape) > 2 or len(b.shape) > 2:
+        raise ValueError(f"product of arrays of sizes {list(a.shape)} and {list(b.shape)}")
+    rows = [()] if len(a.shape) == 1 else [(i,) for i in range(a.shape[0])]
+    columns = [()] if len(b.shape) == 1 else [(j,) for j in range(b.shape[1])]
+    items: list[Scalar] = []
+    for row, column in product(rows, columns):
+        total: Scalar = 0
+        for k in range(b.shape[0]):
+            total = total + a[(*row, k)] * b[(k, *column)]
+        items.append(total)
+    shape = (*a.shape[:-1], *b.shape[1:])
+    return Array(shape, tuple(items)) if shape else items[0]
+
+
+def choose(condition: Scalar, then: Value, otherwise: Value) -> Value:
+    """``if condition then .. else ..`` on whole values; a value missing on one side is taken from the other."""
+    if not isinstance(condition, SX):
+        return then if condition else otherwise
+    if then is None or otherwise is None:
+        return otherwise if then is None else then
+    if isinstance(then, dict) and isinstance(otherwise, dict):
+        return {name: choose(condition, then[name], otherwise[name]) for name in then}
+    if isinstance(then, tuple) and isinstance(otherwise, tuple):
+        return tuple(choose(condition, a, b) for a, b in zip(then, otherwise, strict=True))
+    if isinstance(then, str) or isinstance(otherwise, str):
+        raise TypeError("a String that depends on a condition")
+
+    def pick(a: Scalar, b: Scalar) -> Scalar:
+        if not isinstance(a, SX) and not isinstance(b, SX) and a == b:
+            return a
+        return if_else(condition, sx(a), sx(b))
+
+    return elementwise(pick, then, otherwise)
+
+
+def numeric_or_symbolic(on_numbers: Callable[..., Number], on_sx: Callable[..., SX]) -> Callable[..., Scalar]:
+    """Scalar function that folds numbers and builds SX otherwise."""
+
+    def function(*arguments: Scalar) -> Scalar:
+        if any(isinstance(a, SX) for a in arguments):
+            return on_sx(*map(sx, arguments))
+        return on_numbers(*arguments)
+
+    return function
+
+
+def _log10(x: SX) -> SX:
+    return SX(ca.log(x) / math.log(10.0))
+
+
+def _sign(x: float) -> int:
+    return (x > 0) - (x < 0)
+
+
+def _mod(x: Number, y: Number) -> Number:
+    return x - math.floor(x / y) * y
+
+
+# Scalar built-in functions without events.
+FUNCTIONS: dict[str, Callable[..., Scalar]] = {
+    "Abs": numeric_or_symbolic(abs, ca.fabs),
+    "Sign": numeric_or_symbolic(_sign, ca.sign),
+    "Sqrt": numeric_or_symbolic(math.sqrt, ca.sqrt),
+    "Exp": numeric_or_symbolic(math.exp, ca.exp),
+    "Log": numeric_or_symbolic(math.log, ca.log),
+    "Log10": numeric_or_symbolic(math.log10, _log10),
+    "Sin": numeric_or_symbolic(math.sin, ca.sin),
+    "Cos": numeric_or_symbolic(math.cos, ca.cos),
+    "Tan": numeric_or_symbolic(math.tan, ca.tan),
+    "Asin": numeric_or_symbolic(math.asin, ca.asin),
+    "Acos": numeric_or_symbolic(math.acos, ca.acos),
+    "Atan": numeric_or_symbolic(math.atan, ca.atan),
+    "Atan2": numeric_or_symbolic(math.atan2, ca.atan2),
+    "Sinh": numeric_or_symbolic(math.sinh, ca.sinh),
+    "Cosh": numeric_or_symbolic(math.cosh, ca.cosh),
+    "Tanh": numeric_or_symbolic(math.tanh, ca.tanh),
+}
+MIN = numeric_or_symbolic(min, ca.fmin)
+MAX = numeric_or_symbolic(max, ca.fmax)
+# Step functions, by the floor of an argument; outside noEvent the evaluator makes them events.
+FLOOR = numeric_or_symbolic(math.floor, ca.floor)
+CEIL = numeric_or_symbolic(math.ceil, ca.ceil)
+NOT = numeric_or_symbolic(operator.not_, ca.logic_not)
+AND = numeric_or_symbolic(lambda a, b: bool(a and b), ca.logic_and)
+OR = numeric_or_symbolic(lambda a, b: bool(a or b), ca.logic_or)
+EQUAL = numeric_or_symbolic(operator.eq, ca.eq)
+LESS = numeric_or_symbolic(operator.lt, ca.lt)
+LESS_EQUAL = numeric_or_symbolic(operator.le, ca.le)
