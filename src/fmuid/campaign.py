@@ -111,9 +111,7 @@ class Measurements:
             return self.experiments[experiment_id]
         except KeyError:
             known = ", ".join(self.experiments) or "none"
-            raise MeasurementsError(
-                f"no experiment '{experiment_id}'", fix=f"the file has: {known}"
-            ) from None
+            raise MeasurementsError(f"no experiment '{experiment_id}'", fix=f"the file has: {known}") from None
 
     def __iter__(self) -> Iterator[Experiment]:
         return iter(self.experiments.values())
@@ -216,5 +214,5 @@ class Campaign:
     stages: Mapping[str, StageSpec]
     identification: tuple[str, ...]
     validation: tuple[str, ...]
-    catalogue: Path | None = None
+    effects: EffectsSpec | None = None
     published: Mapping[str, Any] = field(default_factory=dict)

@@ -17,6 +17,7 @@ import msgspec
 from fmuid.campaign import (
     Campaign,
     CriterionSpec,
+    EffectsSpec,
     Measurements,
     ModelSpec,
     ParameterSpec,
@@ -93,6 +94,9 @@ class _RolesTable(Table):
 
 class _EffectsTable(Table):
     catalogue: str
+    nominal: list[str] | None = None
+    tie: dict[str, str] = {}
+    experiments: list[str] = []
 
 
 class _Document(Table):
@@ -142,9 +146,9 @@ def load_campaign(path: str | Path) -> Campaign:
         n: _stage(n, t, measurements, roles, parameters, f"{file} [stages.{n}]")
         for n, t in document.stages.items()
     }
-    catalogue = None
+    effects = None
     if document.effects is not None:
-        catalogue = folder / convert(document.effects, _EffectsTable, f"{file} [effects]").catalogue
+        effects = _effects(document.effects, folder, measurements, parameters, f"{file} [effects]")
     name = head.name or file.resolve().parent.name
     return Campaign(
         name=name,
@@ -157,9 +161,27 @@ def load_campaign(path: str | Path) -> Campaign:
         stages=frozen_mapping(stages),
         identification=roles.identification,
         validation=roles.validation,
-        catalogue=catalogue,
+        effects=effects,
         published=frozen_mapping(document.published),
     )
+
+
+def _effects(
+    raw: _Table,
+    folder: Path,
+    measurements: Measurements,
+    parameters: Mapping[str, ParameterSpec],
+    where: str,
+) -> EffectsSpec:
+    table = convert(raw, _EffectsTable, where)
+    free = [name for name, spec in parameters.items() if spec.free]
+    nominal = free if table.nominal is None else table.nominal
+    for name in nominal:
+        if name not in parameters:
+            raise CampaignError(f"unknown parameter '{name}' in nominal", where=where, fix=suggestion(name, free))
+    everything = tuple(measurements.experiments)
+    experiments = expand(table.experiments or ["*"], measurements, everything, where)
+    return EffectsSpec(folder / table.catalogue, tuple(nominal), frozen_mapping(table.tie), experiments)
 
 
 def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:

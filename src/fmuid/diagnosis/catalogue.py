@@ -1,11 +1,21 @@
-"""Effects as data: what a model may lack, the parameters that add it, and plausible magnitudes to try."""
+"""Effects as data: what a model may lack, the parameters that add it, and plausible magnitudes to try.
+
+The file format is described at the top of ``modelica/Drives/effects.toml``.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
+import numpy as np
+
+from fmuid.diagnosis.ports import Port
 from fmuid.diagnosis.refit import Unknown
+from fmuid.errors import CampaignError
+from fmuid.suggest import suggestion
+from fmuid.toml_tables import Table, convert, read_toml
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,13 +31,15 @@ class Effect:
     port
         Where it acts on the model.
     unknowns
-        Its parameters, sizes and shapes alike: all are free in a refit. A parameter starts at its neutral value.
+        Its parameters, sizes and shapes alike: all are free in a refit.
     neutral
         Values at which the effect is off.
     trials
-        Plausible values to score it by, two or three magnitudes; shapes where they matter.
+        Plausible values to score it by: two or three magnitudes, shapes where they matter.
     two_sided
         Whether a size of the other sign is as plausible.
+    units
+        Of the parameters.
     """
 
     id: str
@@ -39,3 +51,101 @@ class Effect:
     source: str = ""
     two_sided: bool = False
     units: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Catalogue:
+    """Effects and ports by id, and which FMU carries them in place of the plain one (by file stem)."""
+
+    effects: Mapping[str, Effect]
+    ports: Mapping[str, Port]
+    models: Mapping[str, str] = field(default_factory=dict)
+
+
+class _Parameter(Table):
+    lower: float
+    upper: float
+    step: float
+    neutral: float | None = None
+    start: float | None = None
+    unit: str = ""
+
+
+class _Effect(Table):
+    description: str
+    port: str
+    trials: list[dict[str, float]]
+    parameters: dict[str, _Parameter]
+    source: str = ""
+    two_sided: bool = False
+
+
+class _Port(Table):
+    description: str = ""
+    unit: str = ""
+    magnitude: float = 1.0
+    input: str | None = None
+    output: str | None = None
+
+
+class _File(Table):
+    format: str
+    version: int
+    effects: dict[str, _Effect]
+    ports: dict[str, _Port] = {}
+    models: dict[str, str] = {}
+
+
+def load_catalogue(path: Path) -> Catalogue:
+    """Read and check a catalogue of effects.
+
+    Raises
+    ------
+    CampaignError
+        The file is missing, malformed, or an effect names a parameter or port that it does not declare.
+    """
+    file = convert(read_toml(path), _File, str(path))
+    if file.format != "fmuid-effects" or file.version != 1:
+        raise CampaignError(
+            "is no catalogue of effects, version 1", where=path, fix='write format = "fmuid-effects"'
+        )
+    ports = {
+        name: Port(name, p.input, p.output, p.magnitude, p.unit, p.description) for name, p in file.ports.items()
+    }
+    effects = {name: _effect(name, e, ports, f"{path} [effects.{name}]") for name, e in file.effects.items()}
+    return Catalogue(effects, ports, dict(file.models))
+
+
+def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> Effect:
+    if raw.port not in ports:
+        raise CampaignError(f"unknown port '{raw.port}'", where=where, fix=suggestion(raw.port, ports))
+    for trial in raw.trials:
+        for key in trial:
+            if key not in raw.parameters:
+                raise CampaignError(
+                    f"a trial names '{key}', which is none of its parameters",
+                    where=where,
+                    fix=suggestion(key, raw.parameters),
+                )
+    unknowns, neutral = [], {}
+    for key, p in raw.parameters.items():
+        start = p.neutral if p.neutral is not None else p.start
+        if start is None or not p.lower <= start <= p.upper or p.step == 0.0:
+            raise CampaignError(
+                f"'{key}' needs a neutral or start value within its bounds, and a step", where=where, fix="add it"
+            )
+        unknowns.append(Unknown(key, start, p.lower, p.upper, abs(p.step)))
+        neutral[key] = start
+    if not raw.trials or not np.all([len(t) > 0 for t in raw.trials]):
+        raise CampaignError("has no trials", where=where, fix="give plausible values to score it by")
+    return Effect(
+        id=name,
+        description=raw.description,
+        port=raw.port,
+        unknowns=tuple(unknowns),
+        neutral=neutral,
+        trials=tuple(dict(t) for t in raw.trials),
+        source=raw.source,
+        two_sided=raw.two_sided,
+        units={key: p.unit for key, p in raw.parameters.items()},
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from fmuid.cases import Case
 from fmuid.diagnosis.noise import RepeatedRuns
 from fmuid.diagnosis.signal_effects import disturb_input, disturb_output, split_signal_parameters
 from fmuid.errors import SimulationError
+from fmuid.expressions import Expression
 from fmuid.runners import Runner, in_process
 from fmuid.simulation import Task
 
@@ -31,11 +32,14 @@ class CampaignModel:
         Where simulations run.
     fixed
         Parameter values that stay, by name.
+    tie
+        Model variables that follow an expression of campaign parameters.
     """
 
     cases: tuple[Case, ...]
     runner: Runner = in_process
-    fixed: Mapping[str, float] | None = None
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    tie: Mapping[str, Expression] = field(default_factory=dict)
 
     @property
     def runs(self) -> tuple[RepeatedRuns, ...]:
@@ -75,7 +79,7 @@ class CampaignModel:
         jobs = []
         for case in self.cases:
             task = replace(case.task, outputs=tuple(variables))
-            jobs.append((case.simulator, task, self._start_values(case, values)))
+            jobs.append((case.simulator, task, self._start_values(case, {**self.fixed, **values})))
         outcomes = self.runner(jobs)
         for outcome in outcomes:
             if isinstance(outcome, SimulationError):
@@ -87,7 +91,12 @@ class CampaignModel:
         )
 
     def _start_values(self, case: Case, values: Mapping[str, float]) -> dict[str, float]:
-        return case.start_values({**(self.fixed or {}), **values})
+        """Campaign parameters in the model's units; what is none of them is a variable of the model."""
+        own = {
+            name: v for name, v in values.items() if name in case.simulator.variables and name not in case.setting
+        }
+        tied = {name: e(values) for name, e in self.tie.items() if name in case.simulator.variables}
+        return {**own, **tied, **case.start_values(values)}
 
     def _simulate(
         self, wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]]
@@ -95,10 +104,10 @@ class CampaignModel:
         jobs = []
         signals = {c.signal for case in self.cases for c in case.channels}
         signals |= {name for case in self.cases for name in case.task.inputs}
-        split = [split_signal_parameters({**(self.fixed or {}), **values}, signals) for values, _ in wanted]
+        split = [split_signal_parameters({**self.fixed, **values}, signals) for values, _ in wanted]
         for (_, drive), (plain, signal) in zip(wanted, split, strict=True):
             for k, case in enumerate(self.cases):
-                jobs.append((case.simulator, _task(case, k, signal, drive), case.start_values(plain)))
+                jobs.append((case.simulator, _task(case, k, signal, drive), self._start_values(case, plain)))
         outcomes = self.runner(jobs)
         results: list[Prediction | SimulationError] = []
         n = len(self.cases)

@@ -26,22 +26,24 @@ Basis = tuple[tuple[FloatArray, ...], ...]
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """An additive input of the model.
+    """Where an effect may act: an additive input of the model, or an output that is read wrongly.
 
     Attributes
     ----------
     name
         As effects name it.
-    variable
-        The model's input.
-    amplitude
-        A plausible size in `unit`; responses are taken at a fifth of it.
+    input, output
+        The model's input that is zero by default, or the measured output.
+    magnitude
+        A plausible disturbance in `unit`; responses are taken at it.
     """
 
     name: str
-    variable: str
-    amplitude: float
+    input: str | None
+    output: str | None
+    magnitude: float
     unit: str = ""
+    description: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +59,7 @@ class Decoy:
     held_out
         Its losses on experiments left out.
     coefficients
-        (B,) in units of the port's amplitude.
+        (B,) in units of the port's magnitude.
     """
 
     port: str
@@ -113,8 +115,9 @@ def fit_decoys(
     """
     decoys = []
     for port in ports:
-        step = 0.2 * port.amplitude
-        drives = [{port.variable: [step * b for b in one]} for basis in bases.values() for one in basis]
+        if port.input is None:
+            continue
+        drives = [{port.input: [port.magnitude * b for b in one]} for basis in bases.values() for one in basis]
         outcomes = model.predict_driven(base.values, drives)
         begin = 0
         for over, basis in bases.items():
@@ -124,7 +127,7 @@ def fit_decoys(
             if len(good) < len(part):
                 continue
             moved = [observed.residuals(p) for p in good]
-            decoys.append(_fit(port, over, base, observed, moved, step / port.amplitude))
+            decoys.append(_fit(port, over, base, observed, moved))
     return tuple(decoys)
 
 
@@ -134,9 +137,8 @@ def _fit(
     base: Refit,
     observed: Observed,
     moved: Sequence[Sequence[FloatArray]],
-    step: float,
 ) -> Decoy:
-    columns = [np.stack([(m[e] - r) / step for m in moved], axis=1) for e, r in enumerate(base.residuals)]
+    columns = [np.stack([m[e] - r for m in moved], axis=1) for e, r in enumerate(base.residuals)]
     jacobian = [np.hstack([j, c]) for j, c in zip(base.jacobian, columns, strict=True)]
     weight = np.sqrt(observed.repeats)
     names = [f"{port.name}.{over}[{k}]" for k in range(len(moved))]
@@ -144,8 +146,8 @@ def _fit(
     steps = np.array([u.step for u in unknowns])
     a = np.concatenate([w * j for w, j in zip(weight, jacobian, strict=True)]) * steps
     r = np.concatenate([w * x for w, x in zip(weight, base.residuals, strict=True)])
-    # A coefficient that no signal shows stays near zero: prior standard deviation of three amplitudes.
-    prior = np.concatenate([np.full(len(base.unknowns), 1e-3), np.full(len(moved), 1.0 / 3.0)])
+    # A coefficient that no signal shows stays near zero: prior standard deviation of thirty magnitudes.
+    prior = np.concatenate([np.full(len(base.unknowns), 1e-3), np.full(len(moved), 1.0 / 30.0)])
     solution = np.linalg.solve(a.T @ a + np.diag(prior**2), -(a.T @ r))
     residuals = tuple(x + j @ (steps * solution) for x, j in zip(base.residuals, jacobian, strict=True))
     values = {
