@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
+from dataclasses import replace
 
 import fmpy
 import numpy as np
 import pytest
 
-from fmuid.campaign import FloatArray
 from fmuid.reference import reference_fmu
-from fmuid.simulation import Task
 from tests.reference import experiments as e
+from tests.reference.plain_fmpy import simulate_fmu
 
 CASES = {
     "step": ("FixedShaft", e.fixed_shaft("step"), {}),
@@ -26,35 +24,10 @@ CASES = {
 LIMIT = 1e-4
 
 
-def simulate_fmu(fmu: Path, task: Task, parameters: Mapping[str, float]) -> FloatArray:
-    """Simulate in plain FMPy, as co-simulation with communication points at ``task.time``."""
-    names = list(task.inputs)
-    table = np.zeros(len(task.time), dtype=[("time", float), *((n, float) for n in names)])
-    table["time"] = task.time
-    for name in names:
-        table[name] = task.inputs[name]
-    if task.interpolation == "hold":
-        # FMPy interpolates; a jump written as two samples at one time makes it hold.
-        table = np.repeat(table, 2)[1:]
-        for name in names:
-            table[name][1::2] = table[name][0:-1:2]
-    result = fmpy.simulate_fmu(
-        str(fmu),
-        stop_time=task.time[-1],
-        step_size=task.time[1] - task.time[0],
-        output_interval=task.time[1] - task.time[0],
-        relative_tolerance=1e-7,
-        fmi_type="CoSimulation",
-        start_values={**task.start_values, **parameters},
-        input=table,
-        output=list(task.outputs),
-    )
-    return np.array([result[name] for name in task.outputs])
-
-
 @pytest.mark.parametrize("case", CASES)
 def test_outputs_agree(fmus, case):
     name, task, parameters = CASES[case]
+    task = replace(task, interpolation="hold")
     expected = reference_fmu(name).simulate(task, parameters)
     outputs = simulate_fmu(fmus[name], task, parameters)
 

@@ -22,9 +22,7 @@ def table_1(tau_w: float, w: float, eta1: float, eta2: float, bearing1: float, b
 
 @pytest.mark.parametrize("load_torque", np.linspace(-0.8, 0.8, 16))
 @pytest.mark.parametrize("direction", [1, -1])
-@pytest.mark.parametrize(
-    "row", [(0.923, 0.864, 0.058, 0.058), (0.854, 0.847, 0.0565, 0.049), (1, 1, 0.09, 0.09)]
-)
+@pytest.mark.parametrize("row", [(0.923, 0.864, 0.058, 0.058), (0.854, 0.847, 0.0565, 0.049), (1, 1, 0.09, 0.09)])
 def test_sliding_torque_solves_table_1(load_torque, direction, row):
     loss = direction * sliding_torque(direction * load_torque, row, 1e-3)
 

@@ -23,9 +23,7 @@ def test_step_with_locked_shaft_as_in_figure_6():
 
 def lossy_row(speed: float) -> list[float]:
     speeds = [0, 10, 15, 20, 30, 100, 300]
-    return [
-        np.interp(speed, speeds, [LOSSY[f"lossTable[{k},{j}]"] for k in range(1, 8)]) for j in range(2, 6)
-    ]
+    return [np.interp(speed, speeds, [LOSSY[f"lossTable[{k},{j}]"] for k in range(1, 8)]) for j in range(2, 6)]
 
 
 def test_reversal_under_load_passes_all_quadrants_of_table_1():
@@ -49,9 +47,7 @@ def test_energy_supplied_is_stored_or_lost(friction):
     names = ("motor.tau", "w_motor", "tau_sensor", "gear.tau_load", "gear.lossPower")
     states = ("housing.phi", "housing.w", "rotor.phi", "rotor.w")
     task = Task(time, {"i_cmd": np.full(time.size, 1.0)}, names + states)
-    motor, w, sensor, load, lost, phi_c, w_c, phi_w, w_w = reference_fmu("FixedShaft").simulate(
-        task, friction
-    )
+    motor, w, sensor, load, lost, phi_c, w_c, phi_w, w_w = reference_fmu("FixedShaft").simulate(task, friction)
 
     n, j_r, j_s, c_s, d_s, c_g, d_g = 50, 2e-4, 0.003, 130000.0, 0.6, 25500.0, 50.0
     wind, unwinding = (phi_w + (n - 1) * phi_c) / n, (w_w + (n - 1) * w_c) / n
@@ -90,9 +86,7 @@ def test_linear_axis_sticks_then_moves():
     time = np.linspace(0, 2, 2001)
     voltage = np.where(time < 1, 0.9, 1.5) * 20.39 / 35.15
     parameters = {"M": 95.109, "Fv": 203.5, "Fc": 20.39, "gtau": 35.15}
-    qm, v = reference_fmu("LinearAxisOpenLoop").simulate(
-        Task(time, {"vir": voltage}, ("qm", "v")), parameters
-    )
+    qm, v = reference_fmu("LinearAxisOpenLoop").simulate(Task(time, {"vir": voltage}, ("qm", "v")), parameters)
 
     assert np.abs(qm[time < 1]).max() <= 1e-7
     moving = time[time > 1] - 1
