@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
 from dataclasses import dataclass, field
 
 from fmu_build import algebra
@@ -49,60 +50,105 @@ class Aliases:
 
 
 def eliminate(scope: ModelScope, equations: list[Equation]) -> Aliases:
-    """Find and use up the equations ``a = b`` and ``a = -b`` between continuous variables and inputs."""
+    """Find and use up the equations ``a = b`` and ``a = -b`` between continuous variables and inputs.
+
+    Variables that equal the same derivative (speeds of rigidly coupled parts) are aliases too.
+    """
     candidates = {
         key(d.symbol): d
         for d in scope.declarations.scalars.values()
         if d.kind == "continuous" or (d.kind == "input" and d.type == "Real")
         if isinstance(d.symbol, SX)
     }
-    parent: dict[int, tuple[int, int]] = {k: (k, 1) for k in candidates}
+    union = _Union(candidates)
+    while True:
+        before = len(equations)
+        equations = _merge(scope, equations, candidates, union)
+        substitute = _substitution(scope, candidates, union)
+        equations = [Equation(substitute(e.residual), e.span) for e in equations]
+        if len(equations) == before:
+            break
+    groups: dict[int, Group] = {}
+    of: dict[str, tuple[Declared, int]] = {}
+    for k, declared in candidates.items():
+        root, sign = union.find(k)
+        groups.setdefault(root, Group(candidates[root])).members.append((declared, sign))
+        of[declared.name] = (candidates[root], sign)
+    return Aliases(groups, of, substitute, equations)
 
-    def find(k: int) -> tuple[int, int]:
+
+class _Union:
+    """Disjoint sets of variables with signs."""
+
+    def __init__(self, candidates: dict[int, Declared]) -> None:
+        self._candidates = candidates
+        self._parent: dict[int, tuple[int, int]] = {k: (k, 1) for k in candidates}
+        self._order = {k: -i for i, k in enumerate(candidates)}
+
+    def find(self, k: int) -> tuple[int, int]:
+        """Root and sign: value of k = sign * value of the root."""
         sign = 1
-        while parent[k][0] != k:
-            k, s = parent[k]
+        while self._parent[k][0] != k:
+            k, s = self._parent[k]
             sign *= s
         return k, sign
 
-    rest: list[Equation] = []
-    for equation in equations:
-        pair = _alias(scope.graph, equation.residual, candidates)
-        if pair is None:
-            rest.append(equation)
-            continue
-        a, b, sign = pair
-        (root_a, sign_a), (root_b, sign_b) = find(a), find(b)
-        both_inputs = candidates[root_a].kind == candidates[root_b].kind == "input"
-        if root_a == root_b or both_inputs:
-            rest.append(equation)  # over- or underdetermined: found and reported by the matching
-            continue
-        parent[root_b] = (root_a, sign_a * sign * sign_b)
-        if _rank(candidates[root_b]) > _rank(candidates[root_a]):
-            parent[root_a], parent[root_b] = (root_b, parent[root_b][1]), (root_b, 1)
+    def join(self, a: int, b: int, sign: int) -> bool:
+        """Note that a = sign * b; False if that says nothing new or joins two inputs."""
+        (root_a, sign_a), (root_b, sign_b) = self.find(a), self.find(b)
+        if root_a == root_b or self._candidates[root_a].kind == self._candidates[root_b].kind == "input":
+            return False
+        if self._rank(root_b) > self._rank(root_a):
+            root_a, root_b = root_b, root_a
+        self._parent[root_b] = (root_a, sign_a * sign * sign_b)
+        return True
 
-    groups: dict[int, Group] = {}
-    of: dict[str, tuple[Declared, int]] = {}
+    def _rank(self, k: int) -> tuple[object, ...]:
+        """What decides which of two becomes the representative; of equals the first declared."""
+        declared = self._candidates[k]
+        return (declared.kind == "input", *preference(declared), -declared.name.count("."), self._order[k])
+
+
+def _merge(
+    scope: ModelScope, equations: list[Equation], candidates: dict[int, Declared], union: _Union
+) -> list[Equation]:
+    """One pass: joins what it finds and returns the equations that are left."""
+    rest = []
+    variable_of: dict[int, tuple[int, int]] = {}  # derivative -> (variable, sign) that equals it
+    both = candidates.keys() | scope.integral.keys()
+    for equation in equations:
+        pair = _alias(scope.graph, equation.residual, both)
+        if pair is not None:
+            a, b, sign = pair
+            if a in candidates and b in candidates:
+                if union.join(a, b, sign):
+                    continue
+            elif a in candidates or b in candidates:
+                variable, derivative = (a, b) if a in candidates else (b, a)
+                if derivative in variable_of:
+                    other, other_sign = variable_of[derivative]
+                    if union.join(variable, other, sign * other_sign):
+                        continue
+                else:
+                    variable_of[derivative] = (variable, sign)
+        # what says nothing new over- or underdetermines the model: the matching finds and reports it
+        rest.append(equation)
+    return rest
+
+
+def _substitution(scope: ModelScope, candidates: dict[int, Declared], union: _Union) -> Substitution:
     substitute = Substitution()
     for k, declared in candidates.items():
-        root, sign = find(k)
-        representative = candidates[root]
-        groups.setdefault(root, Group(representative)).members.append((declared, sign))
-        of[declared.name] = (representative, sign)
+        root, sign = union.find(k)
         if root != k:
-            _define(scope, substitute, algebra.sx(declared.symbol), algebra.sx(representative.symbol), sign)
-    left = [Equation(substitute(e.residual), e.span) for e in rest]
-    return Aliases(groups, of, substitute, left)
+            _define(scope, substitute, algebra.sx(declared.symbol), algebra.sx(candidates[root].symbol), sign)
+    return substitute
 
 
-def _rank(declared: Declared) -> tuple[object, ...]:
-    return (declared.kind == "input", *preference(declared), -declared.name.count("."))
-
-
-def _alias(graph: Graph, residual: SX, candidates: dict[int, Declared]) -> tuple[int, int, int] | None:
+def _alias(graph: Graph, residual: SX, candidates: Set[int]) -> tuple[int, int, int] | None:
     """Return (a, b, sign) if the residual says a = sign * b."""
     symbols = graph.symbols(residual)
-    if len(symbols) != 2 or not symbols <= candidates.keys():
+    if len(symbols) != 2 or not symbols <= candidates:
         return None
     gradient = graph.gradient(residual)
     if len(gradient) != 2 or not all(is_number(g) for g in gradient.values()):

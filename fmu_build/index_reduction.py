@@ -15,7 +15,7 @@ import numpy as np
 from fmu_build import algebra
 from fmu_build.aliases import Aliases, preference
 from fmu_build.equations import Equation
-from fmu_build.graph import SX, Graph, key
+from fmu_build.graph import SX, key
 from fmu_build.matching import augment
 from fmu_build.scope import ModelScope
 from fmuid.errors import ModelicaError
@@ -261,26 +261,48 @@ def _independent(
 def _check_static(
     system: _System, entries: list[tuple[int, int, SX]], chosen: set[int], columns: list[int], leaves: list[int]
 ) -> None:
-    """Refuse a choice that may become singular while the model moves, unless the modeller made it."""
+    """Refuse a choice that may become singular while the model moves, unless the modeller made it.
+
+    Pivots that cannot vary are eliminated; what is left decides whether the chosen columns stay independent.
+    """
+    matrix: dict[int, dict[int, SX]] = {}
     for i, j, entry in entries:
-        moving = j in chosen and _varies(system.graph, system, entry)
-        if not moving:
-            continue
-        kept = [columns[k] for r, k, _ in entries if r == i and k not in chosen]
-        if kept and all(_wanted(system, v) for v in kept):
-            continue
-        names = sorted({system.chains[columns[k]][0].name() for r, k, _ in entries if r == i})
-        raise system.scope.flat.error(
-            f"the constraint between {_some(names)} needs dynamic state selection, which is not supported",
-            system.equations[leaves[i]].span,
-            "give stateSelect = StateSelect.always (or prefer) to the variables that can stay states",
+        if j in chosen:
+            matrix.setdefault(i, {})[j] = entry
+    while True:
+        pivot = next(
+            (
+                (i, j)
+                for i, row in matrix.items()
+                for j, entry in sorted(row.items(), key=lambda e: not e[1].is_constant())
+                if not _varies(system, entry)
+            ),
+            None,
         )
+        if pivot is None:
+            break
+        i, j = pivot
+        row = matrix.pop(i)
+        for other in matrix.values():
+            if j in other:
+                factor = other.pop(j) / row[j]
+                for k, entry in row.items():
+                    if k != j:
+                        other[k] = other.get(k, SX(0.0)) - factor * entry
+    rows = {i for i, row in matrix.items() if row}
+    inside = sorted({columns[j] for i, j, _ in entries if i in rows})
+    kept = [columns[j] for i, j, _ in entries if i in rows and j not in chosen]
+    if not rows or (kept and all(_wanted(system, v) for v in kept)):
+        return
+    raise system.scope.flat.error(
+        f"the constraint between {_some([system.chains[v][0].name() for v in inside])} needs dynamic state "
+        "selection, which is not supported",
+        system.equations[leaves[min(rows)]].span,
+        "give stateSelect = StateSelect.always (or prefer) to the variables that can stay states",
+    )
 
 
-def _wanted(system: _System, variable: int) -> bool:
-    declared = system.scope.declared(system.chains[variable][0])
-    return declared is not None and preference(declared)[0] > 3
-
-
-def _varies(graph: Graph, system: _System, entry: SX) -> bool:
-    return any(k in system.place or system.scope.is_event_symbol(k) for k in graph.symbols(entry))
+def _varies(system: _System, entry: SX) -> bool:
+    known = system.scope
+    symbols = system.graph.symbols(entry)
+    return any(k in system.place or k == key(known.time) or known.is_event_symbol(k) for k in symbols)
