@@ -12,9 +12,7 @@ from fmuid.cli.output import Json, Printer, Quiet
 
 def build(
     source: Annotated[Path, typer.Argument(help="A .mo file, or the folder of a package.")],
-    class_name: Annotated[
-        str, typer.Argument(metavar="CLASS", help="Qualified name of the model to export.")
-    ],
+    class_name: Annotated[str, typer.Argument(metavar="CLASS", help="Qualified name of the model to export.")],
     out: Annotated[Path, typer.Option(help="Folder for the FMU.")] = Path("build/fmus"),
     json: Json = None,
     quiet: Quiet = False,

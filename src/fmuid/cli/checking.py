@@ -12,9 +12,7 @@ from fmuid.cli.output import CampaignPath, Json, Printer, Quiet
 
 def check(
     campaign: CampaignPath,
-    simulate: Annotated[
-        bool, typer.Option(help="Simulate too, to see which parameters move an output.")
-    ] = True,
+    simulate: Annotated[bool, typer.Option(help="Simulate too, to see which parameters move an output.")] = True,
     json: Json = None,
     quiet: Quiet = False,
 ) -> int:

@@ -38,9 +38,7 @@ def compare(
     from fmuid.files import write_atomically
 
     if funnel_time and funnel is None:
-        raise FmuidError(
-            "--funnel-time without --funnel", fix="give the funnel's half-width too: --funnel 0.01"
-        )
+        raise FmuidError("--funnel-time without --funnel", fix="give the funnel's half-width too: --funnel 0.01")
     try:
         found = compare_tables(
             read_csv(result),
@@ -55,8 +53,7 @@ def compare(
         raise type(error)(error.what, where=f"{result} against {reference}", fix=error.fix) from None
     header = ("variable", "NRMSE", "max error", "at s", "outside", "within")
     rows = [
-        (c.name, c.nrmse, c.max_error, c.max_error_time, c.outside, "yes" if c.within else "NO")
-        for c in found
+        (c.name, c.nrmse, c.max_error, c.max_error_time, c.outside, "yes" if c.within else "NO") for c in found
     ]
     printer = Printer(quiet, json)
     printer.table(header, rows)
@@ -66,8 +63,7 @@ def compare(
     if out is not None:
         lines = [",".join(f'"{h}"' for h in header)]
         lines += [
-            ",".join("" if v is None else f'"{v}"' if isinstance(v, str) else repr(v) for v in r)
-            for r in rows
+            ",".join("" if v is None else f'"{v}"' if isinstance(v, str) else repr(v) for v in r) for r in rows
         ]
         write_atomically(out, "\n".join(lines) + "\n")
     printer.write(

@@ -2,113 +2,167 @@
 
 from __future__ import annotations
 
+import json as json_library
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fmuid.cli.output import CampaignPath, Json, Printer, Quiet
 from fmuid.errors import FmuidError
 
-RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that an identification wrote.")]
-_INTERRUPTED = 130
+if TYPE_CHECKING:
+    from fmuid.result import Result
+
+INTERRUPTED = 130
+RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that fmuid identify wrote.")]
+Workers = Annotated[
+    int, typer.Option(min=0, help="Worker processes to simulate in: a crashing FMU costs one evaluation. 0: none.")
+]
 
 
 def identify(
     campaign: CampaignPath,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for result and history; runs/<campaign> by default.")
-    ] = None,
-    stage: Annotated[
-        list[str] | None, typer.Option(help="Run this stage only (may be given several times).")
-    ] = None,
-    solver: Annotated[
-        str | None, typer.Option(help="Solver for every stage instead of the campaign's, such as bobyqa.")
-    ] = None,
-    workers: Annotated[
-        int, typer.Option(min=0, help="Worker processes to simulate in; 0: in this process.")
-    ] = 0,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with the interrupted run in --out.")
-    ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Of random solvers and starts.")] = 0,
+    out: Annotated[Path | None, typer.Option(help="Run folder; runs/<campaign> by default.")] = None,
+    stage: Annotated[list[str] | None, typer.Option("--stage", help="Run this stage only (repeat).")] = None,
+    solver: Annotated[str | None, typer.Option(help="Use this solver in every stage.")] = None,
+    evaluations: Annotated[int | None, typer.Option(min=1, help="Largest number of evaluations a stage.")] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.0, help="Longest time a stage, s.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run that --out holds.")] = False,
+    workers: Workers = 0,
+    seed: Annotated[int, typer.Option(help="Of random starts and solvers.")] = 0,
+    with_report: Annotated[bool, typer.Option("--report/--no-report", help="Write the report too.")] = True,
     json: Json = None,
     quiet: Quiet = False,
 ) -> int:
-    """Identify the parameters of a campaign, stage by stage.
+    """Identify the parameters of a campaign stage by stage, validate them, and write the report.
 
-    Ctrl-C keeps and reports what was reached; --resume goes on from there.
+    Exit code 1: a stage failed. 130: interrupted; what was reached is saved, `--resume` goes on.
 
     Example: fmuid identify campaigns/force_feedback --out runs/force_feedback
     """
     from fmuid.campaign_toml import load_campaign
     from fmuid.identification import identify as run
-    from fmuid.progress import TerminalProgress
-    from fmuid.solvers import Status
+    from fmuid.solvers import Status, StopRules
 
     loaded = load_campaign(campaign)
     folder = out or Path("runs") / loaded.name
-    with nullcontext() if quiet else TerminalProgress() as observer:
+    stop = StopRules(evaluations, seconds) if evaluations or seconds else None
+    printer = Printer(quiet, json)
+    with _progress(quiet) as observer:
         result = run(
             loaded,
             out=folder,
             stages=stage,
             solver=solver,
-            workers=workers,
+            stop=stop,
             resume=resume,
+            workers=workers,
             observer=observer,
             seed=seed,
         )
-    printer = Printer(quiet, json)
-    printer.say(f"{result}\n\nresult and history: {folder}")
-    if json is not None:
-        result.to_json(json)
-    if result.status is Status.INTERRUPTED:
-        return _INTERRUPTED
-    return 1 if result.status is Status.FAILED else 0
+    printer.say(str(result))
+    summary: dict[str, Any] = {"out": folder, "result": json_library.loads(result.to_json())}
+    interrupted = result.status is Status.INTERRUPTED
+    if not interrupted and loaded.validation:
+        summary |= _validation(result, printer)
+    if with_report and result.stages:
+        from fmuid.report import write_report
+
+        summary["report"] = write_report(folder, campaign=loaded)
+        printer.say(f"\nreport: {summary['report']}")
+    if interrupted:
+        printer.say(f"interrupted; go on with: fmuid identify {campaign} --out {folder} --resume")
+    printer.write(summary)
+    return INTERRUPTED if interrupted else int(result.status is Status.FAILED)
 
 
 def validate(
     run: RunFolder,
-    campaign: Annotated[
-        Path | None, typer.Argument(metavar="[CAMPAIGN]", help="Another campaign than the run's own.")
-    ] = None,
+    campaign: Annotated[Path | None, typer.Option(help="Validate on this campaign, not the run's own.")] = None,
     experiment: Annotated[
-        list[str] | None, typer.Option(help="Runs to simulate instead of the validation set (ids or globs).")
+        list[str] | None, typer.Option("--experiment", "-e", help="Id or glob; the validation set by default.")
     ] = None,
+    out: Annotated[Path | None, typer.Option(help="Write measurements and predictions as CSV into it.")] = None,
     json: Json = None,
     quiet: Quiet = False,
-) -> int:
-    """Simulate the runs that were kept for validation with the parameters that a run found.
+) -> None:
+    """Simulate runs that were kept for validation with what a run found, beside the sensors' noise.
 
     Example: fmuid validate runs/force_feedback
     """
     from fmuid.result import Result
-    from fmuid.validation import validate as score
 
-    validation = score(Result.from_json(run), campaign, experiments=experiment or None)
     printer = Printer(quiet, json)
-    printer.say(str(validation))
-    printer.write(validation.to_dict())
-    return 1 if any(s.failure is not None for s in validation.scores) else 0
+    printer.write(_validation(Result.from_json(run), printer, campaign, experiment, out))
 
 
 def diagnose(
-    campaign: CampaignPath,
-    out: Annotated[Path | None, typer.Option(help="Folder for the diagnosis.")] = None,
-    json: Json = None,
-    quiet: Quiet = False,
-) -> int:
+    campaign: CampaignPath,  # noqa: ARG001
+    out: Annotated[Path | None, typer.Option(help="Folder for the diagnosis.")] = None,  # noqa: ARG001
+    json: Json = None,  # noqa: ARG001
+    quiet: Quiet = False,  # noqa: ARG001
+) -> None:
     """Say where model and measurements part, and which effect is missing."""
-    raise FmuidError("diagnose is not in this version yet")
+    raise FmuidError("diagnose is not in this version", fix="use fmuid identify and fmuid validate")
 
 
 def report(
     run: RunFolder,
-    out: Annotated[Path | None, typer.Option(help="HTML file to write.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for index.html, figures and data.")] = None,
+    format_: Annotated[
+        list[str] | None, typer.Option("--format", help="Format of the figures: png, svg, pdf (repeat).")
+    ] = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write the report of a run as one HTML file."""
-    raise FmuidError("report is not in this version yet")
+    """Write the report of a run as one HTML file that opens offline, with its figures and their data.
+
+    Example: fmuid report runs/force_feedback --format svg
+    """
+    from fmuid.report import write_report
+
+    formats: Any = tuple(format_ or ("png",))
+    unknown = [f for f in formats if f not in ("png", "svg", "pdf")]
+    if unknown:
+        raise FmuidError(f"no format '{unknown[0]}'", where="--format", fix="known: png, svg, pdf")
+    page = write_report(run, out, formats=formats)
+    printer = Printer(quiet, json)
+    printer.say(str(page))
+    printer.write({"run": run, "report": page})
+
+
+def _progress(quiet: bool) -> Any:
+    if quiet:
+        return nullcontext()
+    from fmuid.progress import TerminalProgress
+
+    return TerminalProgress()
+
+
+def _validation(
+    result: Result,
+    printer: Printer,
+    campaign: Path | None = None,
+    experiments: list[str] | None = None,
+    out: Path | None = None,
+) -> dict[str, Any]:
+    from fmuid.validation import validate as score
+
+    found = score(result, campaign, experiments=experiments)
+    printer.say(f"\nvalidation\n{found}")
+    if out is not None:
+        from fmuid.crosscheck_csv import Table, write_csv
+
+        for case, prediction in zip(found.cases, found.predictions, strict=True):
+            columns = {f"{c.signal}_measured": c.mean for c in case.channels}
+            if prediction is not None:
+                columns |= {c.signal: y for c, y in zip(case.channels, prediction, strict=True)}
+            units = {n: c.unit for c in case.channels for n in (c.signal, f"{c.signal}_measured") if c.unit}
+            write_csv(
+                Table(case.task.time, columns, {n: units[n] for n in columns if n in units}),
+                out / f"{case.id}.csv",
+            )
+        printer.say(f"{out}: {len(found.cases)} files")
+    return {"validation": found.to_dict()["scores"]}

@@ -16,22 +16,16 @@ _DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t"}
 def import_(
     files: Annotated[list[Path], typer.Argument(help='CSV files, one a run, headers as in "tau [N.m]".')],
     setup: Annotated[str, typer.Option(help="Setup that the runs were made with.")],
-    input_: Annotated[
-        list[str], typer.Option("--input", "-i", help="Column that drives the model (repeat).")
-    ],
+    input_: Annotated[list[str], typer.Option("--input", "-i", help="Column that drives the model (repeat).")],
     out: Annotated[Path, typer.Option(help="Measurement file to write.")] = Path("measurements.h5"),
-    unit: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=UNIT", help="Unit of a column (repeat).")
-    ] = None,
+    unit: Annotated[list[str] | None, typer.Option(metavar="NAME=UNIT", help="Unit of a column (repeat).")] = None,
     sigma: Annotated[
         list[str] | None, typer.Option(metavar="NAME=VALUE", help="Noise standard deviation (repeat).")
     ] = None,
     setting: Annotated[
         list[str] | None, typer.Option(metavar="NAME=VALUE", help="Known value that the runs set (repeat).")
     ] = None,
-    repeats: Annotated[
-        bool, typer.Option("--repeats", help="Runs with the same inputs are repeats.")
-    ] = False,
+    repeats: Annotated[bool, typer.Option("--repeats", help="Runs with the same inputs are repeats.")] = False,
     append: Annotated[bool, typer.Option("--append", help="Add the runs to the file at --out.")] = False,
     delimiter: Annotated[
         Literal["comma", "semicolon", "tab"], typer.Option(help="What separates cells.")
@@ -133,7 +127,5 @@ def init(
     printer = Printer(quiet, json)
     for line in made.guesses:
         printer.say(line)
-    printer.say(
-        f"{out / 'campaign.toml'}: look it through, then run: fmuid check {out}; fmuid identify {out}"
-    )
+    printer.say(f"{out / 'campaign.toml'}: look it through, then run: fmuid check {out}; fmuid identify {out}")
     printer.write({"out": out, "guesses": made.guesses})

@@ -36,8 +36,7 @@ class Printer:
         cells = [[_cell(v) for v in row] for row in rows]
         widths = [max(len(c) for c in column) for column in zip(header, *cells, strict=True)]
         right = [
-            all(isinstance(v, (int, float)) or v is None for v in column)
-            for column in zip(*rows, strict=True)
+            all(isinstance(v, (int, float)) or v is None for v in column) for column in zip(*rows, strict=True)
         ]
         right = right or [False] * len(header)
         for row in [list(header), *cells]:
@@ -58,9 +57,7 @@ def pairs(texts: Sequence[str], option: str) -> dict[str, str]:
     for text in texts:
         name, equals, value = text.rpartition("=")
         if not equals or not name.strip():
-            raise FmuidError(
-                f"'{text}' is not NAME=VALUE", where=option, fix=f"write it as in {option} d_S=2.66"
-            )
+            raise FmuidError(f"'{text}' is not NAME=VALUE", where=option, fix=f"write it as in {option} d_S=2.66")
         result[name.strip()] = value.strip()
     return result
 

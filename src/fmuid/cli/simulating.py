@@ -96,9 +96,7 @@ def _simulate_fmu(
         for name, samples in table.columns.items():
             if name not in variables or variables[name].causality != "input":
                 known = [n for n, v in variables.items() if v.causality == "input"]
-                raise FmuError(
-                    f"{path.name} has no input '{name}'", where=input_, fix=suggestion(name, known)
-                )
+                raise FmuError(f"{path.name} has no input '{name}'", where=input_, fix=suggestion(name, known))
             factor = 1.0
             if name in table.units:
                 factor = convert_factor(table.units[name], variables[name].unit, where=f"{input_}: '{name}'")
@@ -111,9 +109,7 @@ def _simulate_fmu(
             raise FmuidError(f"stop time {end:g} s is not after {begin:g} s", fix="give a later --stop")
         step = step if step is not None else default.get("step", (end - begin) / 500)
         if not 0 < step <= end - begin or (end - begin) / step > 1e8:
-            raise FmuidError(
-                f"step {step:g} s does not fit into {end - begin:g} s", fix="give another --step"
-            )
+            raise FmuidError(f"step {step:g} s does not fit into {end - begin:g} s", fix="give another --step")
         time = np.asarray(begin + step * np.arange(round((end - begin) / step) + 1), dtype=np.float64)
     task = Task(time, inputs, tuple(outputs), values, interpolation)
     predictions = fmu.simulate(task, {})
