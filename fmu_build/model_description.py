@@ -121,7 +121,11 @@ def _type_names(model: CompiledModel) -> dict[tuple[str, ...], str]:
 
 def _start(v: Variable) -> object:
     """Start attribute: only where FMI allows one."""
-    if v.start is None or v.causality == "independent" or (v.initial == "calculated" and v.causality != "input"):
+    if (
+        v.start is None
+        or v.causality == "independent"
+        or (v.initial == "calculated" and v.causality != "input")
+    ):
         return None
     if v.type == "Boolean":
         return bool(v.start)
@@ -144,7 +148,9 @@ def _experiment(root: ElementTree.Element, model: CompiledModel) -> None:
 def _log_categories(root: ElementTree.Element) -> None:
     parent = _element(root, "LogCategories")
     _element(parent, "Category", name="logStatusError", description="Why a call failed")
-    _element(parent, "Category", name="logStatusWarning", description="What may be wrong though the run goes on")
+    _element(
+        parent, "Category", name="logStatusWarning", description="What may be wrong though the run goes on"
+    )
 
 
 def _fmi2(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTree.Element:

@@ -86,7 +86,9 @@ def _digest(files: dict[str, str], *more: str) -> str:
 
 
 def _guid(model: CompiledModel, fmi: FmiVersion) -> str:
-    h = hashlib.sha256(json.dumps([model.content_hash, fmi, sorted(_runtime(fmi).items())]).encode()).hexdigest()
+    h = hashlib.sha256(
+        json.dumps([model.content_hash, fmi, sorted(_runtime(fmi).items())]).encode()
+    ).hexdigest()
     return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
 
 
@@ -201,7 +203,9 @@ def _version(compiler: tuple[str, ...]) -> str:
     try:
         done = subprocess.run([*compiler, "--version"], capture_output=True, text=True, check=False)
     except OSError as error:
-        raise BuildError(f"the C compiler does not run: {error}", fix="check the environment variable CC") from error
+        raise BuildError(
+            f"the C compiler does not run: {error}", fix="check the environment variable CC"
+        ) from error
     return done.stdout
 
 

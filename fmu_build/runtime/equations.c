@@ -131,23 +131,27 @@ int linearise(Instance *me, double t, const double *x) {
 int evaluate_derivatives(Instance *me) {
     State *s = &me->s;
     if (s->have_dx) return 0;
-    if (solve_loop(me, s->t, s->x, s->u)) return 1;
+    double kept[LENGTH(NM)];
+    int failed = relations_for_input(me, kept) || solve_loop(me, s->t, s->x, s->u);
     environment_at(me, &s->t, s->x, s->u);
     me->res[0] = s->dx;
-    if (CALL(derivatives)) return 1;
-    s->have_dx = 1;
-    return 0;
+    failed = failed || CALL(derivatives);
+    memcpy(s->m, kept, sizeof kept);
+    s->have_dx = !failed;
+    return failed;
 }
 
 int evaluate_variables(Instance *me) {
     State *s = &me->s;
     if (s->have_v) return 0;
-    if (solve_loop(me, s->t, s->x, s->u)) return 1;
+    double kept[LENGTH(NM)];
+    int failed = relations_for_input(me, kept) || solve_loop(me, s->t, s->x, s->u);
     environment_at(me, &s->t, s->x, s->u);
     me->res[0] = s->v;
-    if (CALL(variables)) return 1;
-    s->have_v = 1;
-    return 0;
+    failed = failed || CALL(variables);
+    memcpy(s->m, kept, sizeof kept);
+    s->have_v = !failed;
+    return failed;
 }
 
 /* Exact derivative of dx and v in the direction (sx, su, sp) at the current point; NULL seeds are zero. */

@@ -27,7 +27,15 @@ static void log_message(const Instance *me, Status status, const char *message) 
     const fmi2CallbackFunctions *callbacks = me->callbacks.fmi2;
     if (!callbacks || !callbacks->logger) return;
     const char *category = status >= STATUS_ERROR ? "logStatusError" : "logStatusWarning";
-    callbacks->logger(callbacks->componentEnvironment, me->name, (fmi2Status)status, category, "%s", message);
+    /* The message is itself the format: importers that cannot read variadic arguments get it whole. */
+    char format[1024];
+    size_t n = 0;
+    for (; *message && n + 2 < sizeof format; message++) {
+        if (*message == '%') format[n++] = '%';
+        format[n++] = *message;
+    }
+    format[n] = '\0';
+    callbacks->logger(callbacks->componentEnvironment, me->name, (fmi2Status)status, category, format);
 }
 
 /* A failed step or evaluation leaves the instance readable; only reset, terminate and free make sense after it. */

@@ -42,7 +42,11 @@ typedef struct {
 } Step;
 
 typedef struct {
-    int phase, is_co_simulation, initialised, changed, terminate, tolerance_set, stop_defined;
+    int phase, is_co_simulation, stop_defined;
+    int initialised;  /* x, z, ... follow from what was set before the simulation */
+    int changed;      /* a parameter changed between steps */
+    int input_event;  /* an input changed since the last event iteration */
+    int terminate;
     double t, start_time, stop_time, tolerance, next_event;
     double p[LENGTH(NP)], d[LENGTH(ND)];
     double u[LENGTH(NU)], du[LENGTH(NU)]; /* value and slope at t */
@@ -76,7 +80,6 @@ struct Instance {
     void *environment;
     char *name;
     int logging;
-    int quiet; /* > 0 while trying something whose failure is handled */
     union { void *fmi2; void *fmi3; } callbacks;
 };
 
@@ -100,13 +103,14 @@ Status initialise(Instance *me);
 
 /* events.c */
 void relations(Instance *me, double t, const double *x, const double *u, double *m);
+int relations_for_input(Instance *me, double *kept);
 void event_indicators(Instance *me, double *g);
 Status event_iteration(Instance *me, int initial);
 void find_event(Instance *me);
 
 /* integrator.c */
 void restart_integration(Instance *me);
-Status integrate_step(Instance *me, double target);
+Status integrate_step(Instance *me, double target, int exact);
 void dense_output(const Step *step, double t, double *x);
 
 /* simulate.c: what the FMI functions of both versions share */

@@ -161,15 +161,15 @@ static const char *culprit(const Instance *me) {
     return name[worst];
 }
 
-/* One accepted step from step.t1; it may run past `target` unless the integration has just (re)started there. */
-Status integrate_step(Instance *me, double target) {
+/* One accepted step from step.t1. It may run past `target`, unless `exact` or the integration has just (re)started. */
+Status integrate_step(Instance *me, double target, int exact) {
     State *s = &me->s;
     Step *step = &s->step;
     const double t = step->t1;
     /* A lookahead reaches where nobody has been: never past the end of the experiment or a time event. */
     double limit = s->next_event;
     if (s->stop_defined && s->stop_time >= target) limit = fmin(limit, s->stop_time);
-    if (step->fresh) limit = fmin(limit, target);
+    if (step->fresh || exact) limit = fmin(limit, target);
     step->event = 0;
     memcpy(step->x0, step->x1, sizeof step->x0);
     step->t0 = t;

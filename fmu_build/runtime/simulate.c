@@ -17,7 +17,7 @@ Status report(const Instance *me, Status status, const char *format, ...) {
     va_start(list, format);
     vsnprintf(message, sizeof message, format, list);
     va_end(list);
-    if (me->log && !me->quiet) me->log(me, status, message);
+    if (me->log) me->log(me, status, message);
     return status;
 }
 
@@ -89,6 +89,7 @@ Status set_value(Instance *me, unsigned reference, VariableType type, double val
         s->u_set[i] = 1;
         if (s->u[i] == value) return STATUS_OK;
         s->u[i] = value;
+        s->input_event = 1;
         break;
     case SETTABLE_FIXED:
     case SETTABLE_TUNABLE:
@@ -146,9 +147,8 @@ static int input_changed(Instance *me) {
 
 static Status handle_event(Instance *me) {
     State *s = &me->s;
-    s->t = s->step.t1;
-    memcpy(s->x, s->step.x1, sizeof s->x);
-    dense_output(&s->step, s->t, s->x);
+    dense_output(&s->step, s->step.t1, s->x);
+    s->t = fabs(s->next_event - s->step.t1) <= 1e-13 * fmax(1.0, fabs(s->step.t1)) ? s->next_event : s->step.t1;
     const Status status = event_iteration(me, 0);
     restart_integration(me);
     return status;
@@ -163,7 +163,9 @@ Status do_step(Instance *me, double t, double h) {
         return report(me, STATUS_ERROR, "t = %.9g: the communication step size %g is not allowed", s->t, h);
     if (fabs(t - s->t) > 1e-9 * (1.0 + fabs(s->t)))
         return report(me, STATUS_ERROR, "the step starts at t = %.9g but the model is at t = %.9g", t, s->t);
-    if (input_changed(me) || s->changed || step->t1 < s->t) {
+    /* An input that has just changed is likely to change again: end at the communication point, waste nothing. */
+    const int restart = input_changed(me) || s->changed || step->t1 < s->t;
+    if (restart) {
         s->changed = 0;
         if (MODEL_HAS_EVENTS) {
             const Status status = event_iteration(me, 0);
@@ -171,12 +173,15 @@ Status do_step(Instance *me, double t, double h) {
         }
         restart_integration(me);
     }
+    s->input_event = 0;
     const double begin = s->t;
     const long limit = step->steps + MAX_STEPS;
     const double close = 4e-16 * fabs(target); /* do not integrate what is only rounding of the time */
+    const double late = 1e-13 * fmax(1.0, fabs(target)); /* so much may a sum of sample times be off */
     int events = 0;
     double last_event = -INFINITY;
     while (!s->terminate) {
+        if (step->t1 >= target - close && s->next_event <= target + late) step->event = 1;
         if (step->event && step->t1 <= target + close) {
             const Status status = handle_event(me);
             if (status > STATUS_WARNING) return status;
@@ -187,7 +192,7 @@ Status do_step(Instance *me, double t, double h) {
             continue;
         }
         if (step->t1 >= target - close) break;
-        const Status status = integrate_step(me, target);
+        const Status status = integrate_step(me, target, restart);
         if (status > STATUS_WARNING) return status;
         if (MODEL_HAS_EVENTS) find_event(me);
         if (step->steps > limit)

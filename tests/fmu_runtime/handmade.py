@@ -40,7 +40,14 @@ def compile_by_hand(
     class Environment:
         def __init__(self, **vectors):
             self.vectors = vectors
-            for names, letter in ((states, "x"), (inputs, "u"), (parameters, "p"), (dependent, "d"), (discrete, "z"), (loops, "y")):
+            for names, letter in (
+                (states, "x"),
+                (inputs, "u"),
+                (parameters, "p"),
+                (dependent, "d"),
+                (discrete, "z"),
+                (loops, "y"),
+            ):
                 for i, n in enumerate(names):
                     setattr(self, n, vectors[letter][i])
             for i, n in enumerate(discrete):
@@ -102,9 +109,7 @@ def compile_by_hand(
         ),
         "asserts": (env, [vec([f(e) for f, _, _ in asserts])]),
     }
-    made = {
-        n: ca.Function("model_" + n, a, [ca.densify(x) for x in b]) for n, (a, b) in functions.items()
-    }
+    made = {n: ca.Function("model_" + n, a, [ca.densify(x) for x in b]) for n, (a, b) in functions.items()}
     with TemporaryDirectory() as folder:
         generator = ca.CodeGenerator("model.c", {"with_header": True, "casadi_int": "long long int"})
         for f in made.values():
@@ -140,15 +145,34 @@ def compile_by_hand(
     for i, (n, start) in enumerate(states.items()):
         computed = callable(start)
         variables.append(
-            Variable(n, "Real", Location("x", i), "local", "continuous", "calculated" if computed else "exact",
-                     None if computed else float(start), f"state {n}", nominal=(nominal or {}).get(n))
+            Variable(
+                n,
+                "Real",
+                Location("x", i),
+                "local",
+                "continuous",
+                "calculated" if computed else "exact",
+                None if computed else float(start),
+                f"state {n}",
+                nominal=(nominal or {}).get(n),
+            )
         )
         variables.append(
-            Variable(f"der({n})", "Real", Location("dx", i), "local", "continuous", "calculated",
-                     derivative_of=n, depends_on=tuple(everything))
+            Variable(
+                f"der({n})",
+                "Real",
+                Location("dx", i),
+                "local",
+                "continuous",
+                "calculated",
+                derivative_of=n,
+                depends_on=tuple(everything),
+            )
         )
     for i, (n, start) in enumerate(inputs.items()):
-        variables.append(Variable(n, "Real", Location("u", i), "input", "continuous", "exact", start, unit="N.m"))
+        variables.append(
+            Variable(n, "Real", Location("u", i), "input", "continuous", "exact", start, unit="N.m")
+        )
     for i, (n, start) in enumerate(parameters.items()):
         kind = "tunable" if n in tunable else "fixed"
         variables.append(Variable(n, "Real", Location("p", i), "parameter", kind, "exact", start))
@@ -158,14 +182,38 @@ def compile_by_hand(
         variables.append(Variable(n, "Real", Location("z", i), "local", "discrete", "calculated"))
     for i, n in enumerate(outputs):
         variables.append(
-            Variable(n, "Real", Location("v", i), "output", "continuous", "calculated", depends_on=tuple(everything))
+            Variable(
+                n,
+                "Real",
+                Location("v", i),
+                "output",
+                "continuous",
+                "calculated",
+                depends_on=tuple(everything),
+            )
         )
     units = (Unit("N.m", (1, 2, -2, 0, 0, 0, 0, 0)), Unit("s", (0, 0, 1, 0, 0, 0, 0, 0)))
     return CompiledModel(
-        name=name, class_name=f"Test.{name}", description=f"Test model {name}", variables=tuple(variables), units=units,
-        experiment=Experiment(0.0, 1.0, 1e-6, 0.001), n_x=nx, n_u=nu, n_p=np_, n_d=nd, n_z=nz, n_m=nm, n_y=ny, n_v=nv,
-        n_assert=len(asserts), has_events=bool(update or relations), has_initial=False, c_source=c_source,
-        c_header=c_header, content_hash=hashlib.sha256((c_source + c_header).encode()).hexdigest(),
+        name=name,
+        class_name=f"Test.{name}",
+        description=f"Test model {name}",
+        variables=tuple(variables),
+        units=units,
+        experiment=Experiment(0.0, 1.0, 1e-6, 0.001),
+        n_x=nx,
+        n_u=nu,
+        n_p=np_,
+        n_d=nd,
+        n_z=nz,
+        n_m=nm,
+        n_y=ny,
+        n_v=nv,
+        n_assert=len(asserts),
+        has_events=bool(update or relations),
+        has_initial=False,
+        c_source=c_source,
+        c_header=c_header,
+        content_hash=hashlib.sha256((c_source + c_header).encode()).hexdigest(),
         functions=made,
     )
 
@@ -178,7 +226,10 @@ def pendulum() -> CompiledModel:
         parameters={"m": 1.0, "l": 0.5, "damping": 0.1, "g": 9.81},
         dependent={"J": lambda e: e.m * e.l**2},
         rhs=lambda e: [e.w, (e.tau - e.damping * e.w - e.m * e.g * e.l * ca.sin(e.phi)) / e.J],
-        outputs={"energy": lambda e: e.J * e.w**2 / 2 - e.m * e.g * e.l * ca.cos(e.phi), "through": lambda e: 2 * e.tau},
+        outputs={
+            "energy": lambda e: e.J * e.w**2 / 2 - e.m * e.g * e.l * ca.cos(e.phi),
+            "through": lambda e: 2 * e.tau,
+        },
     )
 
 
@@ -229,5 +280,148 @@ def van_der_pol() -> CompiledModel:
         states={"x": 2.0, "v": 0.0},
         parameters={"mu": 1000.0},
         rhs=lambda e: [e.v, e.mu * ((1 - e.x**2) * e.v) - e.x],
+        outputs={"y": lambda e: e.x},
+    )
+
+
+def bouncing_ball() -> CompiledModel:
+    """h'' = -g with v := -e v on the ground; counts its bounces."""
+
+    def update(e, init):
+        hit = ca.logic_and(e.relation[0], ca.logic_not(e.pre_touching))
+        return {
+            "z": {"touching": e.relation[0], "bounces": e.pre_bounces + hit},
+            "x": {"v": ca.if_else(hit, -e.restitution * e.v, e.v)},
+            "reinit": hit,
+        }
+
+    return compile_by_hand(
+        "BouncingBall",
+        states={"h": 1.0, "v": 0.0},
+        parameters={"restitution": 0.8, "g": 9.81},
+        rhs=lambda e: [e.v, -e.g],
+        discrete={"touching": 0.0, "bounces": 0.0},
+        relations=lambda e: [-e.h],
+        update=update,
+        outputs={"height": lambda e: e.h},
+    )
+
+
+def sampled_counter() -> CompiledModel:
+    """Samples an integrator every 0.1 s, ends the simulation at t = 0.95."""
+
+    def update(e, init):
+        due = e.time >= e.pre_next - 1e-12
+        sample = ca.logic_and(due, ca.logic_not(init))
+        return {
+            "z": {
+                "count": e.pre_count + sample,
+                "held": ca.if_else(sample, e.x, e.pre_held),
+                "next": ca.if_else(due, e.pre_next + 0.1, e.pre_next),
+            },
+            "next": ca.if_else(due, e.pre_next + 0.1, e.pre_next),
+            "terminate": e.relation[0],
+        }
+
+    return compile_by_hand(
+        "SampledCounter",
+        states={"x": 0.0},
+        inputs={"u": 1.0},
+        rhs=lambda e: [e.u + 0 * e.held],
+        discrete={"count": 0.0, "held": 0.0, "next": 0.0},
+        relations=lambda e: [e.time - 0.95],
+        update=update,
+        outputs={"y": lambda e: e.held},
+    )
+
+
+def stick_slip() -> CompiledModel:
+    """Mass dragged by a spring over Coulomb friction with the modes forward, stuck and backward.
+
+    mode = 1 (forward), 0 (stuck), -1 (backward); a stuck mass starts beyond the static friction, a sliding one
+    stops where its speed crosses zero.
+    """
+
+    def force(e):
+        return e.c * (e.v0 * e.time - e.s)
+
+    def update(e, init):
+        forward, backward, above, below = (e.relation[i] for i in range(4))
+        stuck = e.pre_mode == 0
+        mode = ca.if_else(
+            stuck,
+            ca.if_else(above, 1, ca.if_else(below, -1, 0)),
+            ca.if_else(
+                ca.logic_or(
+                    ca.logic_and(e.pre_mode == 1, ca.logic_not(forward)),
+                    ca.logic_and(e.pre_mode == -1, ca.logic_not(backward)),
+                ),
+                0,
+                e.pre_mode,
+            ),
+        )
+        stop = ca.logic_and(mode == 0, ca.logic_not(stuck))
+        return {"z": {"mode": mode}, "x": {"v": ca.if_else(stop, 0, e.v)}, "reinit": stop}
+
+    return compile_by_hand(
+        "StickSlip",
+        states={"s": 0.0, "v": 0.0},
+        parameters={"m": 1.0, "c": 100.0, "v0": 0.1, "f_slide": 1.0, "f_static": 1.5},
+        # a starting mass has v = 0: forward means "not yet moving backward"
+        rhs=lambda e: [
+            ca.if_else(e.mode == 0, 0, e.v),
+            ca.if_else(e.mode == 0, 0, (force(e) - e.mode * e.f_slide) / e.m),
+        ],
+        discrete={"mode": 0.0},
+        relations=lambda e: [
+            ca.if_else(e.mode == 1, e.v + 1e-9, e.v),
+            ca.if_else(e.mode == -1, -e.v + 1e-9, -e.v),
+            force(e) - e.f_static,
+            -force(e) - e.f_static,
+        ],
+        update=update,
+        outputs={"spring": force},
+    )
+
+
+def relay() -> CompiledModel:
+    """Integrator whose direction follows a relation of the input: u > 0.5 up, else down."""
+    return compile_by_hand(
+        "Relay",
+        states={"x": 0.0},
+        inputs={"u": 0.0},
+        rhs=lambda e: [ca.if_else(e.relation[0], 1, -1)],
+        relations=lambda e: [e.u - 0.5],
+        update=lambda e, init: {},
+        outputs={"direction": lambda e: ca.if_else(e.relation[0], 1, -1)},
+    )
+
+
+def algebraic_loop() -> CompiledModel:
+    """x' = -y with the loop y^3 + y = x + u."""
+    return compile_by_hand(
+        "AlgebraicLoop",
+        states={"x": 2.0},
+        inputs={"u": 0.0},
+        parameters={"a": 1.0},
+        rhs=lambda e: [-e.y],
+        loops={"y": 0.0},
+        loop=lambda e: [e.y**3 + e.a * e.y - e.x - e.u],
+        outputs={"out": lambda e: 2 * e.y},
+    )
+
+
+def failing() -> CompiledModel:
+    """Blows up at t = 1 (x' = x^2), has an asserted range and a root of a negative number in reach."""
+    return compile_by_hand(
+        "Failing",
+        states={"x": 1.0, "w": 0.0},
+        parameters={"limit": 1e300, "floor": -1e300},
+        inputs={"u": 0.0},
+        rhs=lambda e: [e.x**2, ca.sqrt(1 - e.u)],
+        asserts=[
+            (lambda e: e.x <= e.limit, "x must stay below its limit", False),
+            (lambda e: e.x >= e.floor, "x is rather small", True),
+        ],
         outputs={"y": lambda e: e.x},
     )
