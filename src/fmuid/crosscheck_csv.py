@@ -79,9 +79,7 @@ def read_csv(path: str | Path, *, delimiter: str = ",") -> Table:
     time = values[:, 0]
     bad = np.flatnonzero(~np.isfinite(time))
     if bad.size:
-        raise MeasurementsError(
-            f"time is missing in sample {bad[0]}", where=path, fix="write every time, in s"
-        )
+        raise MeasurementsError(f"time is missing in sample {bad[0]}", where=path, fix="write every time, in s")
     bad = np.flatnonzero(np.diff(time) < 0)
     if bad.size:
         k = int(bad[0]) + 1
@@ -113,9 +111,7 @@ def _read_text(path: Path) -> str:
     except UnicodeDecodeError:
         raise MeasurementsError("is not UTF-8 text", where=path, fix="save it as CSV in UTF-8") from None
     except OSError as error:
-        raise MeasurementsError(
-            f"cannot be read ({error.strerror})", where=path, fix="check the path"
-        ) from None
+        raise MeasurementsError(f"cannot be read ({error.strerror})", where=path, fix="check the path") from None
 
 
 def _read_header(header: list[str], path: Path, delimiter: str) -> tuple[list[str], dict[str, str]]:
@@ -131,7 +127,7 @@ def _read_header(header: list[str], path: Path, delimiter: str) -> tuple[list[st
         for other, word in _DELIMITERS.items():
             if other != delimiter and other in header[0]:
                 raise MeasurementsError(
-                    f"is separated by {word}s", where=path, fix=f"import it with: --delimiter '{word}'"
+                    f"is separated by {word}s", where=path, fix=f"import it with: --delimiter {word}"
                 )
     if names[0].casefold() not in ("time", "t"):
         raise MeasurementsError(
@@ -145,9 +141,7 @@ def _read_header(header: list[str], path: Path, delimiter: str) -> tuple[list[st
         if not name or not name.isprintable():
             raise MeasurementsError(f"column {i + 1} has no name", where=path, fix="name every column")
         if name in names[:i]:
-            raise MeasurementsError(
-                f"column '{name}' is there twice", where=path, fix="rename one of the two"
-            )
+            raise MeasurementsError(f"column '{name}' is there twice", where=path, fix="rename one of the two")
     return names, units
 
 

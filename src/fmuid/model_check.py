@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -49,7 +50,7 @@ def load_models(campaign: Campaign) -> dict[str, Simulator]:
         if not path.is_file():
             raise FmuError(
                 "no such file",
-                where=path,
+                where=os.path.normpath(path),
                 fix=f"build it (make fmus, or fmuid build) or correct [models.{setup}] fmu",
             )
         models[setup] = load_fmu(path)
@@ -99,17 +100,13 @@ def match_models(campaign: Campaign, simulators: Mapping[str, Simulator]) -> tup
                 fix=f"name its variables in [models.{model.setup}] map",
             )
         for name in experiment.settings:
-            variable = _settable(
-                model.variable(name), model, simulator.variables, f"{where}, setting '{name}'"
-            )
+            variable = _settable(model.variable(name), model, simulator.variables, f"{where}, setting '{name}'")
             _match_unit(experiment.setting_units.get(name), variable, f"{where}, setting '{name}'")
         for name in _undriven(experiment, model, simulator.variables):
             start = simulator.variables[name].start
             kept = "its start value" if start is None else f"{start:g}"
             findings[
-                Finding(
-                    "note", f"[models.{model.setup}]", f"input '{name}' is not driven", f"it stays at {kept}"
-                )
+                Finding("note", f"[models.{model.setup}]", f"input '{name}' is not driven", f"it stays at {kept}")
             ] = None
     _match_names(campaign, simulators)
     return tuple(findings)
@@ -166,9 +163,7 @@ def check_effects(campaign: Campaign, simulators: Mapping[str, Simulator]) -> tu
         nominal = problem.evaluate(start)
         if not nominal.ok:
             findings.append(
-                Finding(
-                    "error", where, f"no simulation at the start values ({nominal.failure})", "move the start"
-                )
+                Finding("error", where, f"no simulation at the start values ({nominal.failure})", "move the start")
             )
             continue
         for i, spec in enumerate(problem.space.free):
@@ -264,9 +259,7 @@ def _match_names(campaign: Campaign, simulators: Mapping[str, Simulator]) -> Non
                 found = True
                 _settable(model.variable(name), model, simulators[setup].variables, f"[settings] '{name}'")
         if not found:
-            raise FmuError(
-                f"no FMU has a variable '{name}'", where="[settings]", fix=suggestion(name, settable)
-            )
+            raise FmuError(f"no FMU has a variable '{name}'", where="[settings]", fix=suggestion(name, settable))
     for spec in campaign.parameters.values():
         found = spec.name in helpers
         for setup, model in models.items():

@@ -67,13 +67,15 @@ def identify(
     interrupted = result.status is Status.INTERRUPTED
     if not interrupted and loaded.validation:
         summary |= _validation(result, printer)
-    if with_report and result.stages:
+    if with_report and not interrupted:
         from fmuid.report import write_report
 
         summary["report"] = write_report(folder, campaign=loaded)
         printer.say(f"\nreport: {summary['report']}")
     if interrupted:
-        printer.say(f"interrupted; go on with: fmuid identify {campaign} --out {folder} --resume")
+        # Whoever presses Ctrl-C does not wait for figures.
+        printer.say(f"\ngo on with: fmuid identify {campaign} --out {folder} --resume")
+        printer.say(f"or look at what was reached with: fmuid report {folder}")
     printer.write(summary)
     return INTERRUPTED if interrupted else int(result.status is Status.FAILED)
 

@@ -1,0 +1,382 @@
+# ruff: noqa: E501 - the line that a user sees is one line here too
+"""The other commands: what they print and write, and how they end."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time as clock
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmuid.campaign import Measurements
+from fmuid.crosscheck_csv import Table, read_csv, write_csv
+from fmuid.importing import table_from_experiment
+from fmuid.measurements import read_measurements
+
+Command = Callable[..., tuple[int, str, str]]
+COMMANDS = [
+    "init",
+    "build",
+    "check",
+    "simulate",
+    "identify",
+    "validate",
+    "diagnose",
+    "compare",
+    "import",
+    "export",
+    "report",
+]
+FMUID = [sys.executable, "-c", "from fmuid.cli import main; main()"]
+
+
+# ---- the program itself
+
+
+def test_help_and_import_are_quick() -> None:
+    script = "import sys, fmuid.cli.app; print(*sorted(m for m in ('numpy', 'h5py', 'fmpy', 'pint', 'casadi', 'scipy', 'matplotlib') if m in sys.modules))"
+    loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    assert loaded.stdout.strip() == ""
+    begin = clock.perf_counter()
+    shown = subprocess.run([*FMUID, "--help"], capture_output=True, text=True, check=True, timeout=60)
+    assert clock.perf_counter() - begin < 5  # half a second on a quiet machine
+    for name in COMMANDS:
+        assert name in shown.stdout
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_out_json_and_quiet(name: str, fmuid: Command) -> None:
+    code, out, err = fmuid(name, "--help")
+    assert (code, err) == (0, "")
+    assert "--json" in out
+    assert "--quiet" in out
+    assert name == "check" or "--out" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["frobnicate"], "No such command 'frobnicate'; see fmuid --help"),
+        (["chek", "x"], "No such command 'chek'. Did you mean 'check'?; see fmuid --help"),
+        (["check"], "Missing argument 'CAMPAIGN'; see fmuid --help"),
+        (["check", "x", "--fast"], "No such option: --fast; see fmuid --help"),
+        (["compare", "a", "b", "--tolerance", "-1"], "Invalid value for '--tolerance': Input should be greater than or equal to 0; see fmuid --help"),
+        (["check", "nowhere"], "nowhere: no such file; name a folder with a campaign.toml, or make one with: fmuid init"),
+        (["identify", "nowhere"], "nowhere: no such file; name a folder with a campaign.toml, or make one with: fmuid init"),
+        (["validate", "nowhere"], "nowhere: no such file; name a folder that fmuid identify wrote"),
+        (["report", "nowhere"], "nowhere: no such file; name a folder that fmuid identify wrote"),
+        (["report", "nowhere", "--format", "gif"], "--format: no format 'gif'; known: png, svg, pdf"),
+        (["build", "nowhere.mo", "A.B"], "nowhere.mo: no such Modelica file"),
+        (["compare", "a.csv", "b.csv"], "a.csv: no such file; check the path"),
+        (["compare", "a.csv", "b.csv", "--funnel-time", "1"], "--funnel-time without --funnel; give the funnel's half-width too: --funnel 0.01"),
+        (["simulate", "no.fmu"], "no.fmu: cannot be read (No such file or directory); check the path"),
+        (["simulate", "no.fmu", "--set", "d_S"], "--set: 'd_S' is not NAME=VALUE; write it as in --set d_S=2.66"),
+        (["simulate", "no.fmu", "--set", "d_S=big"], "--set: 'big' of 'd_S' is not a number; write a number"),
+        (["simulate", "no.fmu", "--set", "d_S=nan"], "--set: 'd_S' is nan; write a finite number"),
+        (["simulate", "no.fmu", "-e", "step"], "--experiment goes with a campaign; leave it out for an FMU"),
+        (["simulate", "bench", "--stop", "1"], "--input, --stop, --step and --output go with an FMU; leave them out for a campaign"),
+        (["import", "no.csv", "--setup", "a", "--input", "u"], "no.csv: no such file; check the path"),
+        (["export", "no.h5"], "no.h5: no such file; check the path"),
+        (["init", "no.csv", "--fmu", "no.fmu"], "no.fmu: cannot be read (No such file or directory); check the path"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_line_and_exit_code_2(
+    arguments: list[str], line: str, tmp_path: Path, fmuid: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert fmuid(*arguments) == (2, "", f"fmuid: {line}\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_json_that_cannot_be_written(folder: Path, fmuid: Command) -> None:
+    code, _, err = fmuid("check", folder, "--no-simulate", "--json", "/proc/found.json")
+    assert code == 2
+    assert err.startswith("fmuid: /proc/found.json: cannot be written (")
+    assert err.count("\n") == 1
+
+
+# ---- compare
+
+
+@pytest.fixture
+def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    time = np.linspace(0.0, 1.0, 101)
+    late = np.linspace(0.0, 1.0, 77)
+    write_csv(Table(time, {"x": np.sin(9 * time), "y": 2 + 0 * time}, {}), "reference.csv")
+    write_csv(Table(late, {"x": np.sin(9 * late), "y": 2 + 0 * late, "z": late}, {}), "result.csv")
+    write_csv(Table(late, {"x": np.sin(9 * np.maximum(late - 0.01, 0)), "y": 2.1 + 0 * late}, {}), "drifted.csv")
+    return tmp_path
+
+
+def test_compare_within(results: Path, fmuid: Command) -> None:
+    code, out, err = fmuid("compare", "result.csv", "reference.csv", "--json", "c.json")
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0].split() == ["variable", "NRMSE", "max", "error", "at", "s", "outside", "within"]
+    assert lines[-1] == "all within NRMSE 0.001"
+    found = json.loads(Path("c.json").read_text())
+    assert found["within"] is True
+    assert [v["name"] for v in found["variables"]] == ["x", "y"]
+    assert 0 < found["variables"][0]["nrmse"] < 1e-3
+
+
+def test_compare_out_of_tolerance(results: Path, fmuid: Command) -> None:
+    code, out, err = fmuid("compare", "drifted.csv", "reference.csv", "--out", "table.csv", "--json", "c.json")
+    assert (code, err) == (1, "")
+    assert out.splitlines()[-1] == "2 of 2 out of tolerance (NRMSE 0.001)"
+    assert (
+        Path("table.csv").read_text().startswith('"variable","NRMSE","max error","at s","outside","within"\n"x",')
+    )
+    time = np.linspace(0.0, 1.0, 101)
+    x, y = json.loads(Path("c.json").read_text())["variables"]
+    expected = np.sqrt(np.mean((np.sin(9 * np.maximum(time - 0.01, 0)) - np.sin(9 * time)) ** 2)) / np.ptp(
+        np.sin(9 * time)
+    )
+    assert x["nrmse"] == pytest.approx(expected, rel=0.02)  # the result is interpolated
+    assert y["nrmse"] == pytest.approx(0.05)  # of the constant's own size
+    assert y["max_error"] == pytest.approx(0.1)
+
+
+def test_a_funnel_forgives_a_delay(results: Path, fmuid: Command) -> None:
+    arguments = ["compare", "drifted.csv", "reference.csv", "--variable", "x", "--funnel", "0.005"]
+    assert fmuid(*arguments)[0] == 1
+    code, out, _ = fmuid(*arguments, "--funnel-time", "0.011")
+    assert code == 0
+    assert out.splitlines()[-1] == "all within funnel 0.005 of the range, 0.011 s"
+
+
+def test_compare_what_cannot_be_compared(results: Path, fmuid: Command) -> None:
+    assert fmuid("compare", "reference.csv", "result.csv") == (
+        2, "", "fmuid: reference.csv against result.csv: the result has no variable 'z'; known: x, y\n"
+    )  # fmt: skip
+    write_csv(Table(np.array([0.0, 0.5]), {"x": np.zeros(2), "y": np.zeros(2)}, {}), "short.csv")
+    assert fmuid("compare", "short.csv", "reference.csv")[2] == (
+        "fmuid: short.csv against reference.csv: the result covers 0 to 0.5 s, the reference 0 to 1 s; simulate as long as the reference\n"
+    )
+
+
+# ---- simulate
+
+
+def test_simulate_an_fmu(folder: Path, oscillator: Path, measurements: Measurements, fmuid: Command) -> None:
+    step = measurements["step"]
+    write_csv(Table(step.time, {"u": step.inputs["u"].values}, {"u": "N"}), "u.csv")
+    arguments = ["--set", "m=1.2", "--set", "d=0.8", "--set", "c=90", "--output", "x"]
+    code, out, err = fmuid("simulate", oscillator, "--input", "u.csv", *arguments, "--out", "r.csv")
+    assert (code, out, err) == (0, "r.csv: 201 samples of x\n", "")
+    result = read_csv("r.csv")
+    assert result.units == {"x": "m"}
+    np.testing.assert_allclose(result.columns["x"], 1e-3 * step.signals["position"].values, atol=6e-4)
+
+
+def test_simulate_converts_units_of_inputs(folder: Path, oscillator: Path, fmuid: Command) -> None:
+    time = np.linspace(0, 1, 11)
+    write_csv(Table(time, {"u": np.sin(time)}, {"u": "kN"}), "kilo.csv")
+    write_csv(Table(time, {"u": 1e3 * np.sin(time)}, {}), "plain.csv")
+    for name in ("kilo", "plain"):
+        assert fmuid("simulate", oscillator, "--input", f"{name}.csv", "--out", f"{name}_r.csv")[0] == 0
+    np.testing.assert_allclose(
+        read_csv("kilo_r.csv").columns["y"], read_csv("plain_r.csv").columns["y"], rtol=1e-12
+    )
+    write_csv(Table(time, {"u": time}, {"u": "m"}), "metres.csv")
+    assert fmuid("simulate", oscillator, "--input", "metres.csv")[2] == (
+        "fmuid: metres.csv: 'u': 'm' cannot be converted to 'N'; they measure different things ([length] and [mass] * [length] / [time] ** 2)\n"
+    )
+
+
+def test_simulate_without_input(folder: Path, oscillator: Path, fmuid: Command) -> None:
+    code, out, _ = fmuid("simulate", oscillator, "--stop", "0.5", "--step", "0.1", "--output", "x", "--quiet")
+    assert (code, out) == (0, "")
+    np.testing.assert_allclose(read_csv("Oscillator.csv").time, np.linspace(0, 0.5, 6))
+    assert (
+        fmuid("simulate", oscillator, "--output", "X")[2]
+        == "fmuid: Oscillator.fmu has no variable 'X'; did you mean 'x'?\n"
+    )
+    assert (
+        fmuid("simulate", oscillator, "--stop", "-1")[2]
+        == "fmuid: stop time -1 s is not after 0 s; give a later --stop\n"
+    )
+    assert (
+        fmuid("simulate", oscillator, "--step", "0")[2]
+        == "fmuid: step 0 s does not fit into 1 s; give another --step\n"
+    )
+
+
+def test_simulate_a_campaign(folder: Path, fmuid: Command) -> None:
+    code, out, err = fmuid(
+        "simulate", folder, "-e", "s*", "--set", "m=1.2", "--set", "d=0.8", "--out", "sim", "--json", "s.json"
+    )
+    assert (code, err) == (0, "")
+    assert sorted(p.name for p in Path("sim").iterdir()) == ["sine.csv", "step.csv"]
+    result = read_csv("sim/step.csv")
+    assert result.units["position"] == "m"  # the model's unit
+    found = json.loads(Path("s.json").read_text())
+    assert all(row["nrmse"] < 0.01 for row in found["nrmse"])
+    assert fmuid("simulate", folder, "--set", "k=1")[2] == "fmuid: --set: unknown parameter 'k'; known: m, d\n"
+    assert (
+        fmuid("simulate", folder, "-e", "stp")[2]
+        == "fmuid: --experiment: 'stp' is not an experiment; did you mean 'step'?\n"
+    )
+
+
+# ---- import, export
+
+
+def test_import_and_export(folder: Path, measurements: Measurements, fmuid: Command) -> None:
+    for run in measurements:
+        write_csv(table_from_experiment(run), f"{run.id}.csv")
+    write_csv(table_from_experiment(measurements["step"]), "step_again.csv")
+    arguments = [
+        "--setup",
+        "oscillator",
+        "--input",
+        "u",
+        "--sigma",
+        "position=0.1",
+        "--setting",
+        "gain=2",
+        "--repeats",
+    ]
+    code, out, err = fmuid(
+        "import", "step.csv", "sine.csv", "step_again.csv", *arguments, "--out", "m.h5", "--title", "T"
+    )
+    assert (code, err) == (0, "")
+    assert out.splitlines()[-1] == "m.h5: 3 runs"
+    read = read_measurements("m.h5")
+    assert read.title == "T"
+    assert read["step_again"].repeat_of == "step"
+    assert (read["step"].setup, read["step"].settings) == ("oscillator", {"gain": 2.0})
+    position = read["step"].signals["position"]
+    assert (position.unit, position.causality, position.sigma) == ("mm", "output", 0.1)
+    np.testing.assert_array_equal(position.values, measurements["step"].signals["position"].values)
+
+    assert fmuid("import", "pulse.csv", *arguments, "--out", "m.h5", "--append")[0] == 0
+    assert list(read_measurements("m.h5").experiments) == ["step", "sine", "step_again", "pulse"]
+    assert fmuid("export", "m.h5", "--out", "csv", "-e", "pulse")[0] == 0
+    assert Path("csv/pulse.csv").read_text() == Path("pulse.csv").read_text()
+
+
+@pytest.mark.parametrize(
+    ("header", "arguments", "line"),
+    [
+        ("time,u [N],x", [], "run.csv: column 'x' has no unit; write it in the header as \"x [N.m]\", or give --unit x=N.m (1 for none)"),
+        ("time,u [N],x [m]", ["--input", "v"], "run.csv: no column 'v' (input); known: u, x"),
+        ("time,u [N],x [m]", ["--unit", "y=m"], "run.csv: no column 'y' (unit); known: u, x"),
+        ("time [ms],u [N],x [m]", [], "run.csv: time is not in s; convert the first column to seconds"),
+        ("x [m],u [N],time", [], "run.csv: the first column is 'x'; the first column is 'time', in s"),
+        ("time,u [N],u [m]", [], "run.csv: column 'u' is there twice; rename one of the two"),
+        ("time,u [N],", [], "run.csv: column 3 has no name; name every column"),
+        ("time;u [N];x [m]", [], "run.csv: is separated by semicolons; import it with: --delimiter semicolon"),
+        ("time,u [N]", [], "run.csv line 2: has 3 cells, the header has 2; write one cell a column"),
+    ],
+)  # fmt: skip
+def test_import_refuses(
+    header: str, arguments: list[str], line: str, tmp_path: Path, fmuid: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("run.csv").write_text(f"{header}\n0,1,2\n1,2,3\n")
+    assert fmuid("import", "run.csv", "--setup", "s", "--input", "u", *arguments) == (2, "", f"fmuid: {line}\n")
+    assert not Path("measurements.h5").exists()
+
+
+@pytest.mark.parametrize(
+    ("row", "line"),
+    [
+        ("1,,3", "measurements.h5: experiment 'run', signal 'u': sample 1 of an input is NaN (1 in all); an input needs every sample: cut the run or fill the gap"),
+        ("1,a,3", "run.csv line 3: 'a' in column 'u' is not a number; write a number"),
+        ("0,1,3", "measurements.h5: experiment 'run', time: sample 1 (0 s) is not after sample 0 (0 s); sort the samples by time and drop doubles"),
+        ("-1,1,3", "run.csv: time goes back from 0 s to -1 s in sample 1; sort the rows by time"),
+        ('1,"1,3', "run.csv line 3: is not CSV (unexpected end of data); correct the quotes"),
+        ("", "run.csv: has 1 row(s) of values; a run has at least 2 samples"),
+    ],
+)  # fmt: skip
+def test_import_refuses_rows(
+    row: str, line: str, tmp_path: Path, fmuid: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("run.csv").write_text(f"time,u [N],x [m]\n0,1,2\n{row}\n")
+    assert fmuid("import", "run.csv", "--setup", "s", "--input", "u") == (2, "", f"fmuid: {line}\n")
+    assert not Path("measurements.h5").exists()
+
+
+def test_import_other_csv(tmp_path: Path, fmuid: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("run.csv").write_text('\ufefft;tau[N.m];"x y (rad)";\tlossTable[1,2]\n0;1;;3\n\n1;2;5;4\n')
+    arguments = ["--setup", "s", "--input", "tau", "--delimiter", "semicolon", "--unit", "lossTable[1,2]=1"]
+    assert fmuid("import", "run.csv", *arguments)[::2] == (0, "")
+    run = read_measurements("measurements.h5")["run"]
+    assert {n: s.unit for n, s in run.signals.items()} == {"tau": "N.m", "x y": "rad", "lossTable[1,2]": "1"}
+    np.testing.assert_array_equal(run.signals["x y"].values, [np.nan, 5.0])
+    assert fmuid("import", "run.csv", *arguments)[2] == (
+        "fmuid: measurements.h5: is there already; give --append to add to it, or another --out\n"
+    )
+
+
+# ---- from start to end
+
+
+def test_identify_validate_report(folder: Path, fmuid: Command) -> None:
+    code, out, err = fmuid("identify", folder, "--out", "run", "--json", "i.json")
+    assert (code, "Traceback" in err) == (0, False)
+    found = json.loads(Path("i.json").read_text())
+    assert found["result"]["parameters"]["m"] == pytest.approx(1.2, rel=2e-3)
+    assert found["result"]["parameters"]["d"] == pytest.approx(0.8, rel=2e-2)
+    assert [v["experiment"] for v in found["validation"]] == ["pulse"]
+    assert Path("run/report/index.html").is_file()
+    assert "pulse" in out
+
+    code, _, err = fmuid("validate", "run", "--out", "csv", "-e", "s*")
+    assert (code, err) == (0, "")
+    assert sorted(p.name for p in Path("csv").iterdir()) == ["sine.csv", "step.csv"]
+
+
+def test_ctrl_c_ends_with_130_and_keeps_what_was_reached(folder: Path) -> None:
+    text = (folder / "campaign.toml").read_text()
+    (folder / "campaign.toml").write_text(
+        text.replace("[stages.all]", '[stages.all]\nsolver = "isres"').replace("evaluations = 100", "seconds = 60")
+    )
+    run = subprocess.Popen(
+        [*FMUID, "identify", "bench", "--out", "run"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    deadline = clock.monotonic() + 30
+    while not Path("run/history.h5").exists() and clock.monotonic() < deadline:
+        clock.sleep(0.05)
+    clock.sleep(1.0)
+    run.send_signal(signal.SIGINT)
+    out, err = run.communicate(timeout=60)
+    assert run.returncode == 130, err
+    assert "Traceback" not in err
+    assert "--resume" in out
+    assert json.loads(Path("run/result.json").read_text())["parameters"]["m"] > 0
+
+
+def test_init_makes_a_campaign_that_runs(
+    folder: Path, oscillator: Path, measurements: Measurements, fmuid: Command
+) -> None:
+    for run in measurements:
+        position = run.signals["position"]
+        columns = {"Force": run.inputs["u"].values, "X": position.values, "temperature": 20 + run.time}
+        write_csv(Table(run.time, columns, {"Force": "N", "X": "mm"}), f"{run.id}.csv")
+    # `x` is a local variable of this FMU: its outputs have no unit, so only a name can tell.
+    for run in measurements:
+        file = Path(f"{run.id}.csv")
+        file.write_text(file.read_text().replace("X [mm]", "Y [m]"))
+    code, out, err = fmuid("init", "step.csv", "sine.csv", "pulse.csv", "--fmu", oscillator, "--out", "drive")
+    assert (code, err) == (0, "")
+    assert "step.csv: 'Force' is input 'u', in N" in out
+    assert "step.csv: 'Y' is output 'y', in m" in out
+    assert "step.csv: column 'temperature' is not used, no input or output of the FMU fits" in out
+    assert sorted(p.name for p in Path("drive").iterdir()) == ["campaign.toml", "measurements.h5"]
+    assert fmuid("check", "drive")[0] == 0
+    text = Path("drive/campaign.toml").read_text()
+    assert "# [parameters." in text
+    assert fmuid("init", "step.csv", "--fmu", oscillator, "--out", "drive")[2] == (
+        "fmuid: drive/campaign.toml: is there already; name another folder with --out\n"
+    )
