@@ -201,6 +201,21 @@ class StageSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class EffectsSpec:
+    """What a diagnosis starts from: the catalogue of effects and the nominal model.
+
+    `nominal` names the campaign parameters of the base model; they are refitted with every effect. `tie` sets
+    FMU variables (also slices such as ``lossTable[:,4:5]``) to expressions of campaign parameters.
+    `experiments` are the runs to use.
+    """
+
+    catalogue: Path
+    nominal: tuple[str, ...] = ()
+    tie: Mapping[str, str] = field(default_factory=dict)
+    experiments: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Campaign:
     """Everything of one identification question. `folder` anchors relative paths."""
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from fmuid.diagnosis.ports import Port
@@ -92,8 +93,8 @@ class _File(Table):
     format: str
     version: int
     effects: dict[str, _Effect]
-    ports: dict[str, _Port] = {}
-    models: dict[str, str] = {}
+    ports: dict[str, _Port] = msgspec.field(default_factory=dict)
+    models: dict[str, str] = msgspec.field(default_factory=dict)
 
 
 def load_catalogue(path: Path) -> Catalogue:

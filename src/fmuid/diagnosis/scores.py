@@ -56,7 +56,7 @@ def nominal_basis(base: Refit, observed: Observed) -> FloatArray:
     norms = np.linalg.norm(jacobian, axis=0)
     kept = jacobian[:, norms > 0] / norms[norms > 0]
     if kept.shape[1] == 0:
-        return kept
+        return np.asarray(kept)
     u, s, _ = np.linalg.svd(kept, full_matrices=False)
     return np.asarray(u[:, s > 1e-6 * s[0]])
 
