@@ -104,7 +104,7 @@ class _Union:
         return True
 
     def _rank(self, k: int) -> tuple[object, ...]:
-        """What decides which of two becomes the representative; of equals the first declared."""
+        """Return what decides which of two stays; of equals the first declared."""
         declared = self._candidates[k]
         return (declared.kind == "input", *preference(declared), -declared.name.count("."), self._order[k])
 
@@ -148,7 +148,7 @@ def _substitution(scope: ModelScope, candidates: dict[int, Declared], union: _Un
 def _alias(graph: Graph, residual: SX, candidates: Set[int]) -> tuple[int, int, int] | None:
     """Return (a, b, sign) if the residual says a = sign * b."""
     symbols = graph.symbols(residual)
-    if len(symbols) != 2 or not symbols <= candidates:
+    if len(symbols) != 2 or not symbols <= candidates or graph.stepped(residual):
         return None
     gradient = graph.gradient(residual)
     if len(gradient) != 2 or not all(is_number(g) for g in gradient.values()):

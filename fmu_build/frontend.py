@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import re
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from fmu_build import source_checks
 from fmu_build.sources import source_files, source_root
 from fmuid.errors import ModelicaError
 
@@ -72,6 +76,10 @@ class Flat:
         """Make the error for a construct at a span."""
         return ModelicaError(what, where=self.where(span) or self.class_name, fix=fix)
 
+    def used_files(self) -> list[Path]:
+        """Source files that something in the flat result comes from."""
+        return sorted(set(self._sources.values()))
+
     @cached_property
     def _texts(self) -> dict[Path, bytes]:
         return {path: path.read_bytes() for path in self.files}
@@ -115,8 +123,6 @@ def load(file: Path, class_name: str, roots: Sequence[Path] = ()) -> Flat:
     ModelicaError
         If a file is missing, the source is wrong, or the flat result has a part that is not translated.
     """
-    import rumoca
-
     file = Path(file)
     if file.is_dir():
         file /= "package.mo"
@@ -127,29 +133,67 @@ def load(file: Path, class_name: str, roots: Sequence[Path] = ()) -> Flat:
             raise ModelicaError("no such library directory", where=folder)
     root = source_root(file)
     search = [str(Path(r).resolve()) for r in dict.fromkeys([*([root] if root else []), *roots])]
-    try:
-        session = rumoca.Session(roots=search)
-        if root is None:  # by text: rumoca would take every .mo beside a file as source too
-            model = session.loads(file.read_text(encoding="utf-8"), model=class_name)
-        else:
-            model = session.load(str(file.resolve()), model=class_name)
-        parts: dict[str, Any] = model.to_dict("flat")
-    except rumoca.RumocaError as error:
-        raise _front_end_error(error, file) from None
-    flat = Flat(class_name, parts, source_files(file, roots))
+    request = {"file": str(file.resolve()), "class": class_name, "roots": search, "alone": root is None}
+    # In a process of its own: rumoca may panic, write to stderr, or crash on source that it does not expect.
+    run = subprocess.run(
+        [sys.executable, "-m", "fmu_build.frontend"], input=json.dumps(request), capture_output=True, text=True
+    )
+    if run.returncode != 0:
+        raise ModelicaError("the front end crashed on this class", where=f"{file.name}, {class_name}")
+    answer = json.loads(run.stdout)
+    if "panic" in answer:
+        raise _panic(answer["panic"], file if root is None else None, class_name)
+    if "error" in answer:
+        raise _front_end_error(answer["error"], answer["places"], file)
+    flat = Flat(class_name, answer["flat"], source_files(file, roots))
     _check_parts(flat)
+    source_checks.check([file, *flat.used_files()])
     return flat
 
 
-def _front_end_error(error: Exception, file: Path) -> ModelicaError:
+def _flatten(request: Mapping[str, Any]) -> dict[str, Any]:
+    """Run rumoca; what it says as plain values."""
     import rumoca
 
-    for diagnostic in rumoca.validate_source(file.read_text(encoding="utf-8")):
-        place = re.search(r"×\s*(.*?)\n.*?\[[^\]]*?:(\d+):\d+\]", diagnostic.message, re.DOTALL)
-        if diagnostic.level == "error" and place:
+    file = Path(request["file"])
+    text = file.read_text(encoding="utf-8")
+    try:
+        session = rumoca.Session(roots=request["roots"])
+        if request["alone"]:  # by text: rumoca would take every .mo beside a file as source too
+            model = session.loads(text, model=request["class"])
+        else:
+            model = session.load(str(file), model=request["class"])
+        return {"flat": model.to_dict("flat")}
+    except rumoca.RumocaError as error:
+        found = [d.message for d in rumoca.validate_source(text) if d.level == "error"]
+        return {"error": str(error), "places": found}
+    except BaseException as error:  # a panic of rumoca derives from BaseException alone
+        if type(error).__name__ != "PanicException":
+            raise
+        return {"panic": str(error)}
+
+
+def _front_end_error(error: str, places: list[str], file: Path) -> ModelicaError:
+    for message in places:
+        place = re.search(r"×\s*(.*?)\n.*?\[[^\]]*?:(\d+):\d+\]", message, re.DOTALL)
+        if place:
             return ModelicaError(place.group(1), where=f"{file.name}:{place.group(2)}")
-    message = str(error).split("\nRelated failures")[0].replace(f"{file.resolve().parent}/", "")
+    message = error.split("\nRelated failures")[0].replace(f"{file.resolve().parent}/", "")
+    message = re.sub(r"^todae failed: \S+ failed in ToDae: ", "", message)
     return ModelicaError(message, where=file.name)
+
+
+def _panic(text: str, file: Path | None, class_name: str) -> ModelicaError:
+    """Make a message of a failure inside rumoca; it names the byte where it gave up."""
+    detail = re.search(r'detail: "(.*?)"', text)
+    place = re.search(r"BytePos\((\d+)\)", text)
+    where = class_name
+    if file is not None and place is not None:
+        line = file.read_bytes()[: int(place.group(1))].count(b"\n") + 1
+        where = f"{file.name}:{line}"
+    return ModelicaError(
+        f"the front end cannot translate this: {detail.group(1) if detail else text}", where=where
+    )
 
 
 def _check_parts(flat: Flat) -> None:
@@ -161,3 +205,7 @@ def _check_parts(flat: Flat) -> None:
             raise ModelicaError(f"the front end gave '{name}', which is not translated", where=flat.class_name)
     if flat.parts.get("is_partial"):
         raise ModelicaError("the class is partial", where=flat.class_name, fix="translate a class that extends it")
+
+
+if __name__ == "__main__":
+    json.dump(_flatten(json.load(sys.stdin)), sys.stdout)

@@ -93,6 +93,7 @@ class Graph:
 
     def __init__(self) -> None:
         self._symbols: dict[int, tuple[SX, frozenset[int]]] = {}
+        self._stepped: dict[int, tuple[SX, frozenset[int]]] = {}
         self._gradients: dict[int, tuple[SX, Gradient]] = {}
         self._directions: dict[int, tuple[Mapping[int, SX], dict[int, tuple[SX, Gradient]]]] = {}
         self._structure: dict[tuple[object, ...], int] = {}
@@ -109,6 +110,21 @@ class Graph:
             return frozenset().union(*parts)
 
         return _fold(node, self._symbols, visit)
+
+    def stepped(self, node: SX) -> frozenset[int]:
+        """Keys of the symbols inside conditions and step functions, where a gradient does not show them."""
+
+        def visit(n: SX, parts: list[frozenset[int]]) -> frozenset[int]:
+            if not parts:
+                return frozenset()
+            op = int(n.op())
+            if op in _STEPS or op in _STEPS_BINARY:
+                return self.symbols(n)
+            if op == ca.OP_IF_ELSE_ZERO:
+                return self.symbols(n.dep(0)) | parts[1]
+            return frozenset().union(*parts)
+
+        return _fold(node, self._stepped, visit)
 
     def same(self, node: SX) -> int:
         """Give a number that two expressions of the same structure share."""

@@ -21,7 +21,7 @@ from fmu_build.scope import ModelScope
 from fmuid.errors import ModelicaError
 
 _UNNAMED = (2, False, False)  # preference of a derivative that the model has no name for
-_ALWAYS = 5
+_DEFAULT, _ALWAYS = 3, 5
 _MOST = 8  # differentiations of one equation; more means that the system is singular
 
 
@@ -300,6 +300,11 @@ def _check_static(
         system.equations[leaves[min(rows)]].span,
         "give stateSelect = StateSelect.always (or prefer) to the variables that can stay states",
     )
+
+
+def _wanted(system: _System, variable: int) -> bool:
+    declared = system.scope.declared(system.chains[variable][0])
+    return declared is not None and preference(declared)[0] > _DEFAULT
 
 
 def _varies(system: _System, entry: SX) -> bool:

@@ -97,7 +97,7 @@ def _pivot(graph: Graph, residuals: list[SX], left: list[SX]) -> tuple[int, SX, 
                 continue
             if gradient is None:
                 gradient = graph.gradient(residuals[row])
-            if k in gradient and is_number(gradient[k]):
+            if k in gradient and is_number(gradient[k]) and k not in graph.stepped(residuals[row]):
                 best = (cost, row, k)
     if best is None:
         return None
@@ -111,7 +111,9 @@ def _solve_rest(
     keys = [key(s) for s in left]
     zero = Substitution(dict.fromkeys(keys, SX(0.0)))
     gradients = [graph.gradient(r) for r in residuals]
-    linear = all(not graph.symbols(g[k]) & set(keys) for g in gradients for k in keys if k in g)
+    linear = not any(graph.stepped(r) & set(keys) for r in residuals) and all(
+        not graph.symbols(g[k]) & set(keys) for g in gradients for k in keys if k in g
+    )
     if not linear or len(left) > _MOST_SYMBOLIC:
         solution.iterates += left
         solution.residuals += [solution.expression(r) for r in residuals]

@@ -1,0 +1,207 @@
+"""Each construct of the language subset gives the value that Modelica defines; the rest is refused."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmu_build import compile_modelica
+from fmu_build.model import CompiledModel
+from fmuid.errors import ModelicaError
+from tests.fmu_build.simulate import Instance, find, values
+
+LANGUAGE = Path(__file__).parent / "models" / "Language.mo"
+NOTHING = np.zeros(0)
+
+
+@cache
+def compiled(name: str) -> CompiledModel:
+    return compile_modelica(LANGUAGE, f"Language.{name}")
+
+
+def test_parameters_follow_each_other():
+    instance = Instance.of(compiled("Parameters"), {"a": 4.0})
+    x = instance.start()
+
+    def get(name: str) -> float:
+        return instance.get(name, 0.0, x)
+
+    assert [get(n) for n in ("b", "copy", "later", "fixedValue", "c", "n", "unbound")] == [
+        10.5, 4.0, 31.5, 7.0, 2.5, 3.0, 4.0,
+    ]  # fmt: skip
+    assert get("vector[2]") == 4.0
+    assert get("product") == 1.0 + 16.0 + 9.0
+    assert (get("s"), get("q")) == (3.0, 17.5)
+    np.testing.assert_allclose(instance.derivative(0.0, np.array([1.0, 2.0, 3.0])), [-1.0, -5.0, -10.0])
+
+
+def test_boolean_and_enumeration_parameters_choose_at_run_time():
+    instance = Instance.of(compiled("Parameters"), {"swap": 1.0, "mode": 1.0})
+    x = instance.start()
+    assert instance.get("s", 0.0, x) == -3.0
+    assert instance.get("q", 0.0, x) == instance.get("later", 0.0, x)
+
+
+def test_parameters_as_fmi_sees_them():
+    model = compiled("Parameters")
+    a, b, n = find(model, "a"), find(model, "b"), find(model, "n")
+    assert (a.causality, a.initial, a.start, a.min, a.max) == ("parameter", "exact", 2.0, 0.0, 10.0)
+    assert (a.unit, a.description) == ("m", "A length")
+    assert (b.causality, b.initial, b.start) == ("calculatedParameter", "calculated", None)
+    assert find(model, "copy").causality == "calculatedParameter"
+    assert (n.causality, n.variability) == ("local", "constant"), "it decides array sizes"
+    assert find(model, "fixedValue").variability == "constant"
+    assert find(model, "table[2,2]").start == 3.0
+    assert find(model, "mode").enumeration == ("Stuck", "Forward", "Backward")
+    assert find(model, "swap").type == "Boolean"
+    assert any("unbound" in w for w in model.warnings)
+
+
+@pytest.mark.parametrize(("u", "y", "z"), [(-1.0, 1.0, 1.0), (0.5, 2.0, 1.0), (1.25, 3.25, 3.0), (9.0, 4.0, 4.0)])
+def test_functions(u, y, z):
+    instance = Instance.of(compiled("Functions"))
+    assert instance.get("y", 0.0, NOTHING, [u]) == pytest.approx(y)
+    assert instance.get("z", 0.0, NOTHING, [u]) == z
+    assert instance.get("total", 0.0, NOTHING, [u]) == pytest.approx(6 * u**2)
+    assert instance.get("largest", 0.0, NOTHING, [u]) == max(u, 2 * u, -u)
+
+
+@pytest.mark.parametrize("u", [-7.3, -2.0, -1.5, -0.4, 0.0, 0.3, 1.0, 1.7, 4.0, 6.5])
+def test_arithmetic(u):
+    instance = Instance.of(compiled("Arithmetic"))
+    expected = [
+        math.sqrt(max(u, 0.0)),
+        u,
+        max(u, 2) + min(u, -1),
+        math.atan2(u, 2) + math.sinh(u / 10) + math.log10(abs(u) + 1),
+        u - math.floor(u / 3) * 3,
+        math.fmod(u, 3) + math.trunc(u / 2),
+        math.floor(u) + math.ceil(u),
+        abs(u) * u,
+        math.exp(-u * u) + math.tanh(u) + math.cos(u) ** 3,
+        u + 5 + 2 * u + 3 * u,
+        u + 2,
+        3 * u + 4,
+        u + 16,
+        6 * u + max(u, 4),
+        1.0 if u > 1 or -2 <= u < -1 else 2.0,
+        math.log(u) if u > 0 else math.log(-u) if u < -1 else 0.0,
+    ]
+    got = [instance.get(f"y[{i + 1}]", 0.0, NOTHING, [u]) for i in range(16)]
+    np.testing.assert_allclose(got, expected, rtol=1e-14, atol=1e-14)
+
+
+@pytest.mark.parametrize("u", [-7.3, -0.4, 0.0, 0.3, 6.5])
+def test_derivatives_never_come_from_the_branch_not_taken(u):
+    instance = Instance.of(compiled("Arithmetic"))
+    _, dv = instance.model.functions["partials"](*instance.env(0.0, NOTHING, [u]), [], [1.0], [], [])
+    assert np.all(np.isfinite(values(dv)))
+    where = find(instance.model, "y[1]").location
+    assert values(dv)[where.index] == pytest.approx(0.5 / math.sqrt(u) if u > 0 else 0.0)
+
+
+def test_linear_loop_is_solved_symbolically():
+    instance = Instance.of(compiled("LinearLoop"))
+    assert instance.model.n_y == 0
+    solution = np.linalg.solve([[2, 3, 1], [3, -2, 1], [1, 1, -2]], [5.0, 1.0, 0.25])
+    got = [instance.get(n, 0.25, NOTHING, [5.0]) for n in "xyz"]
+    np.testing.assert_allclose(got, solution, rtol=1e-12)
+
+
+def test_nonlinear_loop_is_left_to_newton_with_its_jacobian():
+    instance = Instance.of(compiled("NonlinearLoop"))
+    assert instance.model.n_y == 1
+    x = instance.simulate([0.0, 1.0])
+    m, angle = x[-1, 0], instance.get("angle", 1.0, x[-1])
+    assert angle - 0.6 * math.sin(angle) == pytest.approx(m, abs=1e-12)
+    assert instance.get("x", 1.0, x[-1]) == pytest.approx(math.cos(angle) - 0.6)
+    # the whole derivative of the output along x, loop included
+    f, env = instance.model.functions, instance.env(1.0, x[-1])
+    _, slope, by_x, _ = f["loop"](*env)
+    (along,) = values(f["loop_partials"](*env, [1.0], [], np.zeros(1)))
+    assert along == float(by_x)
+    sy = -along / float(slope)
+    _, dv = f["partials"](*env, [1.0], [], np.zeros(1), [sy])
+    assert values(dv)[find(instance.model, "x").location.index] == pytest.approx(
+        -math.sin(angle) / (1 - 0.6 * math.cos(angle))
+    )
+
+
+def test_initial_equations():
+    model = compiled("SteadyStart")
+    assert model.has_initial
+    x = Instance.of(model, {"u": 7.5}).start()
+    np.testing.assert_allclose(x, [2.0, 0.5], rtol=1e-12)
+    assert find(model, "x").initial == "approx"
+    assert find(model, "w").initial == "exact"
+
+
+def test_redeclared_component_and_conditional_variable():
+    instance = Instance.of(compiled("Redeclared"))
+    assert instance.get("y", 0.0, NOTHING, [2.0]) == 36.0
+    assert instance.get("loss", 0.0, NOTHING, [2.0]) == 12.0
+
+
+def test_assertions():
+    instance = Instance.of(compiled("Checked"))
+    model = instance.model
+    assert model.n_assert == 2
+
+    def hold(u: float) -> list[bool]:
+        return [bool(a) for a in values(model.functions["asserts"](*instance.env(0.0, NOTHING, [u])))]
+
+    assert hold(6.0) == [False, True]
+    assert hold(-6.0) == [True, False]
+    assert "Language.mo:" in model.c_header
+    assert "u is u, too much" in model.c_header
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("WhileLoop", "Language.mo.*endless"),
+        ("InputDerivative", r"Language\.mo:\d+: .*der"),
+        ("Singular", r"Language\.mo:\d+: singular"),
+        ("Contradiction", r"Language\.mo:\d+: .*contradict"),
+        ("Circle", "cyclic"),
+        ("WithAlgorithm", r"Language\.mo:\d+: algorithm section of a model is not supported"),
+    ],
+)
+def test_refused_in_one_line(name, message):
+    with pytest.raises(ModelicaError, match=message) as caught:
+        compile_modelica(LANGUAGE, f"Language.{name}")
+    assert "\n" not in str(caught.value)
+
+
+def test_errors_of_the_source_have_their_line(tmp_path):
+    file = tmp_path / "M.mo"
+    file.write_text("model M\n  Real x;\nequation\n  x = ;\nend M;\n")
+    with pytest.raises(ModelicaError, match=r"M\.mo:4: unexpected"):
+        compile_modelica(file, "M")
+    with pytest.raises(ModelicaError, match="no such Modelica file"):
+        compile_modelica(tmp_path / "N.mo", "N")
+    file.write_text("model M\n  Real x = y;\nend M;\n")
+    with pytest.raises(ModelicaError, match="unresolved component reference: 'y'"):
+        compile_modelica(file, "M")
+
+
+@pytest.mark.parametrize(
+    ("use", "line"),
+    [
+        ("extends Base(redeclare model Law = Other(k = 3));", 4),
+        ("Base b(law.k = 3);", 4),
+    ],
+)
+def test_what_the_front_end_would_drop_is_refused(tmp_path, use, line):
+    file = tmp_path / "P.mo"
+    file.write_text(
+        "package P\n  model Law Real y = k; parameter Real k = 1; end Law; model Other = Law;\n"
+        "  model Base replaceable model Law = P.Law; Law law; end Base;\n"
+        f"  model M {use} end M;\nend P;\n"
+    )
+    with pytest.raises(ModelicaError, match=rf"P\.mo:{line}: .*not supported"):
+        compile_modelica(file, "P.M")
