@@ -208,3 +208,18 @@ def test_load_port_pushes_the_shaft(effect_fmus):
     (torque,) = simulate_fmu(effect_fmus["FreeShaftWithEffects"], task, {})
 
     assert torque[-1] == pytest.approx(-3.0, abs=0.05)
+
+
+def test_transmission_error_shakes_the_load_without_losing_energy(effect_fmus):
+    time = np.linspace(0, 3, 3001)
+    names = ("load.phi", "rotor.phi", "i_motor", "tau_sensor")
+    task = Task(time, {"w_ref": np.full(3001, 30.0)}, names)
+    error = {"gear.error_sin": 1e-4, "gear.error_cos": 5e-5}
+    phi, rotor, current, torque = simulate_fmu(effect_fmus["FreeShaftWithEffects"], task, error)
+
+    late = time > 1
+    expected = 1e-4 * np.sin(2 * rotor[late]) + 5e-5 * (np.cos(2 * rotor[late]) - 1)
+    wind = (rotor / 50 - phi)[late] + expected
+    assert wind == pytest.approx(torque[late] / 25500, abs=2e-6)
+    assert torque[late].std() > 0.01
+    assert 0.7 * current[late].mean() == pytest.approx(0.09, rel=0.02)

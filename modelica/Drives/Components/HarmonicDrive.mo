@@ -4,5 +4,6 @@ model HarmonicDrive "Harmonic Drive gear with a loss table for mesh and bearing 
 equation
   losses_forward = losses;
   losses_backward = losses;
+  phi_error = 0;
   dtau = friction;
 end HarmonicDrive;

@@ -15,6 +15,7 @@ partial model PartialHarmonicDrive "Harmonic Drive gear; what is lost at a speed
   Types.Power lossPower "Power turned into heat";
   Signals.Bristle bristle "Share of the sliding torque that acts";
 protected
+  Types.Angle phi_error "Transmission error: the Flexspline is ahead of the ideal gear by this";
   Real losses[4] "Interpolated loss table: eta1, eta2, tau_bf1, tau_bf2";
   Real losses_forward[4] "eta1, eta2, tau_bf1, tau_bf2 for sliding forward";
   Real losses_backward[4] "eta1, eta2, tau_bf1, tau_bf2 for sliding backward";
@@ -23,7 +24,7 @@ protected
 equation
   phi_rel = W.phi - C.phi;
   w = der(phi_rel);
-  W.phi = (1 - n)*C.phi + n*F.phi;
+  W.phi = (1 - n)*C.phi + n*(F.phi - phi_error);
   F.tau = -n*(W.tau - dtau);
   C.tau = (n - 1)*W.tau - n*dtau;
   tau_load = -F.tau/n;

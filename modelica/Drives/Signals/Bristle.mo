@@ -17,7 +17,8 @@ share = z + t_s der(z), limited to +-1. It follows that</p>
 <li>a constant load below break-away deflects the bristle and holds: der(z) vanishes only with v, and below z_e
 nothing slides even under vibration;</li>
 <li>share - z has the sign of v: what is not stored in the bristle is lost, never gained;</li>
-<li>within v = +-1/t_s the law is a viscous damper, so a mass on the bristle does not ring.</li>
+<li>within v = +-1/t_s the law is a viscous damper, so a body on the bristle does not ring: with
+inertia J, friction tau_c and presliding deflection phi_s it is critically damped at t_s = 2 sqrt(J phi_s/tau_c).</li>
 </ul>
 </html>"));
 end Bristle;
