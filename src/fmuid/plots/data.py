@@ -19,9 +19,7 @@ import numpy as np
 
 from fmuid.campaign import FloatArray, read_only
 
-Role = Literal[
-    "measurement", "start", "iterate", "final", "reference", "before", "after", "floor", "alternative"
-]
+Role = Literal["measurement", "start", "iterate", "final", "reference", "before", "after", "floor", "alternative"]
 """What a line, point or bar stands for; its look follows from it (`fmuid.plots.style`)."""
 
 Cell = float | str | None
@@ -221,6 +219,9 @@ class Table:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.header)
+        if self.rows and all(isinstance(cell, float) for row in self.rows for cell in row):
+            line = ",".join(["%.9g"] * len(self.header)) + "\n"  # recordings are long: one format a row
+            return text.getvalue() + "".join([line % row for row in self.rows]).replace("nan", "")
         writer.writerows([_written(cell) for cell in row] for row in self.rows)
         return text.getvalue()
 
@@ -230,9 +231,7 @@ def tables(figure: Figure) -> Iterator[tuple[str, Table]]:
     match figure:
         case LineFigure():
             for k, panel in enumerate(figure.panels, start=1):
-                stem = (
-                    figure.name if len(figure.panels) == 1 else f"{figure.name}-{k:02d}-{slug(panel.title)}"
-                )
+                stem = figure.name if len(figure.panels) == 1 else f"{figure.name}-{k:02d}-{slug(panel.title)}"
                 yield stem, _panel_table(panel)
         case MapFigure():
             header = ("row", *figure.columns)

@@ -228,7 +228,8 @@ def _fit_items(
     items: list[Figure | Table] = []
     for (setup, signal), some in drawn.items():
         stem, title = f"{role}-{slug(setup)}-{slug(signal)}", f"{signal}, {setup}"
-        items.append(figures.overlay_figure(stem, f"{title}: measurement and simulation", some))
+        if role == "validation":  # the stages show the other runs with their history
+            items.append(figures.overlay_figure(stem, f"{title}: measurement and simulation", some))
         caption = "Simulation minus measurement (mean of the repeats)."
         items.append(figures.residual_figure(f"{stem}-residual", f"{title}: residual", some, caption))
     if any(s.failure is None for s in judged):

@@ -36,7 +36,11 @@ _FONT = {"family": "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif", "size": 1
 
 
 def specification(figure: Figure) -> Spec:
-    """Return `figure` as plotly's ``{"data": [...], "layout": {...}}``."""
+    """Return `figure` as plotly's ``{"data": [...], "layout": {...}}``.
+
+    Lines often share their abscissa: it is kept once, in ``"shared"``, and a trace has the number of it for
+    its ``x``; the page puts it back before it draws.
+    """
     match figure:
         case LineFigure():
             data, layout = _lines(figure)
@@ -54,7 +58,17 @@ def specification(figure: Figure) -> Spec:
         "legend": {"orientation": "h", "x": 0, "y": 1.0, "yref": "container", "yanchor": "top"},
         "hoverlabel": {"font": {"size": 11}},
     }
-    return {"data": data, "layout": common | layout}
+    shared: dict[str, int] = {}
+    arrays: list[Spec] = []
+    for trace in data:
+        x = trace.get("x")
+        if isinstance(x, dict):
+            key = x["dtype"] + x["bdata"]
+            if key not in shared:
+                shared[key] = len(arrays)
+                arrays.append(x)
+            trace["x"] = shared[key]
+    return {"data": data, "layout": common | layout, "shared": arrays}
 
 
 def _lines(figure: LineFigure) -> tuple[list[Spec], Spec]:

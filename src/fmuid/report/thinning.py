@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fmuid.campaign import FloatArray
 
-MAX_SAMPLES = 4000
+MAX_SAMPLES = 2000
 
 
 def kept_samples(rows: Sequence[FloatArray], most: int = MAX_SAMPLES) -> NDArray[np.intp]:
