@@ -1,15 +1,22 @@
 # Every target works from a fresh clone: it sets up what it needs first.
 PYTHON ?= python3
 VENV ?= .venv
-BIN := $(VENV)/bin
-FMUID := $(BIN)/fmuid --
-READY := $(VENV)/.ready
 EMPS ?= ../shared/data/emps
-CAMPAIGN := campaigns/force_feedback
-FMUS := build/fmus
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
 
-.PHONY: all setup fmus measurements test test-all lint identify identify-linear identify-friction identify-emps \
-        diagnose bench clean
+ACTUATOR := FixedShaft FreeShaft EccentricLoad
+SETUPS := $(ACTUATOR) $(addsuffix WithEffects,$(ACTUATOR)) LinearAxisOpenLoop LinearAxisClosedLoop
+FMUS := $(SETUPS:%=build/fmus/%.fmu)
+MODELICA := $(shell find modelica -name '*.mo')
+EXPORT := $(shell find fmu_build -name '*.py' -o -name '*.[ch]')
+RIG := $(shell find src/fmuid/virtual_rig -type f -name '*.[pc]*')
+
+FORCE_FEEDBACK := campaigns/force_feedback
+LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
+FRICTION := --stage bearing $(foreach row,10 15 20 30,--stage row_$(row)_equal --stage row_$(row)) --stage standstill
+
+.PHONY: all setup fmus test test-all lint identify identify-linear identify-friction identify-emps diagnose bench clean
 all: identify
 
 setup: $(READY)
@@ -17,6 +24,46 @@ $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
 	touch $@
+
+fmus: $(FMUS)
+build/fmus/%.fmu: $(MODELICA) $(EXPORT) | $(READY)
+	$(BIN)/fmuid build modelica/Drives/Setups/$*.mo Drives.Setups.$* --out $(@D)
+	@touch $@
+
+$(FORCE_FEEDBACK)/measurements.h5: $(FORCE_FEEDBACK)/rig.toml $(RIG) | $(READY)
+	$(BIN)/python -m fmuid.virtual_rig $(FORCE_FEEDBACK)
+
+campaigns/emps/measurements.h5: | $(READY)
+	FMUID_EMPS=$(EMPS) $(BIN)/python -m fmuid.emps campaigns/emps
+
+identify: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
+	$(BIN)/fmuid identify $(FORCE_FEEDBACK) --out runs/force_feedback
+
+identify-linear: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
+	$(BIN)/fmuid identify $(FORCE_FEEDBACK) $(LINEAR) --out runs/linear
+
+identify-friction: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
+	$(BIN)/fmuid identify $(FORCE_FEEDBACK) $(FRICTION) --out runs/friction
+
+identify-emps: $(FMUS) campaigns/emps/measurements.h5
+	$(BIN)/fmuid identify campaigns/emps --out runs/emps
+
+diagnose: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
+	$(BIN)/fmuid diagnose $(FORCE_FEEDBACK) --out runs/diagnosis
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+test: lint
+	$(BIN)/pytest -m "not slow"
+
+test-all: lint
+	$(BIN)/pytest
+
+bench: $(READY) $(FMUS)
+	for script in benchmarks/*.py; do $(BIN)/python $$script || exit 1; done
 
 clean:
 	rm -rf build runs $(VENV)
