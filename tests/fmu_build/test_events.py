@@ -1,0 +1,157 @@
+"""Events: models with state, time and sample events, simulated as FMUs, against exact or event-driven solutions."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+
+from fmu_build import build, compile_modelica
+from tests.fmu_build.simulate import Instance, values
+
+HYBRID = Path(__file__).parent / "models" / "Hybrid.mo"
+
+
+@pytest.fixture(scope="module")
+def simulate(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("hybrid")
+
+    def run(name: str, outputs: list[str], stop: float, step: float, inputs=None, kind="CoSimulation"):
+        return fmpy.simulate_fmu(
+            str(build(HYBRID, f"Hybrid.{name}", folder)),
+            stop_time=stop,
+            output_interval=step,
+            fmi_type=kind,
+            relative_tolerance=1e-8,
+            output=outputs,
+            input=inputs,
+        )
+
+    return run
+
+
+def test_bouncing_ball(simulate):
+    result = simulate("BouncingBall", ["h", "v", "bounces", "flying"], 1.4, 0.1)
+    first = math.sqrt(2 / 9.81)
+    second = first + 2 * 0.8 * first
+    speed = 9.81 * first
+    exact = []
+    for t in result["time"]:
+        if t < first:
+            exact.append((1 - 9.81 * t**2 / 2, 0))
+        elif t < second:
+            exact.append((0.8 * speed * (t - first) - 9.81 * (t - first) ** 2 / 2, 1))
+        else:
+            exact.append((0.64 * speed * (t - second) - 9.81 * (t - second) ** 2 / 2, 2))
+    np.testing.assert_allclose(result["h"], [h for h, _ in exact], atol=1e-6)
+    np.testing.assert_array_equal(result["bounces"], [n for _, n in exact])
+    assert all(result["flying"])
+
+
+def test_sampled_controller(simulate):
+    result = simulate("Sampled", ["x", "u", "xs", "k", "late"], 1.0, 0.1)
+    x, u, xs = 0.0, 0.0, 0.0
+    x_at = {0.0: x}
+    for k in range(10):
+        x = u + (x - u) * math.exp(-0.05)
+        xs, u = x, u + 0.5 * (1 - x)
+        x = u + (x - u) * math.exp(-0.05)
+        x_at[round(0.1 * (k + 1), 1)] = x
+    np.testing.assert_allclose(result["x"], list(x_at.values()), atol=1e-7)
+    assert result["xs"][-1] == pytest.approx(xs, abs=1e-7)
+    assert result["u"][-1] == pytest.approx(u, abs=1e-7)
+    assert list(result["k"]) == list(range(11))
+    assert list(result["late"]) == [t > 0.72 for t in result["time"]]
+
+
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+def test_relay_with_hysteresis(simulate, kind):
+    result = simulate("Relay", ["x", "on", "switches", "edges"], 5.0, 0.5, kind=kind)
+    up = -math.log(0.2)
+    period = 2 * math.log(4.0)
+    at = result["time"] == 4.0
+    assert result["switches"][at][-1] == 2
+    assert result["edges"][at][-1] == 1
+    assert result["x"][at][-1] == pytest.approx(1 - 0.8 * math.exp(-(4.0 - up - math.log(4.0))), abs=1e-6)
+    assert up + period < 5.0
+    assert (result["switches"][-1], result["on"][-1]) == (3, False)
+
+
+def test_floor_mod_and_if_make_events(simulate):
+    result = simulate("Steps", ["y", "saw", "s", "x"], 0.95, 0.05)
+    t = result["time"][1:]
+    off = t - 1e-9  # at the event itself the left or the right value may be recorded
+    np.testing.assert_allclose(result["x"][1:], np.maximum(0, t - 1 / 3) + np.maximum(0, t - 2 / 3), atol=1e-7)
+    inside = np.min(np.abs(t[:, None] - [1 / 3, 2 / 3, 0.5, 0.25]), axis=1) > 1e-6
+    np.testing.assert_array_equal(result["y"][1:][inside], np.floor(3 * off)[inside])
+    np.testing.assert_allclose(result["saw"][1:][inside], np.mod(off, 0.5)[inside], atol=1e-7)
+    np.testing.assert_array_equal(result["s"][1:][inside], (off > 0.25)[inside])
+
+
+def test_stick_slip_against_set_valued_coulomb_friction(simulate):
+    """The mode logic of BearingFriction against a time stepping with the set-valued law."""
+    time = np.arange(3001) * 1e-3
+    inputs = np.zeros(time.size, dtype=[("time", float), ("F", float)])
+    inputs["time"], inputs["F"] = time, 2 * np.sin(2 * np.pi * time)
+    result = simulate("Coulomb", ["v", "f", "sa", "mode", "lossEnergy", "a"], 3.0, 1e-3, inputs)
+
+    h, v, reference = 1e-5, 0.0, [0.0]
+    for force in inputs["F"][:-1]:
+        for _ in range(100):
+            if v == 0.0:
+                friction = force if abs(force) <= 1.5 else math.copysign(1.0, force)
+            else:
+                friction = math.copysign(1.0, v)
+            new = v + h * (force - friction)
+            v = 0.0 if new * v < 0.0 else new
+        reference.append(v)
+    np.testing.assert_allclose(result["v"], reference, atol=1e-9)
+    assert set(result["mode"]) == {-1, 0, 1}
+    assert np.all(np.diff(result["lossEnergy"]) >= -1e-12)
+    stuck = (result["mode"] == 0) & (result["a"] == 0.0)
+    assert np.max(np.abs(result["sa"][stuck])) <= 1.5 + 0.02
+
+
+def test_terminate(simulate):
+    result = simulate("Ends", ["x"], 1.0, 0.05)
+    assert result["time"][-1] == pytest.approx(0.5, abs=1e-6)
+
+
+def test_boolean_input(simulate):
+    samples = [(0, 0), (0.2, 0), (0.2, 1), (0.5, 1), (0.5, 0), (0.7, 0), (0.7, 1), (1, 1)]
+    inputs = np.array(samples, dtype=[("time", float), ("b", bool)])
+    result = simulate("BooleanInput", ["n", "x"], 1.0, 0.1, inputs)
+    assert result["n"][-1] == 2
+    assert result["x"][-1] == pytest.approx(0.6)
+
+
+def test_relations_inside_no_event_make_no_indicators():
+    model = compile_modelica(HYBRID, "Hybrid.Quiet")
+    assert (model.n_m, model.n_z, model.has_events) == (0, 0, False)
+    assert Instance.of(model).get("y", 2.0, np.zeros(0)) == 1.0
+
+
+def test_update_is_settled_after_an_event():
+    """Calling update again with pz = z must change nothing, or the event iteration would not end."""
+    model = compile_modelica(HYBRID, "Hybrid.BouncingBall")
+    instance = Instance.of(model)
+    env = instance.env(0.3, np.array([-1e-9, -4.0]))
+    z = env[5]
+    for _ in range(5):
+        for _ in range(5):
+            m = values(model.functions["indicators"](*env)) > 0
+            env[7] = m.astype(float)
+            z, x, _, _, reinit = map(values, model.functions["update"](*env, 0.0))
+            env[5] = z
+        again = np.any(z != env[6]) or reinit[0]
+        env[6] = z
+        if reinit[0]:
+            env[1] = x
+        if not again:
+            break
+    else:
+        pytest.fail("the event iteration did not end")
+    assert env[1][1] == pytest.approx(3.2)
