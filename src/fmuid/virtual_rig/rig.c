@@ -12,6 +12,7 @@
  * Losses are Table 1 of Peer, Bajcinca, Schweiger (2003), solved for the load torque T on the motor side.
  */
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 /* name, neutral value, unit, what it is. Neutral: the effect is absent. */
@@ -54,7 +55,8 @@
   X(imbalance_phase, 0.0, "rad", "its angle")                                                             \
   X(thermal_friction, 0.0, "1/W", "relative fall of the friction a watt of lasting friction power")       \
   X(thermal_time, 10.0, "s", "time constant of warming up")                                               \
-  X(delay, 0.0, "s", "dead time of the input")                                                            \
+  X(delay, 0.0, "s", "dead time between current command and current")                                     \
+  X(input_delay, 0.0, "s", "dead time between recorded input and what acts")                              \
   X(windage, 0.0, "N.m.s2/rad2", "drag of the rotor with the square of its speed")                        \
   X(friction_patch, 0.0, "1", "relative rise of the bearing friction in a patch of the output's turn")    \
   X(friction_patch_angle, 0.0, "rad", "middle of the patch; it is about 0.5 rad wide")                    \
@@ -413,8 +415,10 @@ long rig_run(const double *p, const double *table, int rows, int setup, long sam
   r.rows = rows;
   r.dim = setup == FIXED_SHAFT ? 2 : 3;
   const double h = interval / (double)substeps;
-  const long late = lround(p[P_delay] / h);
-  double command = 0;
+  const long late = lround(p[P_input_delay] / h), waits = lround(p[P_delay] / h);
+  double *queue = waits > 0 ? calloc((size_t)waits, sizeof *queue) : 0; /* commands on their way */
+  if (waits > 0 && !queue) return 0;
+  long failed = -1;
   for (long k = 0; k < samples; ++k) {
     const long last = k > 0 ? (k * substeps - 1 - late) : -late; /* step whose input is still in force */
     const double held = last >= 0 ? u[last / substeps] : 0;
@@ -429,16 +433,25 @@ long rig_run(const double *p, const double *table, int rows, int setup, long sam
     y[LOAD_TORQUE] = r.T;
     y[FRICTION] = r.D;
     y[W_LOAD] = r.v[LOAD];
-    if (!isfinite(y[TAU_SENSOR]) || !isfinite(y[THETA])) return k;
+    if (!isfinite(y[TAU_SENSOR]) || !isfinite(y[THETA])) {
+      failed = k;
+      break;
+    }
     if (k == samples - 1) break;
     for (long s = k * substeps; s < (k + 1) * substeps; ++s) {
       const double input = s >= late ? u[(s - late) / substeps] : 0;
-      command = setup == FIXED_SHAFT ? input : controller(&r, input, h);
+      double command = setup == FIXED_SHAFT ? input : controller(&r, input, h);
+      if (waits > 0) {
+        const double arrives = queue[s % waits];
+        queue[s % waits] = command;
+        command = arrives;
+      }
       step(&r, command, h, works);
       if (p[P_sensor_lag] > 0) two_poles(r.s_lag, spring_torque(&r), p[P_sensor_lag], h);
       if (p[P_sensor_creep] != 0)
         r.creep += -expm1(-h / p[P_sensor_creep_time]) * (spring_torque(&r) - r.creep);
     }
   }
-  return -1;
+  free(queue);
+  return failed;
 }
