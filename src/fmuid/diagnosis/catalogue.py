@@ -34,7 +34,9 @@ class Effect:
     unknowns
         Its parameters, sizes and shapes alike: all are free in a refit.
     neutral
-        Values at which the effect is off.
+        Values at which the effect is off; for a shape, which matters only while it is on, where to start.
+    shapes
+        Which of the parameters are shapes.
     trials
         Plausible values to score it by: two or three magnitudes, shapes where they matter.
     two_sided
@@ -52,6 +54,16 @@ class Effect:
     source: str = ""
     two_sided: bool = False
     units: Mapping[str, str] = field(default_factory=dict)
+    shapes: frozenset[str] = frozenset()
+
+    def scaled(self, trial: Mapping[str, float], factor: float) -> dict[str, float]:
+        """Return the values of a trial whose sizes are scaled from neutral by `factor`, within bounds."""
+        values = {**self.neutral, **trial}
+        for u in self.unknowns:
+            if u.name in trial and u.name not in self.shapes:
+                neutral = self.neutral[u.name]
+                values[u.name] = float(np.clip(neutral + factor * (trial[u.name] - neutral), u.lower, u.upper))
+        return values
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,4 +161,5 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
         source=raw.source,
         two_sided=raw.two_sided,
         units={key: p.unit for key, p in raw.parameters.items()},
+        shapes=frozenset(key for key, p in raw.parameters.items() if p.neutral is None),
     )

@@ -1,0 +1,97 @@
+"""Refitting effects: each with all nominal parameters free, from the trial that scored best, then in company."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.campaign import FloatArray
+from fmuid.diagnosis.catalogue import Effect
+from fmuid.diagnosis.held_out import HeldOut, leave_each_out
+from fmuid.diagnosis.observed import gap
+from fmuid.diagnosis.refit import Refit, refit
+from fmuid.diagnosis.result import Estimate
+from fmuid.diagnosis.scores import Score, score_effects, stack
+from fmuid.diagnosis.setting_up import Subject
+from fmuid.errors import SimulationError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """A model with the effects of some names added, refitted; none for the nominal model."""
+
+    names: tuple[str, ...]
+    fit: Refit
+    held_out: HeldOut
+    gap: float
+
+    @property
+    def id(self) -> str:
+        """Names joined, ``none`` for the nominal model."""
+        return "+".join(self.names) or "none"
+
+
+def fit_effects(
+    subject: Subject, effects: Sequence[Effect], start: Mapping[str, float], *, iterations: int = 12
+) -> Fitted | None:
+    """Refit the nominal parameters and those of `effects` together; None if the start cannot be simulated."""
+    unknowns = subject.nominal + tuple(u for e in effects for u in e.unknowns)
+    neutral = {name: value for e in effects for name, value in e.neutral.items()}
+    try:
+        fit = refit(
+            subject.model.predict,
+            subject.observed,
+            unknowns,
+            start={**neutral, **start},
+            max_iterations=iterations,
+        )
+    except SimulationError:
+        return None
+    return Fitted(
+        tuple(e.id for e in effects),
+        fit,
+        leave_each_out(fit, subject.observed),
+        gap(fit.residuals, subject.observed),
+    )
+
+
+def score_further(subject: Subject, fitted: Fitted, exclude: Sequence[str] = ()) -> tuple[Score, ...]:
+    """Score the effects that `fitted` does not have yet, at its estimate."""
+    others = [e for e in subject.effects if e.id not in fitted.names and e.id not in exclude]
+    return score_effects(subject.model.predict, subject.observed, fitted.fit, others)
+
+
+def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
+    """Refit `fitted` with the scored effect added."""
+    by_id = {e.id: e for e in subject.effects}
+    effect = by_id[score.effect]
+    # The signature says how large the effect should be, as far as it is linear in its size.
+    factor = float(np.clip(score.scale, -3.0 if effect.two_sided else 0.03, 3.0))
+    start = {**fitted.fit.values, **effect.scaled(score.trial, factor)}
+    return fit_effects(subject, [by_id[name] for name in fitted.names] + [effect], start)
+
+
+def estimates(fitted: Fitted, subject: Subject) -> dict[str, Estimate]:
+    """Return every parameter with its standard error, widened by what the model leaves unexplained.
+
+    The covariance is (J'J)^-1 in units of the noise of a single run's floor, times the mean square of the
+    remaining residual where that is above 1. A direction that the data do not determine has no standard error.
+    """
+    steps = np.array([u.step for u in fitted.fit.unknowns])
+    jacobian = stack(fitted.fit.jacobian, subject.observed) * steps
+    residual = stack(fitted.fit.residuals, subject.observed)
+    scale = max(1.0, float(np.mean(residual**2)))
+    errors: FloatArray = np.full(len(steps), np.nan)
+    norms = np.linalg.norm(jacobian, axis=0)
+    seen = norms > 0.0
+    if seen.any():
+        _, s, vt = np.linalg.svd(jacobian[:, seen] / norms[seen], full_matrices=False)
+        if s[-1] > 1e-6 * s[0]:
+            variance = np.sum((vt.T / s) ** 2, axis=1) / norms[seen] ** 2
+            errors[seen] = np.sqrt(scale * variance) * steps[seen]
+    return {
+        u.name: Estimate(fitted.fit.values[u.name], None if np.isnan(e) else float(e))
+        for u, e in zip(fitted.fit.unknowns, errors, strict=True)
+    }

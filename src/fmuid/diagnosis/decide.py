@@ -1,0 +1,115 @@
+"""From refitted candidates to a verdict: what is supported, what cannot be told apart, what none explains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from fmuid.diagnosis.candidates import Fitted
+from fmuid.diagnosis.held_out import advantage, closure
+from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.ports import Decoy
+from fmuid.diagnosis.scores import stack
+
+# Calibrated on the virtual rig (`make blind`), never on data whose answer is to be found.
+GAP_THAT_MATTERS = 0.25  # floors: smaller gaps are within what sampling and discretisation of a rig leave
+SIGNIFICANCE = 0.01
+CLOSURE_THAT_NAMES = 0.5  # a named effect must close at least half of the gap on experiments left out
+GAIN_OF_A_SECOND = 0.25  # a further effect must close at least a quarter of what is left
+DECOY_MARGIN = 0.5  # a decoy must leave less than half the gap of the best named effect
+CLOSURE_BEYOND_DECOYS = 0.85  # an effect that closes this much is not unknown: its law has another shape
+SAME = 4.0  # models whose predictions differ by fewer standard deviations cannot be told apart
+_BLOCK = 20.0  # samples of model error that carry as much as one of noise
+
+
+def separation(a: Fitted, b: Fitted, observed: Observed) -> float:
+    """Return by how many standard deviations the data prefer `a` to `b` (negative: `b` to `a`).
+
+    The predictions of the two models differ by D sigma; if one of them is true the difference of their costs is
+    D^2 with a standard deviation of 2 D. What even the better of the two leaves unexplained counts as noise as
+    well, and is far from white: `_BLOCK` of its samples count as one.
+    """
+    ra, rb = stack(a.fit.residuals, observed), stack(b.fit.residuals, observed)
+    difference = float(np.linalg.norm(ra - rb))
+    if difference == 0.0:
+        return 0.0
+    left = float(np.mean(observed.repeats)) * min(a.gap, b.gap) ** 2
+    return (b.fit.cost - a.fit.cost) / (2.0 * difference * float(np.sqrt(1.0 + _BLOCK * left)))
+
+
+def best_of(candidates: Sequence[Fitted]) -> Fitted:
+    """Return the candidate with the least loss on experiments left out, among those that fit about as well."""
+    least = min(c.fit.cost for c in candidates)
+    close = [c for c in candidates if c.fit.cost <= 1.05 * least + 20.0]
+    return min(close, key=lambda c: float(np.average(c.held_out.loss, weights=c.held_out.size)))
+
+
+def indistinguishable(best: Fitted, candidates: Sequence[Fitted], observed: Observed) -> tuple[Fitted, ...]:
+    """Return the candidates of the same number of effects that the data do not prefer `best` to, itself first."""
+    others = [
+        c
+        for c in candidates
+        if c is not best and len(c.names) == len(best.names) and separation(best, c, observed) < SAME
+    ]
+    return (best, *sorted(others, key=lambda c: c.fit.cost))
+
+
+def worth_adding(before: Fitted, after: Fitted) -> bool:
+    """Return whether a further effect closes enough of what was left, on held-out experiments too."""
+    gained, error = advantage(after.held_out, before.held_out)
+    left = 1.0 - after.gap / before.gap if before.gap > 0 else 0.0
+    return gained > error and left >= GAIN_OF_A_SECOND and closure(before.held_out, after.held_out) > 0.0
+
+
+def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy]) -> Decoy | None:
+    """Return the decoy that shows the gap to be none of the named effects, if one does.
+
+    That is: it leaves much less of the gap on experiments left out than the best named effect does, and that
+    effect does not close nearly all of it.
+    """
+    if not decoys or closure(nominal.held_out, best.held_out) >= CLOSURE_BEYOND_DECOYS:
+        return None
+    decoy = min(decoys, key=lambda d: float(np.average(d.held_out.loss, weights=d.held_out.size)))
+    gained, error = advantage(decoy.held_out, best.held_out)
+    if gained > error and decoy.held_out.gap < DECOY_MARGIN * best.held_out.gap:
+        return decoy
+    return None
+
+
+def probabilities(
+    nominal: Fitted,
+    candidates: Sequence[Fitted],
+    best: Fitted | None,
+    observed: Observed,
+    *,
+    present: bool,
+    unknown: bool,
+    effect_ids: Sequence[str],
+) -> Mapping[str, float]:
+    """Return the probability of every effect, of ``none`` and of ``unknown``; they sum to 1.
+
+    Weights fall with the square of the separation from the best candidate; ``unknown`` weighs as much as its
+    closure leaves open.
+    """
+    weight = dict.fromkeys((*effect_ids, "none", "unknown"), 1e-3)
+    if not present:
+        weight["none"] = 1.0
+        shift = max(0.0, nominal.gap / GAP_THAT_MATTERS) ** 2
+        if best is not None:
+            for name in best.names:
+                weight[name] = max(weight[name], 0.15 * shift)
+    elif best is not None:
+        closed = float(np.clip(closure(nominal.held_out, best.held_out), 0.0, 1.0))
+        weight["unknown"] = 0.95 if unknown else max(0.02, (1.0 - closed) ** 2)
+        share = max(1e-3, 0.05 if unknown else closed)
+        for candidate in candidates:
+            if len(candidate.names) != len(best.names):
+                continue
+            z = max(0.0, separation(best, candidate, observed))
+            for name in candidate.names:
+                weight[name] = max(weight[name], share * float(np.exp(-0.5 * z**2)))
+    else:
+        weight["unknown"] = 1.0
+    total = sum(weight.values())
+    return {name: w / total for name, w in weight.items()}

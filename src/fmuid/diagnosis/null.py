@@ -1,0 +1,89 @@
+"""What noise alone would do: null distributions drawn from the runs' own differences.
+
+The R runs of an experiment have R - 1 independent differences, each a draw of what one run differs from the truth
+by. Random mixtures of them, scaled to the mean of R runs, are residuals of a complete model: their energy and
+their largest score, after the nominal parameters are refitted, tell when a gap is more than noise. Variations from
+run to run that touch many signals at once are in them, as white noise would not have them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from fmuid.campaign import FloatArray, read_only
+from fmuid.diagnosis.noise import Whitener
+from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.scores import project_off
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Null:
+    """Draws under a complete model: excess energy of the residual, and the largest drop of any score."""
+
+    excess: FloatArray
+    largest_drop: FloatArray
+
+    def p_value(self, excess: float) -> float:
+        """Return the share of draws with at least this excess energy, by a fitted normal beyond the last draw."""
+        above = float(np.mean(self.excess >= excess))
+        tail = float(norm.sf(excess, self.excess.mean(), max(self.excess.std(), 1e-12)))
+        return max(above, tail) if above > 0 else min(tail, 1.0 / (len(self.excess) + 1))
+
+    def threshold(self, quantile: float = 0.99) -> float:
+        """Return the drop that noise alone exceeds in 1 - `quantile` of all diagnoses."""
+        return float(np.quantile(self.largest_drop, quantile))
+
+
+def draw_null(
+    observed: Observed,
+    basis: FloatArray,
+    signatures: Sequence[FloatArray],
+    *,
+    draws: int = 400,
+    seed: int = 0,
+) -> Null:
+    """Draw residuals of a complete model.
+
+    Parameters
+    ----------
+    basis
+        Orthonormal (M, P) basis of the refitted parameters, weighted by the root of the repeats.
+    signatures
+        Projected signatures of unit length.
+    """
+    rng = np.random.default_rng(seed)
+    contrasts = [
+        _contrasts(run.values - run.mean, w) for run, w in zip(observed.runs, observed.whiteners, strict=True)
+    ]
+    size = sum(w.size for w in observed.whiteners)
+    noise = np.empty((size, draws))
+    begin = 0
+    for c, w in zip(contrasts, observed.whiteners, strict=True):
+        if len(c):
+            mix = rng.standard_normal((draws, len(c))) / np.sqrt(len(c))
+            noise[begin : begin + w.size] = (mix @ c).T
+        else:
+            noise[begin : begin + w.size] = rng.standard_normal((w.size, draws))
+        begin += w.size
+    noise = project_off(noise, basis)
+    weight = np.concatenate(
+        [np.full(w.size, 1.0 / n) for w, n in zip(observed.whiteners, observed.repeats, strict=True)]
+    )
+    excess = (weight @ noise**2 - weight.sum()) / size
+    drops = np.array([(s @ noise) ** 2 for s in signatures]) if signatures else np.zeros((1, draws))
+    return Null(read_only(excess), read_only(drops.max(axis=0)))
+
+
+def _contrasts(deviation: FloatArray, whiten: Whitener) -> FloatArray:
+    """Return the (R - 1, M) orthonormal contrasts of R whitened runs: each distributed as the noise of one run."""
+    r = len(deviation)
+    if r < 2:
+        return np.zeros((0, 0))
+    rows = whiten(np.nan_to_num(deviation)).reshape(r, -1)
+    centred = np.eye(r) - 1.0 / r
+    u, s, _ = np.linalg.svd(centred)
+    return np.asarray(u[:, s > 0.5].T @ rows)

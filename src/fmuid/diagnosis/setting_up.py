@@ -1,0 +1,154 @@
+"""From a campaign to what a diagnosis works on: the model with effects, the nominal parameters, the noise."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from fmuid.campaign import Campaign, EffectsSpec, ModelSpec, ParameterSpec
+from fmuid.cases import experiments_of, from_campaign
+from fmuid.diagnosis.catalogue import Catalogue, Effect, load_catalogue
+from fmuid.diagnosis.model import CampaignModel
+from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.refit import Unknown
+from fmuid.errors import CampaignError, FmuError
+from fmuid.expressions import parse
+from fmuid.runners import Runner, in_process
+from fmuid.simulation import Simulator
+from fmuid.suggest import suggestion
+
+# Looser than an FMU's default and still far below any noise floor: solver errors stay under 1 % of a noise sigma.
+_TOLERANCE = 1e-4
+_SLICE = re.compile(r"^(?P<name>.*)\[(?P<index>[\d:,\s]+)\]$")
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """What is diagnosed: model, measurements with their noise, nominal parameters and the effects to consider."""
+
+    model: CampaignModel
+    observed: Observed
+    nominal: tuple[Unknown, ...]
+    catalogue: Catalogue
+    effects: tuple[Effect, ...]
+
+
+def subject_of(
+    campaign: Campaign,
+    load: Callable[[Path], Simulator],
+    *,
+    runner: Runner = in_process,
+    experiments: Sequence[str] = (),
+) -> Subject:
+    """Set up the diagnosis of a campaign.
+
+    Parameters
+    ----------
+    load
+        Loads an FMU by its path.
+    experiments
+        Ids or globs, instead of the campaign's own choice.
+
+    Raises
+    ------
+    CampaignError
+        The campaign has no ``[effects]`` table.
+    FmuError
+        An FMU lacks the parameters of every effect, or one that a tie names.
+    """
+    spec = campaign.effects
+    if spec is None:
+        raise CampaignError(
+            "no effects to look for",
+            where=f"{campaign.folder / 'campaign.toml'}",
+            fix='add [effects] with catalogue = "..."',
+        )
+    catalogue = load_catalogue(spec.catalogue)
+    chosen = experiments_of(campaign, experiments or spec.experiments, where="[effects] experiments")
+    setups = list(dict.fromkeys(e.setup for e in chosen))
+    models = {s: _with_effects(campaign, s, catalogue) for s in setups}
+    campaign = replace(campaign, models={**campaign.models, **models})
+    simulators = {s: load(models[s].fmu) for s in setups}
+    cases = tuple(
+        replace(c, task=replace(c.task, tolerance=_TOLERANCE))
+        for c in from_campaign(campaign, chosen, (), simulators)
+    )
+    known = {name for s in simulators.values() for name in s.variables}
+    tie = {
+        name: parse(text, where="[effects] tie")
+        for target, text in spec.tie.items()
+        for name in expand_slice(target, known)
+    }
+    fixed = {p.name: p.start for p in campaign.parameters.values()}
+    model = CampaignModel(cases, runner, fixed, tie)
+    effects = tuple(e for e in catalogue.effects.values() if any(u.name in known for u in e.unknowns))
+    missing = [u.name for e in effects for u in e.unknowns if u.name not in known]
+    if missing or not effects:
+        raise FmuError(
+            f"no FMU has '{missing[0]}'" if missing else "no FMU has the parameters of any effect",
+            where=spec.catalogue,
+            fix=suggestion(missing[0], known) if missing else "name the FMUs that carry the effects in [models]",
+        )
+    nominal = _nominal(campaign, spec, cases_parameters={n for c in cases for n in c.setting})
+    return Subject(model, Observed.from_runs(model.runs), nominal, catalogue, effects)
+
+
+def expand_slice(target: str, known: Sequence[str] | set[str]) -> list[str]:
+    """Return the elements of an array that a slice such as ``lossTable[:,4:5]`` names, or the name itself.
+
+    Raises
+    ------
+    FmuError
+        No element is among `known`.
+    """
+    if target in known:
+        return [target]
+    found = []
+    match = _SLICE.match(target)
+    if match:
+        wanted = [_range(part) for part in match["index"].split(",")]
+        for name in known:
+            other = _SLICE.match(name)
+            if other is None or other["name"] != match["name"]:
+                continue
+            index = [int(i) for i in other["index"].split(",")]
+            if len(index) == len(wanted) and all(a <= i <= b for i, (a, b) in zip(index, wanted, strict=True)):
+                found.append(name)
+    if not found:
+        raise FmuError(f"no FMU has '{target}'", where="[effects] tie", fix=suggestion(target, known))
+    return sorted(found)
+
+
+def _range(part: str) -> tuple[float, float]:
+    first, _, last = part.strip().partition(":")
+    if ":" not in part:
+        return float(first), float(first)
+    return float(first) if first else -np.inf, float(last) if last else np.inf
+
+
+def _with_effects(campaign: Campaign, setup: str, catalogue: Catalogue) -> ModelSpec:
+    model = campaign.models[setup]
+    stem = catalogue.models.get(model.fmu.stem)
+    return model if stem is None else replace(model, fmu=model.fmu.with_name(f"{stem}.fmu"))
+
+
+def _nominal(campaign: Campaign, spec: EffectsSpec, *, cases_parameters: set[str]) -> tuple[Unknown, ...]:
+    helpers = {n for text in spec.tie.values() for n in parse(text).names}
+    unknowns = []
+    for name in spec.nominal:
+        if name not in cases_parameters and name not in helpers:
+            raise CampaignError(
+                f"nominal parameter '{name}' acts on no model", where="[effects]", fix="drop it or tie to it"
+            )
+        unknowns.append(_unknown(campaign.parameters[name]))
+    return tuple(unknowns)
+
+
+def _unknown(p: ParameterSpec) -> Unknown:
+    width = p.upper - p.lower
+    step = 0.02 * abs(p.start) if p.start != 0.0 else (1e-3 * width if np.isfinite(width) else 1e-3)
+    return Unknown(p.name, p.start, p.lower, p.upper, step)
