@@ -1,7 +1,7 @@
 """Finite differences that know the simulator's noise floor.
 
 A co-simulation's output is only piecewise smooth in its parameters (adaptive steps, events), so textbook
-steps of 1e-8 measure noise. The noise is estimated from a fourth difference (Hamming; More and Wild, 2011)
+steps of 1e-8 measure noise. The noise is estimated from a sixth difference (Hamming; More and Wild, 2011)
 and the step balances it against truncation; a step that moves the residuals by less than a hundred times
 the noise is enlarged.
 """
@@ -21,8 +21,8 @@ from fmuid.problem import Evaluation, Problem
 EvaluateMany = Callable[[Sequence[FloatArray]], list[Evaluation]]
 
 _SPACING = 1e-4  # of the points of the noise estimate, in search units
-_WEIGHTS = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # fourth difference
-_GAIN = math.sqrt(math.factorial(4) ** 2 / math.factorial(8))  # from its root mean square to the noise
+_WEIGHTS = np.array([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0])  # sixth difference
+_GAIN = math.sqrt(math.factorial(6) ** 2 / math.factorial(12))  # from its root mean square to the noise
 _MARGIN = 100.0  # a difference must be this many times the noise
 _LARGEST_STEP = 0.1
 _SMALLEST_STEP = 1e-7
@@ -63,7 +63,7 @@ class NoiseFloor:
 
 
 def noise_floor(problem: Problem, x: FloatArray, *, evaluate: EvaluateMany | None = None) -> NoiseFloor:
-    """Estimate the simulator's noise around the (n,) search point `x` from five evaluations.
+    """Estimate the simulator's noise around the (n,) search point `x` from seven evaluations.
 
     Raises
     ------
@@ -74,10 +74,10 @@ def noise_floor(problem: Problem, x: FloatArray, *, evaluate: EvaluateMany | Non
     lower, upper = problem.space.lower, problem.space.upper
     # Every parameter moves, alternating in sign, and towards the inside of its bounds.
     signs = np.where(np.arange(len(x)) % 2 == 0, 1.0, -1.0)
-    reach = 4.0 * _SPACING
+    reach = 6.0 * _SPACING
     signs = np.where(x + reach * signs > upper, -1.0, np.where(x + reach * signs < lower, 1.0, signs))
     # Uneven digits: a parameter must not land on the same rounded value twice.
-    points = evaluate([x + k * _SPACING * signs * 1.0123456789 for k in range(5)])
+    points = evaluate([x + k * _SPACING * signs * 1.0123456789 for k in range(7)])
     for point in points:
         if point.failure is not None:
             raise SimulationError(point.failure)
@@ -93,64 +93,72 @@ def noise_floor(problem: Problem, x: FloatArray, *, evaluate: EvaluateMany | Non
     return NoiseFloor(_GAIN * float(change), _size(problem, points[0]), outputs)
 
 
-def jacobian(
-    evaluate: EvaluateMany,
-    here: Evaluation,
-    lower: FloatArray,
-    upper: FloatArray,
-    floor: NoiseFloor,
-    *,
-    central: bool,
-) -> FloatArray:
-    """Return d residuals / d search point, (m, n), by differences with steps chosen from the noise floor.
+class Differences:
+    """Finite differences of a problem's residuals; remembers the step each parameter needs.
 
-    Near a bound, or where one side cannot be simulated, the other side alone is used.
-
-    Raises
-    ------
-    SimulationError
-        A parameter can be moved to neither side.
+    Parameters
+    ----------
+    problem
+        Whose residuals.
+    floor
+        Its simulator's noise floor, which the steps follow.
+    central
+        Two points a parameter instead of one: for covariances. A minimum does not need them: the bias of the
+        one-sided gradient is the step times the curvature, some thousandths of a standard error.
     """
-    n = len(here.x)
-    columns: dict[int, FloatArray] = {}
-    steps = dict.fromkeys(range(n), floor.central_step if central else floor.forward_step)
-    while steps:
-        points: list[tuple[int, FloatArray]] = []
-        for i, step in steps.items():
-            points += [(i, p) for p in _moved(here.x, i, step, lower, upper, central)]
-        evaluated = evaluate([p for _, p in points])
-        again: dict[int, float] = {}
-        for i, step in steps.items():
-            sides = [e for (j, _), e in zip(points, evaluated, strict=True) if j == i and e.ok]
-            if not sides:
-                sides = [e for e in evaluate(_moved(here.x, i, -step, lower, upper, False)) if e.ok]
-            if not sides:
-                raise SimulationError(f"no simulation beside {here.parameters} succeeds", fix="narrow the bounds")
-            a, b = (sides[0], sides[1]) if len(sides) == 2 else (sides[0], here)
-            change = a.residuals - b.residuals
-            larger = min(10.0 * step, _LARGEST_STEP)
-            too_small = np.sqrt(np.mean(change**2)) < _MARGIN * floor.residual
-            if too_small and larger > step:
-                again[i] = larger
-            columns[i] = change / (a.x[i] - b.x[i])
-        steps = again
-    return np.column_stack([columns[i] for i in range(n)])
 
+    def __init__(self, problem: Problem, floor: NoiseFloor, *, central: bool) -> None:
+        self.floor, self.central = floor, central
+        self._lower, self._upper = problem.space.lower, problem.space.upper
+        self.steps = [floor.central_step if central else floor.forward_step] * len(problem.space)
 
-def _moved(
-    x: FloatArray, i: int, step: float, lower: FloatArray, upper: FloatArray, central: bool
-) -> list[FloatArray]:
-    """Return the points to evaluate for parameter `i`, all inside the bounds."""
-    ends = [x[i] + step, x[i] - step]
-    inside = [end for end in ends if lower[i] <= end <= upper[i]]
-    if not inside:  # bounds closer than the step
-        inside = [max((lower[i], upper[i]), key=lambda bound: abs(bound - x[i]))]
-    points = []
-    for end in inside if central else inside[:1]:
-        point = x.copy()
-        point[i] = end
-        points.append(point)
-    return points
+    def jacobian(self, evaluate: EvaluateMany, here: Evaluation) -> FloatArray:
+        """Return d residuals / d search point, (m, n), at `here`.
+
+        Near a bound, or where one side cannot be simulated, the other side alone is used.
+
+        Raises
+        ------
+        SimulationError
+            A parameter can be moved to neither side.
+        """
+        columns: dict[int, FloatArray] = {}
+        due = list(range(len(here.x)))
+        while due:
+            points = [(i, p) for i in due for p in self._moved(here.x, i, self.steps[i], self.central)]
+            evaluated = evaluate([p for _, p in points])
+            again: list[int] = []
+            for i in due:
+                sides = [e for (j, _), e in zip(points, evaluated, strict=True) if j == i and e.ok]
+                if not sides:
+                    sides = [e for e in evaluate(self._moved(here.x, i, -self.steps[i], False)) if e.ok]
+                if not sides:
+                    raise SimulationError(
+                        f"no simulation beside {dict(here.parameters)} succeeds", fix="narrow the bounds"
+                    )
+                a, b = (sides[0], sides[1]) if len(sides) == 2 else (sides[0], here)
+                change = a.residuals - b.residuals
+                columns[i] = change / (a.x[i] - b.x[i])
+                larger = min(10.0 * self.steps[i], _LARGEST_STEP)
+                too_small = np.sqrt(np.mean(change**2)) < _MARGIN * self.floor.residual
+                if too_small and larger > self.steps[i]:
+                    self.steps[i] = larger
+                    again.append(i)
+            due = again
+        return np.column_stack([columns[i] for i in range(len(here.x))])
+
+    def _moved(self, x: FloatArray, i: int, step: float, both: bool) -> list[FloatArray]:
+        """Return the points to evaluate for parameter `i`, all inside the bounds."""
+        lower, upper = self._lower[i], self._upper[i]
+        inside = [end for end in (x[i] + step, x[i] - step) if lower <= end <= upper]
+        if not inside:  # bounds closer than the step
+            inside = [max((lower, upper), key=lambda bound: abs(bound - x[i]))]
+        points = []
+        for end in inside if both else inside[:1]:
+            point = x.copy()
+            point[i] = end
+            points.append(point)
+        return points
 
 
 def _size(problem: Problem, evaluation: Evaluation) -> float:

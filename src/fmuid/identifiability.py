@@ -81,9 +81,13 @@ def identifiability(
     singular = np.pad(singular, (0, len(x) - len(singular)))
     determined = singular > tolerance * max(singular[0], np.finfo(float).tiny)
     if covariance is not None and np.all(determined):
-        own = covariance / np.outer(relative, relative)
-        spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", directions, own, directions), 0.0))
-        determined &= spread < 1.0
+        # In practice: where the spread exceeds both the value and its start.
+        size = np.maximum(np.abs(relative), 1.0)
+        spread, axes = np.linalg.eigh(covariance / np.outer(size, size))
+        if spread[-1] > 1.0:
+            directions = axes.T * (size / relative)
+            directions = np.linalg.qr(directions.T)[0].T
+            determined = spread <= 1.0
     values = tuple(float(s) for s in singular)
     rank = int(np.sum(determined))
     if rank == len(x):
@@ -104,7 +108,7 @@ def identifiability(
 def _relative_scale(problem: Problem, x: FloatArray) -> FloatArray:
     """Return d x / d ln(p), (n,); a linear parameter near 0 is taken in its search unit."""
     logarithmic = np.array([spec.scale == "log" for spec in problem.space.free])
-    return np.where(logarithmic | (np.abs(x) < 1e-3), 1.0, x)
+    return np.where(logarithmic | (np.abs(x) < 0.02), 1.0, x)
 
 
 def _reduced(rows: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 
 from fmuid.campaign import Campaign, ParameterSpec, StageSpec
+from fmuid.derivatives import NoiseFloor
 from fmuid.errors import ProblemError, SimulationError
 from fmuid.history import History
 from fmuid.observer import Observer, Progress
@@ -193,7 +194,7 @@ def _stage(run: _Run, problem: Problem, name: str, options: dict[str, Any], stop
     found, complaint = None, None
     if search.best is not None and run.with_uncertainty and outcome.status is not Status.INTERRUPTED:
         try:
-            found = _uncertainty(run, problem, search.best)
+            found = _uncertainty(run, problem, search.best, search.noise_floor)
         except KeyboardInterrupt:
             outcome = Outcome(Status.INTERRUPTED, "stopped by the user")
         except SimulationError as error:
@@ -207,14 +208,14 @@ def _stage(run: _Run, problem: Problem, name: str, options: dict[str, Any], stop
     return result
 
 
-def _uncertainty(run: _Run, problem: Problem, best: Evaluation) -> Uncertainty:
+def _uncertainty(run: _Run, problem: Problem, best: Evaluation, floor: NoiseFloor | None) -> Uncertainty:
     def evaluate(points: Sequence[Any]) -> list[Evaluation]:
         evaluations = problem.evaluate_many(points)
         for evaluation in evaluations:
             run.history.record(problem.name, evaluation, "uncertainty", False, residuals=False)
         return evaluations
 
-    found = uncertainty_of(problem, best, evaluate=evaluate)
+    found = uncertainty_of(problem, best, evaluate=evaluate, floor=floor)
     bounds = [
         spec.name
         for spec in problem.space.free

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmuid.campaign import Campaign, Experiment, FloatArray
-from fmuid.derivatives import NoiseFloor, jacobian, noise_floor
+from fmuid.derivatives import Differences, NoiseFloor, noise_floor
 from fmuid.errors import SimulationError
 from fmuid.identifiability import Identifiability, identifiability
 from fmuid.problem import Problem
@@ -71,9 +71,9 @@ def sensitivity_of(problem: Problem, x: FloatArray | None = None) -> Sensitivity
     if here.failure is not None:
         raise SimulationError(here.failure, fix="choose other start values")
     floor = noise_floor(problem, x)
-    lower, upper = problem.space.lower, problem.space.upper
-    j = jacobian(problem.evaluate_many, here, lower, upper, floor, central=True)
-    step = np.full(len(x), floor.central_step)
+    differences = Differences(problem, floor, central=True)
+    j = differences.jacobian(problem.evaluate_many, here)
+    step = np.array(differences.steps)
     log = np.array([spec.scale == "log" for spec in problem.space.free])
     scale = np.where(log | (x == 0.0), 1.0, np.abs(x))
     effect = np.array([np.sqrt(np.mean((0.01 * scale * j[rows]) ** 2, axis=0)) for rows in problem.slices]).T

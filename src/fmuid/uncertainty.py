@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from fmuid.campaign import FloatArray
-from fmuid.derivatives import EvaluateMany, jacobian, noise_floor
+from fmuid.derivatives import Differences, EvaluateMany, NoiseFloor, noise_floor
 from fmuid.errors import SimulationError
 from fmuid.identifiability import Identifiability, identifiability
 from fmuid.problem import Evaluation, Problem
@@ -65,12 +65,25 @@ class Uncertainty:
     noise_floor: float = 0.0
 
 
-def uncertainty_of(problem: Problem, best: Evaluation, *, evaluate: EvaluateMany | None = None) -> Uncertainty:
+def uncertainty_of(
+    problem: Problem,
+    best: Evaluation,
+    *,
+    evaluate: EvaluateMany | None = None,
+    floor: NoiseFloor | None = None,
+) -> Uncertainty:
     """Return the uncertainty of the estimate `best` of a problem.
 
     The covariance is the sandwich ``(J'J)^-1 J' W J (J'J)^-1`` in search space; W holds each case's residual
     auto- and cross-covariances, tapered (Bartlett) beyond the lag where they drown in their own scatter. White
     residuals give the textbook covariance, coloured ones (model error, friction) a wider one.
+
+    Parameters
+    ----------
+    evaluate
+        Instead of the problem's own, as when evaluations are recorded.
+    floor
+        The simulator's noise floor, if it is known already.
 
     Raises
     ------
@@ -80,10 +93,9 @@ def uncertainty_of(problem: Problem, best: Evaluation, *, evaluate: EvaluateMany
     from scipy.special import stdtrit
 
     evaluate = evaluate or problem.evaluate_many
-    lower, upper = problem.space.lower, problem.space.upper
-    floor = noise_floor(problem, best.x, evaluate=evaluate)
+    floor = floor or noise_floor(problem, best.x, evaluate=evaluate)
     here = best if best.predictions else evaluate([best.x])[0]
-    j = jacobian(evaluate, here, lower, upper, floor, central=True)
+    j = Differences(problem, floor, central=True).jacobian(evaluate, here)
     tolerance = max(1e-6, 5.0 * floor.central_step**2)
     first = identifiability(problem, best.x, j, tolerance=tolerance)
     bread = np.linalg.pinv(j.T @ j, rcond=tolerance**2, hermitian=True)
@@ -142,7 +154,7 @@ def profile_interval(
     best = problem.evaluate(x)
     spread = float(np.sqrt(estimate.covariance[i][i]))
     floor = noise_floor(problem, x)
-    j = jacobian(problem.evaluate_many, best, problem.space.lower, problem.space.upper, floor, central=True)
+    j = Differences(problem, floor, central=True).jacobian(problem.evaluate_many, best)
     plain = np.linalg.pinv(j.T @ j, hermitian=True)[i, i]
     t = float(stdtrit(estimate.degrees_of_freedom, 0.5 + 0.5 * level))
     allowed = t**2 * spread**2 / plain
@@ -151,7 +163,7 @@ def profile_interval(
         refit = _Refit(problem, i, x)
 
         def excess(distance: float, sign: float = sign, refit: _Refit = refit) -> float:
-            return refit.cost(x[i] + sign * distance) - best.cost - allowed
+            return float(refit.cost(x[i] + sign * distance) - best.cost - allowed)
 
         far, limit = t * spread, abs(bound - x[i])
         while excess(min(far, limit)) < 0.0 and far < min(limit, 64.0 * t * spread):
@@ -191,7 +203,7 @@ class _Refit:
             xtol=1e-8,
         )
         self.x[self.others] = result.x
-        return 2.0 * float(result.cost)
+        return float(2.0 * result.cost)
 
     def _evaluate(self, others: FloatArray, value: float) -> Evaluation:
         point = self.x.copy()
@@ -243,29 +255,75 @@ def propagate(
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Record:
+    """Residuals (N,) of one channel over its case's samples, their Jacobian (N, n), where they exist (N,)."""
+
+    signal: str
+    residuals: FloatArray
+    jacobian: FloatArray
+    there: FloatArray
+
+    @property
+    def count(self) -> float:
+        """Number of samples."""
+        return float(self.there.sum())
+
+
 def _meat(problem: Problem, best: Evaluation, j: FloatArray) -> tuple[FloatArray, tuple[Whiteness, ...]]:
     """Return J' W J, (n, n), and the residuals' statistics."""
     n = j.shape[1]
     meat = np.zeros((n, n))
-    whiteness: list[Whiteness] = []
-    by_case: dict[str, list[tuple[str, FloatArray, FloatArray, FloatArray]]] = {}
+    by_case: dict[str, list[_Record]] = {}
     for (case, criterion), rows in zip(problem.criteria, problem.slices, strict=True):
         r, jr = best.residuals[rows], j[rows]
         if criterion.rows is None:
             meat += jr.T @ (jr * r[:, None] ** 2)
             continue
-        length = len(case.time)
-        full_r, full_j, there = np.zeros(length), np.zeros((length, n)), np.zeros(length)
-        full_r[criterion.rows], full_j[criterion.rows], there[criterion.rows] = r, jr, 1.0
-        by_case.setdefault(case.id, []).append((criterion.signal, full_r, full_j, there))
-    for case_id, channels in by_case.items():
-        lags = [_memory(r, there) for _, r, _, there in channels]
-        for (_, ra, ja, ta), lag_a in zip(channels, lags, strict=True):
-            for (_, rb, jb, tb), lag_b in zip(channels, lags, strict=True):
-                meat += _quadratic(ra, rb, ja, jb, np.sqrt(ta.sum() * tb.sum()), max(lag_a, lag_b))
-        for (signal, r, _, there), lag in zip(channels, lags, strict=True):
-            whiteness.append(_whiteness(case_id, signal, r, there, lag))
+        length = len(case.task.time)
+        record = _Record(criterion.signal, np.zeros(length), np.zeros((length, n)), np.zeros(length))
+        record.residuals[criterion.rows], record.jacobian[criterion.rows] = r, jr
+        record.there[criterion.rows] = 1.0
+        by_case.setdefault(case.id, []).append(record)
+    whiteness: list[Whiteness] = []
+    for case_id, records in by_case.items():
+        # One filter for all channels of a case, so that their cross-covariances stay defined.
+        colour = float(np.mean([_colour(r.residuals, r.count) for r in records]))
+        white = [_prewhitened(r, colour) for r in records]
+        lag = max(_memory(w.residuals, w.count) for w in white)
+        for a in white:
+            for b in white:
+                meat += _quadratic(a, b, lag)
+        whiteness += [_whiteness(case_id, r, w, colour, lag) for r, w in zip(records, white, strict=True)]
     return 0.5 * (meat + meat.T), tuple(whiteness)
+
+
+def _colour(r: FloatArray, count: float) -> float:
+    """Return the coefficient of a first-order autoregression of (N,) residuals; 0 if it is within scatter."""
+    rho = float(_correlations(r)[1]) if len(r) > 1 else 0.0
+    if abs(rho) < 2.0 / np.sqrt(max(count, 1.0)):
+        return 0.0
+    # Kendall (1954): the estimate is low by (1 + 3 rho) / N, a little more where parameters were fitted.
+    return float(np.clip(rho + (1.0 + 4.0 * rho) / max(count, 1.0), -0.97, 0.97))
+
+
+def _prewhitened(record: _Record, colour: float) -> _Record:
+    """Return ``L r`` and ``L^-T J`` for the autoregressive filter L, so that J' W J keeps its value.
+
+    Andrews and Monahan (1992): what is left of the correlation is short, and the kernel estimate of it is
+    hardly biased.
+    """
+    if colour == 0.0:
+        return record
+    from scipy.signal import lfilter
+
+    first = np.sqrt(1.0 - colour**2)
+    r = record.residuals.copy()
+    r[1:] -= colour * record.residuals[:-1]
+    r[0] *= first
+    j = lfilter([1.0], [1.0, -colour], record.jacobian[::-1], axis=0)[::-1].copy()
+    j[0] /= first
+    return _Record(record.signal, r, j, record.there)
 
 
 def _correlations(r: FloatArray) -> FloatArray:
@@ -280,10 +338,9 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size))
 
 
-def _memory(r: FloatArray, there: FloatArray) -> int:
+def _memory(r: FloatArray, count: float) -> int:
     """Return the lag beyond which autocorrelation is scatter: the first of five lags in a row within it."""
-    rho = _correlations(r)
-    inside = np.abs(rho[1:]) < 2.0 / np.sqrt(max(there.sum(), 1.0))
+    inside = np.abs(_correlations(r)[1:]) < 2.0 / np.sqrt(max(count, 1.0))
     run = 5
     for lag in range(len(inside) - run):
         if np.all(inside[lag : lag + run]):
@@ -291,37 +348,38 @@ def _memory(r: FloatArray, there: FloatArray) -> int:
     return max(len(inside) - run, 0)
 
 
-def _quadratic(
-    ra: FloatArray, rb: FloatArray, ja: FloatArray, jb: FloatArray, count: float, lag: int
-) -> FloatArray:
+def _taper(n: int, lag: int) -> FloatArray:
+    """Return (n,) Bartlett weights; twice the memory keeps most of a decaying correlation."""
+    return np.maximum(1.0 - np.arange(n) / (2 * lag + 1), 0.0)
+
+
+def _quadratic(a: _Record, b: _Record, lag: int) -> FloatArray:
     """Return sum_kl ja_k gamma_(l-k) jb_l with gamma the tapered covariance of channels a and b."""
-    n = len(ra)
-    taper = np.zeros(2 * n)
-    # Twice the memory keeps most of a decaying correlation under the Bartlett window.
-    width = 2 * lag + 1 if lag else 1
-    decay = np.maximum(1.0 - np.arange(n) / width, 0.0)
-    taper[:n] = decay
-    taper[n + 1 :] = decay[1:][::-1]
-    gamma = _cross(ra, rb) / count * taper
-    # gamma at lag d = l - k, so (W jb)_k = sum_l gamma_(l-k) jb_l: a correlation.
+    n = len(a.residuals)
+    decay = _taper(n, lag)
+    taper = np.concatenate([decay, [0.0], decay[1:][::-1]])
+    gamma = _cross(a.residuals, b.residuals) / np.sqrt(a.count * b.count) * taper
+    # gamma belongs to l - k, so (W jb)_k = sum_l gamma_(l-k) jb_l is a correlation.
     spectrum = np.conj(np.fft.rfft(gamma))
-    moved = np.fft.irfft(spectrum[:, None] * np.fft.rfft(jb, 2 * n, axis=0), 2 * n, axis=0)[:n]
-    return np.asarray(ja.T @ moved)
+    moved = np.fft.irfft(spectrum[:, None] * np.fft.rfft(b.jacobian, 2 * n, axis=0), 2 * n, axis=0)[:n]
+    return np.asarray(a.jacobian.T @ moved)
 
 
-def _whiteness(case: str, signal: str, r: FloatArray, there: FloatArray, lag: int) -> Whiteness:
+def _whiteness(case: str, record: _Record, white: _Record, colour: float, lag: int) -> Whiteness:
     from scipy.special import chdtrc
 
-    count = int(there.sum())
+    r, count = record.residuals, int(record.count)
     rho = _correlations(r)
     lags = min(20, max(count // 5, 1), len(rho) - 1)
-    ljung_box = count * (count + 2) * float(np.sum(rho[1 : lags + 1] ** 2 / (count - np.arange(1, lags + 1))))
-    width = 2 * lag + 1 if lag else 1
-    decay = np.maximum(1.0 - np.arange(len(rho)) / width, 0.0)
-    inflation = max(1.0 + 2.0 * float(np.sum((decay * rho)[1:])), 1.0)
+    terms = rho[1 : lags + 1] ** 2 / (count - np.arange(1, lags + 1))
+    ljung_box = count * (count + 2) * float(np.sum(terms))
+    # Long-run variance over variance: what a sample is worth.
+    rest = 1.0 + 2.0 * float(np.sum((_taper(len(r), lag) * _correlations(white.residuals))[1:]))
+    energy = float(np.sum(white.residuals**2)) / max(float(np.sum(r**2)), np.finfo(float).tiny)
+    inflation = max(energy * rest / (1.0 - colour) ** 2, 1.0)
     return Whiteness(
         case,
-        signal,
+        record.signal,
         float(np.sum(r**2) / max(count, 1)),
         float(rho[1]) if len(rho) > 1 else 0.0,
         float(chdtrc(lags, ljung_box)) if lags > 0 else 1.0,

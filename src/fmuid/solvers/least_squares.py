@@ -11,28 +11,29 @@ from typing import Any
 import numpy as np
 
 from fmuid.campaign import FloatArray, frozen_mapping
-from fmuid.derivatives import NoiseFloor, jacobian, noise_floor
+from fmuid.derivatives import Differences, NoiseFloor, noise_floor
 from fmuid.errors import ProblemError, SimulationError
 from fmuid.problem import Evaluation
+from fmuid.solvers.box import CandidateFailedError, around_failures
 from fmuid.solvers.search import Outcome, Search, Status
 
+_FLAT = 3.0  # times the noise of the cost: a smaller change is none
+_FLAT_TRIALS = 2
 _SMALLEST_RADIUS = 1e-8  # of DFO-LS: search coordinates are of order one
-_RETRIES = 5
 
 
 @dataclass(frozen=True, slots=True)
 class TrustRegion:
     """Trust-region reflective or Levenberg-Marquardt least squares with noise-aware differences.
 
-    One-sided differences lead to the neighbourhood of the minimum, central ones finish. A candidate that
-    cannot be simulated shrinks the trust region.
+    A candidate that cannot be simulated shrinks the trust region.
 
     Parameters
     ----------
     name
         ``trf`` (bounds) or ``lm`` (MINPACK; only without bounds).
     tolerance
-        Relative change of cost and point to stop at.
+        Relative change of the point to stop at.
     """
 
     name: str = "trf"
@@ -51,28 +52,69 @@ class TrustRegion:
             bounds = (-np.inf, np.inf)
         first = _start(search, start)
         derivative = partial(search.evaluate_many, purpose="derivative")
-        floor = noise_floor(search.problem, first.x, evaluate=derivative)
-        x, message = first.x, ""
-        # A change of the cost below the noise is no change.
-        tolerance = max(self.tolerance, 1e-3 * floor.relative)
-        for central in (False, True):
-            result = least_squares(
-                partial(_residuals, search, len(first.residuals)),
-                _strictly_inside(x, search.lower, search.upper),
-                jac=partial(_jacobian, search, floor, central),
-                bounds=bounds,
-                method=self.name,
-                x_scale=1.0,
-                ftol=tolerance if central else max(tolerance, 1e-6),
-                xtol=tolerance if central else max(tolerance, 1e-6),
-                gtol=None if self.name == "trf" else 1e-15,
-                max_nfev=10_000,
-            )
-            assert search.reached is not None  # `first` was simulated
-            x, message = search.reached.x, result.message.strip("`.").replace("`", "")
-            if result.status == 0:
-                return Outcome(Status.BUDGET, message)
-        return Outcome(Status.CONVERGED, message)
+        floor = search.noise_floor = noise_floor(search.problem, first.x, evaluate=derivative)
+        differences = Differences(search.problem, floor, central=False)
+        trials = _Trials(search, floor, first)
+        with np.errstate(all="ignore"):  # SciPy divides by zero where a parameter has no effect
+            try:
+                result = least_squares(
+                    trials.residuals,
+                    _strictly_inside(first.x, search.lower, search.upper),
+                    jac=lambda x: differences.jacobian(derivative, search.evaluate(x)),
+                    bounds=bounds,
+                    method=self.name,
+                    x_scale=1.0,
+                    ftol=1e-15,
+                    xtol=self.tolerance,
+                    gtol=None if self.name == "trf" else 1e-15,
+                    max_nfev=10_000,
+                )
+            except _SettledError:
+                return Outcome(Status.CONVERGED, "the cost changes by no more than the simulator's noise")
+        done = result.status != 0
+        return Outcome(Status.CONVERGED if done else Status.BUDGET, _in_words(result.status))
+
+
+class _SettledError(Exception):
+    """The trial points no longer differ by more than noise."""
+
+
+class _Trials:
+    """The residual function, and the judgement whether the search has settled.
+
+    Near a minimum a solver that believes in a smooth cost goes on and on: what it predicts to gain is less than
+    the simulator's noise, so it finds every step bad and shrinks its region.
+    """
+
+    def __init__(self, search: Search, floor: NoiseFloor, first: Evaluation) -> None:
+        self.search, self.floor, self.first = search, floor, first
+        self.flat = 0
+
+    def residuals(self, x: FloatArray) -> FloatArray:
+        """Return the residuals at `x`, NaN where it fails (the solver then shrinks its region)."""
+        best = self.search.reached or self.first
+        again = np.array_equal(x, best.x)
+        evaluation = self.search.evaluate(x)
+        if not evaluation.ok:
+            return np.full(len(self.first.residuals), np.nan)
+        # Scatter of the cost: its gradient in the residuals, 2 r, times theirs.
+        noise = 2.0 * np.linalg.norm(best.residuals) * self.floor.residual
+        if not again:
+            self.flat = self.flat + 1 if abs(evaluation.cost - best.cost) <= _FLAT * noise else 0
+        if self.flat == _FLAT_TRIALS:
+            raise _SettledError
+        return evaluation.residuals
+
+
+def _in_words(status: int) -> str:
+    words = {
+        0: "10000 evaluations",
+        1: "the gradient is zero",
+        2: "the cost no longer changes",
+        3: "the parameters no longer change",
+        4: "neither cost nor parameters change",
+    }
+    return words.get(status, f"SciPy's status {status}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,43 +136,33 @@ class DfoLs:
             raise ProblemError("solver 'dfols' is not installed", fix="pip install DFO-LS") from None
         _require_smooth(search, self.name)
         first = _start(search, start)
-        widths = search.upper - search.lower
-        radius = float(min(self.options.get("initial_step", 0.1), 0.45 * np.min(widths)))
-        smallest = max(float(self.options.get("tolerance", _SMALLEST_RADIUS)), 0.0)
-        lower, upper = np.maximum(search.lower, -1e20), np.minimum(search.upper, 1e20)
-        x = first.x
+        step = float(self.options.get("initial_step", 0.1))
+        smallest = float(self.options.get("tolerance", _SMALLEST_RADIUS))
 
         def residuals(point: FloatArray) -> FloatArray:
             evaluation = search.evaluate(point)
             if not evaluation.ok:
-                raise _FailedError
+                raise CandidateFailedError(evaluation.x)
             return evaluation.residuals
 
-        for _ in range(_RETRIES):
-            try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")
-                    np.random.seed(search.seed)  # noqa: NPY002 - DFO-LS draws from the global generator
-                    result = dfols.solve(
-                        residuals,
-                        x,
-                        bounds=(lower, upper),
-                        rhobeg=radius,
-                        rhoend=min(smallest, 0.1 * radius),
-                        maxfun=search.stop.evaluations or 1000 * (len(x) + 1),
-                        do_logging=False,
-                    )
-            except _FailedError:
-                assert search.reached is not None  # `first` was simulated
-                x, radius = search.reached.x, 0.25 * radius
-                continue
+        def run(x: FloatArray, lower: FloatArray, upper: FloatArray) -> Outcome:
+            radius = float(min(step, 0.45 * np.min(upper - lower)))
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                np.random.seed(search.seed)  # noqa: NPY002 - DFO-LS draws from the global generator
+                result = dfols.solve(
+                    residuals,
+                    x,
+                    bounds=(np.maximum(lower, -1e20), np.minimum(upper, 1e20)),
+                    rhobeg=radius,
+                    rhoend=min(smallest, 0.1 * radius),
+                    maxfun=search.stop.evaluations or 1000 * (len(x) + 1),
+                    do_logging=False,
+                )
             good = result.flag in (result.EXIT_SUCCESS, result.EXIT_SLOW_WARNING)
             return Outcome(Status.CONVERGED if good else Status.FAILED, result.msg)
-        return Outcome(Status.FAILED, "simulations keep failing around the best point")
 
-
-class _FailedError(Exception):
-    """A candidate cannot be simulated; DFO-LS has to start again, closer."""
+        return around_failures(search, first.x, run)
 
 
 def _require_smooth(search: Search, name: str) -> None:
@@ -146,17 +178,6 @@ def _start(search: Search, start: FloatArray) -> Evaluation:
     if first.failure is not None:
         raise SimulationError(f"the start point fails ({first.failure})", fix="choose other start values")
     return first
-
-
-def _residuals(search: Search, m: int, x: FloatArray) -> FloatArray:
-    evaluation = search.evaluate(x)
-    return evaluation.residuals if evaluation.ok else np.full(m, np.nan)
-
-
-def _jacobian(search: Search, floor: NoiseFloor, central: bool, x: FloatArray) -> FloatArray:
-    derivative = partial(search.evaluate_many, purpose="derivative")
-    here = search.evaluate(x)
-    return jacobian(derivative, here, search.lower, search.upper, floor, central=central)
 
 
 def _strictly_inside(x: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:

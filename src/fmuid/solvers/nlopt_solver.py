@@ -11,6 +11,7 @@ import numpy as np
 from fmuid.campaign import FloatArray, frozen_mapping
 from fmuid.errors import ProblemError, SimulationError
 from fmuid.problem import Evaluation
+from fmuid.solvers.box import CandidateFailedError, around_failures
 from fmuid.solvers.search import FEASIBLE, Outcome, Search, Status, StopRules
 
 
@@ -38,14 +39,13 @@ ALGORITHMS: Mapping[str, _Algorithm] = {
     "direct": _Algorithm("GN_ORIG_DIRECT", finite_bounds=True),
     "direct_l": _Algorithm("GN_ORIG_DIRECT_L", finite_bounds=True),
     "esch": _Algorithm("GN_ESCH", finite_bounds=True, random=True),
-    "mlsl": _Algorithm("G_MLSL_LDS", finite_bounds=True, subsidiary=True, model=True, random=True),
+    "mlsl": _Algorithm("G_MLSL_LDS", finite_bounds=True, subsidiary=True, random=True),
     "ags": _Algorithm("GN_AGS", finite_bounds=True, model=True),
     "slsqp": _Algorithm("LD_SLSQP", constraints=True, gradient=True, model=True),
 }
 _ALIASES = {"neldermead": "nelder_mead", "newuoa": "newuoa_bound", "direct-l": "direct_l", "sqp": "slsqp"}
 _OPTIONS = ("initial_step", "tolerance", "cost_tolerance", "population", "local", "evaluations")
 _GLOBAL_EVALUATIONS = 200  # a parameter, for global solvers without any stop rule: they never converge
-_RETRIES = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class NloptSolver:
         A key of `ALGORITHMS`.
     options
         ``initial_step`` (search units, 0.1), ``tolerance`` (relative, of the point, 1e-7), ``cost_tolerance``
-        (relative, 1e-12), ``population``, ``local`` (subsidiary of MLSL, ``bobyqa``), ``evaluations`` (of
+        (relative, 1e-12), ``population``, ``local`` (subsidiary of MLSL, ``sbplx``), ``evaluations`` (of
         this solver alone, as a link of a chain).
     """
 
@@ -89,18 +89,18 @@ class NloptSolver:
         first = search.evaluate(start)
         if first.failure is not None and (algorithm.model or not algorithm.finite_bounds):
             raise SimulationError(f"the start point fails ({first.failure})", fix="choose other start values")
-        x, shrink = start, 1.0
-        for _ in range(_RETRIES):
-            try:
-                return self._run(search, algorithm, x, first, shrink)
-            except _FailedError:
-                # What is known of the cost ends where simulations fail: again, closer to the best point.
-                assert search.reached is not None  # `first` was simulated
-                x, shrink = search.reached.x, 0.25 * shrink
-        return Outcome(Status.FAILED, "simulations keep failing around the best point")
+        return around_failures(
+            search, start, lambda x, lower, upper: self._run(search, algorithm, first, x, lower, upper)
+        )
 
     def _run(
-        self, search: Search, algorithm: _Algorithm, x: FloatArray, first: Evaluation, shrink: float
+        self,
+        search: Search,
+        algorithm: _Algorithm,
+        first: Evaluation,
+        x: FloatArray,
+        lower: FloatArray,
+        upper: FloatArray,
     ) -> Outcome:
         import nlopt
 
@@ -113,8 +113,8 @@ class NloptSolver:
         if constrained and not algorithm.constraints:
             opt = nlopt.opt(nlopt.AUGLAG, n)  # augmented Lagrangian around a solver without constraints
             functions.opt = opt
-        lower, upper, here = search.lower, search.upper, x
-        step = shrink * float(self.options.get("initial_step", 0.1)) * np.ones(len(search))
+        here = x
+        step = np.minimum(float(self.options.get("initial_step", 0.1)), 0.4 * (upper - lower))
         if epigraph:
             evaluation = search.evaluate(x)
             level = evaluation.cost if evaluation.ok else 1.0
@@ -129,9 +129,9 @@ class NloptSolver:
             each.set_xtol_rel(float(self.options.get("tolerance", 1e-7)))
             each.set_ftol_rel(float(self.options.get("cost_tolerance", 1e-12)))
             if not algorithm.finite_bounds:
-                each.set_initial_step(np.minimum(step, 0.49 * (upper - lower)))
+                each.set_initial_step(step)
         if algorithm.subsidiary:
-            local = nlopt.opt(getattr(nlopt, ALGORITHMS[self.options.get("local", "bobyqa")].nlopt), n)
+            local = nlopt.opt(getattr(nlopt, ALGORITHMS[self.options.get("local", "sbplx")].nlopt), n)
             local.set_xtol_rel(1e-5)
             local.set_ftol_rel(1e-9)
             inner.set_local_optimizer(local)
@@ -167,10 +167,6 @@ class NloptSolver:
         if code in messages:
             return Outcome(Status.CONVERGED, messages[code])
         return Outcome(Status.BUDGET, f"{limit} evaluations of {self.name}")
-
-
-class _FailedError(Exception):
-    """A candidate cannot be simulated, and the solver has no way to be told."""
 
 
 class _Functions:
@@ -247,7 +243,7 @@ class _Functions:
     def _evaluate(self, x: FloatArray) -> Evaluation:
         evaluation = self.search.evaluate(x[: len(self.search)])
         if not evaluation.ok and self.algorithm.model:
-            raise _FailedError
+            raise CandidateFailedError(evaluation.x)
         return evaluation
 
     def _slopes(self, x: FloatArray, of: Callable[[Evaluation], FloatArray]) -> FloatArray:
@@ -259,7 +255,7 @@ class _Functions:
         columns = []
         for i, (a, b) in enumerate(zip(evaluations[::2], evaluations[1::2], strict=True)):
             if not (a.ok and b.ok):
-                raise _FailedError
+                raise CandidateFailedError(b.x if a.ok else a.x)
             columns.append((of(a) - of(b)) / (a.x[i] - b.x[i]))
         return np.array(columns).T
 

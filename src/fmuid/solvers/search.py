@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from fmuid.campaign import FloatArray
+from fmuid.derivatives import NoiseFloor
 from fmuid.problem import Evaluation, Problem
 
 FEASIBLE = 1e-6  # a constraint broken by less counts as kept
@@ -97,6 +98,7 @@ class Search:
         self.starts: list[Start] = []
         self.cost_of: Callable[[Evaluation], float] = lambda evaluation: evaluation.cost
         self.limits_of: Callable[[Evaluation], FloatArray] = lambda _: np.zeros(0)
+        self.noise_floor: NoiseFloor | None = None  # a solver that measured it leaves it here
         self._record, self._recall = record, recall
         self._recent: OrderedDict[bytes, Evaluation] = OrderedDict()
 

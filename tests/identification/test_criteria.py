@@ -1,0 +1,107 @@
+import numpy as np
+import pytest
+
+from fmuid import criteria
+from fmuid.campaign import CriterionSpec
+from fmuid.criteria import Target, prepare
+from fmuid.errors import ProblemError
+
+TIME = np.linspace(0.0, 2.0, 401)
+
+
+def target(mean, sigma=0.1, count=1.0, inputs=None):
+    mean = np.asarray(mean, dtype=float)
+    there = np.where(np.isfinite(mean), count, 0.0)
+    return Target("y", TIME, mean, there, np.full(len(mean), sigma), inputs or {})
+
+
+def score(kind, prediction, measured, demand=1.0, **options):
+    spec = CriterionSpec("y", kind, demand=demand, options=options)
+    return criteria.value(prepare(spec, target(measured)).residuals(np.asarray(prediction, dtype=float)))
+
+
+def second_order(zeta, w=10.0):
+    wd = w * np.sqrt(1 - zeta**2)
+    return 1 - np.exp(-zeta * w * TIME) * (np.cos(wd * TIME) + zeta * w / wd * np.sin(wd * TIME))
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("least_squares", 3.0),  # 0.3 off with sigma 0.1
+        ("error_vector", 0.3),
+        ("maximum", 0.3),
+        ("quantile", 0.3),
+        ("integral_absolute", 0.3),
+        ("integral_squared", 0.3),
+        ("integral_time_absolute", 0.3),
+        ("steady_state", 0.3),
+    ],
+)
+def test_value_of_a_constant_error(kind, expected):
+    measured = np.sin(TIME)
+    assert score(kind, measured + 0.3, measured) == pytest.approx(expected)
+    assert score(kind, measured + 0.3, measured, demand=2.0) == pytest.approx(expected / 2)
+
+
+def test_response_features_of_a_second_order_step():
+    # Textbook: overshoot exp(-pi zeta / sqrt(1 - zeta^2)) = 37.2 % and 16.3 %.
+    assert score("overshoot", second_order(0.3), second_order(0.5)) == pytest.approx(37.2 - 16.3, abs=0.3)
+    # 10-90 % rise time of zeta = 0.5 is 1.64 / w.
+    ideal = np.where(TIME < 0.5, 0.0, 1.0)
+    assert score("rise_time", second_order(0.5), ideal) == pytest.approx(0.164, abs=0.005)
+    assert score("settling_time", second_order(0.5), second_order(0.5)) == 0.0
+
+
+def test_frequency_response_of_a_gain_and_a_delay():
+    u = np.sin(2 * np.pi * 5 * TIME) + np.sin(2 * np.pi * 9 * TIME)
+    spec = {"options": {"frequencies": [5.0, 9.0]}}
+    aim = target(u, inputs={"u": u})
+    magnitude = prepare(CriterionSpec("y", "magnitude", **spec), aim)
+    assert magnitude.residuals(10 * u) == pytest.approx([20.0, 20.0])
+    late = np.sin(2 * np.pi * 5 * (TIME - 0.01)) + np.sin(2 * np.pi * 9 * (TIME - 0.01))
+    phase = prepare(CriterionSpec("y", "phase", **spec), aim)
+    assert phase.residuals(late) == pytest.approx([-18.0, -32.4], abs=0.1)
+
+
+@pytest.mark.parametrize("kind", ["least_squares", "maximum", "integral_absolute", "steady_state", "peak"])
+def test_missing_samples_are_left_out(kind):
+    measured = np.sin(TIME)
+    gappy = measured.copy()
+    gappy[50:80] = np.nan
+    wild = measured.copy()
+    wild[50:80] = 1e6  # only where nothing was measured
+    assert score(kind, wild, gappy) == 0.0
+
+
+def test_time_window_and_quantile_leave_outliers_out():
+    measured = np.zeros(401)
+    spiky = measured.copy()
+    spiky[:10] = 100.0
+    spec = CriterionSpec("y", "maximum", start_time=0.1)
+    assert criteria.value(prepare(spec, target(measured)).residuals(spiky)) == 0.0
+    assert score("quantile", spiky, measured, q=0.9) == 0.0
+
+
+def test_user_functions_by_name_and_by_registration():
+    assert score("user", np.ones(401), np.zeros(401), function="numpy:add") == pytest.approx(
+        np.sqrt(np.mean((TIME + 1) ** 2))
+    )
+    criteria.register("largest_over", lambda time, p, m: max(0.0, float(np.max(p - m))))
+    assert score("largest_over", np.full(401, -5.0), np.zeros(401)) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        (CriterionSpec("y", "least_squared"), "unknown kind"),
+        (CriterionSpec("y", demand=0.0), "demand"),
+        (CriterionSpec("y", start_time=3.0), "time window"),
+        (CriterionSpec("y", options={"sigmaa": 1.0}), "unknown option 'sigmaa'"),
+        (CriterionSpec("y", "magnitude", options={"input": "v"}), "no input 'v'"),
+        (CriterionSpec("y", "user"), "no function"),
+    ],
+)
+def test_criteria_that_cannot_be_are_refused(spec, message):
+    with pytest.raises(ProblemError, match=message):
+        prepare(spec, target(np.zeros(401)))

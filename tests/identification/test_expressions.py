@@ -1,0 +1,45 @@
+import pytest
+
+from fmuid.errors import ProblemError
+from fmuid.expressions import parse
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("2 * a + 1", 7.0),
+        ("-a ** 2", -9.0),
+        ("lossTable[2, 4] / load.mgr", 0.25),
+        ("sqrt(a + 1) * a", 6.0),
+        ("max(a, 10, load.mgr)", 10.0),
+    ],
+)
+def test_arithmetic_over_names_as_campaigns_write_them(text, value):
+    expression = parse(text)
+    assert expression({"a": 3.0, "lossTable[2,4]": 2.0, "load.mgr": 8.0}) == pytest.approx(value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "a +",
+        "__import__('os')",
+        "a.b()",
+        "lambda: 1",
+        "[a]",
+        "a if a else 1",
+        "True",
+        "'a'",
+        "a; b",
+        "open(a)",
+    ],
+)
+def test_anything_but_arithmetic_is_refused(text):
+    with pytest.raises(ProblemError, match="not an arithmetic expression"):
+        parse(text)
+
+
+def test_division_by_zero_is_said_in_one_line():
+    with pytest.raises(ProblemError, match="'1 / a' has no value"):
+        parse("1 / a")({"a": 0.0})

@@ -1,0 +1,153 @@
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmuid import Observer, Result, Status, StopRules, identify, read_history
+from fmuid.history import JOURNAL, HistoryError
+
+# A run that identifies the mass-spring-damper with a slow model, to be killed from outside.
+SCRIPT = """
+    import sys, time
+    sys.path.insert(0, {folder!r})
+    from conftest import Analytic, MSD_TRUTH, msd_problem, step_response
+    from fmuid import identify
+
+    def slow(time_, inputs, p):
+        time.sleep({pause})
+        return step_response(time_, inputs, p)
+
+    result = identify(
+        msd_problem(model=Analytic(slow, MSD_TRUTH)),
+        solver={solver!r},
+        out=sys.argv[1],
+        resume="resume" in sys.argv,
+    )
+    print(sorted(result.parameters.items()), result.stages[0].cost, result.stages[0].evaluations)
+"""
+
+
+def start(tmp_path, solver, *more, pause=0.004):
+    script = tmp_path / "run.py"
+    folder = str(Path(__file__).parent)
+    script.write_text(textwrap.dedent(SCRIPT.format(folder=folder, solver=solver, pause=pause)))
+    command = [sys.executable, str(script), str(tmp_path / "run"), *more]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+
+
+def killed_and_resumed(tmp_path, solver, kills, generator):
+    """Kill a run at random moments, resume it each time, and return what it prints in the end."""
+    process = start(tmp_path, solver)
+    journal = tmp_path / "run" / JOURNAL
+    for _ in range(kills):
+        while process.poll() is None and (not journal.exists() or journal.stat().st_size < 100):
+            time.sleep(0.002)
+        time.sleep(generator.uniform(0.0, 0.25))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+        if not journal.exists():  # it was done already
+            break
+        process = start(tmp_path, solver, "resume")
+    printed, _ = process.communicate(timeout=60)
+    return printed
+
+
+@pytest.mark.parametrize(
+    ("solver", "kills"),
+    [("nelder_mead", 3), *(pytest.param(s, 10, marks=pytest.mark.slow) for s in ("trf", "crs2 > bobyqa"))],
+)
+def test_a_run_killed_at_random_moments_ends_as_an_unbroken_one(tmp_path, solver, kills):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    unbroken, _ = start(tmp_path / "a", solver, pause=0).communicate(timeout=60)
+    assert "('k', 30" in unbroken
+    broken = killed_and_resumed(tmp_path / "b", solver, kills, np.random.default_rng(kills))
+    assert broken == unbroken
+
+
+class Interrupt(Observer):
+    """Presses Ctrl-C at an evaluation."""
+
+    def __init__(self, at):
+        self.at = at
+
+    def evaluated(self, progress):
+        if progress.evaluations == self.at:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("solver", ["trf", "bobyqa", "sbplx", "crs2", "dfols", "slsqp"])
+def test_ctrl_c_keeps_what_was_reached_and_resume_goes_on_exactly(tmp_path, msd, solver):
+    whole = identify(msd(), solver=solver, with_uncertainty=False)
+    stopped = identify(msd(), solver=solver, out=tmp_path, observer=Interrupt(12))
+    assert stopped.status is Status.INTERRUPTED
+    assert stopped.stages[0].cost < stopped.stages[0].start_cost
+    assert Result.from_json(tmp_path) == stopped
+    assert len(read_history(tmp_path)["msd"].rows) >= 12
+    problem = msd()
+    resumed = identify(problem, solver=solver, out=tmp_path, resume=True, with_uncertainty=False)
+    assert resumed.parameters == whole.parameters
+    assert resumed.stages[0].evaluations == whole.stages[0].evaluations
+    assert problem.cases[0].simulator.count <= whole.stages[0].evaluations - 11
+    assert not (tmp_path / JOURNAL).exists()
+
+
+def test_history_holds_every_evaluation_and_the_predictions_of_the_improving_ones(tmp_path, msd):
+    problem = msd()
+    stage = identify(problem, solver="nelder_mead", out=tmp_path, with_uncertainty=False).stages[0]
+    history = read_history(tmp_path)["msd"]
+    assert problem.cases[0].simulator.count == len(history.rows)
+    assert len(history.rows) == stage.evaluations
+    assert np.min(history.costs) == stage.cost
+    costs = [row.cost for _, row in history.iterates()]
+    assert costs == sorted(costs, reverse=True)
+    last = list(history.iterates())[-1][1]
+    exact = problem.cases[0].simulator.simulate(problem.cases[0].task, last.parameters)
+    assert np.array_equal(last.predictions[0], exact)
+
+
+def test_failed_candidates_are_recorded_as_failed(tmp_path, analytic, msd, msd_truth):
+    exact = msd().cases[0].simulator.function
+    fragile = analytic(lambda t, u, p: None if p["k"] > 30.2 else exact(t, u, p), msd_truth)
+    stage = identify(msd(model=fragile), solver="nelder_mead", out=tmp_path, with_uncertainty=False).stages[0]
+    failed = [row for row in read_history(tmp_path)["msd"].rows if row.failure]
+    assert len(failed) == stage.failures > 0
+    assert all(np.isnan(row.cost) and row.parameters["k"] > 30.2 for row in failed)
+    assert "the integrator gave up" in failed[0].failure
+
+
+def test_a_journal_cut_anywhere_is_read_up_to_the_cut(tmp_path, msd):
+    identify(msd(), solver="bobyqa", out=tmp_path, observer=Interrupt(6))
+    whole = (tmp_path / JOURNAL).read_bytes()
+    rows = len(read_history(tmp_path)["msd"].rows)
+    for cut in range(1, 600, 7):
+        (tmp_path / JOURNAL).write_bytes(whole[:-cut])
+        assert rows - 3 <= len(read_history(tmp_path)["msd"].rows) < rows
+    damaged = bytearray(whole)
+    damaged[-5] ^= 0xFF
+    (tmp_path / JOURNAL).write_bytes(damaged)
+    assert len(read_history(tmp_path)["msd"].rows) == rows - 1
+
+
+def test_a_changed_problem_is_not_resumed(tmp_path, msd):
+    identify(msd(), solver="bobyqa", out=tmp_path, observer=Interrupt(6))
+    with pytest.raises(HistoryError, match="has changed since"):
+        identify(msd(seed=5), solver="bobyqa", out=tmp_path, resume=True)
+
+
+def test_a_complete_run_is_not_resumed_and_a_budget_can_be_raised(tmp_path, msd):
+    identify(msd(), solver="bobyqa", out=tmp_path, stop=StopRules(evaluations=9), with_uncertainty=False)
+    with pytest.raises(HistoryError, match="the run is complete"):
+        identify(msd(), solver="bobyqa", out=tmp_path, resume=True)
+
+
+def test_a_foreign_file_is_no_history(tmp_path):
+    (tmp_path / "history.h5").write_bytes(b"no")
+    with pytest.raises(HistoryError, match="cannot be read"):
+        read_history(tmp_path)

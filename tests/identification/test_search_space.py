@@ -1,0 +1,65 @@
+import numpy as np
+import pytest
+
+from fmuid.campaign import ParameterSpec
+from fmuid.errors import ProblemError
+from fmuid.search_space import SearchSpace, expanded
+
+
+def test_search_coordinates_are_of_order_one_and_lead_back():
+    specs = (
+        ParameterSpec("stiffness", 130_000.0, 1e4, 1e6),
+        ParameterSpec("inertia", 3e-3, 1e-5, 1.0, scale="log"),
+        ParameterSpec("offset", 0.0, -2.0, 2.0),
+    )
+    space = SearchSpace(specs, {"n": 50.0})
+    values = {"stiffness": 2.6e5, "inertia": 0.01, "offset": 0.3, "n": 50.0}
+    x = space.to_search(values)
+    assert x == pytest.approx([2.0, np.log(0.01), 0.75])
+    assert space.to_model(x) == pytest.approx(values)
+    assert space.slope(x) == pytest.approx([130_000.0, 0.01, 0.4])
+
+
+def test_a_point_outside_the_bounds_is_moved_onto_them():
+    space = SearchSpace((ParameterSpec("a", 1.0, 0.5, 2.0),))
+    assert space.to_model(np.array([9.0])) == {"a": 2.0}
+
+
+def test_ties_follow_their_leaders_in_any_order():
+    specs = [ParameterSpec(n, 1.0) for n in ("a", "b", "c")]
+    space = expanded(specs, ["a"], {}, {"c": "b + 1", "b": "2 * a"}, [])
+    assert space.to_model(np.array([3.0])) == {"a": 3.0, "b": 6.0, "c": 7.0}
+
+
+def test_a_per_experiment_parameter_is_free_once_for_each():
+    specs = [ParameterSpec("k", 2.0), ParameterSpec("offset", 0.0, per="experiment")]
+    space = expanded(specs, ["offset", "k"], {"k": 4.0, "offset@b": 0.5}, {}, ["a", "b"])
+    assert space.names == ("offset@a", "offset@b", "k")
+    assert space.to_model(space.start)["offset@b"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("ties", "message"),
+    [
+        ({"a": "b", "b": "a"}, "circle"),
+        ({"b": "nothing"}, "unknown parameter 'nothing'"),
+        ({"nothing": "a"}, "unknown parameter 'nothing'"),
+    ],
+)
+def test_ties_that_cannot_be_are_refused(ties, message):
+    specs = [ParameterSpec("a", 1.0), ParameterSpec("b", 1.0), ParameterSpec("c", 1.0)]
+    with pytest.raises(ProblemError, match=message):
+        expanded(specs, ["c"], {}, ties, [])
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        (ParameterSpec("a", 3.0, 0.0, 2.0), "outside"),
+        (ParameterSpec("a", 1.0, 2.0, 0.0), "not below"),
+        (ParameterSpec("a", 0.0, 0.0, 2.0, scale="log"), "log scale"),
+    ],
+)
+def test_impossible_parameters_are_refused(spec, message):
+    with pytest.raises(ProblemError, match=message):
+        SearchSpace((spec,))

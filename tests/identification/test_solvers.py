@@ -1,0 +1,227 @@
+import numpy as np
+import pytest
+
+from fmuid import CriterionSpec, ParameterSpec, Problem, Status, StopRules, Task, identify, measured_case
+from fmuid.combine import Combination, Constraint
+from fmuid.errors import ProblemError
+from fmuid.solvers import choose
+
+LOCAL = ["trf", "dfols", "nelder_mead", "sbplx", "cobyla", "bobyqa", "newuoa_bound", "praxis", "slsqp"]
+GLOBAL = ["crs2", "isres", "direct", "direct_l", "esch", "mlsl", "ags"]
+
+
+def curve(analytic, function, names, y, *, kind="least_squares", criteria=None, specs=None, **options):
+    """A problem that fits `function` to the samples `y` over time 0..1, with sigma 1."""
+    time = np.linspace(0.0, 1.0, len(y))
+    task = Task(time, {}, ("y",))
+    criteria = criteria or [CriterionSpec("y", kind)]
+    model = analytic(function, names)
+    case = measured_case("curve", model, task, {"y": np.asarray(y, float)}, sigma={"y": 1.0}, criteria=criteria)
+    return Problem([case], specs or [ParameterSpec(n, 1.0, -10.0, 10.0) for n in names], **options)
+
+
+def rugged(time, inputs, p):
+    """Rastrigin's function as one residual vector: a local minimum next to every integer."""
+    return {"y": np.sqrt([10.0 + p["a"] ** 2 - 10.0 * np.cos(2 * np.pi * p["a"])] * len(time))}
+
+
+@pytest.mark.parametrize("solver", LOCAL)
+def test_local_solvers_find_the_truth_again(solver, msd, msd_truth):
+    result = identify(msd(noise=0.0), solver=solver, with_uncertainty=False)
+    assert result.status is Status.CONVERGED
+    assert {n: result.parameters[n] for n in msd_truth} == pytest.approx(msd_truth, rel=2e-3)
+
+
+@pytest.mark.parametrize("solver", GLOBAL)
+def test_global_solvers_leave_a_local_minimum(solver, analytic):
+    specs = [ParameterSpec("a", 3.0, -4.7, 5.3)]
+    problem = curve(analytic, rugged, ["a"], np.zeros(5), specs=specs)
+    assert abs(identify(problem, solver="bobyqa", options={"initial_step": 0.01}).parameters["a"]) > 0.9
+    assert abs(identify(problem, solver=solver, with_uncertainty=False).parameters["a"]) < 0.2
+
+
+def test_a_chain_polishes_what_a_global_search_found(analytic):
+    problem = curve(analytic, rugged, ["a"], np.zeros(5), specs=[ParameterSpec("a", 3.0, -4.7, 5.3)])
+    options = {"crs2": {"evaluations": 300}}
+    result = identify(problem, solver="crs2 > bobyqa", options=options, with_uncertainty=False)
+    assert result.parameters["a"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_multistart_is_the_same_for_the_same_seed_and_keeps_the_waterfall(analytic):
+    specs = [ParameterSpec("a", 3.0, -4.7, 5.3)]
+    runs = [
+        identify(
+            curve(analytic, rugged, ["a"], np.zeros(5), specs=specs),
+            solver="bobyqa",
+            options={"starts": 12, "initial_step": 0.02},
+            seed=seed,
+            with_uncertainty=False,
+        ).stages[0]
+        for seed in (3, 3, 4)
+    ]
+    assert runs[0].starts == runs[1].starts != runs[2].starts
+    assert len(runs[0].starts) == 12
+    assert len({round(s.cost, 3) for s in runs[0].starts}) > 3  # different minima were met
+    assert runs[0].cost == pytest.approx(min(s.cost for s in runs[0].starts))
+
+
+def test_min_max_gives_the_midrange_and_least_squares_the_mean(analytic):
+    y = [0.0, 0.0, 0.0, 4.0]
+    level = lambda time, inputs, p: {"y": p["a"]}  # noqa: E731
+    least_squares = curve(analytic, level, ["a"], y)
+    worst = curve(analytic, level, ["a"], y, kind="maximum", combination=Combination("min_max"))
+    assert identify(least_squares).parameters["a"] == pytest.approx(1.0)
+    assert identify(worst, with_uncertainty=False).parameters["a"] == pytest.approx(2.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("solver", ["cobyla", "slsqp", "isres"])
+def test_min_max_balances_criteria_that_compete(analytic, solver):
+    # |a - 1| and |a + 3| / 3: equal at a = 0.
+    criteria = [
+        CriterionSpec("y", "error_vector", stop_time=0.5),
+        CriterionSpec("y", "error_vector", start_time=0.6, demand=3.0),
+    ]
+    level = lambda time, inputs, p: {"y": p["a"]}  # noqa: E731
+    problem = curve(
+        analytic, level, ["a"], [1.0, 1.0, -3.0, -3.0], criteria=criteria, combination=Combination("min_max")
+    )
+    result = identify(problem, solver=solver, with_uncertainty=False)
+    assert result.parameters["a"] == pytest.approx(0.0, abs=0.02)
+
+
+@pytest.mark.parametrize("solver", ["cobyla", "slsqp", "bobyqa"])
+def test_constraints_on_parameters_are_kept(analytic, solver):
+    # Nearest point of a + b = 1 to (2, 1) is (1, 0).
+    line = lambda time, inputs, p: {"y": np.where(time < 0.5, p["a"], p["b"])}  # noqa: E731
+    constraint = Constraint.from_mapping({"expression": "a + b", "max": 1.0})
+    problem = curve(analytic, line, ["a", "b"], [2.0, 1.0], constraints=[constraint])
+    result = identify(problem, solver=solver, with_uncertainty=False)
+    assert (result.parameters["a"], result.parameters["b"]) == pytest.approx((1.0, 0.0), abs=2e-3)
+
+
+def test_a_criterion_can_be_a_constraint(analytic):
+    criteria = [
+        CriterionSpec("y", "least_squares"),
+        CriterionSpec("y", "maximum", options={"name": "worst"}, weight=0.0),
+    ]
+    level = lambda time, inputs, p: {"y": p["a"]}  # noqa: E731
+    constraint = Constraint.from_mapping({"criterion": "worst", "max": 2.5})
+    problem = curve(analytic, level, ["a"], [0.0, 0.0, 0.0, 4.0], criteria=criteria, constraints=[constraint])
+    # The mean, 1, leaves 3 at the worst sample; 1.5 is the nearest that keeps 2.5.
+    assert identify(problem, with_uncertainty=False).parameters["a"] == pytest.approx(1.5, abs=1e-3)
+
+
+def test_lexicographic_order_spends_only_what_the_first_leaves_free(analytic):
+    criteria = [
+        CriterionSpec("y", "error_vector", stop_time=0.4, options={"priority": 1}),
+        CriterionSpec("y", "error_vector", start_time=0.6, options={"priority": 2}),
+    ]
+    # The first half sees only a + b, the second wants a = 3 but must not spoil the first.
+    both = lambda time, inputs, p: {"y": np.where(time < 0.5, 100 * (p["a"] + p["b"]), p["a"])}  # noqa: E731
+    problem = curve(
+        analytic, both, ["a", "b"], [200.0, 3.0], criteria=criteria, combination=Combination("lexicographic")
+    )
+    found = identify(problem, with_uncertainty=False).parameters
+    assert found["a"] == pytest.approx(3.0, abs=0.05)
+    assert found["a"] + found["b"] == pytest.approx(2.0, abs=0.02)
+
+
+def test_p_norm_lies_between_the_sum_and_the_maximum(analytic):
+    y = [0.0, 0.0, 0.0, 4.0]
+    level = lambda time, inputs, p: {"y": p["a"]}  # noqa: E731
+    spread = [CriterionSpec("y", "maximum", start_time=t - 0.1, stop_time=t + 0.1) for t in (0, 1 / 3, 2 / 3, 1)]
+    found = []
+    for p in (2.0, 6.0, 60.0):
+        problem = curve(analytic, level, ["a"], y, criteria=spread, combination=Combination("p_norm", p))
+        found.append(identify(problem, solver="sbplx", with_uncertainty=False).parameters["a"])
+    assert found[0] == pytest.approx(1.0, abs=1e-3)
+    assert found[0] < found[1] < found[2] < 2.0
+
+
+@pytest.mark.parametrize("solver", ["trf", "dfols", "bobyqa", "nelder_mead", "cobyla", "slsqp", "crs2", "direct"])
+def test_candidates_that_fail_do_not_stop_the_search(analytic, msd, msd_truth, solver):
+    from_conftest = msd(noise=0.0).cases[0].simulator.function
+
+    def fragile(time, inputs, p):
+        return None if p["k"] > 30.4 or p["d"] > 1.1 else from_conftest(time, inputs, p)
+
+    model = analytic(fragile, msd_truth)
+    result = identify(msd(noise=0.0, model=model), solver=solver, with_uncertainty=False)
+    if solver in ("trf", "dfols", "bobyqa", "nelder_mead"):
+        assert {n: result.parameters[n] for n in msd_truth} == pytest.approx(msd_truth, rel=5e-3)
+    else:  # what cannot be simulated hides the way to the truth; what is reached is better, and valid
+        stage = result.stages[0]
+        assert stage.failures > 0
+        assert stage.cost < 0.3 * stage.start_cost
+        assert stage["k"].value <= 30.4
+
+
+def test_a_start_that_fails_is_said(analytic):
+    problem = curve(analytic, lambda time, inputs, p: None, ["a"], np.zeros(3))
+    result = identify(problem)
+    assert result.status is Status.FAILED
+    assert "the integrator gave up" in result.stages[0].message
+    assert result.stages[0].cost is None
+
+
+def test_budgets_are_kept(msd):
+    result = identify(msd(), solver="nelder_mead", stop=StopRules(evaluations=20), with_uncertainty=False)
+    assert result.status is Status.BUDGET
+    assert result.stages[0].evaluations == 20
+    good_enough = identify(msd(), solver="nelder_mead", stop=StopRules(cost=1e6), with_uncertainty=False)
+    assert good_enough.stages[0].cost <= 1e6
+
+
+def test_the_default_follows_the_structure(analytic, msd):
+    level = lambda time, inputs, p: {"y": p["a"]}  # noqa: E731
+    assert choose(msd())[0] == "trf"
+    assert choose(msd(combination=Combination("min_max")))[0] == "cobyla"
+    assert choose(msd(combination=Combination("p_norm")))[0] == "bobyqa"
+    kinks = curve(analytic, level, ["a"], np.zeros(3), kind="maximum")
+    name, why = choose(kinks)
+    assert name == "sbplx"
+    assert "kinks" in why
+
+
+@pytest.mark.parametrize(
+    ("solver", "options", "message"),
+    [
+        ("bobyka", {}, "did you mean 'bobyqa'"),
+        ("bobyqa", {"tolerence": 1}, "no option 'tolerence'"),
+        ("lm", {}, "takes no bounds"),
+        ("crs2 > bobyqa", {"evaluations": 3}, "unknown solver option"),
+    ],
+)
+def test_solvers_that_cannot_be_are_refused(msd, solver, options, message):
+    with pytest.raises(ProblemError, match=message):
+        identify(msd(), solver=solver, options=options)
+
+
+def test_global_solvers_name_the_open_bounds(analytic):
+    level = lambda time, inputs, p: {"y": p["a"]}  # noqa: E731
+    problem = curve(analytic, level, ["a"], np.zeros(3), specs=[ParameterSpec("a", 1.0, lower=0.0)])
+    with pytest.raises(ProblemError, match="give lower and upper of a"):
+        identify(problem, solver="crs2")
+
+
+def test_noise_of_a_simulator_does_not_stop_the_gradient(analytic, msd, msd_truth):
+    exact = msd(noise=0.0).cases[0].simulator.function
+
+    def noisy(time, inputs, p):
+        # As an adaptive integrator: a relative error that jumps with the parameters.
+        jump = np.random.default_rng(abs(hash(tuple(p.values())))).standard_normal(time.size)
+        return {"y": exact(time, inputs, p)["y"] * (1 + 1e-6 * jump)}
+
+    result = identify(msd(noise=0.0, model=analytic(noisy, msd_truth)), solver="trf")
+    assert {n: result.parameters[n] for n in msd_truth} == pytest.approx(msd_truth, rel=1e-3)
+    floor = result.stages[0].uncertainty.noise_floor
+    size = 1 / 30.0 / 1e-4 * np.sqrt(3)
+    assert floor == pytest.approx(1e-6 * size, rel=0.5)
+
+
+def test_uncertainty_of_a_failing_neighbourhood_is_a_warning_not_an_end(analytic):
+    only = lambda time, inputs, p: {"y": p["a"]} if p["a"] == 1.0 else None  # noqa: E731
+    problem = curve(analytic, only, ["a"], np.ones(3))
+    result = identify(problem, solver="nelder_mead")
+    assert result.parameters["a"] == 1.0
+    assert any("no uncertainty" in w for w in result.stages[0].warnings)
