@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from tests.rig.rigs import constant, held, lossless, paper, ramped
 
 from fmuid.virtual_rig import Channel, Rig
+from tests.rig.rigs import constant, held, lossless, paper, ramped
 
 K_M, N = 0.7, 50
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.rig.rigs import constant, held, ramped
 
 from fmuid.errors import CampaignError
 from fmuid.virtual_rig import Channel, Rig, Sensors, record
 from fmuid.virtual_rig.__main__ import main
 from fmuid.virtual_rig.inputs import binary_sequence
 from fmuid.virtual_rig.plan import carry_out, load_plan
+from tests.rig.rigs import constant, held, ramped
 
 CAMPAIGN = Path(__file__).parents[2] / "campaigns" / "force_feedback"
 PLAN = """
