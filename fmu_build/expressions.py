@@ -81,7 +81,7 @@ class Evaluator:
             "Unary": self._unary,
             "Binary": self._binary,
             "If": self._if,
-            "Array": lambda n: Array.stack([self(e) for e in n["elements"]]),
+            "Array": self._array,
             "Tuple": lambda n: tuple(self(e) for e in n["elements"]),
             "Range": self._range,
             "Index": lambda n: self._subscripted(self(n["base"]), n["subscripts"]),
@@ -142,6 +142,13 @@ class Evaluator:
                 del self._iterators[name]
             else:
                 self._iterators[name] = before
+
+    def _array(self, node: Node) -> Value:
+        elements = [self(e) for e in node["elements"]]
+        if node["kind"] == "Array":
+            return Array.stack(elements)
+        matrices = [_matrix(e) for e in elements]  # [a, b; c, d]
+        return _cat(self, 2 if node["kind"] == "Horizontal" else 1, *matrices)
 
     def _literal(self, node: Node) -> Value:
         ((tag, value),) = node["value"].items()
@@ -397,6 +404,12 @@ def _identity(e: Evaluator, n: Value) -> Value:
 def _linspace(e: Evaluator, a: Value, b: Value, n: Value) -> Value:
     (low,), (high,), (count,) = algebra.scalars(a), algebra.scalars(b), algebra.scalars(n)
     return Array((int(count),), tuple(low + (high - low) * i / (count - 1) for i in range(int(count))))
+
+
+def _matrix(value: Value) -> Array:
+    if not isinstance(value, Array):
+        return Array((1, 1), algebra.scalars(value))
+    return Array((*value.shape, 1), value.items) if len(value.shape) == 1 else value
 
 
 def _transpose(e: Evaluator, a: Value) -> Value:

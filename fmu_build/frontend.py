@@ -76,6 +76,13 @@ class Flat:
         """Make the error for a construct at a span."""
         return ModelicaError(what, where=self.where(span) or self.class_name, fix=fix)
 
+    def is_outer(self, variable: Node) -> bool:
+        """Whether a variable is an ``outer`` declaration: the front end keeps it, but nothing refers to it."""
+        span = variable["source_span"]
+        path = self._sources.get(span["source"])
+        before = b"" if path is None else self._texts[path][: int(span["start"])]
+        return re.search(rb"\bouter\b[^;]*$", before[-200:]) is not None
+
     def used_files(self) -> list[Path]:
         """Source files that something in the flat result comes from."""
         return sorted(set(self._sources.values()))

@@ -140,6 +140,8 @@ class Functions:
     def _initial(self, variable: Node, evaluator: Evaluator) -> Value:
         if variable["default"] is not None:
             return evaluator(variable["default"])
+        if variable["type_class"] == "Record":
+            return {}
         if variable["type_class"] not in (None, "Type"):
             raise self._flat.error(f"'{variable['name']}' of type {variable['type_name']}", variable["span"])
         shape = []

@@ -92,7 +92,8 @@ class Declarations:
         self.values: dict[str, Value] = {}
         self._structural = _structural_parameters(flat)
         for name, node in flat.parts["variables"].items():
-            self._declare(name, node, discrete)
+            if not flat.is_outer(node):
+                self._declare(name, node, discrete)
 
     def _declare(self, name: str, node: Node, discrete: set[str]) -> None:
         if not node["is_primitive"]:
