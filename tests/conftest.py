@@ -10,7 +10,6 @@ import pytest
 ROOT = Path(__file__).parents[1]
 FMUS = ROOT / "build" / "fmus"  # where `make fmus` puts them too
 MODELICA = ROOT / "modelica"
-WITH_EFFECTS = ("FixedShaftWithEffects", "FreeShaftWithEffects", "EccentricLoadWithEffects")
 SETUPS = ("FixedShaft", "FreeShaft", "EccentricLoad", "LinearAxisOpenLoop", "LinearAxisClosedLoop")
 
 
@@ -28,5 +27,5 @@ def fmus() -> Mapping[str, Path]:
 
 @pytest.fixture(scope="session")
 def effect_fmus() -> Mapping[str, Path]:
-    """The actuator's FMUs with the effects of the catalogue, by name."""
-    return _build(WITH_EFFECTS)
+    """The FMUs of the shipped setups with the effects of their catalogues, by name."""
+    return _build(tuple(f"{name}WithEffects" for name in SETUPS))

@@ -21,7 +21,7 @@ CASES = {
     "open_loop": ("LinearAxisOpenLoop", e.axis_open_loop(), {"offset": -3.165}),
     "closed_loop": ("LinearAxisClosedLoop", e.axis_closed_loop(), {"offset": -3.165}),
 }
-LIMIT = 1e-4
+LIMIT = 1e-5
 
 
 @pytest.mark.parametrize("case", CASES)
