@@ -72,9 +72,7 @@ def compare_tables(
     """
     for name in names:
         if name not in reference.columns:
-            raise FmuidError(
-                f"the reference has no variable '{name}'", fix=suggestion(name, reference.columns)
-            )
+            raise FmuidError(f"the reference has no variable '{name}'", fix=suggestion(name, reference.columns))
     names = list(names) or list(reference.columns)
     for name in names:
         if name not in result.columns:

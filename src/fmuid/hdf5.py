@@ -50,9 +50,7 @@ def reading(path: Path, error: Error = MeasurementsError, *, fix: str | None = N
     except FmuidError:
         raise
     except _H5PY_ERRORS as cause:
-        raise error(
-            f"cannot be read as HDF5 ({_first_line(cause)})", where=path, fix="write it again"
-        ) from None
+        raise error(f"cannot be read as HDF5 ({_first_line(cause)})", where=path, fix="write it again") from None
 
 
 def write_file(path: Path, fill: Callable[[Any], None]) -> None:
@@ -117,9 +115,7 @@ def text(holder: Any, name: str, error: Error, where: str, *, default: str | Non
     if not isinstance(value, str):
         raise error(f"attribute '{name}' is not a string", where=where, fix="write it as a string")
     if not value.isprintable():
-        raise error(
-            f"attribute '{name}' has unprintable characters", where=where, fix="write it as plain text"
-        )
+        raise error(f"attribute '{name}' has unprintable characters", where=where, fix="write it as plain text")
     return value
 
 

@@ -93,9 +93,7 @@ def check_measurements(measurements: Measurements, path: str | Path) -> None:
             raise _Error("has no signals", where=where, fix="write at least one under 'signals'")
         for name, signal in experiment.signals.items():
             if not _is_name(name) or signal.name != name:
-                raise _Error(
-                    "is not a usable signal name", where=f"{where}, signal '{name}'", fix="rename it"
-                )
+                raise _Error("is not a usable signal name", where=f"{where}, signal '{name}'", fix="rename it")
             check_signal(signal, experiment.time.size, f"{where}, signal '{name}'")
         for name, value in experiment.settings.items():
             if not np.isfinite(value):
@@ -111,9 +109,7 @@ def check_time(time: FloatArray, where: str) -> None:
         raise _Error(f"has shape {time.shape}", where=where, fix="a run has at least 2 samples, shape (N,)")
     bad = np.flatnonzero(~np.isfinite(time))
     if bad.size:
-        raise _Error(
-            f"sample {bad[0]} is {time[bad[0]]}", where=where, fix="every time is a finite number, in s"
-        )
+        raise _Error(f"sample {bad[0]} is {time[bad[0]]}", where=where, fix="every time is a finite number, in s")
     bad = np.flatnonzero(np.diff(time) <= 0)
     if bad.size:
         k = int(bad[0]) + 1
@@ -129,9 +125,7 @@ def check_signal(signal: Signal, n_samples: int, where: str) -> None:
     values = signal.values
     if signal.causality not in _CAUSALITIES:
         hint = did_you_mean(str(signal.causality), _CAUSALITIES)
-        raise _Error(
-            f"causality is '{signal.causality}'", where=where, fix=hint or "it is 'input' or 'output'"
-        )
+        raise _Error(f"causality is '{signal.causality}'", where=where, fix=hint or "it is 'input' or 'output'")
     if values.shape != (n_samples,):
         raise _Error(
             f"has shape {values.shape} but time has {n_samples} samples",
@@ -163,9 +157,7 @@ def _check_repeat(experiment: Experiment, measurements: Measurements, where: str
             f"repeats '{origin_id}', which is not in the file", where=where, fix=hint or "correct repeat_of"
         )
     if origin.repeat_of is not None:
-        raise _Error(
-            f"repeats '{origin_id}', itself a repeat", where=where, fix="name the first run in repeat_of"
-        )
+        raise _Error(f"repeats '{origin_id}', itself a repeat", where=where, fix="name the first run in repeat_of")
     different = _first_difference(experiment, origin)
     if different:
         raise _Error(

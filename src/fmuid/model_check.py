@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from fmuid.campaign import Campaign, Experiment, ModelSpec, ParameterSpec, Signal
-from fmuid.errors import FmuError, UnitError
+from fmuid.errors import FmuError, SimulationError, UnitError
 from fmuid.expressions import parse
 from fmuid.simulation import Simulator, Variable
 from fmuid.suggest import suggestion
@@ -145,57 +145,74 @@ def check_signals(campaign: Campaign) -> tuple[Finding, ...]:
     return tuple(findings)
 
 
-def check_effects(campaign: Campaign, simulators: Mapping[str, Simulator]) -> tuple[Finding, ...]:
-    """Simulate each stage at its start and with one free parameter moved at a time.
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """What a change of a parameter by 1 % does in a stage at its start.
 
-    A parameter is moved by a hundredth of its range (by 2 % of its start, if it has none). If no residual
-    moves, that is an error; if its whole range would move them (linearly) by less than twice the noise, a
-    warning.
+    Parameters
+    ----------
+    change
+        Largest root mean square change of a criterion's residuals, in standard deviations of the noise.
+    criterion
+        The criterion it is largest in.
+    step
+        Relative step that finite differences take, from the simulator's noise floor.
+    """
+
+    stage: str
+    parameter: str
+    change: float
+    criterion: str
+    step: float
+
+
+def check_effects(
+    campaign: Campaign, simulators: Mapping[str, Simulator]
+) -> tuple[tuple[Finding, ...], tuple[Effect, ...]]:
+    """Simulate each stage around its start: what do its parameters move, and what do its runs determine.
+
+    A parameter that moves no output by more than the simulator's own noise is an error; parameters that can only
+    be determined together, and motion that no run has, are warnings (see `fmuid.sensitivity`).
     """
     from fmuid.problem import Problem
+    from fmuid.sensitivity import excitation, sensitivity_of
 
-    findings: list[Finding] = []
-    best: dict[str, float] = {}
+    findings = [Finding("warning", "identification runs", what) for what in excitation(campaign)]
+    effects: list[Effect] = []
     for stage in campaign.stages.values():
         where = f"[stages.{stage.name}]"
-        problem = Problem.of_stage(campaign, stage, simulators, best=best)
-        start = problem.space.start
-        nominal = problem.evaluate(start)
-        if not nominal.ok:
+        try:
+            found = sensitivity_of(Problem.of_stage(campaign, stage, simulators))
+        except SimulationError as error:
             findings.append(
-                Finding("error", where, f"no simulation at the start values ({nominal.failure})", "move the start")
+                Finding(
+                    "error", where, f"no simulation at the start values ({error.what})", "move the start values"
+                )
             )
             continue
-        for i, spec in enumerate(problem.space.free):
-            step = _step(problem.space.lower[i], problem.space.upper[i], start[i])
-            moved = start.copy()
-            moved[i] += step
-            other = problem.evaluate(moved)
-            at = f"{where}, parameter '{spec.name}'"
-            if not other.ok:
-                findings.append(Finding("warning", at, f"no simulation a step away ({other.failure})"))
-                continue
-            change = float(np.linalg.norm(other.residuals - nominal.residuals))
-            scale = float(np.linalg.norm(nominal.residuals)) + np.sqrt(nominal.residuals.size)
-            if change <= 1e-7 * scale:
-                findings.append(
-                    Finding(
-                        "error",
-                        at,
-                        "moves no measured output",
-                        "fix it, or add an experiment that excites it",
-                    )
+        for name, row, step in zip(found.names, found.effect, found.steps, strict=True):
+            strongest = int(np.argmax(row))
+            effects.append(Effect(stage.name, name, float(row[strongest]), found.labels[strongest], float(step)))
+        for name in found.dead:
+            findings.append(
+                Finding(
+                    "error",
+                    f"{where}, parameter '{name}'",
+                    "moves no measured output",
+                    "fix it, or add an experiment that excites it",
                 )
-            elif change * (problem.space.upper[i] - problem.space.lower[i]) < 2 * abs(step):
-                findings.append(
-                    Finding(
-                        "warning",
-                        at,
-                        "its whole range moves the measured outputs by less than their noise",
-                        "expect no estimate, or add an experiment that excites it",
-                    )
+            )
+        alive = [n for n in found.identifiability.undetermined if n not in found.dead]
+        if alive:
+            findings.append(
+                Finding(
+                    "warning",
+                    where,
+                    str(found.identifiability),
+                    "fix one of them, or add an experiment that tells them apart",
                 )
-    return tuple(findings)
+            )
+    return tuple(findings), tuple(effects)
 
 
 def _first_runs(campaign: Campaign) -> Iterator[Experiment]:
@@ -311,9 +328,11 @@ def _variable(name: str, model: ModelSpec, variables: Mapping[str, Variable], wh
 
 def _settable(name: str, model: ModelSpec, variables: Mapping[str, Variable], where: str) -> Variable:
     variable = _variable(name, model, variables, where)
-    # A local variable may be a state whose start value can be set; the FMU itself knows which.
+    # An output or a local variable that has a start value is a state, or a guess.
+    calculated = variable.causality in ("output", "local") and variable.start is None
     if (
-        variable.causality in ("output", "calculatedParameter", "independent")
+        calculated
+        or variable.causality in ("calculatedParameter", "independent")
         or variable.variability == "constant"
     ):
         raise FmuError(
@@ -350,12 +369,6 @@ def _check_values(signal: Signal, where: str) -> list[Finding]:
     if missing > 0.5 * signal.values.size:
         return [Finding("warning", where, f"{missing} of {signal.values.size} samples are missing")]
     return []
-
-
-def _step(lower: float, upper: float, start: float) -> float:
-    span = upper - lower
-    step = 0.01 * span if np.isfinite(span) else 0.02 * max(abs(start), 1.0)
-    return float(step if start + step <= upper else -step)
 
 
 def _article(causality: str) -> str:

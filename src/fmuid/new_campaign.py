@@ -107,9 +107,7 @@ def match_columns(table: Table, ports: Mapping[str, Variable]) -> dict[str, str]
     for column in table.columns:
         if column in matched or column not in table.units:
             continue
-        left = [
-            n for n, v in ports.items() if n not in matched.values() and _fits(table.units[column], v.unit)
-        ]
+        left = [n for n, v in ports.items() if n not in matched.values() and _fits(table.units[column], v.unit)]
         near = difflib.get_close_matches(_fold(column), [_fold(n) for n in left], n=1, cutoff=0.5)
         if len(left) == 1:
             matched[column] = left[0]

@@ -1,4 +1,3 @@
-# ruff: noqa: E501 - the line that a user sees is one line here too
 """campaign.toml: read into values, or refused in one line that says what, where and what to do."""
 
 from __future__ import annotations

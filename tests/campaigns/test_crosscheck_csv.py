@@ -1,4 +1,3 @@
-# ruff: noqa: E501 - the line that a user sees is one line here too
 """Cross-Check CSV: what is written reads back the same; anything else is a table or one clear line."""
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 """measurements.h5: what is written reads back the same; what breaks a rule is refused in one line."""
 
-# ruff: noqa: E501 - the line that a user sees is one line here too
-
 from __future__ import annotations
 
 import signal as signals

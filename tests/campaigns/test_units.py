@@ -1,4 +1,3 @@
-# ruff: noqa: E501 - the line that a user sees is one line here too
 """Units: converted by the factors of SI, or refused in one line."""
 
 from __future__ import annotations

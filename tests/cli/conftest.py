@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import importlib.util
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -47,15 +46,11 @@ budget = {{ evaluations = 100 }}
 
 @pytest.fixture(scope="session")
 def oscillator(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A driven oscillator: m der(v) = u - d v - c x, y = gain x."""
-    source = Path(__file__).parents[1] / "simulation" / "fmus.py"
-    spec = importlib.util.spec_from_file_location("oscillator_fmus", source)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    """A driven oscillator, built by `fmuid build`: m der(v) = u + wind - d v - c x, y = gain x."""
     folder = tmp_path_factory.mktemp("oscillator")
-    return Path(module.make_oscillator(folder).rename(folder / "Oscillator.fmu"))
+    source = Path(__file__).with_name("Oscillator.mo")
+    assert run(["build", str(source), "Oscillator", "--out", str(folder), "--quiet"]) == 0
+    return folder / "Oscillator.fmu"
 
 
 @pytest.fixture(scope="session")

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fmuid.cli.output import CampaignPath, Json, Printer, Quiet
+
+if TYPE_CHECKING:
+    from fmuid.model_check import Effect
 
 
 def check(
@@ -28,8 +31,10 @@ def check(
     loaded = load_campaign(campaign)
     models = load_models(loaded)
     findings = match_models(loaded, models) + check_signals(loaded)
+    effects: tuple[Effect, ...] = ()
     if simulate:
-        findings += check_effects(loaded, models)
+        found, effects = check_effects(loaded, models)
+        findings += found
     errors = sum(f.level == "error" for f in findings)
     printer = Printer(quiet, json)
     runs = len(loaded.measurements)
@@ -37,8 +42,18 @@ def check(
         f"{loaded.name}: {runs} runs ({len(loaded.identification)} to identify, {len(loaded.validation)} to"
         f" validate), {len(models)} models, {len(loaded.parameters)} parameters, {len(loaded.stages)} stages"
     )
+    if effects:
+        header = ("stage", "parameter", "sigma for 1 %", "step", "most in")
+        printer.table(header, [(e.stage, e.parameter, e.change, e.step, e.criterion) for e in effects])
     for finding in findings:
         printer.say(f"{finding.level}: {finding}")
     printer.say(f"{errors} errors" if errors else "no errors")
-    printer.write({"campaign": loaded.name, "ok": not errors, "findings": [asdict(f) for f in findings]})
+    printer.write(
+        {
+            "campaign": loaded.name,
+            "ok": not errors,
+            "findings": [asdict(f) for f in findings],
+            "effects": [asdict(e) for e in effects],
+        }
+    )
     return 1 if errors else 0
