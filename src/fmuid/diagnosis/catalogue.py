@@ -8,12 +8,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import numpy as np
 
 from fmuid.diagnosis.ports import Port
 from fmuid.diagnosis.refit import Unknown
+from fmuid.diagnosis.regimes import Regime
 from fmuid.errors import CampaignError
 from fmuid.suggest import suggestion
 from fmuid.toml_tables import Table, convert, read_toml
@@ -68,10 +70,11 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:
-    """Effects and ports by id, and which FMU carries them in place of the plain one (by file stem)."""
+    """Effects, ports and regimes by id, and which FMU carries them in place of the plain one (by file stem)."""
 
     effects: Mapping[str, Effect]
     ports: Mapping[str, Port]
+    regimes: Mapping[str, Regime] = field(default_factory=dict)
     models: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -101,11 +104,19 @@ class _Port(Table):
     output: str | None = None
 
 
+class _Regime(Table):
+    variable: str
+    kind: Literal["speed", "angle", "value"] = "value"
+    unit: str = ""
+    orders: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
+
+
 class _File(Table):
     format: str
     version: int
     effects: dict[str, _Effect]
     ports: dict[str, _Port] = msgspec.field(default_factory=dict)
+    regimes: dict[str, _Regime] = msgspec.field(default_factory=dict)
     models: dict[str, str] = msgspec.field(default_factory=dict)
 
 
@@ -126,7 +137,8 @@ def load_catalogue(path: Path) -> Catalogue:
         name: Port(name, p.input, p.output, p.magnitude, p.unit, p.description) for name, p in file.ports.items()
     }
     effects = {name: _effect(name, e, ports, f"{path} [effects.{name}]") for name, e in file.effects.items()}
-    return Catalogue(effects, ports, dict(file.models))
+    regimes = {n: Regime(n, r.variable, r.kind, r.unit, r.orders) for n, r in file.regimes.items()}
+    return Catalogue(effects, ports, regimes, dict(file.models))
 
 
 def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> Effect:

@@ -90,6 +90,11 @@ class CampaignModel:
             if not isinstance(o, SimulationError)
         )
 
+    def expanded(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return `values` with the model variables that are tied to them."""
+        every = {**self.fixed, **values}
+        return {**values, **{name: e(every) for name, e in self.tie.items()}}
+
     def _start_values(self, case: Case, values: Mapping[str, float]) -> dict[str, float]:
         """Campaign parameters in the model's units; what is none of them is a variable of the model."""
         own = {

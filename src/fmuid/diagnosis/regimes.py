@@ -1,0 +1,74 @@
+"""Regimes: along which variables of the model a gap is looked at, and free functions of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.campaign import FloatArray
+from fmuid.diagnosis.model import CampaignModel
+from fmuid.diagnosis.ports import Basis, harmonics, hats, quantile_knots, times
+
+
+@dataclass(frozen=True, slots=True)
+class Regime:
+    """A variable of the model that laws may depend on.
+
+    Attributes
+    ----------
+    name
+        As the report names it.
+    variable
+        Variable of the model.
+    kind
+        ``speed`` (its sign is the direction), ``angle`` (in rad; laws repeat every turn) or ``value``.
+    orders
+        Periods a turn, for an angle.
+    """
+
+    name: str
+    variable: str
+    kind: str = "value"
+    unit: str = ""
+    orders: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
+
+
+def trajectories(
+    model: CampaignModel, values: Mapping[str, float], regimes: Mapping[str, Regime]
+) -> dict[str, tuple[FloatArray, ...]]:
+    """Return, by regime and for ``time``, (N,) samples of every experiment along the model's own trajectory."""
+    names = [r.name for r in regimes.values()]
+    found = model.trajectories(values, [r.variable for r in regimes.values()])
+    paths = {name: tuple(rows[k] for rows in found) for k, name in enumerate(names)}
+    return {**paths, "time": tuple(case.time for case in model.cases)}
+
+
+def bases(
+    paths: Mapping[str, tuple[FloatArray, ...]], regimes: Mapping[str, Regime], *, knots: int = 9
+) -> dict[str, Basis]:
+    """Return families of functions that an unnamed effect may be: of speed, of angle, of load, of time.
+
+    Functions of angle and time come also with the sign of the speed, as friction has it.
+    """
+    speed = next((paths[r.name] for r in regimes.values() if r.kind == "speed"), None)
+    direction = None if speed is None else [np.tanh(w / (1e-2 * max(np.abs(w).max(), 1e-9))) for w in speed]
+    found: dict[str, Basis] = {}
+    for regime in regimes.values():
+        path = paths[regime.name]
+        if regime.kind == "angle":
+            turning = [np.ptp(p) > np.pi / max(regime.orders) for p in path]
+            active = [np.full(len(p), float(t)) for p, t in zip(path, turning, strict=True)]
+            found[regime.name] = times(harmonics(path, regime.orders), active)
+            if direction is not None:
+                both = [a * d for a, d in zip(active, direction, strict=True)]
+                found[f"{regime.name} and direction"] = times(harmonics(path, regime.orders), both)
+        else:
+            found[regime.name] = hats(path, quantile_knots(path, knots))
+    if direction is not None:
+        time = paths["time"]
+        longest = max(float(t[-1] - t[0]) for t in time)
+        since = [t - t[0] for t in time]
+        found["time and direction"] = times(hats(since, np.linspace(0.0, longest, 5)), direction)
+    return found
