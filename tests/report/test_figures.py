@@ -2,13 +2,14 @@ import csv
 import io
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import report_samples as samples
 
 from fmuid.errors import FmuidError
-from fmuid.plots import render, save_data, save_figure
+from fmuid.plots import render, save_data, save_figure, save_figures
 from fmuid.plots.data import Axis, LineFigure, Panel, Series, pretty_unit, tables
 from fmuid.report.figures import StageHistory, milestones, parallel_figure
 from fmuid.report.interactive import packed, specification
@@ -158,3 +159,19 @@ def test_parallel_coordinates_survive_a_search_that_failed_in_places():
     assert figure.best == 2
     assert figure.scales[1].upper == 5.0
     assert render(figure)[:4] == b"\x89PNG"
+
+
+def test_many_figures_are_drawn_by_several_processes_all_the_same(tmp_path, monkeypatch):
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    many = [replace(samples.ranked(), name=f"figure-{k}") for k in range(14)]
+    save_figures(many, tmp_path)
+    assert {p.read_bytes() for p in tmp_path.iterdir()} == {render(samples.ranked())}
+    assert len(list(tmp_path.iterdir())) == 14
+
+
+def test_a_helper_that_cannot_write_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    monkeypatch.setattr("fmuid.plots.save_figure", lambda *_: None)  # only the helper tries
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FmuidError, match="cannot be written"):
+        save_figures([samples.ranked()] * 14, tmp_path / "file")

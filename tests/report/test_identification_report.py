@@ -168,8 +168,9 @@ def test_free_rotation_gives_the_torque_of_the_loss_table():
     assert np.all(points.standard_error < 1e-3)
 
 
-def test_ramps_are_no_plateaus():
-    assert plateaus(np.concatenate([np.linspace(0, 1, 50), np.ones(60)])) == [(49, 110)]
+def test_ramps_and_short_steps_are_no_plateaus():
+    reference = np.concatenate([np.linspace(0, 1, 50), np.ones(60), np.zeros(20)])
+    assert plateaus(np.arange(130) * 0.01, reference) == [(49, 110)]
 
 
 def test_an_incomplete_loss_table_is_none():

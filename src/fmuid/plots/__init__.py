@@ -5,7 +5,12 @@ The values a figure shows are in `fmuid.plots.data`; matplotlib is imported when
 
 from __future__ import annotations
 
+import os
+import pickle
+import subprocess
+import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -13,9 +18,10 @@ from fmuid.errors import FmuidError
 from fmuid.files import write_atomically
 from fmuid.plots.data import Figure, tables
 
+_WORTH_A_PROCESS = 12  # figures: starting one takes about as long as drawing these
 Format = Literal["png", "svg", "pdf"]
 
-__all__ = ["Format", "render", "save_data", "save_figure"]
+__all__ = ["Format", "render", "save_data", "save_figure", "save_figures"]
 
 
 def render(figure: Figure, format: Format = "png") -> bytes:
@@ -39,6 +45,35 @@ def save_figure(figure: Figure, folder: Path, formats: Sequence[Format] = ("png"
     for path, format in zip(paths, formats, strict=True):
         write_atomically(path, render(figure, format))
     return paths
+
+
+def save_figures(figures: Sequence[Figure], folder: Path, formats: Sequence[Format] = ("png",)) -> None:
+    """Write many figures as `save_figure` does, on several processors.
+
+    Raises
+    ------
+    FmuidError
+        The folder cannot be written, or a helper process died.
+    """
+    helpers = min(os.cpu_count() or 1, 4, len(figures) // _WORTH_A_PROCESS + 1) - 1
+    # Processes of their own, not `multiprocessing`: that would run the caller's script again.
+    command = [sys.executable, "-m", "fmuid.plots", str(folder), *formats]
+    started = [subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) for _ in range(helpers)]
+    with ExitStack() as stack:
+        for k, helper in enumerate(started, start=1):
+            stack.enter_context(helper)
+            assert helper.stdin is not None
+            helper.stdin.write(pickle.dumps(figures[k :: helpers + 1]))
+            helper.stdin.close()
+        for figure in figures[:: helpers + 1]:
+            save_figure(figure, folder, formats)
+        for helper in started:
+            assert helper.stderr is not None
+            words = helper.stderr.read().decode(errors="replace").strip().splitlines()
+            if helper.wait() != 0:
+                raise FmuidError(
+                    f"figures could not be drawn ({words[-1] if words else 'a process died'})", where=folder
+                )
 
 
 def save_data(figure: Figure, folder: Path) -> tuple[Path, ...]:

@@ -12,7 +12,7 @@ import csv
 import io
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -205,14 +205,17 @@ Figure = LineFigure | MapFigure | BarFigure | ParallelFigure
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows under a header; numbers stay numbers until they are written or shown."""
+    """Rows under a header; numbers stay numbers until they are written or shown.
+
+    `digits` are the significant digits that a reader is shown, column by column; five by default.
+    """
 
     header: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
     name: str = ""
     title: str = ""
     caption: str = ""
-    notes: tuple[str, ...] = field(default=())
+    digits: tuple[int, ...] = ()
 
     def csv(self) -> str:
         """Return the table as CSV (comma, header, nine significant digits, empty where unknown)."""

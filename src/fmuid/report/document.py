@@ -11,7 +11,7 @@ from typing import Any
 import jinja2
 
 from fmuid.files import write_atomically
-from fmuid.plots import Format, save_data, save_figure
+from fmuid.plots import Format, save_data, save_figures
 from fmuid.plots.data import Cell, Figure, ParallelFigure, Table, slug, tables
 from fmuid.report.interactive import specification
 
@@ -29,11 +29,17 @@ class Fact:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A heading, a paragraph, and the figures and tables under it in their order."""
+    """A heading, a paragraph, and the figures and tables under it; `details` are folded on the screen."""
 
     title: str
     items: tuple[Figure | Table, ...]
     text: str = ""
+    details: tuple[Figure | Table, ...] = ()
+
+    @property
+    def details_title(self) -> str:
+        """What the folded part holds."""
+        return ", ".join(dict.fromkeys(item.title.split(":")[0] for item in self.details))
 
     @property
     def anchor(self) -> str:
@@ -62,14 +68,16 @@ def write_document(document: Document, out: Path, formats: tuple[Format, ...] = 
     FmuidError
         The folder cannot be written.
     """
+    drawn: list[Figure] = []
     for section in document.sections:
-        for item in section.items:
+        for item in (*section.items, *section.details):
             if isinstance(item, Table):
                 if item.name:
                     write_atomically(out / "data" / f"{item.name}.csv", item.csv())
             else:
-                save_figure(item, out / "figures", formats)
+                drawn.append(item)
                 save_data(item, out / "data")
+    save_figures(drawn, out / "figures", formats)
     path = out / "index.html"
     write_atomically(path, rendered(document))
     return path
@@ -89,16 +97,17 @@ def rendered(document: Document) -> str:
     environment.filters["cell"] = shown
     environment.tests["table"] = lambda item: isinstance(item, Table)
     environment.tests["webgl"] = lambda item: isinstance(item, ParallelFigure)
+    environment.filters["json"] = _json
     page = environment.get_template("report.html.jinja").render(
-        document=document, specification=_json, stems=lambda figure: [stem for stem, _ in tables(figure)]
+        document=document, specification=specification, stems=lambda figure: [stem for stem, _ in tables(figure)]
     )
     # The library is 5 MB: put in last, so the template engine need not carry it.
     return page.replace(_PLACEHOLDER, get_plotlyjs().replace("</script", "<\\/script"), 1)
 
 
-def _json(figure: Figure) -> str:
+def _json(spec: Any) -> str:
     # "<" written as an escape: nothing in the data can close the script element it is embedded in.
-    text = json.dumps(specification(figure), separators=(",", ":"), allow_nan=False, default=_number)
+    text = json.dumps(spec, separators=(",", ":"), allow_nan=False, default=_number)
     return text.replace("<", "\\u003c")
 
 
@@ -106,13 +115,13 @@ def _number(value: Any) -> float:
     return float(value)
 
 
-def shown(cell: Cell) -> str:
-    """Return a table's cell as text: five significant digits, a dash where unknown."""
+def shown(cell: Cell, digits: int = 5) -> str:
+    """Return a table's cell as text: `digits` significant ones, a dash where unknown."""
     if cell is None or (isinstance(cell, float) and math.isnan(cell)):
         return "–"
     if isinstance(cell, str):
         return cell
-    text = f"{cell:.5g}" if abs(cell) < 1e5 or not float(cell).is_integer() else f"{cell:.0f}"
+    text = f"{cell:.{digits}g}" if abs(cell) < 10**digits or not float(cell).is_integer() else f"{cell:.0f}"
     if "e" in text:
         mantissa, _, exponent = text.partition("e")
         text = f"{mantissa}·10" + str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))

@@ -17,7 +17,7 @@ from fmuid.report.figures import FrictionPoints, friction_figure
 from fmuid.simulation import Simulator
 
 SETUP, REFERENCE, CURRENT, CONSTANT = "free_shaft", "w_ref", "i_motor", "K_m"
-_MIN_SAMPLES = 20
+_SHORTEST = 0.3  # s: shorter stretches of constant speed are steps, not plateaus
 _SETTLING = 0.5  # of a plateau, left out at its beginning
 
 
@@ -89,7 +89,7 @@ def free_rotation(runs: list[Experiment], motor_constant: float) -> FrictionPoin
     found: dict[float, list[float]] = {}
     for run in runs:
         reference, current = run.signals[REFERENCE].values, run.signals[CURRENT].values
-        for begin, end in plateaus(reference):
+        for begin, end in plateaus(run.time, reference):
             settled = current[begin + int(_SETTLING * (end - begin)) : end]
             speed = float(reference[begin])
             found.setdefault(speed, []).append(motor_constant * float(np.nanmean(settled)))
@@ -103,8 +103,8 @@ def free_rotation(runs: list[Experiment], motor_constant: float) -> FrictionPoin
     return FrictionPoints(np.array(speeds), np.array([np.mean(found[s]) for s in speeds]), errors)
 
 
-def plateaus(reference: FloatArray) -> list[tuple[int, int]]:
+def plateaus(time: FloatArray, reference: FloatArray) -> list[tuple[int, int]]:
     """Return (begin, end) of every stretch of constant samples that is long enough to settle in."""
     edges = np.flatnonzero(np.diff(reference) != 0) + 1
     borders = [0, *edges.tolist(), reference.size]
-    return [(a, b) for a, b in pairwise(borders) if b - a >= _MIN_SAMPLES]
+    return [(a, b) for a, b in pairwise(borders) if time[b - 1] - time[a] >= _SHORTEST]

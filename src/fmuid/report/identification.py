@@ -124,8 +124,9 @@ def _estimates_section(result: Result, campaign: Campaign | None) -> Section:
     published = {} if campaign is None else published_groups(campaign)
     names = {e.name for e in result.estimates}
     columns = {group: v for group, v in published.items() if names & v.keys()}
-    items: list[Figure | Table | None] = [_estimates_table(result, columns)]
-    items.append(figures.deviation_figure([_plain(e, e.truth) for e in result.estimates], "truth"))
+    items: list[Figure | Table | None] = [_estimates_table(result, campaign, columns)]
+    ordered = _in_order(result, campaign)
+    items.append(figures.deviation_figure([_plain(e, e.truth) for e in ordered], "truth"))
     rest = tuple(
         (group, name, value)
         for group, values in published.items()
@@ -137,7 +138,9 @@ def _estimates_section(result: Result, campaign: Campaign | None) -> Section:
     return Section("Estimates", tuple(i for i in items if i is not None))
 
 
-def _estimates_table(result: Result, published: Mapping[str, Mapping[str, float]]) -> Table:
+def _estimates_table(
+    result: Result, campaign: Campaign | None, published: Mapping[str, Mapping[str, float]]
+) -> Table:
     stage_of = {e.name: s.name for s in result.stages for e in s.estimates}
     first = {e.name: e.start for s in reversed(result.stages) for e in s.estimates}
     truths = any(e.truth is not None for e in result.estimates)
@@ -145,7 +148,7 @@ def _estimates_table(result: Result, published: Mapping[str, Mapping[str, float]
     header += ["truth", "deviation, %"] if truths else []
     header += [*published, "stage", "note"]
     rows = []
-    for e in result.estimates:
+    for e in _in_order(result, campaign):
         row: list[Cell] = [e.name, pretty_unit(e.unit or ""), first[e.name], e.value, e.standard_error]
         row += e.interval or (None, None)
         if truths:
@@ -154,7 +157,13 @@ def _estimates_table(result: Result, published: Mapping[str, Mapping[str, float]
         row += [stage_of[e.name], f"at its {e.at_bound} bound" if e.at_bound else e.description]
         rows.append(tuple(row))
     caption = "Standard errors and intervals of the noise and the residuals' colour; a dash: not determined alone."
-    return Table(tuple(header), tuple(rows), "estimates", "Estimates", caption)
+    digits = tuple({"standard error": 2, "deviation, %": 2}.get(name, 5) for name in header)
+    return Table(tuple(header), tuple(rows), "estimates", "Estimates", caption, digits)
+
+
+def _in_order(result: Result, campaign: Campaign | None) -> list[Estimate]:
+    order = {} if campaign is None else {name: k for k, name in enumerate(campaign.parameters)}
+    return sorted(result.estimates, key=lambda e: order.get(e.name, len(order)))
 
 
 def published_groups(campaign: Campaign) -> dict[str, dict[str, float]]:
@@ -185,7 +194,7 @@ def _stages_table(result: Result) -> Table:
         )
         for s in result.stages
     )
-    return Table(header, rows, "stages", "Stages")
+    return Table(header, rows, "stages", "Stages", digits=(5, 5, 5, 5, 6, 6, 3, 4, 4))
 
 
 def _fit_sections(
@@ -193,6 +202,7 @@ def _fit_sections(
 ) -> tuple[list[Section], tuple[RunScore, ...]]:
     """Simulate every run at the final values: friction over speed, validation, then the runs that were used."""
     judged = judged_signals(campaign)
+    of_setup = {(setup, signal) for setup, _, signal in judged}
     used = {e for s in result.stages for e in s.experiments}
     sections: list[Section] = []
     start = {e.name: e.start for s in reversed(result.stages) for e in s.estimates}
@@ -208,30 +218,39 @@ def _fit_sections(
         if not runs:
             continue
         found = validate(result, campaign, experiments=runs, simulators=simulators)
+        # A run that was used shows what it was used for, another one what runs like it were used for.
+        keep = (
+            judged
+            if role == "identification"
+            else {(s.setup, s.experiment, s.signal) for s in found.scores if (s.setup, s.signal) in of_setup}
+        )
         drawn: dict[tuple[str, str], list[Overlay]] = {}
         for case, predicted in zip(found.cases, found.predictions, strict=True):
             for overlay in overlays(campaign, case, [("simulation", "final", predicted)]):
-                if (case.setup, overlay.signal) in judged:
+                if (case.setup, case.id, overlay.signal) in keep:
                     drawn.setdefault((case.setup, overlay.signal), []).append(overlay)
-        scores = tuple(s for s in found.scores if (s.setup, s.signal) in judged)
-        sections.append(Section(title, _fit_items(role, drawn, scores, found.scores), text))
+        scores = tuple(s for s in found.scores if (s.setup, s.experiment, s.signal) in keep)
+        sections.append(_fit_section(title, text, role, drawn, scores, found.scores))
         validation = scores if role == "validation" else validation
     return sections, validation
 
 
-def _fit_items(
+def _fit_section(
+    title: str,
+    text: str,
     role: str,
     drawn: Mapping[tuple[str, str], Sequence[Overlay]],
     judged: Sequence[RunScore],
     scores: Sequence[RunScore],
-) -> tuple[Figure | Table, ...]:
+) -> Section:
     items: list[Figure | Table] = []
+    residuals: list[Figure | Table] = []
     for (setup, signal), some in drawn.items():
-        stem, title = f"{role}-{slug(setup)}-{slug(signal)}", f"{signal}, {setup}"
+        stem, what = f"{role}-{slug(setup)}-{slug(signal)}", f"{signal}, {setup}"
         if role == "validation":  # the stages show the other runs with their history
-            items.append(figures.overlay_figure(stem, f"{title}: measurement and simulation", some))
+            items.append(figures.overlay_figure(stem, f"{what}: measurement and simulation", some))
         caption = "Simulation minus measurement (mean of the repeats)."
-        items.append(figures.residual_figure(f"{stem}-residual", f"{title}: residual", some, caption))
+        residuals.append(figures.residual_figure(f"{stem}-residual", f"{what}: residual", some, caption))
     if any(s.failure is None for s in judged):
         items.append(figures.fit_figure(f"nrmse-{role}", judged))
     header = ("run", "signal", "unit", "repeats", "RMSE", "noise floor", "NRMSE, %", "relative error, %", "note")
@@ -253,8 +272,9 @@ def _fit_items(
         "Over all repeats. Noise floor: RMSE that the sensor noise alone leaves. NRMSE: over the standard "
         "deviation of the measurement; relative error: over its root mean square."
     )
-    items.append(Table(header, rows, f"fit-{role}", "Fit, run by run", caption))
-    return tuple(items)
+    digits = (5, 5, 5, 5, 3, 3, 3, 3, 5)
+    items.append(Table(header, rows, f"fit-{role}", "Fit, run by run", caption, digits))
+    return Section(title, tuple(items), text, tuple(residuals))
 
 
 def _plain(e: Estimate, reference: float | None) -> figures.Estimate:

@@ -77,8 +77,8 @@ def _lines(figure: LineFigure) -> tuple[list[Spec], Spec]:
     rows = -(-n // columns)
     height = 380 if columns == 1 else 265
     layout: Spec = {
-        "height": 60 + height * rows,
-        "margin": {"l": 64, "r": 16, "t": 48, "b": 44},
+        "height": 60 + height * rows + (80 if any(p.marks for p in figure.panels) else 0),
+        "margin": {"l": 64, "r": 16, "t": 130 if any(p.marks for p in figure.panels) else 48, "b": 44},
         "hovermode": "x unified",
         "annotations": [],
         "shapes": [],
@@ -128,7 +128,7 @@ def _marks(layout: Spec, panel: Panel, suffix: str) -> None:
             }
         )
         note = _text(text, f"x{suffix}", f"y{suffix}", position, 1, 10, domain=False)
-        layout["annotations"].append(note | {"textangle": -90, "yanchor": "top", "xanchor": "left"})
+        layout["annotations"].append(note | {"textangle": -90, "yanchor": "bottom", "xanchor": "center"})
 
 
 def _text(text: str, x: str, y: str, at_x: float, at_y: float, size: int, *, domain: bool = True) -> Spec:

@@ -11,13 +11,13 @@ from fmuid.plots.data import Role
 from fmuid.report.figures import Overlay
 
 
-def judged_signals(campaign: Campaign) -> set[tuple[str, str]]:
-    """Return (setup, signal) of everything a stage of the campaign judges."""
-    found: set[tuple[str, str]] = set()
+def judged_signals(campaign: Campaign) -> set[tuple[str, str, str]]:
+    """Return (setup, experiment, signal) of everything a stage of the campaign judges."""
+    found: set[tuple[str, str, str]] = set()
     for stage in campaign.stages.values():
         for run in case_building.experiments_of(campaign, stage.experiments, where=stage.name):
             signals = [c.signal for c in stage.criteria] or list(run.outputs)
-            found |= {(run.setup, s) for s in signals}
+            found |= {(run.setup, run.id, s) for s in signals}
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,20 +30,24 @@ def stage_section(
 ) -> Section:
     """Return how one stage went: history over the measurement, cost, parallel coordinates, criteria."""
     items: list[Figure | Table | None] = []
+    details: list[Figure | Table | None] = []
     history = None if recorded is None else search_history(result, recorded)
     if campaign is not None and recorded is not None and result.name in campaign.stages:
         shown = _most_improved(result, iterates(result, recorded, campaign, simulators))
         items.append(_history_figure(result.name, shown))
+        details.append(_residual_figure(result.name, shown))
     if history is not None and np.isfinite(history.cost).any() and len(history.names) > 1:
         specs = {} if campaign is None else campaign.parameters
         truths = {e.name: e.truth for e in result.estimates if e.truth is not None}
-        items.append(figures.parallel_figure(history, specs, truths))
-    items += [_waterfall(result), _correlation(result), _criteria(result), _whiteness(result)]
+        details.append(figures.parallel_figure(history, specs, truths))
+    details += [_waterfall(result), _correlation(result), _criteria(result), _whiteness(result)]
     text = f"{result.summary}. {result.why.capitalize().rstrip('.')}."
-    if result.uncertainty is not None and not result.uncertainty.identifiability.complete:
-        text += f" Not identifiable: {result.uncertainty.identifiability}."
     text += "".join(f" Warning: {w}." for w in result.warnings)
-    return Section(f"Stage {result.name}", tuple(i for i in items if i is not None), text)
+    return Section(f"Stage {result.name}", _present(items), text, _present(details))
+
+
+def _present(items: Sequence[Figure | Table | None]) -> tuple[Figure | Table, ...]:
+    return tuple(i for i in items if i is not None)
 
 
 def search_history(result: StageResult, recorded: Recorded) -> StageHistory:
@@ -100,6 +105,14 @@ def _history_figure(name: str, shown: Sequence[Overlay]) -> Figure | None:
     return figures.overlay_figure(f"history-{slug(name)}", title, shown, caption)
 
 
+def _residual_figure(name: str, shown: Sequence[Overlay]) -> Figure | None:
+    if not shown:
+        return None
+    ends = [replace(o, predictions=tuple(p for p in o.predictions if p[1] in ("start", "final"))) for o in shown]
+    title, caption = f"Residual at the start and at the end: {name}", "Prediction minus measurement."
+    return figures.residual_figure(f"history-residual-{slug(name)}", title, ends, caption)
+
+
 def _waterfall(result: StageResult) -> Figure | None:
     if len(result.starts) < 2:
         return None
@@ -131,6 +144,7 @@ def _criteria(result: StageResult) -> Table | None:
         f"criteria-{slug(result.name)}",
         "Criteria over their demands",
         "Each criterion is divided by its demand value: at most 1 means satisfied.",
+        (5, 5, 3, 3, 5),
     )
 
 
@@ -148,4 +162,5 @@ def _whiteness(result: StageResult) -> Table | None:
         f"whiteness-{slug(result.name)}",
         "Are the residuals noise?",
         "Ljung and Box's test on 20 lags; standard errors allow for residuals that are not white.",
+        (5, 5, 3, 3, 2, 6, 3),
     )
