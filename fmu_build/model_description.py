@@ -42,7 +42,7 @@ def model_description(model: CompiledModel, guid: str, sources: Sequence[str], f
 
 
 def states(model: CompiledModel) -> list[Variable]:
-    """The variable that stands for each continuous state, in the order of the state vector."""
+    """Return the variable that stands for each continuous state, in the order of the state vector."""
     by_name = {v.name: v for v in model.variables}
     found: dict[int, Variable] = {}
     for derivative in derivatives(model):
@@ -52,7 +52,7 @@ def states(model: CompiledModel) -> list[Variable]:
 
 
 def derivatives(model: CompiledModel) -> list[Variable]:
-    """The variable that stands for each state derivative, in the order of the state vector."""
+    """Return the variable that stands for each state derivative, in the order of the state vector."""
     found: dict[int, Variable] = {}
     for v in model.variables:
         if v.derivative_of is not None and v.location.vector == "dx":
@@ -64,7 +64,7 @@ def derivatives(model: CompiledModel) -> list[Variable]:
 
 
 def initial_unknowns(model: CompiledModel) -> list[Variable]:
-    """Outputs, calculated parameters, states and state derivatives whose initial values are computed."""
+    """Find the outputs, calculated parameters, states and derivatives whose initial values are computed."""
     of_state = {v.name for v in (*states(model), *derivatives(model))}
     return [
         v
@@ -235,4 +235,84 @@ def _fmi2(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
 
 
 def _fmi3(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTree.Element:
-    raise BuildError("FMI 3.0 is not built yet", where=model.class_name, fix="use FMI 2.0")
+    del sources  # FMI 3.0 names them in sources/buildDescription.xml
+    root = ElementTree.Element("fmiModelDescription", {"fmiVersion": "3.0"})
+    attributes = {
+        "modelName": model.class_name,
+        "instantiationToken": guid,
+        "description": model.description,
+        "generationTool": GENERATION_TOOL,
+        "variableNamingConvention": "structured",
+    }
+    root.attrib.update({k: v for k, v in attributes.items() if v})
+    abilities = {
+        "modelIdentifier": model.name,
+        "canGetAndSetFMUState": True,
+        "canSerializeFMUState": True,
+        "providesDirectionalDerivatives": True,
+    }
+    _element(root, "ModelExchange", **abilities)
+    _element(root, "CoSimulation", **abilities, canHandleVariableCommunicationStepSize=True)
+    _units(root, model.units)
+    types = _type_names(model)
+    if types:
+        parent = _element(root, "TypeDefinitions")
+        for literals, type_name in types.items():
+            kind = _element(parent, "EnumerationType", name=type_name)
+            for ordinal, literal in enumerate(literals, start=1):
+                _element(kind, "Item", name=literal, value=ordinal)
+    _log_categories(root)
+    _experiment(root, model)
+
+    reference = {v.name: i for i, v in enumerate(model.variables)}
+    parent = _element(root, "ModelVariables")
+    for v in model.variables:
+        real = v.type == "Real"
+        _element(
+            parent,
+            "Enumeration" if v.enumeration else {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean"}[v.type],
+            name=v.name,
+            valueReference=reference[v.name],
+            description=v.description,
+            causality=v.causality,
+            variability=v.variability,
+            initial=None if v.causality in ("input", "independent") else v.initial,
+            declaredType=types.get(v.enumeration),
+            quantity=v.quantity if v.type != "Boolean" else None,
+            unit=v.unit if real else None,
+            displayUnit=v.display_unit if real else None,
+            min=v.min if v.type != "Boolean" else None,
+            max=v.max if v.type != "Boolean" else None,
+            nominal=v.nominal if real else None,
+            start=_start(v),
+            derivative=reference[v.derivative_of] if v.derivative_of else None,
+        )
+    indicators = range(len(model.variables), len(model.variables) + model.n_m)
+    for i, indicator in enumerate(indicators, start=1):
+        _element(
+            parent,
+            "Float64",
+            name=f"'event indicator {i}'",
+            valueReference=indicator,
+            causality="local",
+            variability="continuous",
+            initial="calculated",
+        )
+
+    structure = _element(root, "ModelStructure")
+
+    def unknown(tag: str, v: Variable, with_dependencies: bool) -> None:
+        element = _element(structure, tag, valueReference=reference[v.name])
+        if with_dependencies and v.depends_on is not None:
+            element.set("dependencies", " ".join(map(str, sorted(reference[name] for name in v.depends_on))))
+
+    for v in model.variables:
+        if v.causality == "output":
+            unknown("Output", v, True)
+    for v in derivatives(model):
+        unknown("ContinuousStateDerivative", v, True)
+    for v in initial_unknowns(model):
+        unknown("InitialUnknown", v, False)
+    for indicator in indicators:
+        _element(structure, "EventIndicator", valueReference=indicator)
+    return root

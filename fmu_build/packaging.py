@@ -14,17 +14,18 @@ import shutil
 import subprocess
 import tempfile
 import zipfile
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
-from fmu_build.model import CompiledModel, Variable
+from fmu_build.model import CompiledModel, Location, Variable
 from fmu_build.model_description import FmiVersion, model_description, states
 from fmuid.errors import BuildError
 
 DEFAULT_TOLERANCE = 1e-6
 # Contraction into fused operations would make results depend on the processor the compiler had in mind.
 C_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
-_SHARED = ("equations.c", "events.c", "initialise.c", "integrator.c", "simulate.c")
+_SHARED = ("equations.c", "events.c", "initialise.c", "integrator.c", "lifecycle.c", "simulate.c")
 _HEADERS = ("instance.h", "lu.h")
 _FMI_HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
@@ -58,6 +59,9 @@ def package(model: CompiledModel, out: Path | str, *, fmi: FmiVersion = 2) -> Pa
     out = Path(out)
     if out.suffix != ".fmu":
         out = out / f"{model.name}.fmu"
+    if fmi == 3 and not any(v.causality == "independent" for v in model.variables):
+        time = Variable("time", "Real", Location("t"), "independent", "continuous")
+        model = replace(model, variables=(*model.variables, time))
     compiler = _compiler()
     files = _sources(model, fmi)
     key = _digest(files, " ".join((*compiler, *C_FLAGS)), _version(compiler)).encode()
@@ -140,6 +144,9 @@ def configuration(model: CompiledModel, guid: str) -> str:
         vector, settable = f"VECTOR_{v.location.vector.upper()}", _settable(v)
         kind = f"TYPE_{v.type.upper()}"
         entries.append(f"{{{vector}, {index}, {v.location.sign}, {kind}, {settable}, {_text(v.name)}}}")
+    # FMI 3.0 reads event indicators as variables, too: they follow the model's own.
+    for i in range(model.n_m):
+        entries.append(f'{{VECTOR_G, {i}, 1, TYPE_REAL, SETTABLE_NO, "event indicator {i + 1}"}}')
 
     def starts(vector: str, length: int) -> list[str]:
         values = [0.0] * length
@@ -153,7 +160,7 @@ def configuration(model: CompiledModel, guid: str) -> str:
         "MODEL_IDENTIFIER": _text(model.name),
         "MODEL_GUID": _text(guid),
         "MODEL_TOLERANCE": repr(float(model.experiment.tolerance or DEFAULT_TOLERANCE)),
-        "MODEL_N_VARIABLES": str(len(model.variables)),
+        "MODEL_N_VARIABLES": str(len(entries)),
         "MODEL_VARIABLES": "{ \\\n    " + ", \\\n    ".join(entries) + "}",
         "MODEL_P_START": initialiser(starts("p", model.n_p)),
         "MODEL_U_START": initialiser(starts("u", model.n_u)),
@@ -171,7 +178,7 @@ _CONFIGURATION = """\
 #define FMUID_MODEL_CONFIG_H
 
 typedef enum { VECTOR_T, VECTOR_X, VECTOR_DX, VECTOR_U, VECTOR_P, VECTOR_D, VECTOR_Z, VECTOR_Y, VECTOR_V,
-               VECTOR_CONSTANT } Vector;
+               VECTOR_G, VECTOR_CONSTANT } Vector;
 typedef enum { TYPE_REAL, TYPE_INTEGER, TYPE_BOOLEAN } VariableType;
 typedef enum { SETTABLE_NO, SETTABLE_INPUT, SETTABLE_FIXED, SETTABLE_TUNABLE, SETTABLE_START } Settable;
 typedef struct {

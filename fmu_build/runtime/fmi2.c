@@ -24,8 +24,8 @@ static int allowed(Instance *me, int phases, const char *function) {
 }
 
 static void log_message(const Instance *me, Status status, const char *message) {
-    const fmi2CallbackFunctions *callbacks = me->callbacks.fmi2;
-    if (!callbacks || !callbacks->logger) return;
+    const fmi2CallbackLogger logger = (fmi2CallbackLogger)me->callback;
+    if (!logger) return;
     const char *category = status >= STATUS_ERROR ? "logStatusError" : "logStatusWarning";
     /* The message is itself the format: importers that cannot read variadic arguments get it whole. */
     char format[1024];
@@ -35,7 +35,7 @@ static void log_message(const Instance *me, Status status, const char *message) 
         format[n++] = *message;
     }
     format[n] = '\0';
-    callbacks->logger(callbacks->componentEnvironment, me->name, (fmi2Status)status, category, format);
+    logger(me->environment, me->name, (fmi2Status)status, category, format);
 }
 
 /* A failed step or evaluation leaves the instance readable; only reset, terminate and free make sense after it. */
@@ -52,35 +52,13 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
                               fmi2Boolean visible, fmi2Boolean loggingOn) {
     (void)fmuResourceLocation;
     (void)visible;
-    Instance *me = calloc(1, sizeof *me);
-    if (!me) return NULL;
-    const char *name = instanceName ? instanceName : MODEL_IDENTIFIER;
-    me->name = malloc(strlen(name) + 1);
-    if (!me->name) {
-        free(me);
-        return NULL;
-    }
-    strcpy(me->name, name);
-    me->callbacks.fmi2 = (void *)functions;
-    me->log = log_message;
-    me->logging = loggingOn;
-    if (!fmuGUID || strcmp(fmuGUID, MODEL_GUID) != 0) {
-        report(me, STATUS_ERROR, "the GUID %s is not the one of this FMU, %s: modelDescription.xml and binary differ",
-               fmuGUID ? fmuGUID : "(none)", MODEL_GUID);
-        fmi2FreeInstance(me);
-        return NULL;
-    }
-    me->s.is_co_simulation = fmuType == fmi2CoSimulation;
-    set_defaults(me);
+    Instance *me = new_instance(instanceName, fmuGUID, log_message, functions ? (void (*)(void))functions->logger : NULL,
+                                functions ? functions->componentEnvironment : NULL, fmuType == fmi2CoSimulation);
+    if (me) me->logging = loggingOn;
     return me;
 }
 
-void fmi2FreeInstance(fmi2Component c) {
-    Instance *me = c;
-    if (!me) return;
-    free(me->name);
-    free(me);
-}
+void fmi2FreeInstance(fmi2Component c) { free_instance(c); }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
                                const fmi2String categories[]) {
@@ -94,14 +72,7 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nC
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance, fmi2Real startTime,
                                fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
     IN(PHASE_INSTANTIATED);
-    if (toleranceDefined && !(tolerance >= 1e-14 && tolerance <= 0.1))
-        return (fmi2Status)report(me, STATUS_ERROR, "tolerance %g is outside 1e-14 .. 0.1", tolerance);
-    if (toleranceDefined) me->s.tolerance = tolerance;
-    me->s.start_time = me->s.t = startTime;
-    me->s.stop_defined = stopTimeDefined;
-    me->s.stop_time = stopTimeDefined ? stopTime : INFINITY;
-    me->s.initialised = 0;
-    return fmi2OK;
+    return (fmi2Status)set_experiment(me, toleranceDefined, tolerance, startTime, stopTimeDefined, stopTime);
 }
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
@@ -206,17 +177,12 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
     IN(ANY);
-    if (!*FMUstate) *FMUstate = malloc(sizeof(State));
-    if (!*FMUstate) return (fmi2Status)report(me, STATUS_ERROR, "no memory for an FMU state");
-    memcpy(*FMUstate, &me->s, sizeof(State));
-    return fmi2OK;
+    return (fmi2Status)copy_state(me, FMUstate);
 }
 
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) {
     IN(ANY);
-    if (!FMUstate) return (fmi2Status)report(me, STATUS_ERROR, "no FMU state to set");
-    memcpy(&me->s, FMUstate, sizeof(State));
-    return fmi2OK;
+    return (fmi2Status)restore_state(me, FMUstate);
 }
 
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
@@ -242,9 +208,7 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byt
 
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *FMUstate) {
     IN(ANY);
-    if (!*FMUstate) *FMUstate = malloc(sizeof(State));
-    if (!*FMUstate) return (fmi2Status)report(me, STATUS_ERROR, "no memory for an FMU state");
-    return (fmi2Status)deserialise(me, bytes, size, *FMUstate);
+    return (fmi2Status)deserialise(me, bytes, size, FMUstate);
 }
 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[], size_t nUnknown,
@@ -299,51 +263,29 @@ fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
     return fmi2OK;
 }
 
-static int wrong_length(const Instance *me, size_t n, size_t expected, const char *what) {
-    if (n != expected) report(me, STATUS_ERROR, "%zu %s asked for, the model has %zu", n, what, expected);
-    return n != expected;
-}
-
 fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t nx) {
     IN(PHASE_EVENT | PHASE_CONTINUOUS);
-    if (wrong_length(me, nx, NX, "continuous states")) return fmi2Error;
-    memcpy(me->s.x, x, nx * sizeof *x);
-    me->s.have_dx = me->s.have_v = 0;
-    return fmi2OK;
+    return (fmi2Status)set_states(me, x, nx);
 }
 
 fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t nx) {
     IN(PHASE_INITIALIZATION | RUNNING | PHASE_TERMINATED | PHASE_ERROR);
-    if (wrong_length(me, nx, NX, "continuous states")) return fmi2Error;
-    memcpy(x, me->s.x, nx * sizeof *x);
-    return fmi2OK;
+    return (fmi2Status)get_states(me, x, nx);
 }
 
 fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t nx) {
     IN(PHASE_INITIALIZATION | RUNNING | PHASE_TERMINATED | PHASE_ERROR);
-    if (wrong_length(me, nx, NX, "derivatives")) return fmi2Error;
-    if (evaluate_derivatives(me))
-        return (fmi2Status)report(me, STATUS_DISCARD, "t = %.9g: an algebraic loop has no solution", me->s.t);
-    memcpy(derivatives, me->s.dx, nx * sizeof *derivatives);
-    for (size_t i = 0; i < nx; i++)
-        if (!isfinite(derivatives[i]))
-            return (fmi2Status)report(me, STATUS_DISCARD, "t = %.9g: a derivative is not finite", me->s.t);
-    return fmi2OK;
+    return (fmi2Status)get_derivatives(me, derivatives, nx);
 }
 
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real indicators[], size_t ni) {
     IN(PHASE_INITIALIZATION | RUNNING | PHASE_TERMINATED | PHASE_ERROR);
-    if (wrong_length(me, ni, NM, "event indicators")) return fmi2Error;
-    if (NM > 0) event_indicators(me, indicators);
-    return fmi2OK;
+    return (fmi2Status)get_indicators(me, indicators, ni);
 }
 
 fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x_nominal[], size_t nx) {
     IN(ANY);
-    static const double nominal[] = MODEL_X_SCALE;
-    if (wrong_length(me, nx, NX, "nominal values")) return fmi2Error;
-    for (size_t i = 0; i < nx; i++) x_nominal[i] = nominal[i] > 0.0 ? nominal[i] : 1.0;
-    return fmi2OK;
+    return (fmi2Status)get_nominals(me, x_nominal, nx);
 }
 
 /* Co-simulation */

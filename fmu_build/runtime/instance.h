@@ -68,7 +68,7 @@ struct Instance {
     double *res[MODEL_SZ_RES + 1];
     casadi_int iw[MODEL_SZ_IW + 1];
     double w[MODEL_SZ_W + 1];
-    double ut[LENGTH(NU)];
+    double ut[LENGTH(NU)], g[LENGTH(NM)];
     double jacobian[LENGTH(NX) * LENGTH(NX)], dfdt[LENGTH(NX)], f0[LENGTH(NX)];
     double matrix[LENGTH(NX + NY) * LENGTH(NX + NY)];
     int pivot[LENGTH(NX + NY)];
@@ -77,10 +77,10 @@ struct Instance {
     int y_pivot[LENGTH(NY)];
     /* who to tell */
     LogFunction log;
+    void (*callback)(void); /* the importer's logger, of a type that only log knows */
     void *environment;
     char *name;
     int logging;
-    union { void *fmi2; void *fmi3; } callbacks;
 };
 
 /* Messages: a failure says what, where and when; returns `status`. */
@@ -120,9 +120,22 @@ Status set_value(Instance *me, unsigned reference, VariableType type, double val
 Status set_input_slope(Instance *me, unsigned reference, double slope);
 Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t n_unknown, const unsigned *known,
                                   size_t n_known, const double *seed, double *sensitivity);
+Status set_experiment(Instance *me, int tolerance_defined, double tolerance, double start, int stop_defined, double stop);
 Status start_simulation(Instance *me);
+
+/* lifecycle.c: memory, the complete state, arrays of model exchange */
+Instance *new_instance(const char *name, const char *guid, LogFunction log, void (*callback)(void), void *environment,
+                       int is_co_simulation);
+void free_instance(Instance *me);
+Status copy_state(const Instance *me, void **copy);
+Status restore_state(Instance *me, const void *copy);
 size_t serialised_size(void);
-Status serialise(const Instance *me, const State *state, char *bytes, size_t size);
-Status deserialise(const Instance *me, const char *bytes, size_t size, State *state);
+Status serialise(const Instance *me, const void *state, char *bytes, size_t size);
+Status deserialise(const Instance *me, const char *bytes, size_t size, void **state);
+Status set_states(Instance *me, const double *x, size_t n);
+Status get_states(const Instance *me, double *x, size_t n);
+Status get_derivatives(Instance *me, double *dx, size_t n);
+Status get_indicators(Instance *me, double *g, size_t n);
+Status get_nominals(const Instance *me, double *nominals, size_t n);
 
 #endif

@@ -33,11 +33,13 @@ static Status refresh(Instance *me, Vector vector) {
     if (vector == VECTOR_Y) failed = solve_loop(me, s->t, s->x, s->u);
     if (vector == VECTOR_DX) failed = evaluate_derivatives(me);
     if (vector == VECTOR_V) failed = evaluate_variables(me);
+    if (vector == VECTOR_G) event_indicators(me, me->g);
     if (failed) return report(me, STATUS_ERROR, "t = %.9g: an algebraic loop has no solution", s->t);
     return STATUS_OK;
 }
 
-static const double *vector_of(const State *s, Vector vector) {
+static const double *vector_of(const Instance *me, Vector vector) {
+    const State *s = &me->s;
     static const double constants[] = MODEL_CONSTANTS;
     switch (vector) {
     case VECTOR_T: return &s->t;
@@ -49,6 +51,7 @@ static const double *vector_of(const State *s, Vector vector) {
     case VECTOR_Z: return s->z;
     case VECTOR_Y: return s->y;
     case VECTOR_V: return s->v;
+    case VECTOR_G: return me->g;
     default: return constants;
     }
 }
@@ -72,7 +75,7 @@ Status get_value(Instance *me, unsigned reference, VariableType type, double *va
     const VariableEntry *entry = entry_of(me, reference, type);
     if (!entry) return STATUS_ERROR;
     const Status status = refresh(me, entry->vector);
-    if (status <= STATUS_WARNING) *value = entry->sign * vector_of(&me->s, entry->vector)[entry->index];
+    if (status <= STATUS_WARNING) *value = entry->sign * vector_of(me, entry->vector)[entry->index];
     return status;
 }
 
@@ -240,6 +243,18 @@ Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t 
     return STATUS_OK;
 }
 
+Status set_experiment(Instance *me, int tolerance_defined, double tolerance, double start, int stop_defined, double stop) {
+    State *s = &me->s;
+    if (tolerance_defined && !(tolerance >= 1e-14 && tolerance <= 0.1))
+        return report(me, STATUS_ERROR, "tolerance %g is outside 1e-14 .. 0.1", tolerance);
+    if (tolerance_defined) s->tolerance = tolerance;
+    s->start_time = s->t = start;
+    s->stop_defined = stop_defined;
+    s->stop_time = stop_defined ? stop : INFINITY;
+    s->initialised = 0;
+    return STATUS_OK;
+}
+
 /* Leaves the initialization mode. */
 Status start_simulation(Instance *me) {
     State *s = &me->s;
@@ -249,22 +264,4 @@ Status start_simulation(Instance *me) {
     s->changed = 0;
     s->phase = s->is_co_simulation ? PHASE_STEP : PHASE_EVENT;
     return check_assertions(me);
-}
-
-/* Serialised: the GUID, so that another model's state is refused, and the bytes of State (this platform's). */
-size_t serialised_size(void) { return sizeof MODEL_GUID + sizeof(State); }
-
-Status serialise(const Instance *me, const State *state, char *bytes, size_t size) {
-    if (!state || size < serialised_size())
-        return report(me, STATUS_ERROR, "the buffer for the FMU state is too small or there is no state");
-    memcpy(bytes, MODEL_GUID, sizeof MODEL_GUID);
-    memcpy(bytes + sizeof MODEL_GUID, state, sizeof *state);
-    return STATUS_OK;
-}
-
-Status deserialise(const Instance *me, const char *bytes, size_t size, State *state) {
-    if (size < serialised_size() || memcmp(bytes, MODEL_GUID, sizeof MODEL_GUID) != 0)
-        return report(me, STATUS_ERROR, "these bytes are not a state of this FMU");
-    memcpy(state, bytes + sizeof MODEL_GUID, sizeof *state);
-    return STATUS_OK;
 }

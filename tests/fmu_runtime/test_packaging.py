@@ -29,9 +29,9 @@ def test_unchanged_fmu_is_left_alone(tmp_path):
     assert path.stat().st_mtime > 0
 
 
-@pytest.mark.parametrize("name", ["train", "bouncing_ball", "algebraic_loop"])
-def test_runtime_compiles_without_warnings(built, tmp_path, name):
-    folder = built(name)[1] / "sources"
+@pytest.mark.parametrize(("name", "fmi"), [("train", 2), ("bouncing_ball", 2), ("algebraic_loop", 2), ("relay", 3)])
+def test_runtime_compiles_without_warnings(built, tmp_path, name, fmi):
+    folder = built(name, fmi)[1] / "sources"
     for source in sorted(folder.glob("*.c")):
         if source.name != "model.c":
             command = [

@@ -1,0 +1,115 @@
+/* Creation of instances, the complete state as a value, and the arrays of model exchange. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "instance.h"
+
+/* NULL, with a message, if the GUID is another model's. */
+Instance *new_instance(const char *name, const char *guid, LogFunction log, void (*callback)(void), void *environment,
+                       int is_co_simulation) {
+    Instance *me = calloc(1, sizeof *me);
+    if (!me) return NULL;
+    if (!name) name = MODEL_IDENTIFIER;
+    me->name = malloc(strlen(name) + 1);
+    if (me->name) strcpy(me->name, name);
+    me->log = log;
+    me->callback = callback;
+    me->environment = environment;
+    if (!guid || strcmp(guid, MODEL_GUID) != 0) {
+        report(me, STATUS_ERROR, "the GUID %s is not the one of this FMU, %s: modelDescription.xml and binary differ",
+               guid ? guid : "(none)", MODEL_GUID);
+        free_instance(me);
+        return NULL;
+    }
+    me->s.is_co_simulation = is_co_simulation;
+    set_defaults(me);
+    return me;
+}
+
+void free_instance(Instance *me) {
+    if (me) free(me->name);
+    free(me);
+}
+
+static Status make_room(const Instance *me, void **copy) {
+    if (!*copy) *copy = malloc(sizeof(State));
+    return *copy ? STATUS_OK : report(me, STATUS_ERROR, "no memory for an FMU state");
+}
+
+Status copy_state(const Instance *me, void **copy) {
+    const Status status = make_room(me, copy);
+    if (status == STATUS_OK) memcpy(*copy, &me->s, sizeof(State));
+    return status;
+}
+
+Status restore_state(Instance *me, const void *copy) {
+    if (!copy) return report(me, STATUS_ERROR, "no FMU state to set");
+    memcpy(&me->s, copy, sizeof(State));
+    return STATUS_OK;
+}
+
+/* Serialised: the GUID, so that another model's state is refused, and the bytes of State (this platform's). */
+size_t serialised_size(void) { return sizeof MODEL_GUID + sizeof(State); }
+
+Status serialise(const Instance *me, const void *state, char *bytes, size_t size) {
+    if (!state || size < serialised_size())
+        return report(me, STATUS_ERROR, "the buffer for the FMU state is too small or there is no state");
+    memcpy(bytes, MODEL_GUID, sizeof MODEL_GUID);
+    memcpy(bytes + sizeof MODEL_GUID, state, sizeof(State));
+    return STATUS_OK;
+}
+
+Status deserialise(const Instance *me, const char *bytes, size_t size, void **state) {
+    if (size < serialised_size() || memcmp(bytes, MODEL_GUID, sizeof MODEL_GUID) != 0)
+        return report(me, STATUS_ERROR, "these bytes are not a state of this FMU");
+    const Status status = make_room(me, state);
+    if (status == STATUS_OK) memcpy(*state, bytes + sizeof MODEL_GUID, sizeof(State));
+    return status;
+}
+
+static Status check_length(const Instance *me, size_t n, size_t expected, const char *what) {
+    if (n == expected) return STATUS_OK;
+    return report(me, STATUS_ERROR, "%zu %s asked for, the model has %zu", n, what, expected);
+}
+
+Status set_states(Instance *me, const double *x, size_t n) {
+    const Status status = check_length(me, n, NX, "continuous states");
+    if (status != STATUS_OK) return status;
+    memcpy(me->s.x, x, n * sizeof *x);
+    me->s.have_dx = me->s.have_v = 0;
+    return STATUS_OK;
+}
+
+Status get_states(const Instance *me, double *x, size_t n) {
+    const Status status = check_length(me, n, NX, "continuous states");
+    if (status == STATUS_OK) memcpy(x, me->s.x, n * sizeof *x);
+    return status;
+}
+
+/* A point where the derivatives do not exist is discarded: the importer's solver may try a shorter step. */
+Status get_derivatives(Instance *me, double *dx, size_t n) {
+    static const char *const name[] = MODEL_X_NAME;
+    const Status status = check_length(me, n, NX, "derivatives");
+    if (status != STATUS_OK) return status;
+    if (evaluate_derivatives(me))
+        return report(me, STATUS_DISCARD, "t = %.9g: an algebraic loop has no solution", me->s.t);
+    memcpy(dx, me->s.dx, n * sizeof *dx);
+    for (size_t i = 0; i < n; i++)
+        if (!isfinite(dx[i]))
+            return report(me, STATUS_DISCARD, "t = %.9g: the derivative of %s is not finite", me->s.t, name[i]);
+    return STATUS_OK;
+}
+
+Status get_indicators(Instance *me, double *g, size_t n) {
+    const Status status = check_length(me, n, NM, "event indicators");
+    if (status == STATUS_OK && NM > 0) event_indicators(me, g);
+    return status;
+}
+
+Status get_nominals(const Instance *me, double *nominals, size_t n) {
+    static const double nominal[] = MODEL_X_SCALE;
+    const Status status = check_length(me, n, NX, "nominal values");
+    for (size_t i = 0; status == STATUS_OK && i < n; i++) nominals[i] = nominal[i] > 0.0 ? nominal[i] : 1.0;
+    return status;
+}
