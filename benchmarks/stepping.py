@@ -1,6 +1,7 @@
 """One simulation of a light FMU: fmuid, FMPy with everything reused, and a hand-written C loop, side by side.
 
-Run ``python benchmarks/stepping.py``; it prints times in ms (best of many) and ratios.
+Run ``python benchmarks/stepping.py``; it prints times in ms (the shortest of many) and ratios, then what two
+worker processes gain on a campaign of 20 runs. `measure` returns the same as numbers.
 """
 
 from __future__ import annotations
@@ -10,8 +11,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -19,9 +21,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "simulation"))
 from fmus import HEADERS, make_oscillator
 
-from fmuid import stepper
-from fmuid.fmu import Fmu
+from fmuid.fmu import Fmu, load_fmu
+from fmuid.runners import in_process
 from fmuid.simulation import Task
+from fmuid.stepper import library
+from fmuid.workers import WorkerPool
 
 LOOP = r"""
 #include "fmi2Functions.h"
@@ -30,8 +34,8 @@ typedef struct {
     fmi2ExitInitializationModeTYPE *leave; fmi2SetRealTYPE *set; fmi2GetRealTYPE *get; fmi2DoStepTYPE *step;
     fmi2TerminateTYPE *terminate;
 } Functions;
-int loop(const Functions *f, fmi2Component c, size_t n, const double *t, size_t nu, const unsigned *ur, const double *u,
-         size_t ny, const unsigned *yr, double *y)
+int loop(const Functions *f, fmi2Component c, size_t n, const double *t, size_t nu, const unsigned *ur,
+         const double *u, size_t ny, const unsigned *yr, double *y)
 {
     f->reset(c); f->setup(c, 0, 0, t[0], 1, t[n - 1]); f->enter(c);
     if (nu) f->set(c, ur, nu, u);
@@ -46,9 +50,10 @@ int loop(const Functions *f, fmi2Component c, size_t n, const double *t, size_t 
     return 0;
 }
 """
+NO_PARAMETERS: Mapping[str, float] = {}
 
 
-def best(run: Callable[[], object], repeats: int) -> float:
+def shortest(run: Callable[[], object], repeats: int) -> float:
     """Return the shortest time of `run` in ms."""
     times = []
     for _ in range(repeats):
@@ -58,79 +63,102 @@ def best(run: Callable[[], object], repeats: int) -> float:
     return 1e3 * min(times)
 
 
-def c_loop(folder: Path, fmu: Fmu, task: Task) -> Callable[[], np.ndarray]:
+def with_fmuid(path: Path, task: Task) -> Callable[[], np.ndarray]:
+    fmu = Fmu(path)
+    return lambda: fmu.simulate(task, NO_PARAMETERS)
+
+
+def with_c(path: Path, task: Task) -> Callable[[], np.ndarray]:
     """Return the simulation as somebody would write it in C for this one FMU."""
-    source, library = folder / "loop.c", folder / "loop.so"
+    fmu = Fmu(path)
+    fmu.simulate(task, NO_PARAMETERS)  # loads and instantiates it
+    source, shared = path.with_name("loop.c"), path.with_name("loop.so")
     source.write_text(LOOP)
-    subprocess.run(["cc", "-O2", "-shared", "-fPIC", f"-I{HEADERS}", "-o", library, source], check=True)
-    dll = fmu._load()
+    subprocess.run(["cc", "-O2", "-shared", "-fPIC", f"-I{HEADERS}", "-o", shared, source], check=True)
     names = "Reset SetupExperiment EnterInitializationMode ExitInitializationMode SetReal GetReal DoStep Terminate"
-    functions = (ctypes.c_void_p * 8)(*(dll.address(n) for n in names.split()))
-    n, nu, ny = len(task.time), len(task.inputs), len(task.outputs)
-    u = np.ascontiguousarray(np.column_stack(list(task.inputs.values()) or [np.zeros(n)]))
-    ur, yr = (np.array([fmu._slots[k].reference for k in names], np.uint32) for names in (task.inputs, task.outputs))
-    y = np.empty((n, ny))
-    loop = ctypes.CDLL(str(library)).loop
+    functions = (ctypes.c_void_p * 8)(*(fmu._load().address(n) for n in names.split()))
+    n, inputs, outputs = len(task.time), list(task.inputs), list(task.outputs)
+    u = np.column_stack([*task.inputs.values(), np.zeros(n)])[:, : len(inputs)].copy()
+    ur, yr = (np.array([fmu._slots[k].reference for k in group], np.uint32) for group in (inputs, outputs))
+    y = np.empty((n, len(outputs)))
+    loop = ctypes.CDLL(str(shared)).loop
     size, pointer = ctypes.c_size_t, ctypes.c_void_p
     loop.argtypes = [pointer, pointer, size, pointer, size, pointer, pointer, size, pointer, pointer]
+    arrays = (task.time, ur, u, yr, y)
+    places = [a.ctypes.data for a in arrays]
 
     def run() -> np.ndarray:
+        assert len(arrays) == len(places)  # which also keeps them alive
         assert not loop(
-            functions, fmu._instance, n, task.time.ctypes.data, nu, ur.ctypes.data, u.ctypes.data, ny, yr.ctypes.data,
-            y.ctypes.data,
-        )  # fmt: skip
+            functions, fmu._instance, n, places[0], len(inputs), *places[1:3], len(outputs), *places[3:]
+        )
         return y.T
 
     return run
 
 
+def with_fmpy(path: Path, task: Task) -> Callable[[], np.ndarray]:
+    description, extracted = fmpy.read_model_description(str(path)), fmpy.extract(str(path))
+    instance = fmpy.instantiate_fmu(extracted, description, "CoSimulation")
+    signals = None
+    if task.inputs:
+        signals = np.zeros(len(task.time), dtype=[("time", float), *((k, float) for k in task.inputs)])
+        signals["time"] = task.time
+        for k, values in task.inputs.items():
+            signals[k] = values
+    settings: dict[str, Any] = {"model_description": description, "fmu_instance": instance, "input": signals}
+    settings |= {"start_time": task.time[0], "stop_time": task.time[-1], "output": list(task.outputs)}
+
+    def run() -> np.ndarray:
+        instance.reset()
+        y = fmpy.simulate_fmu(extracted, output_interval=task.time[1], fmi_type="CoSimulation", **settings)
+        return np.array([y[k] for k in task.outputs])
+
+    return run
+
+
+def measure(folder: Path) -> list[tuple[str, float, float, float]]:
+    """Return (what, C loop, fmuid, FMPy) in ms."""
+    path = make_oscillator(folder)
+    long, short = np.arange(2001) * 1e-3, np.arange(501) * 1e-3
+    prbs = np.sign(np.sin(np.cumsum(np.arange(501) % 37)))
+    rows = []
+    for label, task in {
+        "2000 steps, no input": Task(long, {}, ("x", "v")),
+        "2000 steps, 1 input": Task(long, {"u": np.sin(7 * long)}, ("x", "v")),
+        "2000 steps, 2 inputs": Task(long, {"u": np.sin(7 * long), "w": np.cos(7 * long)}, ("x", "v")),
+        "500 steps, PRBS input": Task(short, {"u": prbs}, ("x", "v")),
+    }.items():
+        by_c, ours, theirs = (make(path, task) for make in (with_c, with_fmuid, with_fmpy))
+        np.testing.assert_allclose(theirs()[:, : len(task.time)], ours(), rtol=1e-9, atol=1e-12)
+        assert np.array_equal(by_c(), ours())
+        rows.append((label, shortest(by_c, 300), shortest(ours, 300), shortest(theirs, 4)))
+    return rows
+
+
+def measure_workers(folder: Path, runs: int = 20) -> tuple[float, float, float]:
+    """Return ms for a campaign of `runs` in this process, with one and with two workers."""
+    fmu = load_fmu(make_oscillator(folder))
+    long = np.arange(50_001) * 1e-3
+    jobs = [(fmu, Task(long, {"u": np.sin(k * long)}, ("x", "v")), {"c": 100.0 + k}) for k in range(runs)]
+    times = [shortest(lambda: in_process(jobs), 4)]
+    for workers in (1, 2):
+        with WorkerPool(workers) as pool:
+            pool.run(jobs)
+            times.append(shortest(lambda pool=pool: pool.run(jobs), 4))  # type: ignore[misc]
+    return times[0], times[1], times[2]
+
+
 def main() -> None:
-    folder = Path(tempfile.mkdtemp())
-    path = make_oscillator(folder, 2, defines=())
-    description = fmpy.read_model_description(str(path))
-    extracted = fmpy.extract(str(path))
-    print(f"stepper: {'compiled' if stepper.library() else 'python'}; light FMU, FMI 2.0 co-simulation")
-    print(f"{'':28}{'C loop':>10}{'fmuid':>10}{'FMPy':>10}{'fmuid / C':>12}{'FMPy / fmuid':>14}")
-    time_ = np.arange(2001) * 1e-3
-    for label, inputs in (("2000 steps, no input", ()), ("2000 steps, 1 input", ("u",)), ("2000 steps, 2 inputs", ("u", "d2"))):
-        samples = {"u": np.sin(7 * time_), "d2": np.cos(7 * time_)}
-        if "d2" in inputs:  # the second one is Boolean in this FMU: only fmuid and FMPy can tell
-            samples = {"u": samples["u"], "flip": (samples["d2"] > 0).astype(float)}
-            inputs = ("u", "flip")
-        fmu = Fmu(path)
-        task = Task(time_, {k: samples[k] for k in inputs}, ("x", "v"))
-        parameters = {"c": 120.0, "d": 0.3}
-        ours = best(lambda: fmu.simulate(task, parameters), 300)
-        direct = float("nan")
-        if "flip" not in inputs:
-            run = c_loop(folder, fmu, task)
-            plain = fmu.simulate(task, {"c": 100.0, "d": 0.5})
-            fmu._instance, kept = fmu._instance, fmu._instance
-            assert np.array_equal(run(), plain), kept
-            direct = best(run, 300)
-        instance = fmpy.instantiate_fmu(extracted, description, "CoSimulation")
-        signals = None
-        if inputs:
-            types = {"flip": np.bool_}
-            signals = np.zeros(len(time_), dtype=[("time", float), *((k, types.get(k, float)) for k in inputs)])
-            signals["time"] = time_
-            for k in inputs:
-                signals[k] = samples[k]
-
-        def peer() -> object:
-            instance.reset()
-            return fmpy.simulate_fmu(
-                extracted, start_time=0.0, stop_time=2.0, output_interval=1e-3, input=signals, output=["x", "v"],
-                start_values=parameters, model_description=description, fmu_instance=instance, fmi_type="CoSimulation",
-            )  # fmt: skip
-
-        theirs = best(peer, 5)
-        print(f"{label:28}{direct:10.3f}{ours:10.3f}{theirs:10.2f}{ours / direct:12.2f}{theirs / ours:14.1f}")
-    short = Task(time_[:501], {"u": np.sign(np.sin(50 * time_[:501]))}, ("x", "v"))
-    fmu = Fmu(path)
-    ours = best(lambda: fmu.simulate(short, {"c": 100.0, "d": 0.5}), 500)
-    direct = best(c_loop(folder, fmu, short), 500)
-    print(f"{'500 steps, PRBS-like input':28}{direct:10.3f}{ours:10.3f}{'':10}{ours / direct:12.2f}")
+    with tempfile.TemporaryDirectory() as name:
+        print(f"FMI 2.0 co-simulation of a light FMU; stepper: {'C' if library() else 'Python'}; ms")
+        print(f"{'':24}{'C loop':>9}{'fmuid':>9}{'FMPy':>9}{'fmuid / C':>12}{'FMPy / fmuid':>14}")
+        for label, by_c, ours, theirs in measure(Path(name)):
+            print(f"{label:24}{by_c:9.3f}{ours:9.3f}{theirs:9.2f}{ours / by_c:12.2f}{theirs / ours:14.0f}")
+        here, one, two = measure_workers(Path(name))
+        print(
+            f"20 runs of 50 s: {here:.0f} ms here, {one:.0f} with one worker, {two:.0f} with two ({one / two:.2f})"
+        )
 
 
 if __name__ == "__main__":

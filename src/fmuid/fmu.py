@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import shutil
 import stat
 import tempfile
@@ -34,7 +35,7 @@ _STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 _FATAL = 4
 _SLICE = 0.1  # s between looks at Ctrl-C
 _CHECK_BUDGET = 0.5  # s for seeing whether a reset is as good as a new instance
-_MAX_PREPARED = 1024
+_MAX_PREPARED = 64 * 2**20  # bytes of signals kept laid out, oldest out first
 
 
 class Fmu:
@@ -189,7 +190,7 @@ class Fmu:
     def _load(self) -> FmuLibrary:
         if self._library is None:
             self._folder = _extract(self.path)
-            weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
+            weakref.finalize(self, _remove, self._folder, os.getpid())
             platform = fmpy.platform if self.version == 2 else fmpy.platform_tuple
             identifier = self._described.modelIdentifier
             library = self._folder / "binaries" / platform / f"{identifier}{fmpy.sharedLibraryExtension}"
@@ -226,7 +227,7 @@ class Fmu:
             if new:  # tasks prepared earlier must from now on put these back
                 self._set_before.update(dict.fromkeys(new))
                 self._prepared.clear()
-            while len(self._prepared) >= _MAX_PREPARED:
+            while self._prepared and sum(p.size for p in self._prepared.values()) > _MAX_PREPARED:
                 self._prepared.pop(next(iter(self._prepared)))
             self._prepared[id(task), names] = prepared  # keeps the task, and so its id, alive
         return prepared
@@ -363,6 +364,11 @@ def _check_members(path: Path) -> None:
                 raise FmuError(
                     f"holds the file name '{name}', which leads out of it", where=path, fix="do not use it"
                 )
+
+
+def _remove(folder: Path, process: int) -> None:
+    if os.getpid() == process:  # not in a fork, whose parent still needs it
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _extract(path: Path) -> Path:

@@ -142,7 +142,9 @@ class FmuLibrary:
             self._dll = ctypes.CDLL(str(path))
         except OSError as error:
             raise FmuError(
-                f"its library cannot be loaded ({error})", where=where, fix="is it built for this machine?"
+                f"its library cannot be loaded ({error})",
+                where=where,
+                fix="is it for this machine, and are libraries missing that it needs?",
             ) from None
         names = _NAMES_OF_VERSION[version]
         self.functions = (c_void_p * len(stepper.FUNCTIONS))(

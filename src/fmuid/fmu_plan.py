@@ -52,6 +52,7 @@ class PreparedTask:
         self._slots, self._where = slots, library.where
         self._kept: list[Any] = []  # arrays the plan points into
         n = len(task.time)
+        self.size = 8 * n * (2 * len(task.inputs) + 1)  # bytes, about, with the task's own
         self._check_time(task.time, even_steps)
         inputs = np.empty((n, len(task.inputs)))
         for j, (name, values) in enumerate(task.inputs.items()):

@@ -10,7 +10,6 @@ import signal
 import sys
 import tempfile
 import threading
-from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -23,22 +22,13 @@ HOLD, JOB, CALL = range(3)
 """Kinds of message: keep an object under a number; simulate with kept ones; call a function."""
 
 
-def memory_probe(pid: int) -> Callable[[], int]:
-    """Return a function that tells the resident memory of a process in bytes, 0 where that is unknown."""
+def resident_memory(pid: int) -> int:
+    """Return the resident memory of a process in bytes, 0 where that is unknown."""
     try:
-        file = Path(f"/proc/{pid}/statm").open("rb", buffering=0)  # noqa: SIM115 (stays open: read after every job)
-    except OSError:
-        return lambda: 0
-    page = os.sysconf("SC_PAGE_SIZE")
-
-    def probe() -> int:
-        try:
-            file.seek(0)
-            return int(file.read().split()[1]) * page
-        except (OSError, IndexError):  # the process is gone
-            return 0
-
-    return probe
+        pages = int(Path(f"/proc/{pid}/statm").read_bytes().split()[1])
+    except (OSError, IndexError):  # no Linux, or the process is gone
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def main(connection: Connection, folder: str) -> None:
@@ -50,9 +40,8 @@ def main(connection: Connection, folder: str) -> None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # FMUs may crash a thousand times
     tempfile.tempdir = folder
     threading.Thread(target=_leave_with_parent, args=(folder,), daemon=True).start()
-    memory = memory_probe(os.getpid())
     kept: dict[int, Any] = {}
-    _send(connection, True, None, memory())
+    _send(connection, True, None, resident_memory(os.getpid()))
     while True:
         try:
             message = connection.recv_bytes()
@@ -71,9 +60,9 @@ def main(connection: Connection, folder: str) -> None:
                 function, arguments, keywords = content
                 result = function(*arguments, **keywords)
         except BaseException as error:
-            _send(connection, False, error, memory())
+            _send(connection, False, error, resident_memory(os.getpid()))
         else:
-            _send(connection, True, result, memory())
+            _send(connection, True, result, resident_memory(os.getpid()))
     kept.clear()
     sys.stdout.flush()
     os._exit(0)  # an FMU's own exit handlers have brought down more than one process

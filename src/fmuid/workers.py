@@ -37,6 +37,7 @@ from fmuid import worker_process
 from fmuid.campaign import frozen_mapping
 from fmuid.errors import FmuidError, SimulationError
 from fmuid.runners import Job, Outcome, simulate
+from fmuid.worker_process import resident_memory
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -64,7 +65,6 @@ class _Worker:
     process: Any
     connection: mp_connection.Connection
     folder: Path
-    memory: Callable[[], int]
     started: float = field(default_factory=time.monotonic)
     ready: bool = False
     begun: float = 0.0  # when the evaluation at the head was taken up
@@ -261,6 +261,11 @@ class WorkerPool(Executor):
     def _hand_out(self) -> None:
         with self._lock:
             waiting = len(self._pending)
+            fresh = bool(self._pending) and self._pending[0].retried
+        if fresh and not any(w.done == 0 and not w.calls for w in self._team):
+            idle = next((w for w in self._team if w.ready and not w.calls), None)
+            if idle is not None:  # it makes room for the fresh worker that is wanted
+                self._dismiss(idle)
         busy = sum(bool(w.calls) for w in self._team)
         while len(self._team) < min(self.workers, busy + waiting):
             if not self._recruit():
@@ -276,9 +281,7 @@ class WorkerPool(Executor):
         with self._lock:
             while self._pending:
                 call = self._pending[0]
-                if call.retried and worker.done:  # wants a fresh worker: this one makes room for it
-                    if depth == 0:
-                        worker.retiring = True
+                if call.retried and (worker.done or depth):  # wants a fresh worker
                     return None
                 # A busy worker does not read: only what fits into the pipe may be sent to it.
                 if depth and (len(call.message) > _SMALL or not worker.held.issuperset(call.holds)):
@@ -389,12 +392,10 @@ class WorkerPool(Executor):
             elif worker.killed is None and worker.calls:
                 if late:
                     worker.killed = "time"
-                elif self.memory_limit and worker.memory() > self.memory_limit:
+                elif self.memory_limit and resident_memory(worker.process.pid) > self.memory_limit:
                     worker.killed = "memory"
                 if worker.killed is not None:
                     worker.process.kill()
-            elif worker.retiring and not worker.calls:
-                self._dismiss(worker)
 
     def _recruit(self) -> bool:
         ours, theirs = self._context.Pipe()
@@ -415,7 +416,7 @@ class WorkerPool(Executor):
             return False
         finally:
             theirs.close()
-        self._team.append(_Worker(process, ours, folder, worker_process.memory_probe(process.pid)))
+        self._team.append(_Worker(process, ours, folder))
         return True
 
     def _dismiss(self, worker: _Worker) -> None:

@@ -34,6 +34,7 @@ _VARIABLES = [
     ("mode", 17, "Enumeration", "Int64", 'causality="parameter" variability="fixed"', 'start="1"'),
     ("sum", 19, "Real", "Float64", 'causality="output" variability="continuous"', ""),
     ("zero", 20, "Real", "Float64", 'causality="calculatedParameter" variability="fixed"', ""),
+    ("w", 21, "Real", "Float64", 'causality="input" variability="continuous"', 'start="0"'),
 ]  # fmt: skip
 FAULTS = {
     "crash": 1, "hang": 2, "nan": 3, "fails": 4, "leaks": 5, "devours": 6, "fatal": 7, "ends": 8, "segfault": 9,
@@ -41,24 +42,28 @@ FAULTS = {
 }  # fmt: skip
 
 
-def _description(fmi: int, interfaces: tuple[str, ...], once: bool, even_steps: bool, table: bool) -> str:
+def _description(fmi: int, interfaces: tuple[str, ...], once: bool, even_steps: bool, interpolates: bool) -> str:
     index = {"x": 7, "v": 8} if fmi == 2 else {"x": 6, "v": 7}
     lines = []
     for name, vr, type2, type3, outer, inner in _VARIABLES:
         inner = inner.format(**index)
         if fmi == 2:
             kind = ' declaredType="Mode"' if type2 == "Enumeration" else ""
-            lines.append(f'<ScalarVariable name="{name}" valueReference="{vr}" {outer}><{type2} {inner}{kind}/></ScalarVariable>')
+            lines.append(
+                f'<ScalarVariable name="{name}" valueReference="{vr}" {outer}><{type2} {inner}{kind}/></ScalarVariable>'
+            )
         else:
             kind = ' declaredType="Mode"' if type3 == "Enumeration" else ""
             lines.append(f'<{type3} name="{name}" valueReference="{vr}" {outer} {inner}{kind}/>')
-    if fmi == 3 and table:
+    if fmi == 3:
         lines.append(
             '<Float64 name="table" valueReference="18" causality="parameter" variability="fixed" start="0 1 2 3 4 5">'
             '<Dimension start="2"/><Dimension start="3"/></Float64>'
         )
     flags = f'canBeInstantiatedOnlyOncePerProcess="{str(once).lower()}"'
     steps = f'canHandleVariableCommunicationStepSize="{str(not even_steps).lower()}"'
+    if fmi == 2:
+        steps += f' canInterpolateInputs="{str(interpolates).lower()}"'
     offered = "".join(
         f'<{i} modelIdentifier="oscillator" {flags} {steps if i == "CoSimulation" else ""}/>' for i in interfaces
     )
@@ -94,11 +99,11 @@ def make_oscillator(
     defines: tuple[str, ...] = (),
     *,
     even_steps: bool = False,
-    table: bool = True,
+    interpolates: bool = False,
 ) -> Path:
     """Compile and pack the test FMU; `defines` are the macros of oscillator.c."""
     name = "-".join(["oscillator", str(fmi), *(i[:2] for i in interfaces), *defines]).replace("=", "")
-    path = folder / f"{name}{'-even' if even_steps else ''}.fmu"
+    path = folder / f"{name}{'-even' if even_steps else ''}{'-interpolates' if interpolates else ''}.fmu"
     compiler = shutil.which("cc") or shutil.which("gcc")
     assert compiler, "the tests need a C compiler"
     library = path.with_suffix(".so")
@@ -106,7 +111,7 @@ def make_oscillator(
     command += [*(f"-D{d}" for d in defines), f"-I{HEADERS}", "-o", str(library), str(SOURCE), "-lm"]
     subprocess.run(command, check=True, capture_output=True, text=True)
     place = fmpy.platform if fmi == 2 else fmpy.platform_tuple
-    description = _description(fmi, interfaces, "ONCE" in defines, even_steps, table)
+    description = _description(fmi, interfaces, "ONCE" in defines, even_steps, interpolates)
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", description)
         archive.writestr("resources/readme.txt", "nothing")

@@ -1,6 +1,6 @@
 /* A test FMU for FMI 2.0 and 3.0, co-simulation and model exchange: a driven oscillator with a latching switch.
  *
- *     der(x) = v,  m der(v) = u - d v - c x,  y = gain x (+ bias if flip),  stored = int(trunc)
+ *     der(x) = v,  m der(v) = u + w - d v - c x,  y = gain x (+ bias if flip),  stored = int(trunc)
  *     model exchange: `count` counts the falls of x through `level`, each a state event; `ticks` counts time events
  *
  * Co-simulation integrates with the explicit midpoint rule, 1 ms at most. `fault` makes it misbehave at t >= 0.1.
@@ -27,10 +27,11 @@ typedef fmi3Instance Handle;
 enum { OK, WARNING, DISCARD, ERROR, FATAL };
 enum { NO_FAULT, CRASH, HANG, NOT_A_NUMBER, FAILS, LEAKS, DEVOURS, FATALLY, ENDS, SEGFAULTS, SLOW, LEAVES };
 /* value references */
-enum { TIME, M, D, C, GAIN, U, X, V, Y, DX, DV, FLIP, FAULT, BIAS, COUNT, LEVEL, TICKS, MODE, TABLE, TABLE_SUM, N };
+enum { TIME, M, D, C, GAIN, U, X, V, Y, DX, DV, FLIP, FAULT, BIAS, COUNT, LEVEL, TICKS, MODE, TABLE, TABLE_SUM, ZERO, W, N };
 
 typedef struct {
     double t, r[N], table[6];
+    double slope; /* of the input, in co-simulation */
     int continuous;
     double tick;
 #if FMI == 2
@@ -41,13 +42,14 @@ typedef struct {
 } Model;
 
 static int instances, age;
+static void *volatile leaked;
 
 static void defaults(Model *s)
 {
     memset(s->r, 0, sizeof s->r);
     s->r[M] = 1; s->r[D] = 0.5; s->r[C] = 100; s->r[GAIN] = 1; s->r[X] = 0.1; s->r[BIAS] = 3; s->r[LEVEL] = 0; s->r[MODE] = 1;
     for (int i = 0; i < 6; i++) s->table[i] = i;
-    s->t = 0;
+    s->t = s->slope = 0;
     s->tick = 0.25;
 }
 
@@ -56,7 +58,7 @@ static double value(Model *s, unsigned vr)
     switch (vr) {
     case TIME: return s->t;
     case DX: return s->r[V];
-    case DV: return (s->r[U] - s->r[D] * s->r[V] - s->r[C] * s->r[X]) / s->r[M];
+    case DV: return (s->r[U] + s->r[W] - s->r[D] * s->r[V] - s->r[C] * s->r[X]) / s->r[M];
     case Y: {
         double y = s->r[GAIN] * s->r[X] + (s->r[FLIP] ? s->r[BIAS] : 0) + (s->r[MODE] - 1);
         return s->r[FAULT] == NOT_A_NUMBER && s->t >= 0.1 ? NAN : y;
@@ -87,8 +89,8 @@ static Status misbehave(Model *s)
     case SLOW: usleep(20000); break;
     case FAILS: return say(s, ERROR, "the bearing has melted");
     case FATALLY: return say(s, FATAL, "everything is lost");
-    case LEAKS: memset(malloc(1 << 15), 1, 1 << 15); break;
-    case DEVOURS: for (;;) memset(malloc(1 << 22), 1, 1 << 22);
+    case LEAKS: memset(leaked = malloc(1 << 15), 1, 1 << 15); break;
+    case DEVOURS: for (;;) memset(leaked = malloc(1 << 22), 1, 1 << 22);
     }
     return OK;
 }
@@ -101,10 +103,12 @@ static void step(Model *s, double h)
     return;
 #endif
     int n = (int)ceil(h / 1e-3 - 1e-6);
-    double dt = h / n, t0 = s->t;
+    double dt = h / n, t0 = s->t, u0 = s->r[U];
     for (int i = 0; i < n; i++) {
+        s->r[U] = u0 + i * dt * s->slope;
         double x = s->r[X], v = s->r[V], a = value(s, DV);
         s->r[X] = x + dt / 2 * v; s->r[V] = v + dt / 2 * a;
+        s->r[U] = u0 + (i + 0.5) * dt * s->slope;
         double vm = s->r[V], am = value(s, DV);
         s->r[X] = x + dt * vm; s->r[V] = v + dt * am;
     }
@@ -224,7 +228,12 @@ ABSENT(fmi2SerializeFMUstate, fmi2Component c, fmi2FMUstate s, fmi2Byte b[], siz
 ABSENT(fmi2DeSerializeFMUstate, fmi2Component c, const fmi2Byte b[], size_t n, fmi2FMUstate *s)
 ABSENT(fmi2GetDirectionalDerivative, fmi2Component c, const fmi2ValueReference a[], size_t n, const fmi2ValueReference b[],
        size_t m, const fmi2Real x[], fmi2Real y[])
-ABSENT(fmi2SetRealInputDerivatives, fmi2Component c, const fmi2ValueReference v[], size_t n, const fmi2Integer o[], const fmi2Real x[])
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference v[], size_t n, const fmi2Integer o[], const fmi2Real x[])
+{
+    if (n != 1 || v[0] != U || o[0] != 1) return ERROR;
+    ((Model *)c)->slope = x[0];
+    return OK;
+}
 ABSENT(fmi2GetRealOutputDerivatives, fmi2Component c, const fmi2ValueReference v[], size_t n, const fmi2Integer o[], fmi2Real x[])
 ABSENT(fmi2CancelStep, fmi2Component c)
 ABSENT(fmi2GetStatus, fmi2Component c, const fmi2StatusKind k, fmi2Status *x)

@@ -1,0 +1,261 @@
+"""Simulating co-simulation FMUs: what goes in, what comes out, and what is said when it cannot be."""
+
+from __future__ import annotations
+
+import gc
+import pickle
+import shutil
+import zipfile
+
+import fmpy
+import numpy as np
+import pytest
+from fmus import FAULTS
+
+from fmuid import fmu as fmu_module
+from fmuid.errors import FmuError, SimulationError
+from fmuid.fmu import Fmu, load_fmu
+from fmuid.simulation import Simulator, Task
+
+TIME = np.arange(501) * 1e-3
+U = np.sign(np.sin(50 * TIME))
+BOTH = pytest.mark.parametrize("fmi", [2, 3])
+
+
+def task(**changes: object) -> Task:
+    values = {"time": TIME, "inputs": {"u": U}, "outputs": ("x", "v"), **changes}
+    return Task(**values)  # type: ignore[arg-type]
+
+
+def oscillator(u, m=1.0, d=0.5, c=100.0, x=0.1, v=0.0, slope=False):
+    """The FMU's own midpoint steps, input sample k acting on [t_k, t_k+1)."""
+    rows = [(x, v)]
+    for k, h in enumerate(np.diff(TIME)):
+        middle = u[k] + (u[k + 1] - u[k]) / 2 if slope else u[k]
+        a = (u[k] - d * v - c * x) / m
+        xm, vm = x + h / 2 * v, v + h / 2 * a
+        x, v = x + h * vm, v + h * ((middle - d * vm - c * xm) / m)
+        rows.append((x, v))
+    return np.array(rows).T
+
+
+@BOTH
+def test_outputs_follow_the_stepping_convention(build, fmi):
+    fmu = Fmu(build(fmi))
+    y = fmu.simulate(task(), {"m": 2.0, "c": 300.0})
+    assert y.shape == (2, 501)
+    assert y[:, 0] == pytest.approx([0.1, 0.0])  # right after initialisation
+    np.testing.assert_allclose(y, oscillator(U, m=2, c=300), rtol=1e-12, atol=1e-15)
+
+
+@BOTH
+def test_same_as_fmpy(build, fmi):
+    if fmi == 3:
+        pytest.skip("FMPy needs functions of every type, which this FMU has for FMI 2.0 only")
+    path = build(fmi)
+    signals = np.zeros(len(TIME), dtype=[("time", float), ("u", float), ("flip", bool)])
+    signals["time"], signals["u"] = TIME, np.sin(20 * TIME)
+    signals["flip"] = TIME > 0.25
+    theirs = fmpy.simulate_fmu(
+        str(path), start_time=0, stop_time=0.5, output_interval=1e-3, input=signals, output=["y", "x"],
+        start_values={"d": 2.0, "bias": 1.0},
+    )  # fmt: skip
+    inputs = {"u": signals["u"], "flip": signals["flip"].astype(float)}
+    ours = Fmu(path).simulate(task(inputs=inputs, outputs=("y", "x")), {"d": 2.0, "bias": 1.0})
+    np.testing.assert_allclose(ours, [theirs["y"], theirs["x"]], rtol=1e-9, atol=1e-12)
+
+
+@BOTH
+def test_variables_say_what_the_description_says(build, fmi):
+    fmu = Fmu(build(fmi))
+    assert isinstance(fmu, Simulator)
+    m = fmu.variables["m"]
+    assert (m.causality, m.variability, m.unit, m.start, m.min, m.description) == (
+        "parameter", "fixed", "kg", 1.0, 0.0, "mass",
+    )  # fmt: skip
+    assert fmu.variables["flip"].type == "Boolean"
+    assert fmu.variables["x"].start == 0.1
+    assert fmu.default_experiment == {"start": 0.0, "stop": 1.0, "tolerance": 1e-7}
+    assert fmu.interface == "co-simulation"
+    if fmi == 3:
+        assert [fmu.variables[f"table[2,{i}]"].start for i in (1, 2, 3)] == [3, 4, 5]
+
+
+@BOTH
+def test_values_are_set_by_their_type(build, fmi):
+    fmu = Fmu(build(fmi))
+    inputs = {"u": U, "flip": (TIME >= 0.2).astype(float)}
+    y, x = fmu.simulate(task(inputs=inputs, outputs=("y", "x")), {"mode": 2, "gain": 10.0})
+    # The switch set at t = 0.2 s is seen at the end of the next step: Boolean input, enumeration parameter.
+    np.testing.assert_allclose(y - 10 * x, np.where(TIME >= 0.2005, 4.0, 1.0), atol=1e-12)
+
+
+def test_an_array_is_set_element_by_element(build):
+    fmu = Fmu(build(3))
+    outputs = ("sum", "table[2,1]")
+    y = fmu.simulate(task(outputs=outputs), {"table[1,2]": 10.0, "table[2,1]": -1.0})
+    assert y[0, 0] == np.dot([1, 2, 3, 4, 5, 6], [0, 10, 2, -1, 4, 5])
+    assert (y[1] == -1).all()
+    assert fmu.simulate(task(outputs=outputs), {})[0, -1] == np.dot([1, 2, 3, 4, 5, 6], range(6))
+
+
+@BOTH
+def test_start_values_of_states_and_of_the_task(build, fmi):
+    fmu = Fmu(build(fmi))
+    y = fmu.simulate(task(start_values={"x": 0.3, "d": 9.0}), {"v": -1.0, "d": 2.0})
+    np.testing.assert_allclose(y, oscillator(U, d=2, x=0.3, v=-1), rtol=1e-12, atol=1e-15)
+
+
+@BOTH
+def test_inputs_without_a_signal_hold_their_start_value(build, fmi):
+    fmu = Fmu(build(fmi))
+    free = fmu.simulate(task(inputs={}), {})
+    np.testing.assert_allclose(free, oscillator(0 * U), rtol=1e-12, atol=1e-15)
+    pushed = fmu.simulate(task(inputs={}), {"u": 5.0})
+    np.testing.assert_allclose(pushed, oscillator(0 * U + 5), rtol=1e-12, atol=1e-15)
+    assert np.array_equal(fmu.simulate(task(inputs={}), {}), free)
+
+
+def test_input_slopes_are_handed_to_an_fmu_that_interpolates(build):
+    smooth = np.sin(20 * TIME)
+    linear = task(inputs={"u": smooth}, interpolation="linear")
+    y = Fmu(build(2, interpolates=True)).simulate(linear, {})
+    np.testing.assert_allclose(y, oscillator(smooth, slope=True), rtol=1e-12, atol=1e-15)
+    with pytest.raises(FmuError, match="cannot interpolate its inputs"):
+        Fmu(build(2)).simulate(linear, {})
+
+
+@pytest.mark.parametrize(
+    ("changes", "parameters", "message"),
+    [
+        ({}, {"gian": 1.0}, "no variable 'gian'; did you mean 'gain'"),
+        ({}, {"zero": 1.0}, "'zero' is a calculatedParameter"),
+        ({}, {"y": 1.0}, "'y' is an output that the FMU calculates"),
+        ({}, {"time": 1.0}, "'time' is the independent variable"),
+        ({}, {"mode": 1.5}, "'mode' takes whole numbers only"),
+        ({}, {"d": np.nan}, "'d' cannot be set to nan"),
+        ({"outputs": ("tau",)}, {}, "no variable 'tau'"),
+        ({"inputs": {"m": U}}, {}, "'m' is no input"),
+        ({"inputs": {"u": U[1:]}}, {}, "input 'u' must have 501 finite samples"),
+        ({"inputs": {"u": U * np.nan}}, {}, "input 'u' must have 501 finite samples"),
+        ({"inputs": {"flip": U / 3}}, {}, "'flip' takes whole numbers only"),
+        ({}, {"u": 1.0}, "'u' has both a signal and a start value"),
+        ({"time": TIME[::-1]}, {}, "strictly increasing"),
+    ],
+)
+def test_what_is_wrong_is_named(build, changes, parameters, message):
+    with pytest.raises(FmuError, match=message):
+        Fmu(build(2)).simulate(task(**changes), parameters)
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("nan", r"output 'y' is not finite at t = 0\.1 s"),
+        ("fails", r"DoStep answered fmi\dError at t = 0\.1 s: the bearing has melted.*with c = 200, fault = "),
+        ("fatal", r"DoStep answered fmi\dFatal at t = 0\.1 s: everything is lost"),
+        ("ends", r"the FMU ended the simulation at t = 0\.1 s"),
+    ],
+)
+def test_a_failed_simulation_is_an_error_and_leaves_no_trace(build, fmi, fault, message):
+    fmu = Fmu(build(fmi))
+    before = fmu.simulate(task(outputs=("y",)), {"c": 200.0})
+    with pytest.raises(SimulationError, match=message):
+        fmu.simulate(task(outputs=("y",)), {"c": 200.0, "fault": FAULTS[fault]})
+    assert np.array_equal(fmu.simulate(task(outputs=("y",)), {"c": 200.0}), before)
+
+
+def test_an_error_in_initialisation_says_so(build):
+    with pytest.raises(
+        SimulationError, match=r"ExitInitializationMode answered fmi2Error in initialisation: m must"
+    ):
+        Fmu(build(2)).simulate(task(), {"m": -1.0})
+
+
+@BOTH
+@pytest.mark.parametrize(
+    "defines", [("RESET_FAILS",), ("RESET_FORGETS_STATE",), ("RESET_FORGETS_PARAMETERS",), ()]
+)
+def test_predictions_do_not_depend_on_what_was_simulated_before(build, fmi, defines):
+    fmu, fresh = Fmu(build(fmi, defines=defines)), Fmu(build(fmi))
+    one, two = task(), task(outputs=("y",), start_values={"bias": 1.0})
+    for _ in range(2):
+        for this, parameters in ((one, {"c": 50.0}), (one, {}), (two, {"d": 3.0, "gain": 2.0}), (two, {})):
+            assert np.array_equal(fmu.simulate(this, parameters), fresh.simulate(this, parameters))
+    expected = "instantiate" if defines in {("RESET_FAILS",), ("RESET_FORGETS_STATE",)} else "reset"
+    assert fmu.renewal == expected
+
+
+def test_an_fmu_that_cannot_be_instantiated_twice_is_reset(build):
+    fmu = Fmu(build(2, defines=("ONCE",)))
+    results = [fmu.simulate(task(), {"c": c}) for c in (50.0, 60.0, 50.0)]
+    assert np.array_equal(results[0], results[2])
+    assert not np.array_equal(results[0], results[1])
+
+
+def test_uneven_steps_are_refused_where_the_fmu_cannot(build):
+    uneven = np.cumsum(np.random.default_rng(1).uniform(1e-3, 2e-3, 501))
+    assert Fmu(build(2)).simulate(task(time=uneven), {}).shape == (2, 501)
+    with pytest.raises(FmuError, match="cannot handle a variable communication step size"):
+        Fmu(build(2, even_steps=True)).simulate(task(time=uneven), {})
+    Fmu(build(2, even_steps=True)).simulate(task(), {})
+
+
+def test_one_object_a_process_and_none_after_a_change(build, tmp_path):
+    path = tmp_path / "copy.fmu"
+    shutil.copy(build(2), path)
+    first = load_fmu(path)
+    assert load_fmu(path) is first
+    assert pickle.loads(pickle.dumps(first)) is first
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("resources/more.txt", "more")
+    assert load_fmu(path) is not first
+
+
+def test_extracted_files_are_removed(build, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with Fmu(build(2)) as fmu:
+        fmu.simulate(task(), {})
+        assert list(tmp_path.iterdir())
+    assert not list(tmp_path.iterdir())
+    fmu.simulate(task(), {})
+    del fmu
+    gc.collect()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "name", ["../evil.txt", "/evil.txt", "resources/../../evil.txt", "c:/evil.txt", "a\\..\\evil"]
+)
+def test_an_archive_that_climbs_out_is_refused(build, tmp_path, name):
+    path = tmp_path / "evil.fmu"
+    shutil.copy(build(2), path)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr(zipfile.ZipInfo(name), "evil")
+    with pytest.raises(FmuError, match="leads out of it"):
+        Fmu(path)
+    assert not (tmp_path.parent / "evil.txt").exists()
+
+
+def test_files_that_are_no_fmu(tmp_path, build):
+    (tmp_path / "text.fmu").write_text("no archive")
+    with pytest.raises(FmuError, match="is no readable FMU"):
+        Fmu(tmp_path / "text.fmu")
+    with pytest.raises(FmuError, match="No such file"):
+        load_fmu(tmp_path / "missing.fmu")
+    with zipfile.ZipFile(tmp_path / "other.fmu", "w") as archive, zipfile.ZipFile(build(2)) as good:
+        archive.writestr("modelDescription.xml", good.read("modelDescription.xml"))
+        archive.writestr("binaries/vax/oscillator.so", "")
+    with pytest.raises(FmuError, match=r"has no library for .* \(it has: vax\)"):
+        Fmu(tmp_path / "other.fmu").simulate(task(), {})
+    with pytest.raises(FmuError, match="offers co-simulation, not model exchange"):
+        Fmu(build(2), "model exchange")
+
+
+def test_tasks_are_laid_out_once_and_forgotten_when_they_are_too_many(build, monkeypatch):
+    monkeypatch.setattr(fmu_module, "_MAX_PREPARED", 100_000)
+    fmu = Fmu(build(2))
+    for _ in range(50):
+        fmu.simulate(task(), {})
+    assert len(fmu._prepared) <= 9  # 8 bytes, 501 samples, 3 columns each

@@ -1,0 +1,96 @@
+"""The compiled loop and the Python one: the same numbers, and no compiler needed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fmus import FAULTS
+
+from fmuid import stepper
+from fmuid.errors import SimulationError
+from fmuid.fmu import Fmu
+from fmuid.simulation import Task
+
+UNEVEN = np.cumsum(np.random.default_rng(0).uniform(1e-3, 9e-3, 200))
+SIGNALS = {"u": np.sin(20 * UNEVEN), "flip": (UNEVEN > 0.4).astype(float)}
+
+
+@pytest.fixture
+def python_only(monkeypatch):
+    """Pretend that there is no compiler."""
+    stepper.library.cache_clear()
+    monkeypatch.setenv("FMUID_STEPPER", "python")
+    yield
+    stepper.library.cache_clear()
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("interface", ["CoSimulation", "ModelExchange"])
+@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+def test_python_and_c_agree_to_the_last_digit(build, fmi, interface, interpolation, python_only, monkeypatch):
+    if (interface, fmi, interpolation) == ("CoSimulation", 3, "linear"):
+        pytest.skip("FMI 3.0 has no input derivatives")
+    path = build(fmi, (interface,), interpolates=True)
+    outputs = ("x", "v", "y", "count", "ticks")
+    task = Task(UNEVEN, SIGNALS, outputs, {"x": 0.2}, interpolation, tolerance=1e-5)
+    parameters = {"d": 1.0, "c": 2e3, "level": 0.02, "mode": 2}
+    slow = Fmu(path).simulate(task, parameters)
+    monkeypatch.delenv("FMUID_STEPPER")
+    stepper.library.cache_clear()
+    assert stepper.library() is not None
+    assert np.array_equal(Fmu(path).simulate(task, parameters), slow)
+
+
+@pytest.mark.parametrize("fault", ["nan", "fails", "fatal", "ends"])
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_python_fails_as_c_does(build, fmi, fault, python_only):
+    with pytest.raises(SimulationError, match=r"at t = 0\.1"):
+        Fmu(build(fmi)).simulate(Task(np.arange(500) * 1e-3, {}, ("y",)), {"fault": FAULTS[fault]})
+
+
+def test_compiled_once_and_kept_by_content(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    sources = [Path(stepper.__file__).with_name(f"{n}.c") for n in ("stepper", "model_exchange")]
+    library = stepper._compile(sources)
+    assert library is not None
+    assert library.parent == tmp_path / "fmuid"
+    assert [p.name for p in library.parent.iterdir()] == [library.name]  # nothing half-made is left
+    monkeypatch.setenv("PATH", "")
+    assert stepper._compile(sources) == library
+
+
+def test_no_compiler_no_library(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setenv("PATH", "")
+    assert stepper._compile([Path(stepper.__file__).with_name("stepper.c")]) is None
+
+
+def test_ctrl_c_stops_a_simulation_between_two_steps(build):
+    script = f"""
+        import numpy as np
+        from fmuid.fmu import Fmu
+        from fmuid.simulation import Task
+        fmu = Fmu({str(build(2))!r})
+        task = Task(np.arange(5000) * 1e-3, {{}}, ("y",))
+        print("go", flush=True)
+        try:
+            fmu.simulate(task, {{"fault": {FAULTS["slow"]}}})  # 100 s
+        except KeyboardInterrupt:
+            print("stopped", fmu.simulate(task, {{}}).shape)
+    """
+    process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(script)], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "go\n"
+    time.sleep(0.4)
+    os.kill(process.pid, signal.SIGINT)
+    out, _ = process.communicate(timeout=10)
+    assert out == "stopped (1, 5000)\n"

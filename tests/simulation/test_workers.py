@@ -1,0 +1,160 @@
+"""Worker processes: no FMU stops a search, and their number changes no result."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from concurrent.futures import Executor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fmus import FAULTS
+
+from fmuid.errors import FmuError, FmuidError, SimulationError
+from fmuid.fmu import load_fmu
+from fmuid.runners import in_process, on_executor
+from fmuid.simulation import Task
+from fmuid.workers import WorkerPool
+
+TASK = Task(np.arange(301) * 1e-3, {"u": np.sin(np.arange(301) / 9)}, ("y", "x"))
+
+
+@pytest.fixture(scope="module")
+def pool():
+    with WorkerPool(2, time_limit=1.0, memory_limit=400 * 2**20) as pool:
+        yield pool
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("crash", r"crashed \(SIGABRT\) \(with c = 100, fault = 1\)"),
+        ("segfault", r"crashed \(SIGSEGV\)"),
+        ("leaves", r"crashed \(exit code 0\)"),
+        ("hang", r"took longer than the time limit of 1 s"),
+        ("devours", r"took more memory than the limit of 400 MB"),
+        ("fatal", r"answered fmi2Fatal"),
+        ("nan", r"is not finite"),
+    ],
+)
+def test_a_bad_evaluation_costs_itself_only(build, pool, fault, message):
+    fmu = load_fmu(build(2))
+    good = [(fmu, TASK, {"c": 100.0 + i, "fault": 0}) for i in range(8)]
+    bad = (fmu, TASK, {"c": 100.0, "fault": FAULTS[fault]})
+    outcomes = pool.run([*good[:4], bad, *good[4:]])
+    failed = outcomes.pop(4)
+    assert isinstance(failed, SimulationError)
+    assert failed.where == Path(build(2)).name
+    assert re.search(message, str(failed)), failed
+    for outcome, expected in zip(outcomes, in_process(good), strict=True):
+        assert np.array_equal(outcome, expected)
+
+
+def test_mistakes_are_raised(build, pool):
+    with pytest.raises(FmuError, match="no variable 'cc'"):
+        pool.run([(load_fmu(build(2)), TASK, {"cc": 1.0})])
+
+
+def test_results_do_not_depend_on_the_number_of_workers(build, pool):
+    # The FMU brings its process down at the 5th instantiation; a crash that is not the point's fault is tried again.
+    fmu = load_fmu(build(2, defines=("TIRES=5", "RESET_FAILS")))
+    jobs = [(fmu, TASK, {"c": 100.0 + i}) for i in range(12)]
+    expected = in_process([(load_fmu(build(2)), *job[1:]) for job in jobs])
+    for outcome, reference in zip(pool.run(jobs), expected, strict=True):
+        assert np.array_equal(outcome, reference)
+
+
+def test_a_leaking_fmu_is_recycled(build):
+    fmu = load_fmu(build(2))
+    with WorkerPool(1, recycle_growth=20 * 2**20) as pool:  # 6 MB leak in each run
+        pids = set()
+        for _ in range(10):
+            outcomes = pool.run([(fmu, TASK, {"fault": FAULTS["leaks"]})])
+            assert isinstance(outcomes[0], np.ndarray)
+            pids.add(pool.submit(os.getpid).result())
+    assert len(pids) >= 2
+
+
+def test_an_executor_like_any_other(build, pool):
+    assert isinstance(pool, Executor)
+    assert list(pool.map(pow, [2, 3], [5, 2])) == [32, 9]
+    with pytest.raises(ZeroDivisionError):
+        pool.submit(divmod, 1, 0).result()
+    with pytest.raises(SimulationError, match=r"_exit: crashed \(exit code 3\)"):
+        pool.submit(os._exit, 3).result()
+    with pytest.raises(FmuidError, match="cannot be sent to a worker process"):
+        pool.submit(lambda: 1)
+    fmu = load_fmu(build(2))
+    jobs = [(fmu, TASK, {"c": 100.0 + i}) for i in range(3)]
+    for outcome, expected in zip(on_executor(pool)(jobs), in_process(jobs), strict=True):
+        assert np.array_equal(outcome, expected)
+
+
+def test_recycled_after_so_many(build):
+    with WorkerPool(1, recycle_after=3) as pool:
+        pids = [f.result() for f in [pool.submit(os.getpid) for _ in range(9)]]
+    assert [len(set(pids[i : i + 3])) for i in (0, 3, 6)] == [1, 1, 1]
+    assert len(set(pids)) == 3
+
+
+def test_nothing_is_left_behind(build, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with WorkerPool(2, time_limit=0.5) as pool:
+        pool.run([(load_fmu(build(2)), TASK, {"fault": f}) for f in (0, FAULTS["hang"], FAULTS["crash"], 0)])
+        pid = pool.submit(os.getpid).result()
+    assert not [p for p in tmp_path.iterdir() if p.name.startswith("fmuid-workers")]
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+    with pytest.raises(FmuidError, match="has been shut down"):
+        pool.submit(os.getpid)
+
+
+def script(build) -> subprocess.Popen[str]:
+    source = f"""
+        import os
+        import numpy as np
+        from fmuid.fmu import load_fmu
+        from fmuid.simulation import Task
+        from fmuid.workers import WorkerPool
+        fmu = load_fmu({str(build(2))!r})
+        task = Task(np.arange(301) * 1e-3, {{}}, ("y",))
+        if __name__ == "__main__":
+            try:
+                with WorkerPool(2, time_limit=60) as pool:
+                    pids = [pool.submit(os.getpid).result()]
+                    print(*pids, flush=True)
+                    pool.run([(fmu, task, {{"fault": {FAULTS["hang"]}}})] * 4)
+            except KeyboardInterrupt:
+                print("interrupted")
+    """
+    return subprocess.Popen([sys.executable, "-c", textwrap.dedent(source)], stdout=subprocess.PIPE, text=True)
+
+
+def gone(pid: int) -> bool:
+    for _ in range(100):
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().split()[2]
+        except FileNotFoundError:
+            return True
+        if state == "Z":
+            return True
+        time.sleep(0.05)
+    return False
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_workers_go_when_the_search_is_interrupted_or_killed(build, how):
+    process = script(build)
+    assert process.stdout is not None
+    pid = int(process.stdout.readline())
+    time.sleep(0.5)
+    os.kill(process.pid, how)
+    out, _ = process.communicate(timeout=10)
+    assert out == ("interrupted\n" if how == signal.SIGINT else "")
+    assert gone(pid)
