@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 ACTUATOR := FixedShaft FreeShaft EccentricLoad
-SETUPS := $(ACTUATOR) $(addsuffix WithEffects,$(ACTUATOR)) LinearAxisOpenLoop LinearAxisClosedLoop
+SETUPS := $(foreach setup,$(ACTUATOR) LinearAxisOpenLoop LinearAxisClosedLoop,$(setup) $(setup)WithEffects)
 FMUS := $(SETUPS:%=build/fmus/%.fmu)
 MODELICA := $(shell find modelica -name '*.mo')
 EXPORT := $(shell find fmu_build -name '*.py' -o -name '*.[ch]')
