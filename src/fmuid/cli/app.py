@@ -55,7 +55,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return _complain(str(error))
     except typer.TyperException as error:  # unknown option, missing argument, value of the wrong type
         return _complain(error.format_message().rstrip(".") + "; see fmuid --help")
-    except typer.Abort:
+    except (typer.Abort, KeyboardInterrupt):
         return _complain("interrupted", INTERRUPTED)
     except BrokenPipeError:  # the reader (head, less) has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
