@@ -9,7 +9,7 @@ import numpy as np
 
 from fmuid.campaign import FloatArray
 from fmuid.diagnosis import decide
-from fmuid.diagnosis.candidates import Fitted, add_effect, estimates, fit_effects, score_further
+from fmuid.diagnosis.candidates import Fitted, add_effect, estimates, fit_effects, polish, score_further
 from fmuid.diagnosis.held_out import closure, closure_interval
 from fmuid.diagnosis.next_experiment import suggest
 from fmuid.diagnosis.null import draw_null
@@ -119,7 +119,7 @@ def _search(
             candidates.append(fitted)
     if not candidates:
         return [], None
-    best = decide.best_of(candidates)
+    best = _polished(subject, candidates)
     while present and len(best.names) < _MOST and best.gap > decide.GAP_THAT_MATTERS:
         say(f"what is missing beside {best.id}", 0.5 + 0.1 * len(best.names))
         further = [s for s in score_further(subject, best) if s.signature is not None and s.drop > 0.0]
@@ -127,12 +127,23 @@ def _search(
         pairs = [f for f in pairs if f.fit.cost < best.fit.cost]
         if not pairs:
             break
-        better = decide.best_of(pairs)
+        better = _polished(subject, pairs)
         if not decide.worth_adding(best, better):
             break
         candidates += pairs
         best = better
     return candidates, best
+
+
+def _polished(subject: Subject, candidates: list[Fitted]) -> Fitted:
+    """Return the best candidate, refitted exactly as long as that makes another one best; replaces in place."""
+    done: set[str] = set()
+    while True:
+        best = decide.best_of(candidates)
+        if best.id in done:
+            return best
+        done.add(best.id)
+        candidates[candidates.index(best)] = polish(subject, best)
 
 
 def _conclude(

@@ -73,6 +73,7 @@ def refit(
     unknowns: Sequence[Unknown],
     *,
     start: Mapping[str, float] | None = None,
+    known: Refit | None = None,
     max_iterations: int = 12,
     tolerance: float = 1e-3,
 ) -> Refit:
@@ -88,6 +89,9 @@ def refit(
         What is searched.
     start
         Start values, where not those of `unknowns`.
+    known
+        A refit of some of the `unknowns`: its Jacobian serves for them and is not simulated again. The result
+        is then as good as that Jacobian still holds; refit once more from it without `known` to be exact.
     max_iterations
         Jacobians at the most.
     tolerance
@@ -121,16 +125,23 @@ def refit(
     def stack(parts: Sequence[FloatArray]) -> FloatArray:
         return np.concatenate([w * p for w, p in zip(weight, parts, strict=True)])
 
+    stale = {} if known is None else {u.name: k for k, u in enumerate(known.unknowns)}
+
     def differentiate(point: FloatArray, base: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
         signs = np.where(point + steps > upper, -1.0, 1.0)
-        moved = evaluate([point + s * h * e for s, h, e in zip(signs, steps, np.eye(len(point)), strict=True)])
-        columns = [
-            [s * (a - b) / h for a, b in zip(part, base, strict=True)]
-            for part, s, h in zip(moved, signs, steps, strict=True)
-        ]
-        if not columns:
-            return tuple(np.zeros((b.size, 0)) for b in base)
-        return tuple(np.stack(c, axis=1) for c in zip(*columns, strict=True))
+        fresh = [k for k, name in enumerate(names) if name not in stale]
+        moved = evaluate([point + signs[k] * steps[k] * np.eye(len(point))[k] for k in fresh])
+        parts = dict(zip(fresh, moved, strict=True))
+        jacobian = []
+        for e, b in enumerate(base):
+            matrix = np.empty((b.size, len(point)))
+            for k, name in enumerate(names):
+                if k in parts:
+                    matrix[:, k] = signs[k] * (parts[k][e] - b) / steps[k]
+                elif known is not None:
+                    matrix[:, k] = known.jacobian[e][:, stale[name]]
+            jacobian.append(matrix)
+        return tuple(jacobian)
 
     (residuals,) = evaluate([x])
     cost = float(np.sum(stack(residuals) ** 2))
