@@ -112,6 +112,12 @@ class Differences:
         self._lower, self._upper = problem.space.lower, problem.space.upper
         self.steps = [floor.central_step if central else floor.forward_step] * len(problem.space)
 
+    def adopt(self, floor: NoiseFloor) -> None:
+        """Follow a noise floor measured elsewhere; steps only grow."""
+        self.floor = floor
+        step = floor.central_step if self.central else floor.forward_step
+        self.steps = [max(step, old) for old in self.steps]
+
     def jacobian(self, evaluate: EvaluateMany, here: Evaluation) -> FloatArray:
         """Return d residuals / d search point, (m, n), at `here`.
 

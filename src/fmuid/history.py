@@ -1,8 +1,8 @@
 """Every evaluation of an identification, kept on disk and safe against a kill at any moment.
 
 While a run goes on, each evaluation is one record at the end of ``history.journal``: length, checksum,
-content. A kill can only cut the last record short, and reading stops there. At the end of every stage the
-journal's content is written to ``history.h5`` in one atomic step; when the run is done the journal goes. An
+content. A kill can only cut the last record short, and reading stops there. When the run ends (Ctrl-C
+included) its content is written to ``history.h5`` in one atomic step; once it is complete the journal goes. An
 interrupted run is resumed by running it again: solvers are deterministic, and what the journal knows is not
 simulated a second time, so the run goes on exactly where it stopped.
 
@@ -209,13 +209,12 @@ class History:
         return row.evaluation()
 
     def finish(self, stage: str, result: bytes) -> None:
-        """Record that a stage is done, with its result, and bring ``history.h5`` up to date."""
+        """Record that a stage is done, with its result."""
         self.stages[stage].result = result
         self._append("result", {"stage": stage, "result": result})
         for row_number, row in enumerate(self.stages[stage].rows):
             if row.residuals is not None:  # nobody asks for them again
                 object.__setattr__(self.stages[stage].rows[row_number], "residuals", None)
-        self.write()
 
     def write(self) -> None:
         """Write ``history.h5`` in one atomic step."""

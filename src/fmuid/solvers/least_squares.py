@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fmuid.campaign import FloatArray, frozen_mapping
-from fmuid.derivatives import Differences, NoiseFloor, noise_floor
+from fmuid.derivatives import Differences, noise_floor
 from fmuid.errors import ProblemError, SimulationError
 from fmuid.problem import Evaluation
 from fmuid.solvers.box import CandidateFailedError, around_failures
@@ -19,6 +20,9 @@ from fmuid.solvers.search import Outcome, Search, Status
 
 _FLAT = 3.0  # times the noise of the cost: a smaller change is none
 _FLAT_TRIALS = 2
+_LEVEL = 1e-4  # relative change of the cost at which settling is near
+_MEASUREMENTS = 2
+_EXACT = 1e-11  # relative noise of a simulator that does little more than round
 _SMALLEST_RADIUS = 1e-8  # of DFO-LS: search coordinates are of order one
 
 
@@ -54,7 +58,7 @@ class TrustRegion:
         derivative = partial(search.evaluate_many, purpose="derivative")
         floor = search.noise_floor = noise_floor(search.problem, first.x, evaluate=derivative)
         differences = Differences(search.problem, floor, central=False)
-        trials = _Trials(search, floor, first)
+        trials = _Trials(search, differences, first)
         with np.errstate(all="ignore"):  # SciPy divides by zero where a parameter has no effect
             try:
                 result = least_squares(
@@ -86,9 +90,9 @@ class _Trials:
     the simulator's noise, so it finds every step bad and shrinks its region.
     """
 
-    def __init__(self, search: Search, floor: NoiseFloor, first: Evaluation) -> None:
-        self.search, self.floor, self.first = search, floor, first
-        self.flat = 0
+    def __init__(self, search: Search, differences: Differences, first: Evaluation) -> None:
+        self.search, self.differences, self.first = search, differences, first
+        self.flat = self.level = self.measured = 0
 
     def residuals(self, x: FloatArray) -> FloatArray:
         """Return the residuals at `x`, NaN where it fails (the solver then shrinks its region)."""
@@ -97,13 +101,34 @@ class _Trials:
         evaluation = self.search.evaluate(x)
         if not evaluation.ok:
             return np.full(len(self.first.residuals), np.nan)
-        # Scatter of the cost: its gradient in the residuals, 2 r, times theirs.
-        noise = 2.0 * np.linalg.norm(best.residuals) * self.floor.residual
         if not again:
-            self.flat = self.flat + 1 if abs(evaluation.cost - best.cost) <= _FLAT * noise else 0
-        if self.flat == _FLAT_TRIALS:
-            raise _SettledError
+            change = abs(evaluation.cost - best.cost)
+            self.flat = self.flat + 1 if change <= self._meaningless(best) else 0
+            self.level = self.level + 1 if change <= _LEVEL * best.cost else 0
+            if self.flat == _FLAT_TRIALS:
+                raise _SettledError
+            if self.level > _FLAT_TRIALS and self.measured < _MEASUREMENTS:
+                self._measure(best.x)
+                self.level = 0
         return evaluation.residuals
+
+    def _meaningless(self, best: Evaluation) -> float:
+        """Return the change of the cost that is none."""
+        floor = self.differences.floor
+        # Scatter of the cost: its gradient in the residuals, 2 r, times theirs.
+        noise = _FLAT * 2.0 * float(np.linalg.norm(best.residuals)) * floor.residual
+        # A hundredth of a standard error is worth an exact simulator's few steps, not a noisy one's many.
+        return max(noise, 1e-4 * best.cost / len(best.residuals)) if floor.relative > _EXACT else noise
+
+    def _measure(self, x: FloatArray) -> None:
+        """Measure the noise again, where the search is about to settle: it may be another than at the start."""
+        self.measured += 1
+        derivative = partial(self.search.evaluate_many, purpose="derivative")
+        with suppress(SimulationError):
+            found = noise_floor(self.search.problem, x, evaluate=derivative)
+            if found.residual > self.differences.floor.residual:
+                self.differences.adopt(found)
+                self.search.noise_floor = found
 
 
 def _in_words(status: int) -> str:
