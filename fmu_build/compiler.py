@@ -7,10 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from fmu_build import algebra, codegen, events, start
+from fmu_build import algebra, algorithms, codegen, events, start
 from fmu_build.aliases import Aliases, eliminate
 from fmu_build.annotations import experiment
 from fmu_build.equations import Equations, collect, when_targets
+from fmu_build.expressions import UnknownSizeError
 from fmu_build.frontend import Flat, load
 from fmu_build.graph import SX, Graph, key
 from fmu_build.index_reduction import Reduced, reduce
@@ -19,6 +20,7 @@ from fmu_build.model import CompiledModel
 from fmu_build.point import Point
 from fmu_build.scope import ModelScope
 from fmu_build.sorting import Solution, solve
+from fmuid.errors import ModelicaError
 
 
 def compile_modelica(file: Path, class_name: str, roots: Sequence[Path] = ()) -> CompiledModel:
@@ -43,10 +45,27 @@ def compile_modelica(file: Path, class_name: str, roots: Sequence[Path] = ()) ->
 
 def compile_flat(flat: Flat) -> CompiledModel:
     """Translate a flattened class (see `compile_modelica`)."""
-    graph = Graph()
-    scope = ModelScope(flat, graph, when_targets(flat))
+    structural: set[str] = set()
+    while True:
+        scope = ModelScope(flat, Graph(), when_targets(flat), structural)
+        try:
+            return _translate(flat, scope)
+        except UnknownSizeError as error:
+            # Parameters that turn out to decide a size become constants of the translation.
+            found = [scope.declarations.by_symbol.get(k) for k in scope.graph.symbols(error.value)]
+            names = {d.node["name"] for d in found if d is not None and d.kind == "parameter"}
+            if None in found or not names - structural:
+                raise ModelicaError(str(error), where=flat.class_name) from None
+            structural |= names
+
+
+def _translate(flat: Flat, scope: ModelScope) -> CompiledModel:
     equations = collect(scope)
-    discrete_starts = _initial_parameters(scope, equations)
+    for section in flat["algorithms"]:
+        equations.add(scope, algorithms.run(scope, section, initial=False))
+    for section in flat["initial_algorithms"]:
+        equations.initial += algorithms.run(scope, section, initial=True)
+    explicit = _initial_parameters(scope, equations)
     aliases = eliminate(scope, equations.continuous)
     point = Point(scope)
     reduced = reduce(scope, aliases, point.generic)
@@ -56,7 +75,7 @@ def compile_flat(flat: Flat) -> CompiledModel:
     def rewrite(expression: SX) -> SX:
         return solution.expression(aliases.substitute(expression))
 
-    happenings = events.collect(scope, equations, discrete_starts, reduced.states, rewrite, aliases.substitute)
+    happenings = events.collect(scope, equations, explicit, reduced.states, rewrite, aliases.substitute)
     symbols = [s.symbol for s in reduced.states]
     xs = [SX.sym(f"start({s.name()})") for s in symbols]
     conditions = start.initial_conditions(
@@ -66,18 +85,19 @@ def compile_flat(flat: Flat) -> CompiledModel:
     return _generate(flat, scope, equations, reduced, solution, happenings, conditions, interface, xs, rewrite)
 
 
-def _initial_parameters(scope: ModelScope, equations: Equations) -> dict[int, SX]:
+def _initial_parameters(scope: ModelScope, equations: Equations) -> start.Explicit:
     """Use up the initial equations of parameters with fixed=false and of discrete variables."""
-    discrete, parameters, equations.initial = start.discrete_starts(scope, equations.initial)
+    explicit = start.split_initial(scope, equations.initial)
+    equations.initial = explicit.rest
     for declared in scope.parameters.from_initial:
-        value = parameters.get(key(algebra.sx(declared.symbol)))
+        value = explicit.parameters.get(key(algebra.sx(declared.symbol)))
         if value is None:
             raise scope.flat.error(
                 f"nothing gives '{declared.name}' (fixed = false) a value", declared.span,
                 "give it an initial equation that has it alone on one side",
             )  # fmt: skip
         scope.parameters.dependent.append((declared, value))
-    return discrete
+    return explicit
 
 
 def _check_left_limits(scope: ModelScope, aliases: Aliases, reduced: Reduced) -> None:

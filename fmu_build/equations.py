@@ -56,6 +56,12 @@ class Equations:
     whens: list[list[Branch]] = field(default_factory=list)
     asserts: list[Assertion] = field(default_factory=list)
 
+    def add(self, scope: ModelScope, equations: list[Equation]) -> None:
+        """Add equations; one with a discrete variable alone on a side defines a discrete variable."""
+        for equation in equations:
+            discrete = equation.sides is not None and any(_is_discrete(scope, s) for s in equation.sides)
+            (self.discrete if discrete else self.continuous).append(equation)
+
 
 def when_targets(flat: Flat) -> set[str]:
     """Names of the variables that when-clauses assign (array names for elements)."""
@@ -91,7 +97,7 @@ def collect(scope: ModelScope) -> Equations:
     for name, node in flat.parts["variables"].items():
         _binding(scope, out, name, node)
     for residual, span in _instances(scope, flat["equations"], flat["structured_equations"]):
-        _sort(scope, out, residual, span)
+        out.add(scope, _scalar_equations(scope, residual, span))
     for residual, span in _instances(scope, flat["initial_equations"], flat["initial_structured_equations"]):
         out.initial += _scalar_equations(scope, residual, span)
     for node in [*flat["assert_equations"], *flat["initial_assert_equations"]]:
@@ -157,12 +163,6 @@ def _at(
         return
     with scope.evaluate.iterator(binders[0]["display_name"], point[0]):
         yield from _at(scope, binders[1:], point[1:], body, span)
-
-
-def _sort(scope: ModelScope, out: Equations, residual: Node, span: Any) -> None:
-    for equation in _scalar_equations(scope, residual, span):
-        discrete = equation.sides is not None and any(_is_discrete(scope, s) for s in equation.sides)
-        (out.discrete if discrete else out.continuous).append(equation)
 
 
 def _is_discrete(scope: ModelScope, side: SX) -> bool:

@@ -13,7 +13,7 @@ from fmu_build.graph import SX, Substitution, if_else, key
 from fmu_build.index_reduction import State
 from fmu_build.matching import augment, components
 from fmu_build.scope import ModelScope
-from fmu_build.start import declared_start
+from fmu_build.start import Explicit, declared_start
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Events:
 def collect(
     scope: ModelScope,
     equations: Equations,
-    starts: dict[int, SX],
+    explicit: Explicit,
     states: list[State],
     rewrite: Callable[[SX], SX],
     representative: Callable[[SX], SX],
@@ -59,8 +59,8 @@ def collect(
 
     Parameters
     ----------
-    starts
-        Start values that initial equations give to discrete variables, by symbol.
+    explicit
+        What initial equations give to discrete variables.
     rewrite
         Rewrites expressions to what is known at an event.
     representative
@@ -95,7 +95,10 @@ def collect(
                     if key(target) == key(symbol):
                         out = if_else(fires, value, out)
             values[key(symbol)] = out
-    discrete = _entries(scope, values, starts)
+    for k, value in explicit.values.items():
+        if k in values:
+            values[k] = if_else(scope.init, value, values[k])
+    discrete = _entries(scope, values, explicit.starts)
     ordered = _in_order(scope, discrete, rewrite)
     after = Substitution({key(d.symbol): d.value for d in ordered})
     next_event = SX(float("inf"))

@@ -55,6 +55,22 @@ class Scope(Protocol):
         """Truth of ``initial()``."""
 
 
+class UnknownSizeError(Exception):
+    """A whole number that must be known at translation depends on symbols."""
+
+    def __init__(self, value: SX) -> None:
+        super().__init__("a size or loop range that is not known at translation")
+        self.value = value
+
+
+def whole(value: Value) -> int:
+    """Integer that decides a size, a range or a subscript at translation."""
+    (number,) = algebra.scalars(value)
+    if isinstance(number, SX):
+        raise UnknownSizeError(number)
+    return int(number)
+
+
 class Evaluator:
     """Evaluates expression trees in a scope.
 
@@ -268,7 +284,7 @@ class Evaluator:
         start, end = self.scalar(node["start"]), self.scalar(node["end"])
         step = self.scalar(node["step"]) if node["step"] else 1
         if isinstance(start, SX) or isinstance(end, SX) or isinstance(step, SX):
-            raise ValueError("a range whose bounds are not known at translation")
+            raise UnknownSizeError(next(b for b in (start, end, step) if isinstance(b, SX)))
         if all(isinstance(v, int) for v in (start, end, step)):
             items: tuple[Scalar, ...] = tuple(range(int(start), int(end) + (1 if step > 0 else -1), int(step)))
         else:
@@ -314,7 +330,7 @@ class Evaluator:
             shape = array.shape if isinstance(array, Array) else ()
             if len(nodes) == 1:
                 return Array((len(shape),), shape)
-            return shape[int(self.scalar(nodes[1])) - 1]
+            return shape[whole(self(nodes[1])) - 1]
         arguments = [self(n) for n in nodes]
         if name in algebra.FUNCTIONS:
             return algebra.elementwise(algebra.FUNCTIONS[name], *arguments)
@@ -392,18 +408,18 @@ def _extreme(function: Callable[..., Scalar]) -> Callable[..., Value]:
 
 
 def _fill(value: Value, *shape: Value) -> Value:
-    sizes = tuple(int(algebra.scalars(n)[0]) for n in shape)
+    sizes = tuple(whole(n) for n in shape)
     return Array.fill(sizes, algebra.scalars(value)[0])
 
 
 def _identity(e: Evaluator, n: Value) -> Value:
-    size = int(algebra.scalars(n)[0])
+    size = whole(n)
     return Array((size, size), tuple(int(i == j) for i in range(size) for j in range(size)))
 
 
 def _linspace(e: Evaluator, a: Value, b: Value, n: Value) -> Value:
-    (low,), (high,), (count,) = algebra.scalars(a), algebra.scalars(b), algebra.scalars(n)
-    return Array((int(count),), tuple(low + (high - low) * i / (count - 1) for i in range(int(count))))
+    (low,), (high,), count = algebra.scalars(a), algebra.scalars(b), whole(n)
+    return Array((count,), tuple(low + (high - low) * i / (count - 1) for i in range(count)))
 
 
 def _matrix(value: Value) -> Array:
@@ -426,7 +442,7 @@ def _cross(e: Evaluator, a: Value, b: Value) -> Value:
 
 def _cat(e: Evaluator, dimension: Value, *parts: Value) -> Value:
     arrays = [p for p in parts if isinstance(p, Array)]
-    axis = int(algebra.scalars(dimension)[0]) - 1
+    axis = whole(dimension) - 1
     if len(arrays) != len(parts) or axis not in (0, 1):
         raise ValueError("cat along this dimension is not supported")
     if axis == 1:

@@ -24,15 +24,13 @@ _READ = {
     "predefined_types", "enum_literal_ordinals", "equations", "structured_equations", "assert_equations",
     "initial_equations", "initial_structured_equations", "initial_assert_equations", "when_chains", "functions",
     "model_description", "top_level_connectors", "top_level_input_components", "parameter_branch_selections",
-    "record_instances", "record_types", "is_partial",
+    "record_instances", "record_types", "algorithms", "initial_algorithms", "is_partial",
 }  # fmt: skip
 _BOOKKEEPING = {
     "predefined_string_declaration", "type_ids_by_def_id", "enumeration_type_roots", "class_type",
     "instance_relations", "oc_break_edge_scalar_count",
 }  # fmt: skip
 _REFUSED = {
-    "algorithms": "algorithm section of a model",
-    "initial_algorithms": "initial algorithm section",
     "definite_roots": "Connections.root",
     "branches": "Connections.branch",
     "optional_edges": "overconstrained connection",

@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from itertools import product
-from typing import Any
+from typing import Any, Protocol
 
 from fmu_build import algebra
 from fmu_build.algebra import Array, Scalar, Value
-from fmu_build.expressions import Evaluator, span_of
+from fmu_build.expressions import Evaluator, Scope, span_of, whole
 from fmu_build.frontend import Flat, Node
 from fmu_build.graph import SX
 
@@ -131,7 +131,7 @@ class Functions:
                 frame.variables[variable["name"]] = self._initial(variable, evaluator)
             if function["is_constructor"]:
                 return dict(frame.variables)
-            body = _Body(self._flat, frame, evaluator)
+            body = Body(self._flat, frame, evaluator)
             with suppress(_Return):
                 body.run(function["body"])
             results = tuple(frame.lookup(o["name"]) for o in function["outputs"])
@@ -150,10 +150,7 @@ class Functions:
             if tag == "Index":
                 shape.append(int(content["value"]))
             elif tag == "Expr":
-                n = evaluator.scalar(content["expr"])
-                if isinstance(n, SX):
-                    raise self._flat.error("an array size that is not known at translation", variable["span"])
-                shape.append(int(n))
+                shape.append(whole(evaluator(content["expr"])))
             else:
                 raise self._flat.error(f"'{variable['name']}' has an open size", variable["span"])
         if not shape:
@@ -162,15 +159,23 @@ class Functions:
         return Array.fill(shape, float("nan"))
 
 
-class _Body:
+class Frame(Scope, Protocol):
+    """A scope with variables that statements assign."""
+
+    name: str
+    variables: dict[str, Value]
+
+
+class Body:
     """Runs statements on a frame."""
 
-    def __init__(self, flat: Flat, frame: _Frame, evaluator: Evaluator) -> None:
+    def __init__(self, flat: Flat, frame: Frame, evaluator: Evaluator) -> None:
         self._flat = flat
         self._frame = frame
         self._evaluate = evaluator
 
     def run(self, statements: list[Any]) -> None:
+        """Execute statements in order."""
         for statement in statements:
             if isinstance(statement, str):
                 statement = {statement: {}}

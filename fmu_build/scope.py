@@ -38,10 +38,10 @@ class Held:
 class ModelScope:
     """Scope of equations; collects what the expressions ask for (derivatives, relations, held values)."""
 
-    def __init__(self, flat: Flat, graph: Graph, discrete: set[str]) -> None:
+    def __init__(self, flat: Flat, graph: Graph, discrete: set[str], structural: set[str]) -> None:
         self.flat = flat
         self.graph = graph
-        self.declarations = Declarations(flat, discrete)
+        self.declarations = Declarations(flat, discrete, structural)
         self.parameters = Parameters(self.declarations)
         self.evaluate = Evaluator(flat, self, Functions(flat))
         self.time = SX.sym("time")

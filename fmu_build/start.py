@@ -166,33 +166,40 @@ def _greedy(matrix: np.ndarray[Any, Any]) -> list[int]:
     return chosen
 
 
-def discrete_starts(
-    scope: ModelScope, equations: list[Equation]
-) -> tuple[dict[int, SX], dict[int, SX], list[Equation]]:
-    """Split initial equations: those of discrete variables and of parameters with fixed=false, and the rest.
+@dataclass
+class Explicit:
+    """Initial equations that give one variable its value, by that variable's symbol.
 
-    Returns
-    -------
-    discrete, parameters, rest
-        Start values by the discrete variable's symbol; values of parameters by their symbols; other equations.
+    Attributes
+    ----------
+    starts
+        Of ``pre(v)`` of discrete variables (from parameters).
+    values
+        Of discrete variables at initialisation.
+    parameters
+        Of parameters with fixed=false.
+    rest
+        The other equations.
     """
-    discrete: dict[int, SX] = {}
-    parameters: dict[int, SX] = {}
-    rest = []
+
+    starts: dict[int, SX]
+    values: dict[int, SX]
+    parameters: dict[int, SX]
+    rest: list[Equation]
+
+
+def split_initial(scope: ModelScope, equations: list[Equation]) -> Explicit:
+    """Split initial equations: those of discrete variables and of parameters with fixed=false, and the rest."""
+    out = Explicit({}, {}, {}, [])
     for equation in equations:
-        place = _explicit(scope, equation)
-        if place is None:
-            rest.append(equation)
-        elif place[2]:
-            parameters[place[0]] = place[1]
-        else:
-            discrete[place[0]] = place[1]
-    return discrete, parameters, rest
+        if not _explicit(scope, equation, out):
+            out.rest.append(equation)
+    return out
 
 
-def _explicit(scope: ModelScope, equation: Equation) -> tuple[int, SX, bool] | None:
+def _explicit(scope: ModelScope, equation: Equation, out: Explicit) -> bool:
     if equation.sides is None:
-        return None
+        return False
     for one, other in (equation.sides, equation.sides[::-1]):
         if not one.is_symbolic():
             continue
@@ -203,9 +210,18 @@ def _explicit(scope: ModelScope, equation: Equation) -> tuple[int, SX, bool] | N
         unbound = any(declared is d for d in scope.parameters.from_initial)
         if declared.kind != "discrete" and not unbound:
             continue
-        if not all(scope.is_parameter(k) for k in scope.graph.symbols(other)):
+        known = all(scope.is_parameter(k) for k in scope.graph.symbols(other))
+        if not known and (unbound or key(symbol) != key(one)):
             raise scope.flat.error(
                 f"the initial equation of '{declared.name}' depends on more than parameters", equation.span
             )
-        return key(symbol), other, unbound
-    return None
+        if unbound:
+            out.parameters[key(symbol)] = other
+        elif key(symbol) != key(one):
+            out.starts[key(symbol)] = other
+        else:
+            out.values[key(symbol)] = other
+            if known:
+                out.starts.setdefault(key(symbol), other)
+        return True
+    return False

@@ -83,14 +83,16 @@ class Declarations:
         The flat class.
     discrete
         Names of Real variables that are assigned in when-clauses.
+    structural
+        Names of further parameters whose value is used up by the translation.
     """
 
-    def __init__(self, flat: Flat, discrete: set[str]) -> None:
+    def __init__(self, flat: Flat, discrete: set[str], structural: set[str]) -> None:
         self.flat = flat
         self.scalars: dict[str, Declared] = {}
         self.by_symbol: dict[int, Declared] = {}
         self.values: dict[str, Value] = {}
-        self._structural = _structural_parameters(flat)
+        self._structural = _structural_parameters(flat, structural)
         for name, node in flat.parts["variables"].items():
             if not flat.is_outer(node):
                 self._declare(name, node, discrete)
@@ -133,7 +135,7 @@ class Declarations:
 
     def _kind(self, name: str, node: Node, type_name: Type | None, discrete: set[str]) -> Kind:
         variability, causality = kind_word(node["variability"]), kind_word(node["causality"])
-        if variability == "Constant" or name in self._structural or node["evaluate"]:
+        if variability == "Constant" or name in self._structural:
             return "constant"
         if variability == "Parameter":
             return "parameter"
@@ -168,13 +170,29 @@ def _root(name: str) -> str:
     return name.partition(".")[0].partition("[")[0]
 
 
-def _structural_parameters(flat: Flat) -> set[str]:
-    """Parameters whose value the front end has used up: array sizes, loop ranges, branches, conditional parts."""
-    out = set()
-    for selection in flat["parameter_branch_selections"]:
-        for reference in selection["references"]:
-            out.add(".".join(reference))
+def _structural_parameters(flat: Flat, more: set[str]) -> set[str]:
+    """Parameters whose value the front end has used up: array sizes, loop ranges, branches, conditional parts.
+
+    What such a parameter's value is made of is used up with it.
+    """
+    variables = flat.parts["variables"]
+    out: set[str] = set()
+    left = [".".join(r) for selection in flat["parameter_branch_selections"] for r in selection["references"]]
+    left += [*sorted(more), *(name for name, node in variables.items() if node["evaluate"])]
+    while left:
+        name = left.pop()
+        if name not in out:
+            out.add(name)
+            node = variables.get(name)
+            left += _references(node["binding"]) if node else []
     return out
+
+
+def _references(tree: Any) -> list[str]:
+    if isinstance(tree, Mapping):
+        found = [tree["VarRef"]["name"]["name"]] if "VarRef" in tree else []
+        return found + [name for child in tree.values() for name in _references(child)]
+    return [name for child in tree for name in _references(child)] if isinstance(tree, list) else []
 
 
 class Parameters:

@@ -115,6 +115,17 @@ def test_stick_slip_against_set_valued_coulomb_friction(simulate):
     assert np.max(np.abs(result["sa"][stuck])) <= 1.5 + 0.02
 
 
+def test_initial_algorithm_and_initial_values_of_discrete_variables(simulate):
+    result = simulate("Pulse", ["y", "count", "z", "x"], 1.0, 0.04)
+    t = result["time"]
+    phase = (t + 1.0) / 0.3
+    inside = np.abs(2 * phase - np.round(2 * phase)) > 1e-6
+    np.testing.assert_array_equal(result["count"][inside], np.floor(phase)[inside])
+    np.testing.assert_array_equal(result["y"][inside], (phase % 1.0 < 0.5)[inside])
+    np.testing.assert_allclose(result["z"], np.where(t < 0.5, 4.0, 0.0), atol=1e-7)
+    assert result["x"][-1] == pytest.approx(0.0, abs=1e-7)
+
+
 def test_terminate(simulate):
     result = simulate("Ends", ["x"], 1.0, 0.05)
     assert result["time"][-1] == pytest.approx(0.5, abs=1e-6)

@@ -146,6 +146,19 @@ def test_redeclared_component_and_conditional_variable():
     assert instance.get("loss", 0.0, NOTHING, [2.0]) == 12.0
 
 
+def test_algorithm_section():
+    instance = Instance.of(compiled("WithAlgorithm"))
+    assert [instance.get(n, 0.5, NOTHING) for n in "xy"] == [1.0, 3.0]
+    assert [instance.get(n, 2.0, NOTHING) for n in "xy"] == [4.0, 6.0]
+
+
+def test_a_parameter_that_decides_a_size_becomes_a_constant():
+    model = compiled("Sized")
+    assert find(model, "m").variability == "constant"
+    assert find(model, "k").variability == "constant", "its value is used up with m's"
+    assert Instance.of(model).get("y", 0.0, NOTHING) == 6.0
+
+
 def test_assertions():
     instance = Instance.of(compiled("Checked"))
     model = instance.model
@@ -168,7 +181,6 @@ def test_assertions():
         ("Singular", r"Language\.mo:\d+: singular"),
         ("Contradiction", r"Language\.mo:\d+: .*contradict"),
         ("Circle", "cyclic"),
-        ("WithAlgorithm", r"Language\.mo:\d+: algorithm section of a model is not supported"),
     ],
 )
 def test_refused_in_one_line(name, message):

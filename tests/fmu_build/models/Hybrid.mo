@@ -119,6 +119,31 @@ package Hybrid "Events"
     der(x) = if b then 1 else 0;
   end BooleanInput;
 
+  model Pulse "Initial algorithm, and discrete variables that start from the state"
+    parameter Real period = 0.3;
+    parameter Real offset = -1;
+    output Real y;
+    Real begin;
+    Integer count;
+    discrete Real z;
+    Real x(start = 2, fixed = true);
+  initial algorithm
+    count := integer((time - offset)/period);
+    begin := offset + count*period;
+  initial equation
+    z = 2*x;
+  equation
+    when integer((time - offset)/period) > pre(count) then
+      count = pre(count) + 1;
+      begin = time;
+    end when;
+    when time > 0.5 then
+      z = x;
+    end when;
+    y = if time < begin + period/2 then 1 else 0;
+    der(x) = -z;
+  end Pulse;
+
   model Quiet
     output Real y = noEvent(if time > 1 then 1 else 0);
     output Real q = smooth(0, if time > 1 then time else 1);

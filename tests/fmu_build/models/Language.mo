@@ -239,7 +239,19 @@ package Language "What of Modelica is translated"
 
   model WithAlgorithm
     Real x;
+    Real y;
   algorithm
     x := 2*time;
+    if noEvent(time > 1) then
+      y := 6;
+    else
+      y := 3;
+    end if;
   end WithAlgorithm;
+
+  model Sized
+    parameter Integer k = 2;
+    parameter Integer m = k + 1;
+    output Real y = sum(fill(2.0, m));
+  end Sized;
 end Language;
