@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from fmuid.campaign import Measurements
 from fmuid.campaign_toml import load_campaign
@@ -318,6 +319,41 @@ def test_import_other_csv(tmp_path: Path, fmuid: Command, monkeypatch: pytest.Mo
     assert fmuid("import", "run.csv", *arguments)[2] == (
         "fmuid: measurements.h5: is there already; give --append to add to it, or another --out\n"
     )
+
+
+def test_import_matlab(tmp_path: Path, fmuid: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    time = np.arange(5.0)[:, None]
+    savemat("run.mat", {"t": time, "vir": 2 * time, "qm": time**2, "kp": 160.18, "note": "slow"})
+    arguments = ["--setup", "axis", "--input", "vir", "--unit", "vir=V"]
+    assert fmuid("import", "run.mat", *arguments)[2] == (
+        "fmuid: run.mat: column 'qm' has no unit; write it in the header as \"qm [N.m]\", or give --unit qm=N.m (1 for none)\n"
+    )
+    code, out, err = fmuid("import", "run.mat", *arguments, "--unit", "qm=m")
+    assert (code, err) == (0, "")
+    assert out.startswith("run.mat: not used, no vectors over time: kp, note\n")
+    run = read_measurements("measurements.h5")["run"]
+    np.testing.assert_array_equal(run.signals["qm"].values, np.arange(5.0) ** 2)
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (None, "run.mat: no such file; check the path"),
+        (b"no matlab" * 30, "run.mat: is no readable MATLAB file; save it with: save -v7"),
+        ({"x": np.arange(3.0)}, "run.mat: has no vector 'time' or 't'; save one, in s; known: x"),
+        ({"t": np.arange(3.0), "x": 1.0}, "run.mat: has no vector as long as 't' (3); save the signals, N by 1"),
+    ],
+)  # fmt: skip
+def test_import_refuses_matlab(
+    content: object, line: str, tmp_path: Path, fmuid: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if isinstance(content, bytes):
+        Path("run.mat").write_bytes(content)
+    elif content is not None:
+        savemat("run.mat", content)
+    assert fmuid("import", "run.mat", "--setup", "s", "--input", "u") == (2, "", f"fmuid: {line}\n")
 
 
 # ---- from start to end

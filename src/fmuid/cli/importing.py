@@ -14,7 +14,9 @@ _DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t"}
 
 
 def import_(
-    files: Annotated[list[Path], typer.Argument(help='CSV files, one a run, headers as in "tau [N.m]".')],
+    files: Annotated[
+        list[Path], typer.Argument(help='CSV or MAT files, one a run; CSV headers as in "tau [N.m]".')
+    ],
     setup: Annotated[str, typer.Option(help="Setup that the runs were made with.")],
     input_: Annotated[list[str], typer.Option("--input", "-i", help="Column that drives the model (repeat).")],
     out: Annotated[Path, typer.Option(help="Measurement file to write.")] = Path("measurements.h5"),
@@ -34,15 +36,16 @@ def import_(
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Import CSV files into a measurement file; a run's id is its file's name.
+    """Import CSV or MATLAB files into a measurement file; a run's id is its file's name.
 
     Example: fmuid import step.csv prbs.csv --setup fixed_shaft --input i_cmd --out measurements.h5
     """
     from fmuid.campaign import Measurements
-    from fmuid.crosscheck_csv import read_csv
     from fmuid.importing import experiment_from_table, with_repeats
     from fmuid.measurements import read_measurements, write_measurements
+    from fmuid.tables import read_table
 
+    printer = Printer(quiet, json)
     if out.exists() and not append:
         raise FmuidError("is there already", where=out, fix="give --append to add to it, or another --out")
     old = read_measurements(out) if append and out.exists() else Measurements({}, title=title)
@@ -50,9 +53,12 @@ def import_(
     for file in files:
         if file.stem in experiments:
             raise FmuidError(f"there is a run '{file.stem}' already", where=file, fix="rename the file")
+        table, ignored = read_table(file, delimiter=_DELIMITERS[delimiter])
+        if ignored:
+            printer.say(f"{file}: not used, no vectors over time: {', '.join(ignored)}")
         try:
             experiments[file.stem] = experiment_from_table(
-                read_csv(file, delimiter=_DELIMITERS[delimiter]),
+                table,
                 id=file.stem,
                 setup=setup,
                 inputs=input_,
@@ -70,7 +76,6 @@ def import_(
         experiments, title=title or old.title, rig=old.rig, source=old.source, licence=old.licence
     )
     write_measurements(measurements, out)
-    printer = Printer(quiet, json)
     printer.table(
         ("experiment", "samples", "end s", "inputs", "outputs", "repeat of"),
         [
