@@ -239,13 +239,11 @@ package Language "What of Modelica is translated"
 
   model WithAlgorithm
     Real x;
-    Real y;
   algorithm
-    x := 2*time;
     if noEvent(time > 1) then
-      y := 6;
+      x := 2*time;
     else
-      y := 3;
+      x := 3;
     end if;
   end WithAlgorithm;
 
