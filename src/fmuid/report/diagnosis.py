@@ -54,6 +54,7 @@ def write_diagnosis_report(
             _present(
                 pictures_of.effects_figure(diagnosis),
                 pictures_of.missing_figure(pictures.missing),
+                pictures_of.ports_figure(diagnosis),
                 pictures_of.effects_table(diagnosis),
             ),
             _aliases(diagnosis),
@@ -68,6 +69,7 @@ def write_diagnosis_report(
             _floors(diagnosis),
         ),
         Section("Next experiment", (), _next_experiment(diagnosis)),
+        Section("Notes", (), " ".join(diagnosis.get("notes", ()))),
         Section("Provenance", (provenance_table(provenance or {}),)),
     )
     document = Document(
@@ -149,7 +151,10 @@ def _floors(diagnosis: Mapping[str, Any]) -> str:
     floors = diagnosis["gap"]["floor_units"]
     if not floors:
         return ""
-    return "Noise floor: " + ", ".join(f"{name} {value:.3g}" for name, value in floors.items()) + "."
+    text = "Noise floor: " + ", ".join(f"{name} {value:.3g}" for name, value in floors.items()) + "."
+    if not diagnosis["gap"].get("calibrated", True):
+        text += " Uncalibrated: fewer than five repeats of some experiments."
+    return text
 
 
 def _model_table(diagnosis: Mapping[str, Any]) -> Table:

@@ -202,6 +202,26 @@ def effects_figure(diagnosis: Mapping[str, Any], most: int = 12) -> BarFigure | 
     )
 
 
+def ports_figure(diagnosis: Mapping[str, Any]) -> BarFigure | None:
+    """Return what a free function at each port would close, if that was asked."""
+    ports = diagnosis.get("ports") or {}
+    if not ports:
+        return None
+    bars = tuple(
+        Bar(name, share, "final" if name == diagnosis["verdict"]["port"] else "floor", note=f"{share:.2f}")
+        for name, share in sorted(ports.items(), key=lambda p: -p[1])
+    )
+    return BarFigure(
+        "ports",
+        "Which port could explain it",
+        bars,
+        Axis("closure of the gap on held-out data"),
+        ((1.0, "all of the gap"),),
+        "A free function of speed, angle, load or time acting at each port. Blue: the verdict's port.",
+        limits=(min(0.0, max(-1.0, *(b.value for b in bars))), 1.25),
+    )
+
+
 def gap_figure(diagnosis: Mapping[str, Any]) -> BarFigure:
     """Return the gap, step by step, down to the noise floor."""
     gap = diagnosis["gap"]

@@ -35,11 +35,7 @@ class Section:
     items: tuple[Figure | Table, ...]
     text: str = ""
     details: tuple[Figure | Table, ...] = ()
-
-    @property
-    def details_title(self) -> str:
-        """What the folded part holds."""
-        return ", ".join(dict.fromkeys(item.title.split(":")[0] for item in self.details))
+    details_title: str = "Details"
 
     @property
     def anchor(self) -> str:

@@ -274,7 +274,7 @@ def _fit_section(
     )
     digits = (5, 5, 5, 5, 3, 3, 3, 3, 5)
     items.append(Table(header, rows, f"fit-{role}", "Fit, run by run", caption, digits))
-    return Section(title, tuple(items), text, tuple(residuals))
+    return Section(title, tuple(items), text, tuple(residuals), "Residuals")
 
 
 def _plain(e: Estimate, reference: float | None) -> figures.Estimate:

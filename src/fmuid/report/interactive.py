@@ -85,7 +85,7 @@ def _lines(figure: LineFigure) -> tuple[list[Spec], Spec]:
     }
     data: list[Spec] = []
     seen: set[str] = set()
-    gap_x, gap_y = 0.085 if columns < 3 else 0.11, min(72 / (height * rows), 0.3 / rows)
+    gap_x, gap_y = 0.1 if columns < 3 else 0.12, min(72 / (height * rows), 0.3 / rows)
     width, tall = (1 - gap_x * (columns - 1)) / columns, (1 - gap_y * (rows - 1)) / rows
     for k, panel in enumerate(figure.panels):
         suffix = "" if k == 0 else str(k + 1)

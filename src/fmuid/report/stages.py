@@ -20,6 +20,7 @@ from fmuid.result import StageResult
 from fmuid.simulation import Simulator
 
 _PANELS = 6
+_DETAILS = "Residuals, parallel coordinates, correlation, criteria"
 
 
 def stage_section(
@@ -43,7 +44,7 @@ def stage_section(
     details += [_waterfall(result), _correlation(result), _criteria(result), _whiteness(result)]
     text = f"{result.summary}. {result.why.capitalize().rstrip('.')}."
     text += "".join(f" Warning: {w}." for w in result.warnings)
-    return Section(f"Stage {result.name}", _present(items), text, _present(details))
+    return Section(f"Stage {result.name}", _present(items), text, _present(details), _DETAILS)
 
 
 def _present(items: Sequence[Figure | Table | None]) -> tuple[Figure | Table, ...]:
