@@ -140,9 +140,21 @@ def _task(
     task = case.task
     inputs = {n: disturb_input(task.time, u, signal.get(n, {})) for n, u in task.inputs.items()}
     for name, series in (drive or {}).items():
-        values = np.asarray(series[index])
+        values = _held(np.asarray(series[index]))
         # A step of the model ends at a measured sample: what acts during it is known at that sample.
         inputs[name] = np.append(values, values[-1]) if case.lead else values
     if drive is None and not signal:
         return task
     return replace(task, inputs=inputs)
+
+
+def _held(values: FloatArray) -> FloatArray:
+    """Hold each value until the next differs by 3 % of the range: an FMU stops where an input changes."""
+    width = 0.03 * float(np.ptp(values))
+    out = np.array(values)
+    last = out[0]
+    for k in range(1, len(out)):
+        if abs(out[k] - last) > width:
+            last = out[k]
+        out[k] = last
+    return out

@@ -20,6 +20,7 @@ from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Refit, Unknown
 from fmuid.errors import SimulationError
 
+_SAME_PORT = 0.99  # correlation of responses above which the sensors cannot tell two ports apart
 Basis = tuple[tuple[FloatArray, ...], ...]
 """Basis functions, each with (N,) samples for every experiment."""
 
@@ -114,10 +115,10 @@ def fit_decoys(
     Ports whose responses cannot be simulated are left out.
     """
     decoys = []
-    for port in ports:
-        if port.input is None:
-            continue
-        drives = [{port.input: [port.magnitude * b for b in one]} for basis in bases.values() for one in basis]
+    for port in _distinct(model, observed, base, ports, bases):
+        drives = [
+            {port.input or "": [port.magnitude * b for b in one]} for basis in bases.values() for one in basis
+        ]
         outcomes = model.predict_driven(base.values, drives)
         begin = 0
         for over, basis in bases.items():
@@ -129,6 +130,31 @@ def fit_decoys(
             moved = [observed.residuals(p) for p in good]
             decoys.append(_fit(port, over, base, observed, moved))
     return tuple(decoys)
+
+
+def _distinct(
+    model: CampaignModel, observed: Observed, base: Refit, ports: Sequence[Port], bases: Mapping[str, Basis]
+) -> list[Port]:
+    """Return the ports that are inputs, without those that no signal tells from one before them."""
+    inputs = [p for p in ports if p.input is not None]
+    probe = next(iter(bases.values()))[:3]
+    drives = [{p.input or "": [p.magnitude * b for b in one]} for p in inputs for one in probe]
+    outcomes = model.predict_driven(base.values, drives)
+    chosen: list[tuple[Port, FloatArray]] = []
+    for k, port in enumerate(inputs):
+        part = outcomes[k * len(probe) : (k + 1) * len(probe)]
+        moved = [
+            np.concatenate([a - b for a, b in zip(observed.residuals(o), base.residuals, strict=True)])
+            for o in part
+            if not isinstance(o, SimulationError)
+        ]
+        if len(moved) < len(probe):
+            continue
+        response = np.concatenate(moved)
+        length = float(np.linalg.norm(response))
+        if length > 0 and all(abs(response @ other) < _SAME_PORT * length for _, other in chosen):
+            chosen.append((port, response / length))
+    return [port for port, _ in chosen]
 
 
 def _fit(

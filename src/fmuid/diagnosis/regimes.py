@@ -11,6 +11,8 @@ from fmuid.campaign import FloatArray
 from fmuid.diagnosis.model import CampaignModel
 from fmuid.diagnosis.ports import Basis, harmonics, hats, quantile_knots, times
 
+_MANY_TURNS = 100.0  # rad
+
 
 @dataclass(frozen=True, slots=True)
 class Regime:
@@ -61,7 +63,8 @@ def bases(
             turning = [np.ptp(p) > np.pi / max(regime.orders) for p in path]
             active = [np.full(len(p), float(t)) for p, t in zip(path, turning, strict=True)]
             found[regime.name] = times(harmonics(path, regime.orders), active)
-            if direction is not None:
+            # On a fast shaft this is a ripple like any other: not worth runs of its own.
+            if direction is not None and max(float(np.ptp(p)) for p in path) < _MANY_TURNS:
                 both = [a * d for a, d in zip(active, direction, strict=True)]
                 found[f"{regime.name} and direction"] = times(harmonics(path, regime.orders), both)
         else:
