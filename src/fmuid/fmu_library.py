@@ -112,7 +112,8 @@ class Log:
             text = self._compiled.fmuid_read_log().decode(errors="replace")
         else:
             text = ", ".join(self._texts)
-        return " ".join(text.split())
+        text = " ".join(text.split())
+        return text if len(text) <= 400 else f"{text[:200]} ... {text[-200:]}"
 
 
 def _address(function: Any) -> int:

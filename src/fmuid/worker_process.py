@@ -10,6 +10,7 @@ import signal
 import sys
 import tempfile
 import threading
+import time
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -18,6 +19,7 @@ from typing import Any
 from fmuid.errors import FmuidError
 from fmuid.runners import simulate
 
+_WEIGH_INTERVAL = 0.02  # s between looks at the memory
 HOLD, JOB, CALL = range(3)
 """Kinds of message: keep an object under a number; simulate with kept ones; call a function."""
 
@@ -41,7 +43,8 @@ def main(connection: Connection, folder: str) -> None:
     tempfile.tempdir = folder
     threading.Thread(target=_leave_with_parent, args=(folder,), daemon=True).start()
     kept: dict[int, Any] = {}
-    _send(connection, True, None, resident_memory(os.getpid()))
+    memory, weighed = resident_memory(os.getpid()), time.monotonic()
+    _send(connection, True, None, memory)
     while True:
         try:
             message = connection.recv_bytes()
@@ -59,10 +62,12 @@ def main(connection: Connection, folder: str) -> None:
             else:
                 function, arguments, keywords = content
                 result = function(*arguments, **keywords)
+            fine = True
         except BaseException as error:
-            _send(connection, False, error, resident_memory(os.getpid()))
-        else:
-            _send(connection, True, result, resident_memory(os.getpid()))
+            fine, result = False, error
+        if time.monotonic() - weighed > _WEIGH_INTERVAL:
+            memory, weighed = resident_memory(os.getpid()), time.monotonic()
+        _send(connection, fine, result, memory)
     kept.clear()
     sys.stdout.flush()
     os._exit(0)  # an FMU's own exit handlers have brought down more than one process
@@ -71,7 +76,8 @@ def main(connection: Connection, folder: str) -> None:
 def _send(connection: Connection, fine: bool, content: Any, memory: int) -> None:
     try:
         message = pickle.dumps((fine, content, memory), protocol=pickle.HIGHEST_PROTOCOL)
-        pickle.loads(message) if not fine else None
+        if not fine:
+            pickle.loads(message)  # some exceptions can be packed but not unpacked
     except Exception:
         problem = FmuidError(
             f"a worker's answer cannot be sent: {content!r:.200}", fix="return values that can be pickled"

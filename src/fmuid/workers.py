@@ -131,6 +131,7 @@ class WorkerPool(Executor):
         self._numbers = itertools.count()
         self._team: list[_Worker] = []
         self._failed_starts = 0
+        self._weighed = 0.0  # when the memory of the workers was looked at
         self._closing = self._abandoning = False
         self._wake_reader, self._wake_writer = self._context.Pipe(duplex=False)
         self._thread: threading.Thread | None = None
@@ -384,6 +385,9 @@ class WorkerPool(Executor):
 
     def _enforce_limits(self) -> None:
         now = time.monotonic()
+        weigh = bool(self.memory_limit) and now - self._weighed >= _MEMORY_INTERVAL
+        if weigh:
+            self._weighed = now
         for worker in list(self._team):
             late = now - worker.begun > self.time_limit if self.time_limit is not None else False
             if not worker.ready:
@@ -392,7 +396,7 @@ class WorkerPool(Executor):
             elif worker.killed is None and worker.calls:
                 if late:
                     worker.killed = "time"
-                elif self.memory_limit and resident_memory(worker.process.pid) > self.memory_limit:
+                elif weigh and resident_memory(worker.process.pid) > self.memory_limit:
                     worker.killed = "memory"
                 if worker.killed is not None:
                     worker.process.kill()

@@ -4,7 +4,8 @@
  *     model exchange: `count` counts the falls of x through `level`, each a state event; `ticks` counts time events
  *
  * Co-simulation integrates with the explicit midpoint rule, 1 ms at most. `fault` makes it misbehave at t >= 0.1.
- * Compile with -DFMI=2 or 3 and perhaps -DRESET_FAILS, -DRESET_FORGETS_STATE, -DRESET_FORGETS_PARAMETERS, -DONCE, -DLIGHT.
+ * Compile with -DFMI=2 or 3 and perhaps -DRESET_FAILS, -DRESET_FORGETS_STATE, -DRESET_FORGETS_PARAMETERS, -DONCE,
+ * -DTIRES=n (dies at the n-th instantiation), -DLIMIT=x, -DSTUCK, -DRESTLESS (events without end).
  */
 #include <math.h>
 #include <stdio.h>
@@ -31,6 +32,7 @@ enum { TIME, M, D, C, GAIN, U, X, V, Y, DX, DV, FLIP, FAULT, BIAS, COUNT, LEVEL,
 
 typedef struct {
     double t, r[N], table[6];
+    double limit; /* of x, beyond which there are no derivatives */
     double slope; /* of the input, in co-simulation */
     int continuous;
     double tick;
@@ -50,6 +52,10 @@ static void defaults(Model *s)
     s->r[M] = 1; s->r[D] = 0.5; s->r[C] = 100; s->r[GAIN] = 1; s->r[X] = 0.1; s->r[BIAS] = 3; s->r[LEVEL] = 0; s->r[MODE] = 1;
     for (int i = 0; i < 6; i++) s->table[i] = i;
     s->t = s->slope = 0;
+    s->limit = HUGE_VAL;
+#ifdef LIMIT
+    s->limit = LIMIT;
+#endif
     s->tick = 0.25;
 }
 
@@ -97,11 +103,6 @@ static Status misbehave(Model *s)
 
 static void step(Model *s, double h)
 {
-#ifdef LIGHT
-    double f0 = s->r[V], g0 = value(s, DV);
-    s->r[X] += h * f0; s->r[V] += h * g0; s->t += h;
-    return;
-#endif
     int n = (int)ceil(h / 1e-3 - 1e-6);
     double dt = h / n, t0 = s->t, u0 = s->r[U];
     for (int i = 0; i < n; i++) {
@@ -157,7 +158,12 @@ Status F(SetContinuousStates)(Handle c, const double x[], size_t n) { Model *s =
 Status F(GetContinuousStates)(Handle c, double x[], size_t n) { Model *s = c; (void)n; x[0] = s->r[X]; x[1] = s->r[V]; return OK; }
 Status F(GetNominalsOfContinuousStates)(Handle c, double x[], size_t n) { (void)c; (void)n; x[0] = x[1] = 1; return OK; }
 Status F(GetEventIndicators)(Handle c, double z[], size_t n) { Model *s = c; (void)n; z[0] = s->r[X] - s->r[LEVEL]; return OK; }
-static Status derivatives(Model *s, double dx[]) { dx[0] = value(s, DX); dx[1] = value(s, DV); return OK; }
+static Status derivatives(Model *s, double dx[])
+{
+    if (s->r[X] > s->limit) return say(s, DISCARD, "beyond the limit");
+    dx[0] = value(s, DX); dx[1] = value(s, DV);
+    return OK;
+}
 static void event(Model *s, int *next_defined, double *next)
 {
     double z = s->r[X] - s->r[LEVEL];
@@ -167,6 +173,9 @@ static void event(Model *s, int *next_defined, double *next)
     if (s->t >= s->tick - 1e-12) { s->r[TICKS]++; s->tick += 0.25; }
     *next_defined = 1;
     *next = s->tick;
+#ifdef STUCK
+    if (s->t > 0.2) *next = 0.2;
+#endif
 }
 
 static Status advance(Model *s, double t, double h)
@@ -212,6 +221,9 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *e)
 {
     memset(e, 0, sizeof *e);
     event(c, &e->nextEventTimeDefined, &e->nextEventTime);
+#ifdef RESTLESS
+    e->newDiscreteStatesNeeded = 1;
+#endif
     return OK;
 }
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean n, fmi2Boolean *e, fmi2Boolean *t) { (void)c; (void)n; *e = *t = 0; return OK; }

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from fmuid.errors import SimulationError
 from fmuid.fmu import Fmu
 from fmuid.simulation import Task
 
@@ -79,3 +80,18 @@ def test_repeated_runs_are_identical(build):
     fmu.simulate(task, {"c": 5000.0})
     assert fmu.renewal == "reset"
     assert np.array_equal(fmu.simulate(task, {"c": 50.0}), first)
+
+
+@pytest.mark.parametrize("define", ["STUCK", "RESTLESS"])
+def test_events_without_end_are_an_error(build, define):
+    fmu = Fmu(build(2, ("ModelExchange",), defines=(define,)))
+    with pytest.raises(SimulationError, match="the event iteration does not settle"):
+        fmu.simulate(Task(np.linspace(0, 1, 11), {}, ("x",)), {})
+
+
+def test_a_step_into_the_impossible_is_shortened_or_fails(build):
+    task = Task(np.linspace(0, 0.5, 3), {}, ("x",), tolerance=1e-3)
+    fmu = Fmu(build(2, ("ModelExchange",), defines=("LIMIT=0.1001",)))
+    np.testing.assert_allclose(fmu.simulate(task, {})[0], exact(task.time, 0 * task.time, 100, 0.5)[0], atol=1e-3)
+    with pytest.raises(SimulationError, match=r"at t = 0\.000\d+ s: beyond the limit at"):
+        fmu.simulate(task, {"v": 1.0})
