@@ -28,6 +28,7 @@ from fmuid.simulation import Simulator
 from fmuid.solvers import Outcome, Search, Solver, Status, StopRules, StopSearch, make
 from fmuid.uncertainty import Uncertainty, uncertainty_of, without_intervals
 
+_ALIKE = 0.99
 _LIBRARIES = ("fmuid", "numpy", "scipy", "nlopt", "fmpy")
 
 
@@ -298,6 +299,12 @@ def _warnings(search: Search, estimates: Sequence[Estimate], found: Uncertainty 
     warnings = []
     if found is not None and not found.identifiability.complete:
         warnings.append(str(found.identifiability))
+    if found is not None:
+        for i, a in enumerate(found.names):
+            for k, b in enumerate(found.names[:i]):
+                r = found.correlation[i][k]
+                if abs(r) > _ALIKE and not {a, b} & set(found.identifiability.undetermined):
+                    warnings.append(f"{b} and {a} are hard to tell apart (correlation {r:+.3f})")
     warnings += [f"{e.name} is at its {e.at_bound} bound" for e in estimates if e.at_bound]
     if search.failures:
         warnings.append(f"{search.failures} of {search.evaluations} candidates could not be simulated")

@@ -17,6 +17,9 @@ from fmuid.problem import Evaluation, Problem
 
 Matrix = tuple[tuple[float, ...], ...]
 _LEVEL = 0.95
+_COLLINEAR = 1000.0  # ratio of eigenvalues of the correlation from which a direction is walked
+_FARTHEST = 64.0
+_FOLLOWING = 4  # evaluations for the others to follow a parameter that is moved
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +106,8 @@ def uncertainty_of(
     n, m = len(best.x), len(here.residuals)
     correction = m / max(m - n, 1)
     covariance = correction * bread @ meat @ bread
+    if n > 1 and first.complete:
+        covariance = _widened(problem, evaluate, here, j, covariance)
     found = identifiability(problem, best.x, j, tolerance=tolerance, covariance=covariance)
     found = found if first.complete else first
     effective = sum(w.effective for w in whiteness) or float(m)
@@ -175,6 +180,59 @@ def profile_interval(
         point[i] = x[i] + sign * distance
         ends.append(problem.space.to_model(point)[name] if np.isfinite(distance) else sign * np.inf)
     return float(ends[0]), float(ends[1])
+
+
+def _widened(
+    problem: Problem, evaluate: EvaluateMany, best: Evaluation, j: FloatArray, covariance: FloatArray
+) -> FloatArray:
+    """Return the covariance, widened where parameters compensate each other better than it says.
+
+    Nearly collinear columns of a Jacobian differ by its own errors (kinks, noise), which look like information.
+    So in the weakest directions the leading parameter is moved by two standard errors and the others follow by
+    Gauss-Newton steps: where the cost grows by less than a quarter of what is expected, the parameter is moved
+    on until it does, and the way it went is its spread.
+    """
+    spread = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(covariance / np.outer(spread, spread))
+    plain = np.linalg.inv(j.T @ j)
+    for value, vector in zip(values[::-1], vectors.T[::-1], strict=True):
+        if value < _COLLINEAR * max(values[0], 0.0):
+            break
+        i = int(np.argmax(np.abs(vector)))
+        expected = 4.0 * spread[i] ** 2 / plain[i, i]
+        factor, way = 1.0, np.zeros(len(spread))
+        for sign in (1.0, -1.0):
+            offset = 2.0 * sign * covariance[i] / spread[i]  # where the others are expected
+            reach = 1.0
+            while reach <= _FARTHEST:
+                moved = _followed(problem, evaluate, best, j, best.x + offset, i)
+                if moved is None or moved.cost - best.cost >= 0.25 * expected:
+                    break
+                offset = 2.0 * (moved.x - best.x)
+                reach *= 2.0
+                if reach > factor:
+                    factor, way = reach, (moved.x - best.x) / reach
+        covariance = covariance + (factor**2 - 1.0) * np.outer(way, way)
+    return covariance
+
+
+def _followed(
+    problem: Problem, evaluate: EvaluateMany, best: Evaluation, j: FloatArray, x: FloatArray, i: int
+) -> Evaluation | None:
+    """Return the evaluation at `x` after all parameters but `i` have followed, or None where it fails."""
+    others = np.arange(len(x)) != i
+    solve = np.linalg.pinv(j[:, others])
+    for _ in range(_FOLLOWING):
+        if np.any(x < problem.space.lower) or np.any(x > problem.space.upper):
+            return None
+        (here,) = evaluate([x])
+        if not here.ok:
+            return None
+        if here.cost <= best.cost:
+            break
+        x = x.copy()
+        x[others] -= solve @ here.residuals
+    return here
 
 
 class _Refit:
