@@ -18,7 +18,7 @@ from fmuid.toml_tables import Table, convert, numbers, read_toml
 from fmuid.virtual_rig.inputs import samples
 from fmuid.virtual_rig.library import parameter_table
 from fmuid.virtual_rig.recording import Sensors, record
-from fmuid.virtual_rig.rig import Rig, Run
+from fmuid.virtual_rig.rig import STEPS, Rig, Run
 
 FILE_NAME = "rig.toml"
 
@@ -121,9 +121,22 @@ def _planned(name: str, raw: Mapping[str, Any], where: str) -> PlannedExperiment
     )
 
 
-def run_planned(rig: Rig, experiment: PlannedExperiment) -> Run:
-    """Run one experiment on the rig, without sensors."""
-    return rig.changed(**experiment.settings).run(experiment.setup, experiment.inputs, experiment.interval)
+def run_planned(rig: Rig, planned: PlannedExperiment, *, preceding: bool = False, coarser: float = 1.0) -> Run:
+    """Run one experiment on the rig, without sensors.
+
+    Parameters
+    ----------
+    preceding
+        The recorder writes a row after each step: input sample k has acted before output sample k.
+    coarser
+        Time step over the usual one.
+    """
+    rig, inputs = rig.changed(**planned.settings), planned.inputs
+    step = coarser * min(STEPS[planned.setup], planned.interval / 50)
+    if not preceding:
+        return rig.run(planned.setup, inputs, planned.interval, step=step)
+    run = rig.run(planned.setup, np.append(inputs, inputs[-1]), planned.interval, step=step)
+    return replace(run, time=run.time[:-1], inputs=inputs, channels=run.channels[1:])
 
 
 def carry_out(plan: Plan) -> Measurements:
