@@ -168,15 +168,14 @@ def from_campaign(
                 break
         else:
             groups.append([experiment])
-    used: set[str] = set()
-    cases = tuple(_case(campaign, group, criteria, simulators[group[0].setup], used) for group in groups)
-    unused = [s for s in criteria if s.signal not in used]
-    if unused:
-        raise ProblemError(
-            f"criterion on '{unused[0].signal}', which no experiment of the stage measures",
-            fix="measured: " + ", ".join(sorted({n for e in experiments for n in e.outputs})),
-        )
-    return cases
+    measured = sorted({name for e in experiments for name in e.outputs})
+    for spec in criteria:
+        if spec.signal not in measured:
+            raise ProblemError(
+                f"criterion on '{spec.signal}', which no experiment of the stage measures",
+                fix=suggestion(spec.signal, measured),
+            )
+    return tuple(_case(campaign, group, criteria, simulators[group[0].setup]) for group in groups)
 
 
 def measured_case(
@@ -235,7 +234,6 @@ def _case(
     group: Sequence[Experiment],
     criteria: Sequence[CriterionSpec],
     simulator: Simulator,
-    used: set[str],
 ) -> Case:
     first, model = group[0], campaign.models[group[0].setup]
     where = f"experiment '{first.id}'"
@@ -245,7 +243,6 @@ def _case(
         specs = [CriterionSpec(n) for n in first.outputs if n in model.map or n in variables]
     if not specs:
         raise ProblemError("none of its measured outputs is judged", where=where, fix="add a criterion")
-    used.update(spec.signal for spec in specs)
     sensors = _sensors(specs, campaign.parameters, where)
     specs = [_without_sensor(spec) for spec in specs]
     channels = []
