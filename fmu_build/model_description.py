@@ -121,11 +121,7 @@ def _type_names(model: CompiledModel) -> dict[tuple[str, ...], str]:
 
 def _start(v: Variable) -> object:
     """Start attribute: only where FMI allows one."""
-    if (
-        v.start is None
-        or v.causality == "independent"
-        or (v.initial == "calculated" and v.causality != "input")
-    ):
+    if v.start is None or v.causality == "independent" or (v.initial == "calculated" and v.causality != "input"):
         return None
     if v.type == "Boolean":
         return bool(v.start)
@@ -148,9 +144,7 @@ def _experiment(root: ElementTree.Element, model: CompiledModel) -> None:
 def _log_categories(root: ElementTree.Element) -> None:
     parent = _element(root, "LogCategories")
     _element(parent, "Category", name="logStatusError", description="Why a call failed")
-    _element(
-        parent, "Category", name="logStatusWarning", description="What may be wrong though the run goes on"
-    )
+    _element(parent, "Category", name="logStatusWarning", description="What may be wrong though the run goes on")
 
 
 def _fmi2(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTree.Element:
@@ -270,7 +264,9 @@ def _fmi3(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
         real = v.type == "Real"
         _element(
             parent,
-            "Enumeration" if v.enumeration else {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean"}[v.type],
+            "Enumeration"
+            if v.enumeration
+            else {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean"}[v.type],
             name=v.name,
             valueReference=reference[v.name],
             description=v.description,

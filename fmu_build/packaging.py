@@ -25,8 +25,8 @@ from fmuid.errors import BuildError
 DEFAULT_TOLERANCE = 1e-6
 # Contraction into fused operations would make results depend on the processor the compiler had in mind.
 C_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
-_SHARED = ("equations.c", "events.c", "initialise.c", "integrator.c", "lifecycle.c", "simulate.c")
-_HEADERS = ("instance.h", "lu.h")
+_SHARED = ("equations.c", "events.c", "initialise.c", "integrator.c", "lifecycle.c", "sensitivity.c", "simulate.c")
+_HEADERS = ("instance.h", "lu.h", "sensitivity.h")
 _FMI_HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
@@ -90,9 +90,7 @@ def _digest(files: dict[str, str], *more: str) -> str:
 
 
 def _guid(model: CompiledModel, fmi: FmiVersion) -> str:
-    h = hashlib.sha256(
-        json.dumps([model.content_hash, fmi, sorted(_runtime(fmi).items())]).encode()
-    ).hexdigest()
+    h = hashlib.sha256(json.dumps([model.content_hash, fmi, sorted(_runtime(fmi).items())]).encode()).hexdigest()
     return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
 
 

@@ -110,19 +110,7 @@ int linearise(Instance *me, double t, const double *x) {
     }
     if (ramp) {
         double ddx[LENGTH(NX)];
-        const double now = me->s.t;
-        me->s.t = t;
-        /* the directional derivative is taken at s.t, s.x and s.u: lend it this point */
-        double x_saved[LENGTH(NX)], u_saved[LENGTH(NU)];
-        memcpy(x_saved, me->s.x, sizeof x_saved);
-        memcpy(u_saved, me->s.u, sizeof u_saved);
-        memmove(me->s.x, x, NX * sizeof *x);
-        memcpy(me->s.u, me->ut, NU * sizeof *u_saved);
-        const int failed = directional_derivative(me, NULL, du, NULL, ddx, NULL);
-        me->s.t = now;
-        memcpy(me->s.x, x_saved, sizeof x_saved);
-        memcpy(me->s.u, u_saved, sizeof u_saved);
-        if (failed) return 1;
+        if (directional_derivative(me, t, x, me->ut, NULL, du, NULL, ddx, NULL)) return 1;
         for (int i = 0; i < NX; i++) me->dfdt[i] += ddx[i];
     }
     return 0;
@@ -154,18 +142,18 @@ int evaluate_variables(Instance *me) {
     return failed;
 }
 
-/* Exact derivative of dx and v in the direction (sx, su, sp) at the current point; NULL seeds are zero. */
-int directional_derivative(Instance *me, const double *sx, const double *su, const double *sp, double *ddx, double *dv) {
-    State *s = &me->s;
+/* Exact derivative of dx and v at (t, x, u) in the direction (sx, su, sp); NULL seeds are zero. */
+int directional_derivative(Instance *me, double t, const double *x, const double *u, const double *sx, const double *su,
+                           const double *sp, double *ddx, double *dv) {
     double sy[LENGTH(NY)];
     if (NY > 0) {
         double r[LENGTH(NY)];
-        if (solve_loop(me, s->t, s->x, s->u)) return 1;
-        environment_at(me, &s->t, s->x, s->u);
+        if (solve_loop(me, t, x, u)) return 1;
+        environment_at(me, &t, x, u);
         me->res[0] = r;
         me->res[1] = me->drdy;
         if (CALL(loop) || lu_factor(NY, me->drdy, me->y_pivot)) return 1;
-        environment_at(me, &s->t, s->x, s->u);
+        environment_at(me, &t, x, u);
         me->arg[9] = sx;
         me->arg[10] = su;
         me->arg[11] = sp;
@@ -174,7 +162,7 @@ int directional_derivative(Instance *me, const double *sx, const double *su, con
         for (int i = 0; i < NY; i++) sy[i] = -sy[i];
         lu_solve(NY, me->drdy, me->y_pivot, sy);
     }
-    environment_at(me, &s->t, s->x, s->u);
+    environment_at(me, &t, x, u);
     me->arg[9] = sx;
     me->arg[10] = su;
     me->arg[11] = sp;

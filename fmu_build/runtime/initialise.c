@@ -10,6 +10,7 @@ void set_defaults(Instance *me) {
     static const double p[] = MODEL_P_START, u[] = MODEL_U_START;
     State *s = &me->s;
     const int is_co_simulation = s->is_co_simulation;
+    free_sensitivities(me);
     memset(s, 0, sizeof *s);
     s->is_co_simulation = is_co_simulation;
     s->phase = PHASE_INSTANTIATED;

@@ -81,6 +81,7 @@ struct Instance {
     void *environment;
     char *name;
     int logging;
+    struct Sensitivity *sensitivity; /* NULL: none asked for */
 };
 
 /* Messages: a failure says what, where and when; returns `status`. */
@@ -94,7 +95,8 @@ int linearise(Instance *me, double t, const double *x);
 void input_at(Instance *me, double t);
 int evaluate_derivatives(Instance *me);
 int evaluate_variables(Instance *me);
-int directional_derivative(Instance *me, const double *sx, const double *su, const double *sp, double *ddx, double *dv);
+int directional_derivative(Instance *me, double t, const double *x, const double *u, const double *sx, const double *su,
+                           const double *sp, double *ddx, double *dv);
 Status check_assertions(Instance *me);
 
 /* initialise.c */
@@ -109,7 +111,7 @@ Status event_iteration(Instance *me, int initial);
 void find_event(Instance *me);
 
 /* integrator.c */
-void restart_integration(Instance *me);
+Status restart_integration(Instance *me);
 Status integrate_step(Instance *me, double target, int exact);
 void dense_output(const Step *step, double t, double *x);
 
@@ -120,8 +122,18 @@ Status set_value(Instance *me, unsigned reference, VariableType type, double val
 Status set_input_slope(Instance *me, unsigned reference, double slope);
 Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t n_unknown, const unsigned *known,
                                   size_t n_known, const double *seed, double *sensitivity);
+Status pick_derivative(Instance *me, unsigned reference, const double *sx, const double *su, const double *sp,
+                       const double *dx, const double *dv, double *value);
+int is_parameter(unsigned reference);
+int parameter_index(unsigned reference);
+int parameter_sign(unsigned reference);
 Status set_experiment(Instance *me, int tolerance_defined, double tolerance, double start, int stop_defined, double stop);
 Status start_simulation(Instance *me);
+
+/* sensitivity.c */
+Status start_sensitivities(Instance *me);
+Status advance_sensitivities(Instance *me, double t);
+void free_sensitivities(Instance *me);
 
 /* lifecycle.c: memory, the complete state, arrays of model exchange */
 Instance *new_instance(const char *name, const char *guid, LogFunction log, void (*callback)(void), void *environment,

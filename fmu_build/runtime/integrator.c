@@ -65,9 +65,10 @@ void dense_output(const Step *step, double t, double *x) {
 }
 
 /* Starts anew at (s.t, s.x) with the present inputs; what was integrated beyond s.t is forgotten. */
-void restart_integration(Instance *me) {
+Status restart_integration(Instance *me) {
     State *s = &me->s;
     Step *step = &s->step;
+    const Status status = advance_sensitivities(me, s->t);
     step->t0 = step->t1 = s->t;
     step->h = 0.0;
     memcpy(step->x0, s->x, sizeof s->x);
@@ -78,6 +79,7 @@ void restart_integration(Instance *me) {
     step->event = 0;
     step->fresh = 1;
     step->h_old = 0.0;
+    return status;
 }
 
 /* Absolute error of x[i] that counts as one. */
@@ -171,6 +173,8 @@ Status integrate_step(Instance *me, double target, int exact) {
     if (s->stop_defined && s->stop_time >= target) limit = fmin(limit, s->stop_time);
     if (step->fresh || exact) limit = fmin(limit, target);
     step->event = 0;
+    const Status status = advance_sensitivities(me, t);
+    if (status > STATUS_WARNING) return status;
     memcpy(step->x0, step->x1, sizeof step->x0);
     step->t0 = t;
     step->h = 0.0;

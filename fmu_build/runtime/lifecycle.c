@@ -28,7 +28,9 @@ Instance *new_instance(const char *name, const char *guid, LogFunction log, void
 }
 
 void free_instance(Instance *me) {
-    if (me) free(me->name);
+    if (!me) return;
+    free_sensitivities(me);
+    free(me->name);
     free(me);
 }
 
@@ -45,6 +47,7 @@ Status copy_state(const Instance *me, void **copy) {
 
 Status restore_state(Instance *me, const void *copy) {
     if (!copy) return report(me, STATUS_ERROR, "no FMU state to set");
+    if (me->sensitivity) return report(me, STATUS_ERROR, "an FMU state does not hold sensitivities: reset instead");
     memcpy(&me->s, copy, sizeof(State));
     return STATUS_OK;
 }

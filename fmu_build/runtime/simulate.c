@@ -99,6 +99,8 @@ Status set_value(Instance *me, unsigned reference, VariableType type, double val
         if (!before && !(entry->settable == SETTABLE_TUNABLE && s->phase & (PHASE_STEP | PHASE_EVENT)))
             return report(me, STATUS_ERROR, "parameter %s can only be set before the simulation starts", entry->name);
         if (s->p[i] == value) return STATUS_OK;
+        if (!before && me->sensitivity)
+            return report(me, STATUS_ERROR, "%s cannot change while sensitivities are computed", entry->name);
         s->p[i] = value;
         if (!before) {
             me->arg[0] = s->p;
@@ -152,8 +154,8 @@ static Status handle_event(Instance *me) {
     State *s = &me->s;
     dense_output(&s->step, s->step.t1, s->x);
     s->t = fabs(s->next_event - s->step.t1) <= 1e-13 * fmax(1.0, fabs(s->step.t1)) ? s->next_event : s->step.t1;
-    const Status status = event_iteration(me, 0);
-    restart_integration(me);
+    Status status = event_iteration(me, 0);
+    if (status <= STATUS_WARNING) status = restart_integration(me);
     return status;
 }
 
@@ -170,11 +172,9 @@ Status do_step(Instance *me, double t, double h) {
     const int restart = input_changed(me) || s->changed || step->t1 < s->t;
     if (restart) {
         s->changed = 0;
-        if (MODEL_HAS_EVENTS) {
-            const Status status = event_iteration(me, 0);
-            if (status > STATUS_WARNING) return status;
-        }
-        restart_integration(me);
+        Status status = event_iteration(me, 0);
+        if (status <= STATUS_WARNING) status = restart_integration(me);
+        if (status > STATUS_WARNING) return status;
     }
     s->input_event = 0;
     const double begin = s->t;
@@ -210,6 +210,38 @@ Status do_step(Instance *me, double t, double h) {
     return check_assertions(me);
 }
 
+/* The derivative of one variable, from those of the vectors. */
+Status pick_derivative(Instance *me, unsigned reference, const double *sx, const double *su, const double *sp,
+                       const double *dx, const double *dv, double *value) {
+    const VariableEntry *entry = entry_of(me, reference, TYPE_REAL);
+    if (!entry) return STATUS_ERROR;
+    const int i = entry->index;
+    switch (entry->vector) {
+    case VECTOR_DX: *value = entry->sign * dx[i]; break;
+    case VECTOR_V: *value = entry->sign * dv[i]; break;
+    case VECTOR_X: *value = entry->sign * sx[i]; break;
+    case VECTOR_U: *value = entry->sign * su[i]; break;
+    case VECTOR_P: *value = entry->sign * sp[i]; break;
+    case VECTOR_T:
+    case VECTOR_CONSTANT: *value = 0.0; break;
+    default: return report(me, STATUS_ERROR, "%s has no directional derivative", entry->name);
+    }
+    return STATUS_OK;
+}
+
+/* What a run can be differentiated by: real parameters and start values. */
+int is_parameter(unsigned reference) {
+    if (reference >= MODEL_N_VARIABLES || VARIABLE[reference].type != TYPE_REAL) return 0;
+    const Settable settable = VARIABLE[reference].settable;
+    return settable == SETTABLE_FIXED || settable == SETTABLE_TUNABLE || settable == SETTABLE_START;
+}
+
+int parameter_index(unsigned reference) {
+    return VARIABLE[reference].vector == VECTOR_P ? VARIABLE[reference].index : -1;
+}
+
+int parameter_sign(unsigned reference) { return VARIABLE[reference].sign; }
+
 /* Derivative of the unknowns in the direction of the knowns: exact, for continuous states, inputs and parameters. */
 Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t n_unknown, const unsigned *known,
                                   size_t n_known, const double *seed, double *sensitivity) {
@@ -226,19 +258,11 @@ Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t 
             return report(me, STATUS_ERROR, "%s is no state, input or parameter to differentiate by", entry->name);
         direction[entry->index] += entry->sign * seed[k];
     }
-    if (directional_derivative(me, sx, su, sp, dx, dv))
+    if (directional_derivative(me, s->t, s->x, s->u, sx, su, sp, dx, dv))
         return report(me, STATUS_ERROR, "t = %.9g: the directional derivative cannot be computed", s->t);
     for (size_t k = 0; k < n_unknown; k++) {
-        const VariableEntry *entry = entry_of(me, unknown[k], TYPE_REAL);
-        if (!entry) return STATUS_ERROR;
-        switch (entry->vector) {
-        case VECTOR_DX: sensitivity[k] = entry->sign * dx[entry->index]; break;
-        case VECTOR_V: sensitivity[k] = entry->sign * dv[entry->index]; break;
-        case VECTOR_X: sensitivity[k] = entry->sign * sx[entry->index]; break;
-        case VECTOR_U: sensitivity[k] = entry->sign * su[entry->index]; break;
-        case VECTOR_P: sensitivity[k] = entry->sign * sp[entry->index]; break;
-        default: return report(me, STATUS_ERROR, "%s has no directional derivative", entry->name);
-        }
+        const Status picked = pick_derivative(me, unknown[k], sx, su, sp, dx, dv, &sensitivity[k]);
+        if (picked > STATUS_WARNING) return picked;
     }
     return STATUS_OK;
 }
@@ -260,6 +284,9 @@ Status start_simulation(Instance *me) {
     State *s = &me->s;
     Status status = s->initialised ? STATUS_OK : initialise(me);
     if (status > STATUS_WARNING) return status;
+    status = start_sensitivities(me);
+    if (status > STATUS_WARNING) return status;
+    s->step.t0 = s->step.t1 = s->t;
     restart_integration(me);
     s->changed = 0;
     s->phase = s->is_co_simulation ? PHASE_STEP : PHASE_EVENT;

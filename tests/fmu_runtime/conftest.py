@@ -10,6 +10,7 @@ import fmpy
 import fmpy.fmi2
 import numpy as np
 import pytest
+
 from fmu_build.packaging import package
 
 _spec = importlib.util.spec_from_file_location("handmade", Path(__file__).with_name("handmade.py"))

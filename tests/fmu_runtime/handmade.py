@@ -9,9 +9,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import casadi as ca
+
 from fmu_build.model import CompiledModel, Experiment, Location, Unit, Variable
 
-ENV = "t x u p d z pz m y".split()
+ENV = ["t", "x", "u", "p", "d", "z", "pz", "m", "y"]
 
 
 def compile_by_hand(
@@ -170,9 +171,7 @@ def compile_by_hand(
             )
         )
     for i, (n, start) in enumerate(inputs.items()):
-        variables.append(
-            Variable(n, "Real", Location("u", i), "input", "continuous", "exact", start, unit="N.m")
-        )
+        variables.append(Variable(n, "Real", Location("u", i), "input", "continuous", "exact", start, unit="N.m"))
     for i, (n, start) in enumerate(parameters.items()):
         kind = "tunable" if n in tunable else "fixed"
         variables.append(Variable(n, "Real", Location("p", i), "parameter", kind, "exact", start))

@@ -92,9 +92,7 @@ def test_fmu_state_brings_back_the_whole_future(fmu):
     data = one.c.serializeFMUstate(state)
     first = one.run(["tau_sensor", "b"], 20, 1e-3, at=0.02, inputs={"i_cmd": u[20:]})
     one.c.setFMUstate(state)
-    np.testing.assert_array_equal(
-        one.run(["tau_sensor", "b"], 20, 1e-3, at=0.02, inputs={"i_cmd": u[20:]}), first
-    )
+    np.testing.assert_array_equal(one.run(["tau_sensor", "b"], 20, 1e-3, at=0.02, inputs={"i_cmd": u[20:]}), first)
     one.c.freeFMUstate(state)
     other = fmu("train").start()
     other.c.setFMUstate(other.c.deSerializeFMUstate(data))

@@ -18,9 +18,7 @@ def reference(model, h, inputs, tol=1e-11):
 
     def call(name, t, x, u):
         given = u if model.n_u else empty
-        return f[name](
-            t, x, given, p if len(p) else empty, d if len(d) else empty, empty, empty, empty, empty
-        )
+        return f[name](t, x, given, p if len(p) else empty, d if len(d) else empty, empty, empty, empty, empty)
 
     x = np.array(f["start"](p, d)[0]).ravel()
     rows = [x]

@@ -1,0 +1,24 @@
+/* Forward sensitivities of a whole run, exported beside the FMI functions (for either version of FMI).
+ *
+ * fmuidSetSensitivityParameters chooses, before the end of the initialization mode, the parameters (and start values
+ * of states) to differentiate by; they last until the instance is reset. fmuidGetSensitivities then gives, at every
+ * communication point of a co-simulation, the total derivatives of variables with respect to them:
+ * values[i * n_parameters + j] = d variable[i] / d parameter[j], inputs as they were set.
+ * Both return an FMI status and log what is wrong. */
+#ifndef FMUID_SENSITIVITY_H
+#define FMUID_SENSITIVITY_H
+
+#include <stddef.h>
+
+#if defined _WIN32 || defined __CYGWIN__
+#define FMUID_EXPORT __declspec(dllexport)
+#elif defined __GNUC__
+#define FMUID_EXPORT __attribute__((visibility("default")))
+#else
+#define FMUID_EXPORT
+#endif
+
+FMUID_EXPORT int fmuidSetSensitivityParameters(void *instance, const unsigned *parameters, size_t n);
+FMUID_EXPORT int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, double *values);
+
+#endif
