@@ -69,6 +69,7 @@ class Fmu:
 
     def __init__(self, path: str | Path, interface: Interface | None = None) -> None:
         self.path = Path(path)
+        self._file = self.path.resolve()  # the working folder may change, in workers too
         self._asked = interface
         self._description: Any = _read_description(self.path)
         self.version = int(str(self._description.fmiVersion).split(".")[0])
@@ -167,7 +168,7 @@ class Fmu:
         self.close()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return load_fmu, (self.path, self._asked)
+        return load_fmu, (self._file, self._asked)
 
     def __repr__(self) -> str:
         return f"Fmu({str(self.path)!r}, FMI {self._description.fmiVersion}, {self.interface})"

@@ -34,6 +34,7 @@ _VARIABLES = [
     ("mode", 17, "Enumeration", "Int64", 'causality="parameter" variability="fixed"', 'start="1"'),
     ("sum", 19, "Real", "Float64", 'causality="output" variability="continuous"', ""),
     ("zero", 20, "Real", "Float64", 'causality="calculatedParameter" variability="fixed"', ""),
+    ("kick", 22, "Real", "Float64", 'causality="parameter" variability="tunable"', 'start="0"'),
     ("w", 21, "Real", "Float64", 'causality="input" variability="continuous"', 'start="0"'),
 ]  # fmt: skip
 FAULTS = {

@@ -1,7 +1,7 @@
 /* A test FMU for FMI 2.0 and 3.0, co-simulation and model exchange: a driven oscillator with a latching switch.
  *
  *     der(x) = v,  m der(v) = u + w - d v - c x,  y = gain x (+ bias if flip),  stored = int(trunc)
- *     model exchange: `count` counts the falls of x through `level`, each a state event; `ticks` counts time events
+ *     model exchange: `count` counts the falls of x through `level`, each a state event that adds `kick` to v; `ticks` counts time events
  *
  * Co-simulation integrates with the explicit midpoint rule, 1 ms at most. `fault` makes it misbehave at t >= 0.1.
  * Compile with -DFMI=2 or 3 and perhaps -DRESET_FAILS, -DRESET_FORGETS_STATE, -DRESET_FORGETS_PARAMETERS, -DONCE,
@@ -28,10 +28,11 @@ typedef fmi3Instance Handle;
 enum { OK, WARNING, DISCARD, ERROR, FATAL };
 enum { NO_FAULT, CRASH, HANG, NOT_A_NUMBER, FAILS, LEAKS, DEVOURS, FATALLY, ENDS, SEGFAULTS, SLOW, LEAVES };
 /* value references */
-enum { TIME, M, D, C, GAIN, U, X, V, Y, DX, DV, FLIP, FAULT, BIAS, COUNT, LEVEL, TICKS, MODE, TABLE, TABLE_SUM, ZERO, W, N };
+enum { TIME, M, D, C, GAIN, U, X, V, Y, DX, DV, FLIP, FAULT, BIAS, COUNT, LEVEL, TICKS, MODE, TABLE, TABLE_SUM, ZERO, W, KICK, N };
 
 typedef struct {
     double t, r[N], table[6];
+    int broken;   /* by an error, until it is instantiated anew */
     double limit; /* of x, beyond which there are no derivatives */
     double slope; /* of the input, in co-simulation */
     int continuous;
@@ -86,6 +87,7 @@ static Status say(Model *s, Status status, const char *text)
 
 static Status misbehave(Model *s)
 {
+    if (s->broken) return say(s, ERROR, "still broken");
     if (s->t < 0.1) return OK;
     switch ((int)s->r[FAULT]) {
     case CRASH: abort();
@@ -93,7 +95,7 @@ static Status misbehave(Model *s)
     case LEAVES: exit(0);
     case HANG: for (volatile int i = 0;; i = !i); break;
     case SLOW: usleep(20000); break;
-    case FAILS: return say(s, ERROR, "the bearing has melted");
+    case FAILS: s->broken = 1; return say(s, ERROR, "the bearing has melted");
     case FATALLY: return say(s, FATAL, "everything is lost");
     case LEAKS: memset(leaked = malloc(1 << 15), 1, 1 << 15); break;
     case DEVOURS: for (;;) memset(leaked = malloc(1 << 22), 1, 1 << 22);
@@ -164,11 +166,17 @@ static Status derivatives(Model *s, double dx[])
     dx[0] = value(s, DX); dx[1] = value(s, DV);
     return OK;
 }
-static void event(Model *s, int *next_defined, double *next)
+static int event(Model *s, int *next_defined, double *next)
 {
+    int kicked = 0;
     double z = s->r[X] - s->r[LEVEL];
     if (s->continuous == 0) { s->continuous = z > 0 ? 1 : -1; }
-    if (s->continuous > 0 && z <= 0) { s->r[COUNT]++; s->continuous = -1; }
+    if (s->continuous > 0 && z <= 0) {
+        s->r[COUNT]++;
+        s->continuous = -1;
+        s->r[V] += s->r[KICK];
+        kicked = s->r[KICK] != 0;
+    }
     else if (s->continuous < 0 && z > 0) s->continuous = 1;
     if (s->t >= s->tick - 1e-12) { s->r[TICKS]++; s->tick += 0.25; }
     *next_defined = 1;
@@ -176,6 +184,7 @@ static void event(Model *s, int *next_defined, double *next)
 #ifdef STUCK
     if (s->t > 0.2) *next = 0.2;
 #endif
+    return kicked;
 }
 
 static Status advance(Model *s, double t, double h)
@@ -220,7 +229,7 @@ fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real dx[], size_t n) { (void)
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *e)
 {
     memset(e, 0, sizeof *e);
-    event(c, &e->nextEventTimeDefined, &e->nextEventTime);
+    e->valuesOfContinuousStatesChanged = event(c, &e->nextEventTimeDefined, &e->nextEventTime);
 #ifdef RESTLESS
     e->newDiscreteStatesNeeded = 1;
 #endif
@@ -290,7 +299,7 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *need, fmi3Boole
 {
     int defined;
     *need = *term = *nom = *val = 0;
-    event(c, &defined, next);
+    *val = event(c, &defined, next);
     *def = defined;
     return OK;
 }

@@ -66,6 +66,18 @@ def test_state_and_time_events(build, fmi):
     assert y[2].tolist() == [np.sum(np.arange(0.25, t - 1e-9, 0.25) < t) for t in time]
 
 
+@BOTH
+def test_an_event_acts_at_its_time(build, fmi):
+    time = np.linspace(0, 0.12, 9)
+    y = Fmu(build(fmi, ("ModelExchange",))).simulate(
+        Task(time, {}, ("x", "count"), tolerance=1e-9), {"d": 0.0, "c": 400.0, "level": 0.05, "kick": 3.0}
+    )
+    fall, speed = np.pi / 60, 3 - 2 * np.sin(np.pi / 3)
+    after = 0.05 * np.cos(20 * (time - fall)) + speed / 20 * np.sin(20 * (time - fall))
+    np.testing.assert_allclose(y[0], np.where(time < fall, 0.1 * np.cos(20 * time), after), atol=1e-7)
+    assert y[1].tolist() == (time > fall).astype(float).tolist()
+
+
 def test_predictions_are_read_before_the_next_input_is_set(build):
     time = np.linspace(0, 1, 11)
     switch = (time > 0.45).astype(float)
