@@ -65,11 +65,16 @@ an event is where the truth of some g_i differs from m_i (the runtime adds its h
             solve loop for y             # if ny > 0
             z_new, x_new, ... = update(t, x, u, p, d, z, pz, m, y, init)
             m_new = truth of indicators(t, x, u, p, d, z_new, pz, m, y)
-            changed = z_new != z or m_new != m;  z = z_new;  m = m_new
+            changed = z_new != z or m_new != m;  z = z_new;  m = m_new (see below from the 11th round on)
         until not changed                # report an error after e.g. 100 rounds
         again = z != pz or reinit;  pz = z;  if reinit: x = x_new
     until not again
     next_event = the last result of update
+
+The plain fixed point of the inner loop can alternate for ever between two wrong modes of a friction element (forward:
+it would move backward; backward: it would move forward) while the stuck mode between them is consistent. So from the
+11th round on m takes fewer changes a round: the relations that turn false do; only where none turns false, the first
+one that turns true does. (With all relations of its mode false, an element in the manner of BearingFriction is stuck.)
 
 ``update`` decides every when-clause by ``condition and not pre(condition)``, the pre-value being an internal entry of z,
 so that calling it again with pz = z fires nothing. At initialisation: z = pz = start, m = truth of indicators with m =

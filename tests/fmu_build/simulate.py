@@ -87,6 +87,35 @@ class Instance:
             return float(variable.start)
         return where.sign * float(vectors[where.vector]()[where.index])
 
+    def settle(self, env: list[object], init: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """One event iteration as `fmu_build.model` describes it; (z, m, x) at its end."""
+        f = self.model.functions
+        t, x, u, p, d, z, pz, m, y = env
+        for _ in range(100):
+            for number in range(100):
+                z_new, x_new, _, _, reinit = map(values, f["update"](t, x, u, p, d, z, pz, m, y, init))
+                m_new = (values(f["indicators"](t, x, u, p, d, z_new, pz, m, y)) > 0).astype(float)
+                differs = np.flatnonzero(m_new != m)
+                changed = differs.size > 0 or np.any(z_new != z)
+                if number >= 10 and differs.size:
+                    off = differs[m_new[differs] == 0]
+                    m = m.copy()
+                    m[off if off.size else differs[:1]] = m_new[off if off.size else differs[:1]]
+                else:
+                    m = m_new
+                z = z_new
+                if not changed:
+                    break
+            else:
+                raise AssertionError("no consistent discrete variables")
+            again = np.any(z != pz) or reinit[0]
+            pz = z
+            if reinit[0]:
+                x = x_new
+            if not again:
+                return z, m, x
+        raise AssertionError("the event iteration does not end")
+
     def simulate(self, times: Sequence[float], u: Callable[[float], Sequence[float]] = lambda t: ()) -> np.ndarray:
         """States at `times`, shape (len(times), n_x)."""
         result = solve_ivp(

@@ -119,6 +119,47 @@ package Hybrid "Events"
     der(x) = if b then 1 else 0;
   end BooleanInput;
 
+  model Lossy "Two inertias and a gear with mesh and bearing friction, modes in the manner of LossyGear"
+    parameter Real J_a = 0.01;
+    parameter Real J_b = 1;
+    parameter Real ratio = 5;
+    parameter Real eta1 = 0.8;
+    parameter Real eta2 = 0.7;
+    parameter Real tau_bf = 0.1;
+    input Real u "Torque on side a";
+    input Real load "Torque on side b";
+    Real phi_a, w_a, a_a, phi_b, w_b;
+    Real tau_a, tau_b;
+    Real sa, loss, lossMax, lossMin;
+    Real phi(start = 0, fixed = true, stateSelect = StateSelect.always) = phi_b;
+    Real w(start = 0, fixed = true, stateSelect = StateSelect.always) = w_b;
+    Real lossEnergy(start = 0, fixed = true);
+    Boolean tau_pos(start = true);
+    Boolean startForward(start = false);
+    Boolean startBackward(start = false);
+    Boolean locked(start = false);
+    Integer mode(start = 2, fixed = true) "-1 backward, 0 stuck, 1 forward, 2 free";
+  equation
+    J_a*a_a = u - tau_a;
+    J_b*der(w_b) = tau_b + load;
+    w_b = der(phi_b);
+    phi_a = ratio*phi_b;
+    w_a = der(phi_a);
+    a_a = der(w_a);
+    tau_b = ratio*(tau_a - loss);
+    der(lossEnergy) = loss*w_a;
+    tau_pos = tau_a >= 0;
+    lossMax = if tau_pos then (1 - eta1)*tau_a + tau_bf else (1 - 1/eta2)*tau_a + tau_bf;
+    lossMin = if tau_pos then (1 - 1/eta2)*tau_a - tau_bf else (1 - eta1)*tau_a - tau_bf;
+    startForward = pre(mode) == 0 and sa > lossMax or initial() and w_a > 0;
+    startBackward = pre(mode) == 0 and sa < lossMin or initial() and w_a < 0;
+    locked = not (pre(mode) == 1 or startForward or pre(mode) == -1 or startBackward);
+    loss = if locked then sa else if startForward or pre(mode) == 1 then lossMax else lossMin;
+    a_a = if locked then 0 else sa - loss;
+    mode = if (pre(mode) == 1 or startForward) and w_a > 0 then 1
+      else if (pre(mode) == -1 or startBackward) and w_a < 0 then -1 else 0;
+  end Lossy;
+
   model Pulse "Initial algorithm, and discrete variables that start from the state"
     parameter Real period = 0.3;
     parameter Real offset = -1;
