@@ -3,7 +3,8 @@ model HarmonicDrive "Harmonic Drive gear with friction beyond a constant, torque
   extends Components.PartialHarmonicDrive;
   parameter Types.RotationalDampingConstant viscous(min = 0) = 0 "Bearing friction over speed";
   parameter Types.Torque stribeck = 0 "Bearing friction at standstill above that when sliding";
-  parameter Types.AngularVelocity stribeck_speed(min = 0) = 10 "The Stribeck part falls with exp(-(w/stribeck_speed)^2)";
+  parameter Types.AngularVelocity stribeck_speed(min = 0) = 10 "Speed at which the Stribeck part has fallen to 1/e";
+  parameter Real stribeck_exponent(unit = "1", min = 0.2) = 2 "The Stribeck part is exp(-|w/stribeck_speed|^stribeck_exponent)";
   parameter Types.Torque asymmetry = 0 "Bearing friction more when sliding forward, and less when backward";
   parameter Real mesh_eta1(unit = "1", min = 0, max = 1) = 1 "Mesh efficiency when driving, beside that of the loss table";
   parameter Real mesh_eta2(unit = "1", min = 0, max = 1) = 1 "Mesh efficiency when driven, beside that of the loss table";
@@ -22,7 +23,7 @@ protected
 equation
   der(warmth) = noEvent(if abs(thermal) > 0 then (lossPower - warmth)/thermal_time else 0.0);
   cold = exp(-thermal*warmth);
-  extra = viscous*noEvent(abs(w)) + stribeck*exp(-(w/stribeck_speed)^2);
+  extra = viscous*noEvent(abs(w)) + stribeck*exp(-((w/stribeck_speed)^2 + 1e-6)^(stribeck_exponent/2));
   losses_forward[1] = losses[1]*mesh_eta1;
   losses_forward[2] = losses[2]*mesh_eta2;
   losses_forward[3] = cold*noEvent(max(0.0, losses[3] + extra + asymmetry));
