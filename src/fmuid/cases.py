@@ -39,8 +39,9 @@ class Channel:
     sigma
         (N,) standard deviation of the noise of one sample.
     noise
-        Where `sigma` comes from: ``given`` in the file, the ``repeats``' spread, or ``unknown``; it is then
-        the standard deviation of the signal itself, and only the residuals' relative size has a meaning.
+        Where `sigma` comes from: ``given`` in the file, the ``repeats``' spread (of this run, or else of the
+        setup's other runs), or ``unknown``; it is then the standard deviation of the signal itself, and only
+        the residuals' relative size has a meaning.
     sensor
         Expressions for ``offset``, ``gain`` and ``delay`` (s) between model and sensor, if any.
     differentiated
@@ -255,6 +256,8 @@ def _case(
         repeats = convert(np.array([e.outputs[name].values for e in group]))
         given = [e.outputs[name].sigma for e in group]
         sigma, noise = _noise(repeats, [None if s is None else abs(convert.factor) * s for s in given])
+        if noise == "unknown":
+            sigma, noise = _like_elsewhere(campaign, first, name, unit, sigma)
         channels.append(
             Channel(
                 name,
@@ -382,6 +385,28 @@ def _find(channels: Sequence[Channel], signal: str, where: str) -> Channel:
 
 def _target(time: FloatArray, channel: Channel, inputs: Mapping[str, FloatArray]) -> Target:
     return Target(channel.signal, time, channel.mean, channel.count, channel.sigma, inputs)
+
+
+def _like_elsewhere(
+    campaign: Campaign, run: Experiment, signal: str, unit: str | None, otherwise: FloatArray
+) -> tuple[FloatArray, str]:
+    """Return the noise that the same signal has in other runs of the same setup, if it is known there."""
+    found = []
+    for other in campaign.measurements:
+        if other.setup != run.setup or other.repeat_of is not None or signal not in other.outputs:
+            continue
+        runs = campaign.measurements.repeats(other.id)
+        convert = _conversion(other.outputs[signal].unit, unit, f"signal '{signal}' of experiment '{other.id}'")
+        given = [e.outputs[signal].sigma for e in runs if signal in e.outputs]
+        same = [
+            e.outputs[signal].values for e in runs if signal in e.outputs and np.array_equal(e.time, other.time)
+        ]
+        level, noise = _noise(np.array(same), given if len(given) == len(same) else [None])
+        if noise != "unknown":
+            found.append(abs(convert.factor) * level[0])
+    if not found:
+        return otherwise, "unknown"
+    return np.full(len(otherwise), float(np.sqrt(np.mean(np.square(found))))), "repeats"
 
 
 def _noise(repeats: FloatArray, given: Sequence[float | None]) -> tuple[FloatArray, str]:
