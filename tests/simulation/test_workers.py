@@ -27,7 +27,7 @@ TASK = Task(np.arange(301) * 1e-3, {"u": np.sin(np.arange(301) / 9)}, ("y", "x")
 
 @pytest.fixture(scope="module")
 def pool():
-    with WorkerPool(2, time_limit=1.0, memory_limit=400 * 2**20) as pool:
+    with WorkerPool(2, time_limit=2.0, memory_limit=200 * 2**20) as pool:
         yield pool
 
 
@@ -37,8 +37,8 @@ def pool():
         ("crash", r"crashed \(SIGABRT\) \(with c = 100, fault = 1\)"),
         ("segfault", r"crashed \(SIGSEGV\)"),
         ("leaves", r"crashed \(exit code 0\)"),
-        ("hang", r"took longer than the time limit of 1 s"),
-        ("devours", r"took more memory than the limit of 400 MB"),
+        ("hang", r"took longer than the time limit of 2 s"),
+        ("devours", r"took more memory than the limit of 200 MB"),
         ("fatal", r"answered fmi2Fatal"),
         ("nan", r"is not finite"),
     ],
