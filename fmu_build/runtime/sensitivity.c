@@ -153,7 +153,7 @@ Status start_sensitivities(Instance *me) {
     *kept = me->s;
     Status status = STATUS_OK;
     for (size_t j = 0; j < q->n && status <= STATUS_WARNING; j++) {
-        double value = 0.0, ends[2][LENGTH(NX)];
+        double value = 0.0, ends[2][LENGTH(NX)] = {{0}};
         status = get_value(me, q->parameters[j], TYPE_REAL, &value);
         const double difference = 1e-5 * fmax(fabs(value), 1e-3);
         for (int side = 0; side < 2 && status <= STATUS_WARNING; side++) {

@@ -58,7 +58,7 @@ def compile_by_hand(
     def vec(items):
         return ca.vertcat(*[ca.SX(i) for i in items]) if items else ca.SX(0, 1)
 
-    sizes = dict(t=1, x=nx, u=nu, p=np_, d=nd, z=nz, pz=nz, y=ny)
+    sizes = {"t": 1, "x": nx, "u": nu, "p": np_, "d": nd, "z": nz, "pz": nz, "y": ny}
     probe = {k: ca.SX.sym(k, n) for k, n in sizes.items()}
     nm = 0
     if relations:
@@ -124,7 +124,8 @@ def compile_by_hand(
         return f"static const {kind} {macro}[] = {{{', '.join(items or ['0'])}}};"
 
     lines = ["#ifndef MODEL_TABLES", "#define MODEL_TABLES"]
-    for letter, n in dict(X=nx, U=nu, P=np_, D=nd, Z=nz, M=nm, Y=ny, V=nv, ASSERT=len(asserts)).items():
+    lengths = {"X": nx, "U": nu, "P": np_, "D": nd, "Z": nz, "M": nm, "Y": ny, "V": nv, "ASSERT": len(asserts)}
+    for letter, n in lengths.items():
         lines.append(f"#define MODEL_N{letter} {n}")
     works = [[f.sz_arg(), f.sz_res(), f.sz_iw(), f.sz_w()] for f in made.values()]
     for i, k in enumerate(("ARG", "RES", "IW", "W")):
