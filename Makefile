@@ -4,6 +4,8 @@ VENV ?= .venv
 EMPS ?= ../shared/data/emps
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+DEVELOPER := $(VENV)/.developer
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 ACTUATOR := FixedShaft FreeShaft EccentricLoad
 SETUPS := $(foreach setup,$(ACTUATOR) LinearAxisOpenLoop LinearAxisClosedLoop,$(setup) $(setup)WithEffects)
@@ -22,8 +24,11 @@ all: identify
 setup: $(READY)
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
-	touch $@
+	$(PIP) --editable .
+	@touch $@
+$(DEVELOPER): $(READY)
+	$(PIP) --editable ".[dev]"
+	@touch $@
 
 fmus: $(FMUS)
 build/fmus/%.fmu: $(MODELICA) $(EXPORT) | $(READY)
@@ -51,7 +56,7 @@ identify-emps: $(FMUS) campaigns/emps/measurements.h5
 diagnose: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/fmuid diagnose $(FORCE_FEEDBACK) --out runs/diagnosis
 
-lint: $(READY)
+lint: $(DEVELOPER)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
