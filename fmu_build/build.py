@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
 import shutil
 import subprocess
@@ -76,7 +77,10 @@ def build(
         from fmu_build.compiler import compile_modelica
         from fmu_build.packaging import package
 
-        built = package(compile_modelica(file, class_name, folders), target, fmi=2 if fmi == "2" else 3)
+        model = compile_modelica(file, class_name, folders)
+        for warning in model.warnings:
+            logging.getLogger(__name__).warning("%s: %s", class_name, warning)
+        built = package(model, target, fmi=2 if fmi == "2" else 3)
     elif compiler == "omc":
         built = _openmodelica(file, class_name, target, fmi, folders)
     else:

@@ -228,17 +228,20 @@ class _Describer:
             unit=_per_second(unit), derivative_of=name, depends_on=self._names(self.rates[index]),
         )  # fmt: skip
 
-    def _depends_on(self, declared: Declared) -> tuple[str, ...]:
+    def _depends_on(self, declared: Declared) -> tuple[str, ...] | None:
         if declared.kind != "continuous":
-            return ()
+            return None
         representative, _ = self.aliases.of[declared.name]
         return self._names(self.solution.expression(algebra.sx(representative.symbol)))
 
-    def _names(self, expression: SX) -> tuple[str, ...]:
+    def _names(self, expression: SX) -> tuple[str, ...] | None:
+        """States and inputs that an expression depends on; None (any) if events decide, too."""
         symbols = set(self.scope.graph.symbols(expression))
         if symbols & {key(y) for y in self.solution.iterates}:
             for residual in self.solution.residuals:
                 symbols |= self.scope.graph.symbols(residual)
+        if any(self.scope.is_event_symbol(k) for k in symbols):
+            return None
         known = [*(s.symbol for s in self.states), *self.inputs]
         return tuple(s.name() for s in known if key(s) in symbols)
 

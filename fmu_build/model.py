@@ -151,7 +151,8 @@ class Variable:
     derivative_of
         Name of the state this variable is the derivative of.
     depends_on
-        For outputs and derivatives: names of the states and inputs it depends on; None elsewhere.
+        For outputs and derivatives: names of the states and inputs it depends on; None elsewhere, and where events
+        have a say (then it may depend on any).
     enumeration
         Names of the literals if the type is an enumeration (``type`` is then "Integer"), else empty.
     """

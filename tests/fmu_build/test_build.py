@@ -1,0 +1,85 @@
+"""Modelica to FMU in one step: caching, options, libraries, errors in one line."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+
+from fmu_build import build, compile_modelica
+from fmuid.errors import BuildError, ModelicaError
+from tests.fmu_build.simulate import Instance, states
+
+MODELS = Path(__file__).parent / "models"
+DRIVES = Path(__file__).parents[2] / "modelica" / "Drives"
+
+
+def test_unchanged_sources_cost_nothing_and_changed_ones_rebuild(tmp_path):
+    source = tmp_path / "Structure.mo"
+    shutil.copy(MODELS / "Structure.mo", source)
+    fmu = build(source, "Structure.RC", tmp_path / "out")
+    before = fmu.read_bytes()
+    begin = time.perf_counter()
+    assert build(source, "Structure.RC", tmp_path / "out") == fmu
+    assert time.perf_counter() - begin < 0.5
+
+    fmu.write_bytes(b"broken")
+    assert build(source, "Structure.RC", tmp_path / "out").read_bytes() == before, "same input, same bytes"
+
+    source.write_text(source.read_text().replace("r(R = 100)", "r(R = 200)"))
+    assert build(source, "Structure.RC", tmp_path / "out").read_bytes() != before
+
+
+@pytest.mark.parametrize("fmi", ["2", "3"])
+def test_both_versions_of_fmi(tmp_path, fmi):
+    fmu = build(MODELS / "Structure.mo", "Structure.RC", tmp_path, fmi=fmi)
+    assert fmpy.read_model_description(str(fmu)).fmiVersion == f"{fmi}.0"
+    result = fmpy.simulate_fmu(str(fmu), stop_time=0.2, output_interval=0.1, start_values={"u": 5.0}, output=["y"])
+    np.testing.assert_allclose(result["y"], 5 * (1 - np.exp(-result["time"] / 0.1)), atol=1e-4)
+
+
+def test_a_model_of_ones_own_uses_a_library(tmp_path):
+    file = tmp_path / "Mine.mo"
+    file.write_text(
+        "model Mine\n"
+        "  Drives.Components.Inertia a(J = 2, phi(start = 0, fixed = true), w(start = 3, fixed = true));\n"
+        "  Drives.Components.Inertia b(J = 4);\n"
+        "equation\n"
+        "  connect(a.flange_b, b.flange_a);\n"
+        "end Mine;\n"
+    )
+    (tmp_path / "Other.mo").write_text("this is not Modelica")  # a neighbour is none of its business
+    instance = Instance.of(compile_modelica(file, "Mine", [DRIVES.parent]))
+    assert states(instance.model) == ["a.phi", "a.w"]
+    np.testing.assert_array_equal(instance.start(), [0.0, 3.0])
+
+
+@pytest.mark.parametrize("name", ["FixedShaft", "EccentricLoad", "LinearAxisClosedLoop"])
+def test_shipped_setups_have_no_events_and_explicit_starts(name):
+    model = compile_modelica(DRIVES, f"Drives.Setups.{name}")
+    assert not model.has_events
+    assert not model.has_initial
+    assert model.n_y == 0
+    assert model.experiment.stop is not None
+    assert model.description
+
+
+def test_errors_say_what_to_do(tmp_path):
+    with pytest.raises(BuildError, match="choose 2 or 3"):
+        build(MODELS / "Structure.mo", "Structure.RC", tmp_path, fmi="4")
+    with pytest.raises(BuildError, match="choose rumoca or omc"):
+        build(MODELS / "Structure.mo", "Structure.RC", tmp_path, compiler="gcc")
+    if shutil.which("omc") is None:
+        with pytest.raises(BuildError, match="not on the PATH"):
+            build(MODELS / "Structure.mo", "Structure.RC", tmp_path, compiler="omc")
+    with pytest.raises(ModelicaError, match="no such Modelica file"):
+        build(tmp_path / "Nothing.mo", "Nothing", tmp_path)
+    with pytest.raises(ModelicaError, match=r"Structure\.Nothing"):
+        build(MODELS / "Structure.mo", "Structure.Nothing", tmp_path)
+    with pytest.raises(ModelicaError, match="no such library"):
+        compile_modelica(MODELS / "Structure.mo", "Structure.RC", [tmp_path / "nowhere"])
+    assert not list(tmp_path.glob("*.fmu"))
