@@ -105,6 +105,14 @@ def test_history_starts_at_the_start_and_ends_at_the_best(written):
     assert error[-1] < 0.02 < error[0]
 
 
+def test_residual_is_prediction_minus_measurement(written):
+    fit, residual = (
+        np.loadtxt(written.parent / "data" / f"{name}.csv", delimiter=",", skiprows=1)
+        for name in ("validation-bench-y", "validation-bench-y-residual")
+    )
+    np.testing.assert_allclose(residual[:, 1], fit[:, 2] - fit[:, 1], atol=1e-8)
+
+
 def test_estimates_stand_beside_truth_and_published_values(written):
     rows = {row["parameter"]: row for row in read(written.parent / "data" / "estimates.csv")}
     assert float(rows["K"]["estimate"]) == pytest.approx(2.0, rel=0.01)

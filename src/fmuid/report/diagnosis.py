@@ -64,9 +64,10 @@ def write_diagnosis_report(
             _present(
                 pictures_of.gap_figure(diagnosis),
                 pictures_of.residuals_figure(pictures.residuals),
-                _model_table(diagnosis),
             ),
             _floors(diagnosis),
+            _present(_model_table(diagnosis)),
+            "The corrected model",
         ),
         Section("Next experiment", (), _next_experiment(diagnosis)),
         Section("Notes", (), " ".join(diagnosis.get("notes", ()))),
@@ -92,22 +93,23 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
         place = f"{top['experiment']}, {top['signal']}, {pictures_of.regime_text(top)}"
         found.append(Fact("Where most of it lies", f"{place} ({100 * top['share']:.0f} %)"))
     present = "a gap beyond the noise" if gap["present"] else "no gap beyond the noise"
-    found.append(Fact("Is there a gap", f"{present} (p = {gap['p_value']:.2g})"))
+    p_value = "p < 0.001" if gap["p_value"] < 1e-3 else f"p = {gap['p_value']:.2g}"
+    found.append(Fact("Is there a gap", f"{present} ({p_value})"))
     found.append(
         Fact(
             "Gap, in noise floors",
             f"{gap['nominal']:.3g} → {gap['nominal_refit']:.3g} refitted → {gap['corrected']:.3g} corrected",
         )
     )
-    named = diagnosis["verdict"]["effects"]
+    closures: dict[str, list[str]] = {}  # effects that were fitted together share one
     for effect in diagnosis["effects"]:
         closure = effect.get("closure", {})
-        if effect["id"] in named and closure.get("held_out") is not None:
+        if effect["id"] in diagnosis["verdict"]["effects"] and closure.get("held_out") is not None:
             low, high = closure.get("interval") or (None, None)
             interval = "" if low is None or high is None else f" ({low:.2f} to {high:.2f})"
-            found.append(
-                Fact(f"Closed on held-out data by {effect['id']}", f"{closure['held_out']:.2f}{interval}")
-            )
+            closures.setdefault(f"{closure['held_out']:.2f}{interval}", []).append(effect["id"])
+    for value, names in closures.items():
+        found.append(Fact(f"Closed on held-out data by {' + '.join(names)}", value))
     return tuple(found)
 
 

@@ -57,7 +57,7 @@ class RegimeBins:
     @property
     def labels(self) -> tuple[str, ...]:
         """One text a bin."""
-        texts = [f"{e:.4g}".replace("-", "−") for e in self.edges.tolist()]
+        texts = [f"{float(f'{e:.3g}'):g}".replace("-", "−") for e in self.edges.tolist()]
         return tuple(f"{a} … {b}" for a, b in pairwise(texts))
 
 
@@ -274,7 +274,7 @@ def effects_table(diagnosis: Mapping[str, Any]) -> Table:
         "to",
         "parameters ± standard error",
     )
-    return Table(header, tuple(rows), "effects-table", "Every candidate")
+    return Table(header, tuple(rows), "effects-table", "Every candidate", digits=(5, 2, 3, 2, 2, 2, 2, 5))
 
 
 def where_table(diagnosis: Mapping[str, Any]) -> Table:
@@ -283,7 +283,7 @@ def where_table(diagnosis: Mapping[str, Any]) -> Table:
     for place in sorted(diagnosis["where"], key=lambda w: -w["share"]):
         rows.append((place["experiment"], place["signal"], regime_text(place), 100 * place["share"]))
     header = ("experiment", "signal", "regime", "share of the excess, %")
-    return Table(header, tuple(rows), "where", "Largest parts")
+    return Table(header, tuple(rows), "where", "Largest parts", digits=(5, 5, 5, 3))
 
 
 def regime_text(place: Mapping[str, Any]) -> str:
