@@ -18,7 +18,7 @@ from fmuid.toml_tables import Table, convert, numbers, read_toml
 from fmuid.virtual_rig.inputs import samples
 from fmuid.virtual_rig.library import parameter_table
 from fmuid.virtual_rig.recording import Sensors, record
-from fmuid.virtual_rig.rig import STEPS, Rig, Run
+from fmuid.virtual_rig.rig import Rig, Run, usual_step
 
 FILE_NAME = "rig.toml"
 
@@ -132,7 +132,7 @@ def run_planned(rig: Rig, planned: PlannedExperiment, *, preceding: bool = False
         Time step over the usual one.
     """
     rig, inputs = rig.changed(**planned.settings), planned.inputs
-    step = coarser * min(STEPS[planned.setup], planned.interval / 50)
+    step = None if coarser == 1.0 else coarser * usual_step(planned.setup, planned.interval)
     if not preceding:
         return rig.run(planned.setup, inputs, planned.interval, step=step)
     run = rig.run(planned.setup, np.append(inputs, inputs[-1]), planned.interval, step=step)

@@ -17,6 +17,11 @@ STEPS = {"fixed_shaft": 1e-5, "free_shaft": 2e-5, "eccentric_load": 2e-5}
 noise (RMS), see tests/rig."""
 
 
+def usual_step(setup: str, interval: float) -> float:
+    """Return the time step, in s, for samples every `interval` s."""
+    return min(STEPS[setup], interval / 50)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
     """What happened on the rig, free of noise.
@@ -93,7 +98,7 @@ class Rig:
         """
         if setup not in SETUPS:
             raise CampaignError(f"the rig has no setup '{setup}'", fix=f"it has: {', '.join(SETUPS)}")
-        step = min(STEPS[setup], interval / 50) if step is None else step
+        step = usual_step(setup, interval) if step is None else step
         values = np.array([self.parameters.get(k, info.neutral) for k, info in parameter_table().items()])
         substeps = max(1, round(interval / step))
         channels, works = library.run(values, self.loss_table, setup, inputs, interval, substeps)
