@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from fmuid.campaign import StageSpec as StageSpec
     from fmuid.campaign_toml import load_campaign as load_campaign
     from fmuid.cases import measured_case as measured_case
+    from fmuid.diagnosis.of_campaign import diagnose as diagnose
     from fmuid.errors import FmuidError as FmuidError
     from fmuid.fmu import load_fmu as load_fmu
     from fmuid.history import read_history as read_history
@@ -66,6 +67,7 @@ _PUBLIC = {
     "TerminalProgress": "progress",
     "Variable": "simulation",
     "WorkerPool": "workers",
+    "diagnose": "diagnosis.of_campaign",
     "identify": "identification",
     "load_campaign": "campaign_toml",
     "load_fmu": "fmu",

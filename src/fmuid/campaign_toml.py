@@ -110,13 +110,15 @@ class _Document(Table):
     published: dict[str, Any] = {}
 
 
-def load_campaign(path: str | Path) -> Campaign:
+def load_campaign(path: str | Path, *, measurements: str | Path | None = None) -> Campaign:
     """Read and check a campaign: its `campaign.toml` and the measurement file that it names.
 
     Parameters
     ----------
     path
         The campaign's folder, or the TOML file itself.
+    measurements
+        A measurement file instead of the one that it names.
 
     Raises
     ------
@@ -130,31 +132,32 @@ def load_campaign(path: str | Path) -> Campaign:
     document = convert(read_toml(file), _Document, str(file))
     head = convert(document.campaign, _CampaignTable, f"{file} [campaign]")
     folder = file.parent
-    measurements = read_measurements(
-        folder / head.measurements, fix_missing=f"make it with: {head.make}" if head.make else None
-    )
+    if measurements is not None:
+        recorded = read_measurements(Path(measurements))
+    else:
+        make = f"make it with: {head.make}" if head.make else None
+        recorded = read_measurements(folder / head.measurements, fix_missing=make)
     parameters = {n: _parameter(n, t, f"{file} [parameters.{n}]") for n, t in document.parameters.items()}
     settings = numbers(document.settings, f"{file} [settings]")
     for name in settings.keys() & parameters.keys():
         raise CampaignError(
             f"'{name}' is a parameter too", where=f"{file} [settings]", fix="give it in one of the two tables"
         )
-    roles = _Roles.from_table(document.roles, measurements, str(file))
+    roles = _Roles.from_table(document.roles, recorded, str(file))
     models = {s: _model(s, t, folder, f"{file} [models.{s}]") for s, t in document.models.items()}
-    _check_models(models, measurements, roles, parameters, settings, str(file))
+    _check_models(models, recorded, roles, parameters, settings, str(file))
     stages = {
-        n: _stage(n, t, measurements, roles, parameters, f"{file} [stages.{n}]")
-        for n, t in document.stages.items()
+        n: _stage(n, t, recorded, roles, parameters, f"{file} [stages.{n}]") for n, t in document.stages.items()
     }
     effects = None
     if document.effects is not None:
-        effects = _effects(document.effects, folder, measurements, parameters, f"{file} [effects]")
+        effects = _effects(document.effects, folder, recorded, parameters, f"{file} [effects]")
     name = head.name or file.resolve().parent.name
     return Campaign(
         name=name,
         title=head.title or name,
         folder=folder,
-        measurements=measurements,
+        measurements=recorded,
         models=frozen_mapping(models),
         parameters=frozen_mapping(parameters),
         settings=frozen_mapping(settings),

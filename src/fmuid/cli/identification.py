@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fmuid.cli.diagnosis_text import print_diagnosis
 from fmuid.cli.output import CampaignPath, Json, Printer, Quiet
 from fmuid.errors import FmuidError
 
@@ -101,13 +102,46 @@ def validate(
 
 
 def diagnose(
-    campaign: CampaignPath,  # noqa: ARG001
-    out: Annotated[Path | None, typer.Option(help="Folder for the diagnosis.")] = None,  # noqa: ARG001
-    json: Json = None,  # noqa: ARG001
-    quiet: Quiet = False,  # noqa: ARG001
+    campaign: CampaignPath,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the results; runs/<campaign>-diagnosis by default."),
+    ] = None,
+    experiment: Annotated[
+        list[str] | None,
+        typer.Option("--experiment", "-e", help="Id or glob (repeat); the campaign's choice by default."),
+    ] = None,
+    measurements: Annotated[
+        Path | None, typer.Option(help="Diagnose these measurements, not the campaign's own.")
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=0, help="Worker processes; one a processor by default. 0: none."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the null distribution and the bootstrap.")] = 0,
+    json: Json = None,
+    quiet: Quiet = False,
 ) -> None:
-    """Say where model and measurements part, and which effect is missing."""
-    raise FmuidError("diagnose is not in this version", fix="use fmuid identify and fmuid validate")
+    """Say where model and measurements part, which unmodelled effect causes it, and how far it shrinks with it.
+
+    Exit code 0: there is an answer, be it "complete", "A or B" or "unknown". 130: interrupted.
+
+    Example: fmuid diagnose campaigns/force_feedback --out runs/diagnosis
+    """
+    from fmuid.campaign_toml import load_campaign
+    from fmuid.diagnosis.of_campaign import FILE_NAME
+    from fmuid.diagnosis.of_campaign import diagnose as run
+    from fmuid.diagnosis.progress import DiagnosisProgress
+
+    loaded = load_campaign(campaign, measurements=measurements)
+    folder = out or Path("runs") / f"{loaded.name}-diagnosis"
+    with nullcontext() if quiet else DiagnosisProgress() as say:
+        found = run(loaded, out=folder, experiments=experiment or (), workers=workers, say=say, seed=seed)
+    answer = found.diagnosis.to_dict()
+    printer = Printer(quiet, json)
+    print_diagnosis(answer, printer)
+    printer.say(f"\n{folder / FILE_NAME}\nreport: {folder / 'index.html'}")
+    printer.write(answer)
 
 
 def report(

@@ -1,0 +1,44 @@
+"""A diagnosis on a terminal: where, what, how much."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from fmuid.cli.output import Printer
+
+_ROWS = 6
+
+
+def print_diagnosis(diagnosis: Mapping[str, Any], printer: Printer) -> None:
+    """Print the verdict, where the gap lies and how far it shrinks, then the likeliest effects as a table."""
+    from fmuid.report.diagnosis import facts
+
+    for fact in facts(diagnosis):
+        printer.say(f"{fact.label}: {fact.value}")
+    for names in diagnosis["alias_classes"]:
+        printer.say(f"Cannot be told apart with these sensors and experiments: {', '.join(names)}")
+    following = diagnosis.get("next_experiment")
+    if following:
+        printer.say(
+            f"Next experiment: {following['setup']}, {following['description']}"
+            f" ({following['separation_sigma']:.3g} standard deviations)"
+        )
+    for note in diagnosis.get("notes", ()):
+        printer.say(f"Note: {note}")
+    rows = [_row(e) for e in diagnosis["effects"][:_ROWS]]
+    printer.say("")
+    printer.table(["effect", "probability", "closure (held out)", "90 % interval", "parameters"], rows)
+
+
+def _row(effect: Mapping[str, Any]) -> list[object]:
+    closure = effect.get("closure", {})
+    interval = "{:.2f} to {:.2f}".format(*closure["interval"]) if closure else ""
+    parameters = ", ".join(f"{n} = {_with_error(p)}" for n, p in effect.get("parameters", {}).items())
+    held_out = round(closure["held_out"], 3) if closure else None
+    return [effect["id"], round(effect["probability"], 3), held_out, interval, parameters]
+
+
+def _with_error(estimate: Mapping[str, Any]) -> str:
+    error = estimate["standard_error"]
+    return f"{estimate['value']:.4g}" + ("" if error is None else f" ± {error:.2g}")

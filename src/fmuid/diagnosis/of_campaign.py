@@ -1,0 +1,107 @@
+"""Diagnosing a campaign: load, run in worker processes, write what was found."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from fmuid.campaign import Campaign
+from fmuid.diagnosis.diagnose import Found, Say, diagnose_subject
+from fmuid.diagnosis.setting_up import subject_of
+from fmuid.files import write_atomically
+from fmuid.runners import Runner, in_process
+
+FILE_NAME = "diagnosis.json"
+
+
+def diagnose(
+    campaign: Campaign | str | Path,
+    *,
+    out: str | Path | None = None,
+    experiments: Sequence[str] = (),
+    workers: int | None = None,
+    say: Say | None = None,
+    seed: int = 0,
+) -> Found:
+    """Say where model and measurements part, which unmodelled effect causes it, and how far it shrinks with it.
+
+    The gap is whitened by the noise between repeats; effects of the campaign's catalogue are scored, refitted
+    with the nominal parameters and judged on experiments left out (``docs/diagnosis.md``).
+
+    Parameters
+    ----------
+    campaign
+        A campaign with an ``[effects]`` table, or its folder.
+    out
+        Folder for ``diagnosis.json`` and the report ``index.html``; nothing is written without it.
+    experiments
+        Ids or globs, instead of the campaign's choice.
+    workers
+        Worker processes to simulate in; the number of processors by default, 0 for none.
+    say
+        Hears what is being done and the share of the work that is behind, 0 to 1.
+    seed
+        Of the null distribution and the bootstrap.
+
+    Returns
+    -------
+    Found
+        ``found.diagnosis`` is the answer.
+
+    Raises
+    ------
+    CampaignError
+        The campaign has no ``[effects]`` table.
+    SimulationError
+        The nominal model cannot be simulated at its start values.
+    """
+    if not isinstance(campaign, Campaign):
+        from fmuid.campaign_toml import load_campaign
+
+        campaign = load_campaign(campaign)
+    from fmuid.fmu import load_fmu
+
+    with _runner(workers) as runner:
+        subject = subject_of(campaign, load_fmu, runner=runner, experiments=experiments)
+        found = diagnose_subject(subject, **({} if say is None else {"say": say}), seed=seed)
+        if out is not None:
+            if say is not None:
+                say("drawing", 0.97)
+            _write(found, campaign, Path(out), seed)
+    # The workers are gone: whoever simulates on does so in this process.
+    return replace(found, subject=replace(subject, model=replace(subject.model, runner=in_process)))
+
+
+def _write(found: Found, campaign: Campaign, out: Path, seed: int) -> None:
+    from fmuid.report import write_diagnosis_report
+    from fmuid.report.diagnosis_pictures import pictures_of
+    from fmuid.report.provenance import hashes, versions
+
+    answer = found.diagnosis.to_dict()
+    write_atomically(out / FILE_NAME, json.dumps(answer, indent=2, allow_nan=False) + "\n")
+    models = {m.fmu for m in campaign.models.values()}
+    models |= {m.with_name(f"{found.subject.catalogue.models.get(m.stem, m.stem)}.fmu") for m in models}
+    files = [campaign.folder / "campaign.toml", *sorted(models)]
+    if campaign.effects is not None:
+        files.append(campaign.effects.catalogue)
+    write_diagnosis_report(
+        answer,
+        out,
+        campaign=campaign.title,
+        pictures=pictures_of(found),
+        provenance={**hashes(files, campaign.folder), **versions(), "seed": str(seed)},
+    )
+
+
+@contextmanager
+def _runner(workers: int | None) -> Iterator[Runner]:
+    if workers == 0:
+        yield in_process
+        return
+    from fmuid.workers import WorkerPool
+
+    with WorkerPool(workers) as pool:
+        yield pool.run
