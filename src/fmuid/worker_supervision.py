@@ -29,6 +29,12 @@ _SMALL = 16_384  # bytes that can be sent to a busy worker without waiting for i
 _MAX_FAILED_STARTS = 3
 
 
+_START_HINT = {
+    "where": "worker pool",
+    "fix": 'keep the script in a file, its work under `if __name__ == "__main__":`',
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Limits:
     """What a worker may take: s and bytes for one evaluation, evaluations and bytes of growth before it goes."""
@@ -128,12 +134,14 @@ class Supervisor:
         try:
             while self._turn():
                 pass
+        except FmuidError as error:
+            self._fail_all(error)
         except BaseException as error:  # never leave anyone waiting
             self._fail_all(FmuidError(f"its supervision failed ({error!r})", where="worker pool"))
         finally:
             with self._lock:
                 self._closing = True
-            self._fail_all(FmuidError("it has been shut down", where="worker pool"))
+            self._fail_all(FmuidError("it has been shut down", where="worker pool"), cancel=True)
             for worker in list(self._team):
                 self._dismiss(worker)
             shutil.rmtree(self._folder, ignore_errors=True)
@@ -166,8 +174,7 @@ class Supervisor:
                 self._dismiss(idle)
         busy = sum(bool(w.calls) for w in self._team)
         while len(self._team) < min(self._size, busy + waiting):
-            if not self._recruit():
-                return
+            self._recruit()
         for depth in range(_AHEAD):  # everyone gets a first before anyone gets a second
             for worker in list(self._team):
                 if worker.ready and not worker.retiring and len(worker.calls) == depth:
@@ -243,11 +250,7 @@ class Supervisor:
         self._dismiss(worker)
         if head is None:
             if self._failed_starts >= _MAX_FAILED_STARTS:
-                raise FmuidError(
-                    "worker processes do not start",
-                    where="worker pool",
-                    fix='put the script\'s work under `if __name__ == "__main__":`',
-                )
+                raise FmuidError("worker processes do not start", **_START_HINT)
             return
         if worker.done and not head.retried and worker.killed != "time":
             head.retried = True
@@ -298,7 +301,7 @@ class Supervisor:
                 if worker.killed is not None:
                     worker.process.kill()
 
-    def _recruit(self) -> bool:
+    def _recruit(self) -> None:
         ours, theirs = self._context.Pipe()
         folder = Path(tempfile.mkdtemp(dir=self._folder))
         process = self._context.Process(
@@ -307,18 +310,10 @@ class Supervisor:
         try:
             process.start()
         except (OSError, EOFError, RuntimeError) as error:
-            self._fail_all(
-                FmuidError(
-                    f"worker processes cannot be started ({error})",
-                    where="worker pool",
-                    fix='put the script\'s work under `if __name__ == "__main__":`',
-                )
-            )
-            return False
+            raise FmuidError(f"worker processes cannot be started ({error})", **_START_HINT) from None
         finally:
             theirs.close()
         self._team.append(Worker(process, ours, folder))
-        return True
 
     def _dismiss(self, worker: Worker) -> None:
         """End a worker: kindly if it is idle, else at once."""
@@ -334,13 +329,15 @@ class Supervisor:
         worker.process.close()
         shutil.rmtree(worker.folder, ignore_errors=True)
 
-    def _fail_all(self, error: FmuidError) -> None:
+    def _fail_all(self, error: FmuidError, cancel: bool = False) -> None:
         with self._lock:
             calls = [*self._pending, *(c for w in self._team for c in w.calls)]
             self._pending.clear()
         for call in calls:
-            if not call.future.cancel() and not call.future.done():
+            if call.future.running() or (not cancel and call.future.set_running_or_notify_cancel()):
                 call.future.set_exception(error)
+            else:
+                call.future.cancel()
 
 
 def _cause(code: int | None) -> str:

@@ -115,6 +115,16 @@ def test_nothing_is_left_behind(build, tmp_path, monkeypatch):
         pool.submit(os.getpid)
 
 
+def test_a_script_without_a_guard_is_told_so(tmp_path):
+    script = tmp_path / "unguarded.py"
+    script.write_text(
+        "from fmuid.workers import WorkerPool\nwith WorkerPool(1) as pool:\n    pool.submit(pow, 2, 3).result()\n"
+    )
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert 'its work under `if __name__ == "__main__":`' in done.stderr.splitlines()[-1]
+
+
 def script(build) -> subprocess.Popen[str]:
     source = f"""
         import os
