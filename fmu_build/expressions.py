@@ -440,6 +440,21 @@ def _cross(e: Evaluator, a: Value, b: Value) -> Value:
     return Array((3,), tuple(x[i - 2] * y[i - 1] - x[i - 1] * y[i - 2] for i in range(3)))
 
 
+def _outer_product(e: Evaluator, a: Value, b: Value) -> Value:
+    x, y = algebra.scalars(a), algebra.scalars(b)
+    return Array((len(x), len(y)), tuple(i * j for i in x for j in y))
+
+
+def _diagonal(e: Evaluator, a: Value) -> Value:
+    x = algebra.scalars(a)
+    return Array((len(x), len(x)), tuple(v if i == j else 0 for i, v in enumerate(x) for j in range(len(x))))
+
+
+def _skew(e: Evaluator, a: Value) -> Value:
+    x, y, z = algebra.scalars(a)
+    return Array((3, 3), (0, -z, y, z, 0, -x, -y, x, 0))
+
+
 def _cat(e: Evaluator, dimension: Value, *parts: Value) -> Value:
     arrays = [p for p in parts if isinstance(p, Array)]
     axis = whole(dimension) - 1
@@ -482,6 +497,9 @@ _SPECIAL: dict[str, Callable[..., Value]] = {
     "Linspace": _linspace,
     "Transpose": _transpose,
     "Cross": _cross,
+    "OuterProduct": _outer_product,
+    "Diagonal": _diagonal,
+    "Skew": _skew,
     "Cat": _cat,
     "Ndims": lambda e, a: len(a.shape) if isinstance(a, Array) else 0,
     "Scalar": lambda e, a: algebra.scalars(a)[0],

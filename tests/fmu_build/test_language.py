@@ -216,3 +216,26 @@ def test_what_the_front_end_would_drop_is_refused(tmp_path, use, line):
     )
     with pytest.raises(ModelicaError, match=rf"P\.mo:{line}: .*not supported"):
         compile_modelica(file, "P.M")
+
+
+def test_operators_arrays_functions_and_modifiers():
+    model = compile_modelica(LANGUAGE.with_name("Semantics.mo"), "Semantics.T")
+    instance = Instance.of(model)
+    env = instance.env(0.0, NOTHING)
+    env[5], env[7], _ = instance.settle(env, init=1.0)
+    v = values(model.functions["variables"](*env))
+    a = np.arange(1.0, 10.0).reshape(3, 3)
+    f = 8 + (1 + 2 + 7 + 8) + np.arange(1, 4) @ a[:, :2].sum(axis=1) - 1
+    expected = [
+        -4, 8, 7, -4, 1, 1, 5 + 8, 9 + 4, 16 + 9, 9 - 1, f + 1, f + 4, 1 + 2, 120, 3, 3 + 4, a[0] @ a[:, 0],
+        (a @ a).sum(), a[0].sum(), -4, 5, 5, 1, 2.501, 6 + 1 + 11, 6 + 45 + 6, 3 - 1 - 3 + 3 - 1, 6, 4, 5, 6, 8,
+        2.5, 2, 2, 3 + 11, 6 + 2,
+    ]  # fmt: skip
+    places = [find(model, f"y[{k + 1}]").location for k in range(len(expected))]
+    got = [{"v": v, "p": instance.p}[place.vector][place.index] for place in places]
+    np.testing.assert_allclose(got, expected, rtol=1e-14)
+    modified = {"mid.q": 5, "mid.r": 10, "mid.sub[1].q": 5, "mid.sub[2].q": 10, "mid.sub[1].r": 10, "mid2.q": 2,
+                "mid2.r": 1, "mid2.sub[2].q": 4, "mid2.sub[1].r": 9}  # fmt: skip
+    assert {name: instance.get(name, 0.0, NOTHING) for name in modified} == modified
+    assert env[5][find(model, "bb").location.index] == 1
+    assert env[5][find(model, "ii").location.index] == 3 + 2 + 2
