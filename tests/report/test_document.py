@@ -1,3 +1,4 @@
+import json
 import shutil
 import subprocess
 
@@ -7,7 +8,7 @@ from report_page import Page
 
 from fmuid.errors import FmuidError
 from fmuid.plots.data import Table
-from fmuid.report.document import Document, Fact, Section, shown, write_document
+from fmuid.report.document import Document, Fact, Section, _json, shown, write_document
 
 HOSTILE = "</script><script>alert(1)</script>"
 
@@ -48,6 +49,11 @@ def test_names_in_a_campaign_cannot_become_script(written):
     page = Page(written.read_text())
     assert HOSTILE in page.text
     assert "<script>alert" not in written.read_text()
+
+
+def test_nothing_in_a_figure_can_close_its_script():
+    assert "<" not in _json({"title": HOSTILE})
+    assert json.loads(_json({"title": HOSTILE})) == {"title": HOSTILE}
 
 
 def test_nothing_is_sent_to_a_server(written):
