@@ -25,7 +25,7 @@ from fmuid.campaign import FloatArray
 from fmuid.errors import FmuError, SimulationError
 from fmuid.fmu_library import FmuLibrary
 from fmuid.fmu_plan import PreparedTask
-from fmuid.fmu_variables import read_variables
+from fmuid.fmu_variables import in_words, read_variables
 from fmuid.simulation import Task, Variable
 from fmuid.stepper import FUNCTIONS, Outcome
 
@@ -90,7 +90,6 @@ class Fmu:
         self._renewal: Literal["reset", "instantiate"] | None = None
         self._set_before: dict[str, None] = {}
         self._prepared: dict[tuple[int, tuple[str, ...]], PreparedTask] = {}
-        self._run = stepper.runner()
 
     @property
     def variables(self) -> Mapping[str, Variable]:
@@ -265,9 +264,10 @@ class Fmu:
         fatal = False
         finished = False
         try:
-            outcome = self._run(plan, 0, _SLICE)
+            run = stepper.runner()
+            outcome = run(plan, 0, _SLICE)
             while outcome == Outcome.PAUSED:
-                outcome = self._run(plan, 1, _SLICE)
+                outcome = run(plan, 1, _SLICE)
             if outcome == Outcome.DONE:
                 finished = self._used = True
                 return predictions
@@ -295,7 +295,7 @@ class Fmu:
         else:
             what = f"{_REASONS[outcome]} {at}"
         said = library.log.read()
-        given = ", ".join(f"{k} = {v:.9g}" for k, v in zip(prepared.names, prepared.values, strict=True))
+        given = in_words(dict(zip(prepared.names, prepared.values.tolist(), strict=True)))
         return SimulationError(
             what + (f": {said}" if said else "") + (f" (with {given})" if given else ""), where=self.path.name
         )

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import product
+from itertools import islice, product
 from typing import Any
 
 from fmuid.simulation import Variable
@@ -56,6 +56,12 @@ class Slot:
     def has_start(self) -> bool:
         """Whether the description gives the start value."""
         return math.isfinite(self.starts[self.element])
+
+
+def in_words(parameters: Mapping[str, float], limit: int = 12) -> str:
+    """Return parameters for a message, as ``c = 1, d = 2``, cut at `limit`."""
+    shown = ", ".join(f"{k} = {v:.9g}" for k, v in islice(parameters.items(), limit))
+    return shown + (f" and {len(parameters) - limit} more" if len(parameters) > limit else "")
 
 
 def _number(text: str | None) -> float:

@@ -10,12 +10,14 @@ from __future__ import annotations
 import ctypes
 import functools
 import hashlib
+import multiprocessing
 import os
 import platform
 import shutil
 import subprocess
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from ctypes import POINTER, c_char_p, c_double, c_int32, c_int64, c_size_t, c_void_p
@@ -187,12 +189,23 @@ def library() -> ctypes.CDLL | None:
     """Return the compiled stepper, or None where it cannot be had."""
     if os.environ.get("FMUID_STEPPER") == "python":
         return None
-    path = _compile([Path(__file__).with_name(f"{n}.c") for n in ("stepper", "model_exchange")])
-    if path is None:
-        return None
-    try:
-        stepper = ctypes.CDLL(str(path))
-    except OSError:
+    sources = [Path(__file__).with_name(f"{n}.c") for n in ("stepper", "model_exchange")]
+    stepper = None
+    for _ in range(2):  # a library that cannot be loaded is made once more
+        path = _compile(sources)
+        if path is None:
+            break
+        try:
+            stepper = ctypes.CDLL(str(path))
+            break
+        except OSError:
+            path.unlink(missing_ok=True)
+    if stepper is None:
+        if multiprocessing.parent_process() is None:  # said once, not by every worker
+            warnings.warn(
+                "no working C compiler: FMUs are stepped in Python, with the same results but slower",
+                stacklevel=2,
+            )
         return None
     stepper.fmuid_run.argtypes = [POINTER(Plan), c_int32, c_double]
     stepper.fmuid_run.restype = c_int32

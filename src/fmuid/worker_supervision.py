@@ -11,6 +11,7 @@ import tempfile
 import threading
 import time
 from collections import deque
+from collections.abc import Mapping
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -20,6 +21,7 @@ from typing import Any
 
 from fmuid import worker_process
 from fmuid.errors import FmuidError, SimulationError
+from fmuid.fmu_variables import in_words
 from fmuid.worker_process import resident_memory
 
 _START_LIMIT = 60.0  # s for a worker to come up
@@ -52,7 +54,8 @@ class Call:
     message: bytes
     holds: tuple[int, ...]
     future: Future[Any]
-    label: str
+    name: str
+    parameters: Mapping[str, float]
     retried: bool = False
 
 
@@ -266,8 +269,8 @@ class Supervisor:
             what = f"took more memory than the limit of {self._limits.memory / 2**20:.0f} MB"
         else:
             what = f"crashed ({_cause(code)})"
-        name, _, given = call.label.partition("|")
-        return SimulationError(what + (f" (with {given})" if given else ""), where=name)
+        given = in_words(call.parameters)
+        return SimulationError(what + (f" (with {given})" if given else ""), where=call.name)
 
     def _patience(self) -> float | None:
         """Seconds until somebody has to be looked after, None if nobody has."""

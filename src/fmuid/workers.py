@@ -108,7 +108,7 @@ class WorkerPool(Executor):
             call = self._job(args[0])  # type: ignore[arg-type]
         else:
             message = _dumps((worker_process.CALL, fn, args, kwargs))
-            call = Call(message, (), Future(), getattr(fn, "__name__", "call"))
+            call = Call(message, (), Future(), getattr(fn, "__name__", "call"), {})
         return self._enqueue([call])[0]
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
@@ -130,9 +130,8 @@ class WorkerPool(Executor):
         simulator, task, parameters = job
         numbers = self._hold(simulator), self._hold(task)
         message = _dumps((worker_process.JOB, *numbers, dict(parameters)))
-        given = ", ".join(f"{k} = {v:.9g}" for k, v in parameters.items())
         name = getattr(getattr(simulator, "path", None), "name", type(simulator).__name__)
-        return Call(message, numbers, Future(), f"{name}|{given}")
+        return Call(message, numbers, Future(), name, parameters)
 
     def _hold(self, thing: Any) -> int:
         """Give `thing` a number; workers receive it once."""

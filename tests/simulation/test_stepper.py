@@ -67,11 +67,29 @@ def test_compiled_once_and_kept_by_content(tmp_path, monkeypatch):
     assert stepper._compile(sources) == library
 
 
-def test_no_compiler_no_library(tmp_path, monkeypatch):
+@pytest.fixture
+def empty_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    stepper.library.cache_clear()
+    yield tmp_path / "fmuid"
+    stepper.library.cache_clear()
+
+
+def test_no_compiler_costs_speed_and_is_said(build, empty_cache, monkeypatch):
+    path = build(2)
     monkeypatch.setenv("PATH", "")
-    assert stepper._compile([Path(stepper.__file__).with_name("stepper.c")]) is None
+    with pytest.warns(UserWarning, match="no working C compiler"):
+        assert Fmu(path).simulate(Task(UNEVEN, SIGNALS, ("x",)), {}).shape == (1, 200)
+
+
+def test_a_spoilt_library_is_made_again(empty_cache):
+    assert stepper.library() is not None
+    (made,) = empty_cache.iterdir()
+    stepper.library.cache_clear()
+    made.unlink()
+    made.write_bytes(b"spoilt")
+    assert stepper.library() is not None
 
 
 def test_ctrl_c_stops_a_simulation_between_two_steps(build):
