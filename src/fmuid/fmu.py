@@ -23,7 +23,7 @@ import numpy as np
 from fmuid import stepper
 from fmuid.campaign import FloatArray
 from fmuid.errors import FmuError, SimulationError
-from fmuid.fmu_library import FmuLibrary
+from fmuid.fmu_library import FmuLibrary, ProcessSpentError
 from fmuid.fmu_plan import PreparedTask
 from fmuid.fmu_variables import in_words, read_variables
 from fmuid.simulation import Task, Variable
@@ -86,6 +86,7 @@ class Fmu:
         self._library: FmuLibrary | None = None
         self._folder: Path | None = None
         self._instance: int | None = None
+        self._instantiated = False  # ever, in this process
         self._used = False  # the instance has simulated and needs a reset
         self._renewal: Literal["reset", "instantiate"] | None = None
         self._set_before: dict[str, None] = {}
@@ -254,8 +255,17 @@ class Fmu:
             self._discard()
         if self._instance is None:
             resources = (self._folder or Path()) / "resources"
-            self._instance = library.instantiate(self.name, self.token, resources.resolve())
-            self._used = False
+            try:
+                self._instance = library.instantiate(self.name, self.token, resources.resolve())
+            except FmuError:
+                if not self._instantiated:
+                    raise
+                raise ProcessSpentError(
+                    "can neither be reset nor be instantiated again in one process",
+                    where=self.path.name,
+                    fix="simulate it in worker processes (`fmuid.WorkerPool`), which start anew for it",
+                ) from None
+            self._used, self._instantiated = False, True
         plan = prepared.plan
         predictions = prepared.outputs(n_times)
         plan.instance = self._instance

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fmuid import stepper
-from fmuid.errors import FmuError
+from fmuid.errors import FmuError, SimulationError
 
 _NAMES = {
     "RESET": "Reset",
@@ -71,6 +71,10 @@ class _Callbacks2(ctypes.Structure):
         ("step_finished", c_void_p),
         ("environment", c_void_p),
     )
+
+
+class ProcessSpentError(SimulationError):
+    """The FMU cannot simulate any more in this process; it could in a new one."""
 
 
 class Log:

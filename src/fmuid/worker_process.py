@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from fmuid.errors import FmuidError
+from fmuid.fmu_library import ProcessSpentError
 from fmuid.runners import simulate
 
 _WEIGH_INTERVAL = 0.02  # s between looks at the memory
@@ -59,6 +60,8 @@ def main(connection: Connection, folder: str) -> None:
             if kind == JOB:
                 simulator, task, parameters = content
                 result: Any = simulate((kept[simulator], kept[task], parameters))
+                if isinstance(result, ProcessSpentError):
+                    os._exit(1)  # the pool tries it again in a fresh worker
             else:
                 function, arguments, keywords = content
                 result = function(*arguments, **keywords)

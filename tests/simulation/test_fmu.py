@@ -48,11 +48,8 @@ def test_outputs_follow_the_stepping_convention(build, fmi):
     np.testing.assert_allclose(y, oscillator(U, m=2, c=300), rtol=1e-12, atol=1e-15)
 
 
-@BOTH
-def test_same_as_fmpy(build, fmi):
-    if fmi == 3:
-        pytest.skip("FMPy needs functions of every type, which this FMU has for FMI 2.0 only")
-    path = build(fmi)
+def test_same_as_fmpy(build):
+    path = build(2)
     signals = np.zeros(len(TIME), dtype=[("time", float), ("u", float), ("flip", bool)])
     signals["time"], signals["u"] = TIME, np.sin(20 * TIME)
     signals["flip"] = TIME > 0.25
@@ -192,6 +189,13 @@ def test_an_fmu_that_cannot_be_instantiated_twice_is_reset(build):
     results = [fmu.simulate(task(), {"c": c}) for c in (50.0, 60.0, 50.0)]
     assert np.array_equal(results[0], results[2])
     assert not np.array_equal(results[0], results[1])
+
+
+def test_an_fmu_that_can_do_neither_says_so(build):
+    fmu = Fmu(build(2, defines=("ONCE", "RESET_FAILS")))
+    assert fmu.simulate(task(), {}).shape == (2, 501)
+    with pytest.raises(SimulationError, match=r"neither be reset nor be instantiated again.*worker processes"):
+        fmu.simulate(task(), {})
 
 
 def test_uneven_steps_are_refused_where_the_fmu_cannot(build):

@@ -70,6 +70,15 @@ def test_results_do_not_depend_on_the_number_of_workers(build, pool):
         assert np.array_equal(outcome, reference)
 
 
+def test_an_fmu_for_one_simulation_a_process(build):
+    fmu = load_fmu(build(2, defines=("ONCE", "RESET_FAILS")))
+    jobs = [(fmu, TASK, {"c": 100.0 + i}) for i in range(5)]
+    expected = in_process([(load_fmu(build(2)), *job[1:]) for job in jobs])
+    with WorkerPool(2) as pool:
+        for outcome, reference in zip(pool.run(jobs), expected, strict=True):
+            assert np.array_equal(outcome, reference)
+
+
 def test_a_leaking_fmu_is_recycled(build):
     fmu = load_fmu(build(2))
     with WorkerPool(1, recycle_growth=20 * 2**20) as pool:  # 6 MB leak in each run
