@@ -20,7 +20,6 @@ from fmu_build.model import CompiledModel
 from fmu_build.point import Point
 from fmu_build.scope import ModelScope
 from fmu_build.sorting import Solution, solve
-from fmuid.errors import ModelicaError
 
 
 def compile_modelica(file: Path, class_name: str, roots: Sequence[Path] = ()) -> CompiledModel:
@@ -55,7 +54,7 @@ def compile_flat(flat: Flat) -> CompiledModel:
             found = [scope.declarations.by_symbol.get(k) for k in scope.graph.symbols(error.value)]
             names = {d.node["name"] for d in found if d is not None and d.kind == "parameter"}
             if None in found or not names - structural:
-                raise ModelicaError(str(error), where=flat.class_name) from None
+                raise flat.error(str(error), error.span) from None
             structural |= names
 
 

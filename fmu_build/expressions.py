@@ -61,6 +61,7 @@ class UnknownSizeError(Exception):
     def __init__(self, value: SX) -> None:
         super().__init__("a size or loop range that is not known at translation")
         self.value = value
+        self.span: Any = None
 
 
 def whole(value: Value) -> int:
@@ -123,6 +124,9 @@ class Evaluator:
         try:
             return handler(content)
         except ModelicaError:
+            raise
+        except UnknownSizeError as error:
+            error.span = error.span or span
             raise
         except (TypeError, ValueError, IndexError, KeyError, ArithmeticError) as error:
             what = error.args[0] if error.args else error

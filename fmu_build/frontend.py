@@ -6,7 +6,7 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +17,7 @@ from fmu_build.sources import source_files, source_root
 from fmuid.errors import ModelicaError
 
 Node = Mapping[str, Any]
+_ENOUGH = 40  # names to tell a source file by
 
 # What rumoca's flat result consists of. A part not listed is something this translator does not know: refused.
 _READ = {
@@ -93,22 +94,43 @@ class Flat:
     def _sources(self) -> dict[int, Path]:
         # rumoca numbers its sources without naming them: the file is the one whose text has the declared names
         # where the spans say.
-        votes: dict[int, dict[Path, int]] = {}
+        spans: dict[int, list[tuple[int, int, bytes]]] = {}
+
+        def note(span: Node, name: str) -> None:
+            known = spans.setdefault(span["source"], [])
+            if len(known) < _ENOUGH:
+                known.append((span["start"], span["end"], name.rpartition(".")[2].partition("[")[0].encode()))
+
         for name, variable in self.parts["variables"].items():
-            span = variable["source_span"]
-            ident = name.rpartition(".")[2].partition("[")[0].encode()
-            for path, text in self._texts.items():
-                hit = ident in text[span["start"] : span["end"]]
-                poll = votes.setdefault(span["source"], {})
-                poll[path] = poll.get(path, 0) + hit
+            note(variable["source_span"], name)
         for function in (self.parts.get("functions") or {}).values():
             for variable in [*function["inputs"], *function["outputs"]]:
-                span = variable["span"]
-                for path, text in self._texts.items():
-                    poll = votes.setdefault(span["source"], {})
-                    hit = variable["name"].encode() in text[span["start"] : span["end"]]
-                    poll[path] = poll.get(path, 0) + hit
-        return {source: max(poll, key=lambda path: poll[path]) for source, poll in votes.items()}
+                note(variable["span"], variable["name"])
+        for equation in self["equations"]:
+            # a class with equations only: the names it uses
+            if len(spans.get(equation["span"]["source"], ())) < _ENOUGH:
+                for name, span in references(equation["residual"]):
+                    note(span, name)
+        out = {}
+        for source, known in spans.items():
+            polls = {
+                path: sum(ident in text[start:end] for start, end, ident in known)
+                for path, text in self._texts.items()
+            }
+            out[source] = max(polls, key=lambda path: polls[path])
+        return out
+
+
+def references(tree: Any) -> Iterator[tuple[str, Node]]:
+    """Yield name and span of every variable that an expression tree refers to."""
+    if isinstance(tree, Mapping):
+        if "VarRef" in tree:
+            yield tree["VarRef"]["name"]["name"], tree["VarRef"]["span"]
+        for child in tree.values():
+            yield from references(child)
+    elif isinstance(tree, list):
+        for child in tree:
+            yield from references(child)
 
 
 def load(file: Path, class_name: str, roots: Sequence[Path] = ()) -> Flat:
@@ -149,7 +171,7 @@ def load(file: Path, class_name: str, roots: Sequence[Path] = ()) -> Flat:
     if "panic" in answer:
         raise _panic(answer["panic"], file if root is None else None, class_name)
     if "error" in answer:
-        raise _front_end_error(answer["error"], answer["places"], file)
+        raise _front_end_error(answer["error"], answer["places"], file, file.name if root is None else class_name)
     flat = Flat(class_name, answer["flat"], source_files(file, roots))
     _check_parts(flat)
     source_checks.check([file, *flat.used_files()])
@@ -178,14 +200,14 @@ def _flatten(request: Mapping[str, Any]) -> dict[str, Any]:
         return {"panic": str(error)}
 
 
-def _front_end_error(error: str, places: list[str], file: Path) -> ModelicaError:
+def _front_end_error(error: str, places: list[str], file: Path, where: str) -> ModelicaError:
     for message in places:
         place = re.search(r"×\s*(.*?)\n.*?\[[^\]]*?:(\d+):\d+\]", message, re.DOTALL)
         if place:
             return ModelicaError(place.group(1), where=f"{file.name}:{place.group(2)}")
     message = error.split("\nRelated failures")[0].replace(f"{file.resolve().parent}/", "")
     message = re.sub(r"^todae failed: \S+ failed in ToDae: ", "", message)
-    return ModelicaError(message, where=file.name)
+    return ModelicaError(message, where=where)
 
 
 def _panic(text: str, file: Path | None, class_name: str) -> ModelicaError:

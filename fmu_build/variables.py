@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from fmu_build import algebra
 from fmu_build.algebra import Array, Scalar, Value
-from fmu_build.frontend import Flat, Node
+from fmu_build.frontend import Flat, Node, references
 from fmu_build.graph import SX, key
 from fmu_build.model import Type
 
@@ -184,15 +184,8 @@ def _structural_parameters(flat: Flat, more: set[str]) -> set[str]:
         if name not in out:
             out.add(name)
             node = variables.get(name)
-            left += _references(node["binding"]) if node else []
+            left += [used for used, _ in references(node["binding"])] if node else []
     return out
-
-
-def _references(tree: Any) -> list[str]:
-    if isinstance(tree, Mapping):
-        found = [tree["VarRef"]["name"]["name"]] if "VarRef" in tree else []
-        return found + [name for child in tree.values() for name in _references(child)]
-    return [name for child in tree for name in _references(child)] if isinstance(tree, list) else []
 
 
 class Parameters:
