@@ -32,7 +32,9 @@ if TYPE_CHECKING:
     from fmuid.measurements import write_measurements as write_measurements
     from fmuid.observer import Observer as Observer
     from fmuid.problem import Problem as Problem
+    from fmuid.profiles import profile_interval as profile_interval
     from fmuid.progress import TerminalProgress as TerminalProgress
+    from fmuid.propagation import propagate as propagate
     from fmuid.result import Result as Result
     from fmuid.sensitivity import sensitivity_of as sensitivity_of
     from fmuid.simulation import Simulator as Simulator
@@ -40,8 +42,6 @@ if TYPE_CHECKING:
     from fmuid.simulation import Variable as Variable
     from fmuid.solvers import Status as Status
     from fmuid.solvers import StopRules as StopRules
-    from fmuid.uncertainty import profile_interval as profile_interval
-    from fmuid.uncertainty import propagate as propagate
     from fmuid.uncertainty import uncertainty_of as uncertainty_of
     from fmuid.validation import validate as validate
     from fmuid.workers import WorkerPool as WorkerPool
@@ -72,8 +72,8 @@ _PUBLIC = {
     "load_campaign": "campaign_toml",
     "load_fmu": "fmu",
     "measured_case": "cases",
-    "profile_interval": "uncertainty",
-    "propagate": "uncertainty",
+    "profile_interval": "profiles",
+    "propagate": "propagation",
     "read_history": "history",
     "read_measurements": "measurements",
     "sensitivity_of": "sensitivity",

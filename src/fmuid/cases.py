@@ -19,13 +19,14 @@ from fmuid.campaign import (
     frozen_mapping,
     read_only,
 )
+from fmuid.channel_noise import conversion_at, noise_elsewhere, noise_level
 from fmuid.criteria import Criterion, Target, prepare
-from fmuid.errors import FmuError, ProblemError, UnitError
+from fmuid.errors import FmuError, ProblemError
 from fmuid.expressions import Expression, parse
 from fmuid.search_space import SEPARATOR
 from fmuid.simulation import Simulator, Task
 from fmuid.suggest import suggestion
-from fmuid.units import Conversion, conversion
+from fmuid.units import Conversion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,7 +208,7 @@ def measured_case(
         if name not in measurements:
             raise ProblemError(f"output '{name}' has no measurement", where=id, fix="measure it or drop it")
         repeats = np.atleast_2d(np.asarray(measurements[name], dtype=np.float64))
-        level, noise = _noise(repeats, [(sigma or {}).get(name)])
+        level, noise = noise_level(repeats, [(sigma or {}).get(name)])
         channels.append(Channel(name, name, None, read_only(repeats), level, noise))
     same = Conversion()
     setting = {n: (n, same) for n, v in simulator.variables.items() if v.causality == "parameter"}
@@ -252,12 +253,12 @@ def _case(
         signal, unit = first.outputs[name], variables[variable].unit
         if model.differentiates(name):
             unit = f"{unit or '1'}/s"
-        convert = _conversion(signal.unit, unit, f"signal '{name}' of {where}")
+        convert = conversion_at(signal.unit, unit, f"signal '{name}' of {where}")
         repeats = convert(np.array([e.outputs[name].values for e in group]))
         given = [e.outputs[name].sigma for e in group]
-        sigma, noise = _noise(repeats, [None if s is None else abs(convert.factor) * s for s in given])
+        sigma, noise = noise_level(repeats, [None if s is None else abs(convert.factor) * s for s in given])
         if noise == "unknown":
-            sigma, noise = _like_elsewhere(campaign, first, name, unit, sigma)
+            sigma, noise = noise_elsewhere(campaign, first, name, unit, sigma)
         channels.append(
             Channel(
                 name,
@@ -273,7 +274,7 @@ def _case(
     inputs = {}
     for name, signal in first.inputs.items():
         variable = _variable(model, name, simulator, where)
-        convert = _conversion(signal.unit, variables[variable].unit, f"signal '{name}' of {where}")
+        convert = conversion_at(signal.unit, variables[variable].unit, f"signal '{name}' of {where}")
         inputs[variable] = convert(signal.values)
     known = _settings(campaign, first, model, simulator, where)
     time, raw_inputs = first.time, {name: signal.values for name, signal in first.inputs.items()}
@@ -288,7 +289,7 @@ def _case(
     for spec in campaign.parameters.values():
         variable = model.variable(spec.name)
         if variable in variables and variable not in _own_settings(first, model):
-            convert = _conversion(spec.unit, variables[variable].unit, f"parameter '{spec.name}'")
+            convert = conversion_at(spec.unit, variables[variable].unit, f"parameter '{spec.name}'")
             setting[spec.name] = (variable, convert)
     known_inputs = {n: u[: len(first.time)] for n, u in inputs.items()} | raw_inputs
     prepared = tuple(
@@ -318,15 +319,6 @@ def _variable(model: ModelSpec, name: str, simulator: Simulator, where: str) -> 
     return variable
 
 
-def _conversion(source: str | None, target: str | None, where: str) -> Conversion:
-    if source is None:
-        return Conversion()
-    try:
-        return conversion(source, target)
-    except UnitError as error:
-        raise UnitError(error.what, where=where, fix=error.fix) from None
-
-
 def _own_settings(experiment: Experiment, model: ModelSpec) -> frozenset[str]:
     return frozenset(model.variable(name) for name in experiment.settings)
 
@@ -341,7 +333,7 @@ def _settings(
     for name, number in experiment.settings.items():
         variable = _variable(model, name, simulator, where)
         unit = experiment.setting_units.get(name)
-        convert = _conversion(unit, variables[variable].unit, f"setting '{name}' of {where}")
+        convert = conversion_at(unit, variables[variable].unit, f"setting '{name}' of {where}")
         known[variable] = convert.factor * number + convert.offset
     return known
 
@@ -385,47 +377,3 @@ def _find(channels: Sequence[Channel], signal: str, where: str) -> Channel:
 
 def _target(time: FloatArray, channel: Channel, inputs: Mapping[str, FloatArray]) -> Target:
     return Target(channel.signal, time, channel.mean, channel.count, channel.sigma, inputs)
-
-
-def _like_elsewhere(
-    campaign: Campaign, run: Experiment, signal: str, unit: str | None, otherwise: FloatArray
-) -> tuple[FloatArray, str]:
-    """Return the noise that the same signal has in other runs of the same setup, if it is known there."""
-    found = []
-    for other in campaign.measurements:
-        if other.setup != run.setup or other.repeat_of is not None or signal not in other.outputs:
-            continue
-        runs = campaign.measurements.repeats(other.id)
-        convert = _conversion(other.outputs[signal].unit, unit, f"signal '{signal}' of experiment '{other.id}'")
-        given = [e.outputs[signal].sigma for e in runs if signal in e.outputs]
-        same = [
-            e.outputs[signal].values for e in runs if signal in e.outputs and np.array_equal(e.time, other.time)
-        ]
-        level, noise = _noise(np.array(same), given if len(given) == len(same) else [None])
-        if noise != "unknown":
-            found.append(abs(convert.factor) * level[0])
-    if not found:
-        return otherwise, "unknown"
-    return np.full(len(otherwise), float(np.sqrt(np.mean(np.square(found))))), "repeats"
-
-
-def _noise(repeats: FloatArray, given: Sequence[float | None]) -> tuple[FloatArray, str]:
-    """Return the noise level (N,) of a channel and where it comes from."""
-    n = repeats.shape[1]
-    known = [s for s in given if s is not None and s > 0.0]
-    if len(known) == len(given):
-        return np.full(n, float(np.sqrt(np.mean(np.square(known))))), "given"
-    degrees = np.sum(np.maximum(np.sum(np.isfinite(repeats), axis=0) - 1, 0))
-    if len(repeats) > 1 and degrees > 0:
-        with np.errstate(invalid="ignore"):
-            count = np.sum(np.isfinite(repeats), axis=0)
-            mean = np.nansum(repeats, axis=0) / np.where(count > 0, count, np.nan)
-        spread = float(np.sqrt(np.nansum((repeats - mean) ** 2) / degrees))
-        # A quantised signal may repeat exactly; its noise is not below the quantum's.
-        jumps = np.abs(np.diff(repeats, axis=1))
-        quantum = float(np.min(jumps[jumps > 0.0], initial=np.inf))
-        level = max(spread, quantum / np.sqrt(12.0) if spread == 0.0 and np.isfinite(quantum) else 0.0)
-        if level > 0.0:
-            return np.full(n, level), "repeats"
-    scale = float(np.nanstd(repeats))
-    return np.full(n, scale if scale > 0.0 else 1.0), "unknown"
