@@ -11,7 +11,7 @@ import threading
 import time
 import weakref
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType, TracebackType
@@ -86,6 +86,7 @@ class Fmu:
         self._library: FmuLibrary | None = None
         self._folder: Path | None = None
         self._instance: int | None = None
+        self._run: Callable[[stepper.Plan, int, float], int] | None = None
         self._instantiated = False  # ever, in this process
         self._used = False  # the instance has simulated and needs a reset
         self._renewal: Literal["reset", "instantiate"] | None = None
@@ -274,7 +275,7 @@ class Fmu:
         fatal = False
         finished = False
         try:
-            run = stepper.runner()
+            run = self._run = self._run or stepper.runner()
             outcome = run(plan, 0, _SLICE)
             while outcome == Outcome.PAUSED:
                 outcome = run(plan, 1, _SLICE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -123,9 +124,9 @@ class PreparedTask:
 
     def set_parameters(self, parameters: Mapping[str, float]) -> None:
         """Take the values of `names`, in their order, for the next run."""
-        values = self.values
-        values[:] = np.fromiter(parameters.values(), np.float64, len(values))
-        if not np.isfinite(values).all() or (self._any_whole and np.any((values % 1 != 0) & self._whole)):
+        self.values[:] = list(parameters.values())
+        fine = all(map(math.isfinite, parameters.values()))
+        if not fine or (self._any_whole and np.any((self.values % 1 != 0) & self._whole)):
             for name, value in parameters.items():
                 self._checked(name, value)
 
