@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 EMPS ?= ../shared/data/emps
+SEALED ?= ../shared/data/sealed
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DEVELOPER := $(VENV)/.developer
@@ -18,7 +19,7 @@ FORCE_FEEDBACK := campaigns/force_feedback
 LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 FRICTION := --stage bearing $(foreach row,10 15 20 30,--stage row_$(row)_equal --stage row_$(row)) --stage standstill
 
-.PHONY: all setup fmus test test-all lint identify identify-linear identify-friction identify-emps diagnose bench clean
+.PHONY: all setup fmus test test-all lint identify identify-linear identify-friction identify-emps diagnose diagnose-emps sealed bench clean
 all: identify
 
 setup: $(READY)

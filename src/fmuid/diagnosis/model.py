@@ -101,7 +101,7 @@ class CampaignModel:
             name: v for name, v in values.items() if name in case.simulator.variables and name not in case.setting
         }
         tied = {name: e(values) for name, e in self.tie.items() if name in case.simulator.variables}
-        return {**own, **tied, **case.start_values(values)}
+        return {**own, **case.start_values(values), **tied}
 
     def _simulate(
         self, wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]]

@@ -19,6 +19,7 @@ from fmuid.errors import ProblemError
 
 _BANDS_PER_OCTAVE = 1
 _MIN_BIN_COUNT = 3
+_QUIETEST = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,6 +206,53 @@ def estimate_noise(runs: Sequence[RepeatedRuns], *, lattice: Mapping[str, float]
         degrees_of_freedom=dof,
         calibrated=all(r.n_repeats >= 5 for r in runs),
     )
+
+
+def noise_of_residuals(
+    runs: Sequence[RepeatedRuns],
+    residuals: Sequence[FloatArray],
+    leverage: Sequence[FloatArray] | None = None,
+) -> SetupNoise:
+    """Take what a model leaves of runs without repeats for their noise, each channel by itself.
+
+    Parameters
+    ----------
+    runs
+        Experiments of one setup, with the same channels and sampling interval.
+    residuals
+        (C, N) prediction minus measurement an experiment.
+    leverage
+        (C, N) an experiment: degrees of freedom that the model's parameters have taken from each coefficient.
+        Without it the noise is white, of each mean square: for a model that does not fit yet.
+
+    Returns
+    -------
+    SetupNoise
+        Variances in bands of an octave or more, none below a tenth of their mean over all bands: what a model
+        leaves is concentrated in time, and its quiet bands are no measure of the noise there. The mean of a run
+        varies as the lowest band does.
+    """
+    channels = runs[0].channels
+    dt = float(np.mean(np.diff(runs[0].time)))
+    edges = np.array([0.0, np.inf]) if leverage is None else _band_edges(max(len(r.time) for r in runs), dt)
+    total, dof = np.zeros((len(edges) - 1, len(channels))), np.zeros((len(edges) - 1, len(channels)))
+    for k, (run, residual) in enumerate(zip(runs, residuals, strict=True)):
+        spectrum = real_spectrum(residual * run.mask)
+        bands = _bands_of(len(run.time), dt, edges)
+        taken = np.zeros_like(spectrum) if leverage is None else leverage[k]
+        for band in range(len(dof)):
+            chosen = bands == band
+            total[band] += np.sum(spectrum[:, chosen] ** 2, axis=1)
+            dof[band] += np.sum(1.0 - taken[:, chosen], axis=1)
+    variance = np.maximum(total / np.maximum(dof, 1.0), _QUIETEST * total.sum(axis=0) / dof.sum(axis=0))
+    if np.any(variance <= 0.0):
+        raise ProblemError(
+            "a signal without repeats is predicted without error, so its noise cannot be estimated",
+            where=f"setup '{runs[0].setup}'",
+            fix="leave the signal out, or repeat the experiment",
+        )
+    covariance = np.array([np.diag(v) for v in variance])
+    return SetupNoise(channels, dt, edges, covariance, np.zeros(len(channels)), dof.mean(axis=1), calibrated=False)
 
 
 def whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener:

@@ -58,10 +58,13 @@ class Observed:
         One entry an experiment.
     noise
         Setup -> its noise.
+    modelled_noise
+        Whether some of the noise is what a flexible model leaves, for want of repeats.
     """
 
     runs: tuple[RepeatedRuns, ...]
     noise: Mapping[str, SetupNoise]
+    modelled_noise: bool = False
 
     @classmethod
     def from_runs(cls, runs: Sequence[RepeatedRuns]) -> Observed:
@@ -72,7 +75,7 @@ class Observed:
 
     def select(self, ids: Sequence[str]) -> Observed:
         """Return the same noise with only the experiments `ids`."""
-        return Observed(tuple(r for r in self.runs if r.id in ids), self.noise)
+        return Observed(tuple(r for r in self.runs if r.id in ids), self.noise, self.modelled_noise)
 
     @cached_property
     def whiteners(self) -> tuple[Whitener, ...]:

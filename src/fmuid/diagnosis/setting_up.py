@@ -15,6 +15,7 @@ from fmuid.diagnosis.catalogue import Catalogue, Effect, load_catalogue
 from fmuid.diagnosis.model import CampaignModel
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Unknown
+from fmuid.diagnosis.unrepeated import observe
 from fmuid.errors import CampaignError, FmuError
 from fmuid.expressions import parse
 from fmuid.runners import Runner, in_process
@@ -94,7 +95,7 @@ def subject_of(
             fix=suggestion(missing[0], known) if missing else "name the FMUs that carry the effects in [models]",
         )
     nominal = _nominal(campaign, spec, cases_parameters={n for c in cases for n in c.setting})
-    return Subject(model, Observed.from_runs(model.runs), nominal, catalogue, effects)
+    return Subject(model, observe(model, nominal, effects), nominal, catalogue, effects)
 
 
 def expand_slice(target: str, known: Sequence[str] | set[str]) -> list[str]:
