@@ -11,11 +11,13 @@ model Flexspline "Compliance with backlash, hardening and rate-independent hyste
   Real z(start = 0, fixed = true, unit = "1") "Hysteresis torque over its largest value, Bouc-Wen";
 protected
   Types.Angle deflection "Relative angle before backlash";
+  Types.Torque pressing "Torque of spring and damper; teeth with play between them only press";
   Real contact(unit = "1") "0 within the backlash, 1 in contact";
 equation
   deflection = phi_rel - phi_rel0 + phi_port;
   wind = deflection - noEvent(max(-backlash/2, min(backlash/2, deflection)));
-  contact = noEvent(if backlash > 0 then min(1.0, abs(wind)/max(0.1*backlash, 1e-9)) else 1.0);
+  contact = noEvent(if backlash > 0 then min(1.0, abs(wind)/max(0.02*backlash, 1e-9)) else 1.0);
   der(z) = noEvent(if hysteresis > 0 then (w_rel - (if w_rel*z > 0 then abs(z)*w_rel else 0.0))/hysteresis_angle else 0.0);
-  tau = c*wind*(1 + hardening*(wind/phi_hard)^2) + d*contact*w_rel + hysteresis*z;
+  pressing = c*wind*(1 + hardening*(wind/phi_hard)^2) + d*contact*w_rel;
+  tau = hysteresis*z + noEvent(if not backlash > 0 then pressing elseif wind > 0 then max(0.0, pressing) else min(0.0, pressing));
 end Flexspline;

@@ -13,16 +13,19 @@ model HarmonicDrive "Harmonic Drive gear with friction beyond a constant, torque
   parameter Types.Angle error_sin = 0 "Transmission error at two periods a turn of the Wave Generator, sine";
   parameter Types.Angle error_cos = 0 "Transmission error at two periods a turn of the Wave Generator, cosine";
   parameter Real thermal(unit = "1/W") = 0 "Bearing friction falls with exp(-thermal times the warmth)";
+  parameter Real warming(unit = "1") = 0 "The same fall in the course of running, whatever the power: exp(-warming) in the end";
   parameter Types.Time thermal_time(min = 0) = 20 "Time constant of warming up";
   Interfaces.RealInput tau_port(unit = "N.m") "Added to the loss torque";
   Types.Power warmth(start = 0, fixed = true) "Lost power behind the time constant of warming up";
+  Real running(start = 0, fixed = true, unit = "1") "0 at the start, 1 once warmed up";
 protected
   Types.Torque extra "Bearing friction over speed, both directions";
   Real error_slope(unit = "1") "Transmission error over the angle of the Wave Generator";
   Real cold(unit = "1") "Share of the bearing friction left by warming up";
 equation
   der(warmth) = noEvent(if abs(thermal) > 0 then (lossPower - warmth)/thermal_time else 0.0);
-  cold = exp(-thermal*warmth);
+  der(running) = noEvent(if abs(warming) > 0 then (1 - running)/thermal_time else 0.0);
+  cold = exp(-thermal*warmth - warming*running);
   extra = viscous*noEvent(abs(w)) + stribeck*exp(-((w/stribeck_speed)^2 + 1e-6)^(stribeck_exponent/2));
   losses_forward[1] = losses[1]*mesh_eta1;
   losses_forward[2] = losses[2]*mesh_eta2;
