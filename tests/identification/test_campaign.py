@@ -299,3 +299,29 @@ def test_excitation_says_what_no_run_shows():
     assert any("no run reverses:" in line for line in moving(1 + 0.5 * swing, np.ones(101)))
     assert any("reverses under load" in line for line in moving(swing, swing))
     assert moving(swing, np.cos(2 * np.pi * time)) == ()
+
+
+def test_a_campaign_interrupted_in_its_second_stage_goes_on_there(tmp_path, bench):
+    whole = identify(campaign(), simulators=bench)
+
+    class Interrupt(Observer):
+        def evaluated(self, progress):
+            if progress.stage == "all" and progress.evaluations == 4:
+                raise KeyboardInterrupt
+
+    stopped = identify(campaign(), simulators=bench, out=tmp_path, observer=Interrupt())
+    assert [s.status for s in stopped.stages] == [Status.CONVERGED, Status.INTERRUPTED]
+    before = bench["bench"].count
+    resumed = identify(campaign(), simulators=bench, out=tmp_path, resume=True)
+    assert resumed.parameters == whole.parameters
+    # The first stage is not simulated again: two cases for each evaluation of the second are the most.
+    found = resumed.stage("all")
+    assert bench["bench"].count - before <= 2 * (found.evaluations + 2 * len(found.estimates) + 7)
+    assert resumed.stage("gain") == stopped.stage("gain")
+    assert resumed.status is Status.CONVERGED
+
+
+def test_lazy_public_names_all_load():
+    import fmuid
+
+    assert all(callable(getattr(fmuid, name)) for name in dir(fmuid))
