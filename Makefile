@@ -57,6 +57,12 @@ identify-emps: $(FMUS) campaigns/emps/measurements.h5
 diagnose: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/fmuid diagnose $(FORCE_FEEDBACK) --out runs/diagnosis
 
+diagnose-emps: $(FMUS) campaigns/emps/measurements.h5
+	$(BIN)/fmuid diagnose campaigns/emps --out runs/emps-diagnosis
+
+sealed: $(FMUS)
+	$(BIN)/python -m fmuid.diagnosis.sealed $(SEALED) --out sealed --page docs/sealed.md
+
 lint: $(DEVELOPER)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
