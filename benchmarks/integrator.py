@@ -18,9 +18,9 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
+
 from fmu_build import compile_modelica
 from fmu_build.packaging import package
-
 from fmuid.fmu import load_fmu
 from fmuid.simulation import Task
 

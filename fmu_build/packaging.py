@@ -20,12 +20,22 @@ from pathlib import Path
 
 from fmu_build.model import CompiledModel, Location, Variable
 from fmu_build.model_description import FmiVersion, model_description, states
+from fmu_build.switches import switches_code
 from fmuid.errors import BuildError
 
 DEFAULT_TOLERANCE = 1e-6
 # Contraction into fused operations would make results depend on the processor the compiler had in mind.
 C_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
-_SHARED = ("equations.c", "events.c", "initialise.c", "integrator.c", "lifecycle.c", "sensitivity.c", "simulate.c")
+_SHARED = (
+    "equations.c",
+    "events.c",
+    "initialise.c",
+    "integrator.c",
+    "kinks.c",
+    "lifecycle.c",
+    "sensitivity.c",
+    "simulate.c",
+)
 _HEADERS = ("instance.h", "lu.h", "sensitivity.h")
 _FMI_HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
@@ -103,6 +113,7 @@ def _sources(model: CompiledModel, fmi: FmiVersion) -> dict[str, str]:
     """Everything the C compiler needs, by file name; C files first."""
     headers = resources.files("fmpy") / "c-code"
     files = {"model.c": model.c_source, **_runtime(fmi), "model.h": model.c_header}
+    files |= switches_code(model.functions.get("derivatives"))
     files["model_config.h"] = configuration(model, _guid(model, fmi))
     files |= {name: (headers / name).read_text() for name in _FMI_HEADERS[fmi]}
     return files

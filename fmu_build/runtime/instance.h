@@ -9,10 +9,12 @@
 
 #include "model.h"
 #include "model_config.h"
+#include "switches.h"
 
 enum { NX = MODEL_NX, NU = MODEL_NU, NP = MODEL_NP, ND = MODEL_ND, NZ = MODEL_NZ };
 enum { NM = MODEL_NM, NY = MODEL_NY, NV = MODEL_NV, STAGES = 8 };
 #define LENGTH(n) ((n) > 0 ? (n) : 1)
+#define LARGER(a, b) ((a) > (b) ? (a) : (b))
 
 typedef enum { STATUS_OK, STATUS_WARNING, STATUS_DISCARD, STATUS_ERROR, STATUS_FATAL } Status; /* as in FMI */
 
@@ -64,10 +66,10 @@ typedef void (*LogFunction)(const Instance *me, Status status, const char *messa
 struct Instance {
     State s;
     /* work memory: nothing in it outlives one call */
-    const double *arg[MODEL_SZ_ARG + 1];
-    double *res[MODEL_SZ_RES + 1];
-    casadi_int iw[MODEL_SZ_IW + 1];
-    double w[MODEL_SZ_W + 1];
+    const double *arg[LARGER(MODEL_SZ_ARG, SWITCHES_SZ_ARG) + 1];
+    double *res[LARGER(MODEL_SZ_RES, SWITCHES_SZ_RES) + 1];
+    casadi_int iw[LARGER(MODEL_SZ_IW, SWITCHES_SZ_IW) + 1];
+    double w[LARGER(MODEL_SZ_W, SWITCHES_SZ_W) + 1];
     double ut[LENGTH(NU)], g[LENGTH(NM)];
     double jacobian[LENGTH(NX) * LENGTH(NX)], dfdt[LENGTH(NX)], f0[LENGTH(NX)];
     double matrix[LENGTH(NX + NY) * LENGTH(NX + NY)];
@@ -109,6 +111,9 @@ int relations_for_input(Instance *me, double *kept);
 void event_indicators(Instance *me, double *g);
 Status event_iteration(Instance *me, int initial);
 void find_event(Instance *me);
+
+/* kinks.c */
+double first_kink(Instance *me, double h, int again);
 
 /* integrator.c */
 Status restart_integration(Instance *me);

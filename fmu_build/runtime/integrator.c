@@ -201,7 +201,8 @@ Status integrate_step(Instance *me, double target, int exact) {
     if (!(step->h_next > 0.0)) step->h_next = first_step(me, step->x0);
 
     double h = step->h_next;
-    int rejected = 0;
+    const double wanted = h;
+    int rejected = 0, at_kink = 0;
     for (;;) {
         const int cut = h >= room || (h > 0.5 * room && isfinite(room));
         double attempt = h;
@@ -224,7 +225,8 @@ Status integrate_step(Instance *me, double target, int exact) {
             step->h_next = cut && !rejected && error > 0.0 && 0.9 * pow(error, -0.2) * attempt < h
                                ? 0.9 * pow(error, -0.2) * attempt
                                : (cut && !rejected ? fmax(h, proposed) : proposed);
-            step->h_old = attempt;
+            if (at_kink) step->h_next = fmax(step->h_next, 0.1 * fmin(wanted, room));
+            step->h_old = at_kink ? 0.0 : attempt;
             step->error_old = fmax(error, 1e-2);
             step->h = attempt;
             step->t1 = attempt == room ? limit : t + attempt;
@@ -236,5 +238,13 @@ Status integrate_step(Instance *me, double target, int exact) {
         rejected = 1;
         step->rejections++;
         h = attempt * (isfinite(error) ? fmax(0.1, 0.9 * pow(error, -0.2)) : 0.1);
+        /* An error out of all proportion comes from a kink in f: end the next attempt just past it. */
+        if (error > 100.0 && at_kink < 4 && !step->fresh) {
+            const double part = first_kink(me, attempt, at_kink);
+            if (part < 1.0) {
+                at_kink++;
+                h = part * attempt * (1.0 + 1e-3 * pow(0.1, at_kink));
+            }
+        }
     }
 }

@@ -1,0 +1,78 @@
+"""Where an event-free right-hand side has its kinks.
+
+``abs``, ``min``, ``max`` and ``noEvent`` conditions make f only piecewise smooth. An integrator that knows their
+switching functions ends a step at the kink instead of feeling for it with ever smaller steps. They change nothing
+but the choice of the steps: f is evaluated as it stands.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+
+_MOST = 200  # more kinks than that are not worth looking at
+_DIFFERENCE = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_LT, ca.OP_LE)
+_ARGUMENT = (ca.OP_FABS, ca.OP_SIGN)
+
+
+def switching_functions(derivatives: Any) -> Any:
+    """Return the switching functions of a right-hand side.
+
+    Parameters
+    ----------
+    derivatives
+        SX function of the arguments ENV (see `fmu_build.model`) that computes dx.
+
+    Returns
+    -------
+    casadi.Function
+        ``model_switches`` of the same arguments; f is smooth wherever no component changes its sign.
+    """
+    arguments = derivatives.sx_in()
+    found: dict[int, Any] = {}
+    seen: set[int] = set()
+    outputs = derivatives.call(arguments)
+    stack = [e for result in outputs for e in result.elements()]
+    while stack:
+        node = stack.pop()
+        key = node.element_hash()
+        if key in seen:
+            continue
+        seen.add(key)
+        operands = [node.dep(i) for i in range(node.n_dep())]
+        if operands and node.op() in (*_DIFFERENCE, *_ARGUMENT):
+            switch = operands[0] - operands[1] if node.op() in _DIFFERENCE else operands[0]
+            if not switch.is_constant():
+                found.setdefault(switch.element_hash(), switch)
+        stack.extend(operands)
+    chosen = list(found.values()) if len(found) <= _MOST else []
+    return ca.Function("model_switches", arguments, [ca.densify(ca.vertcat(*chosen)) if chosen else ca.SX(0, 1)])
+
+
+def switches_code(derivatives: Any | None) -> dict[str, str]:
+    """Generate ``switches.c`` and ``switches.h``; without a function there are no switches in them."""
+    length, sizes, source = 0, (0, 0, 0, 0), ""
+    if derivatives is not None and derivatives.is_a("SXFunction"):
+        function = switching_functions(derivatives)
+        length = function.numel_out(0)
+        sizes = (function.sz_arg(), function.sz_res(), function.sz_iw(), function.sz_w())
+    if length:
+        generator = ca.CodeGenerator("switches.c", {"casadi_int": "long long int"})
+        generator.add(function)
+        with tempfile.TemporaryDirectory() as folder:
+            generator.generate(folder + "/")
+            source = (Path(folder) / "switches.c").read_text()
+    macros = zip(("ARG", "RES", "IW", "W"), sizes, strict=True)
+    lines = [
+        "/* Switching functions of the right-hand side, see fmu_build/switches.py. Generated. */",
+        f"#define MODEL_NSWITCH {length}",
+        *(f"#define SWITCHES_SZ_{name} {size}" for name, size in macros),
+        "int model_switches(const double **arg, double **res, long long int *iw, double *w, int mem);",
+    ]
+    return {
+        "switches.c": source or "/* none */\ntypedef int no_switches;\n",
+        "switches.h": "\n".join(lines) + "\n",
+    }
