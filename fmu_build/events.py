@@ -116,9 +116,11 @@ def collect(
 def _fires(scope: ModelScope, branch: Branch) -> SX:
     fires = SX(0.0)
     for condition in branch.conditions:
-        if key(condition) == key(scope.init):
-            fires = ca.logic_or(fires, scope.init)
-            continue
+        if key(scope.init) in scope.graph.symbols(condition):  # initial() in it: may fire at initialisation
+            fires = ca.logic_or(fires, ca.logic_and(scope.init, condition))
+            condition = Substitution({key(scope.init): SX(0.0)})(condition)
+            if condition.is_constant():
+                continue
         held = scope.hold(f"condition {len(scope.held) + 1}", condition, SX(0.0))
         edge = ca.logic_and(condition, ca.logic_not(held.previous))
         fires = ca.logic_or(fires, ca.logic_and(edge, ca.logic_not(scope.init)))

@@ -126,6 +126,12 @@ def test_initial_algorithm_and_initial_values_of_discrete_variables(simulate):
     assert result["x"][-1] == pytest.approx(0.0, abs=1e-7)
 
 
+def test_initial_in_when_clauses(simulate):
+    """A condition that is true from the start does not fire, unless initial() lets it."""
+    result = simulate("AtStart", ["a", "b", "c"], 1.0, 0.25)
+    assert [tuple(result[n]) for n in "abc"] == [(1, 1, 1, 2, 2), (1,) * 5, (0,) * 5]
+
+
 def test_terminate(simulate):
     result = simulate("Ends", ["x"], 1.0, 0.05)
     assert result["time"][-1] == pytest.approx(0.5, abs=1e-6)

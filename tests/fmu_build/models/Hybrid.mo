@@ -185,6 +185,23 @@ package Hybrid "Events"
     der(x) = -z;
   end Pulse;
 
+  model AtStart "initial() in when-clauses"
+    parameter Real x0 = 2;
+    Real x(start = x0, fixed = true);
+    Integer a(start = 0), b(start = 0), c(start = 0);
+  equation
+    der(x) = 1;
+    when {initial(), time > 0.5} then
+      a = pre(a) + 1;
+    end when;
+    when initial() and x > 1 then
+      b = pre(b) + 1;
+    end when;
+    when x > 1 then
+      c = pre(c) + 1;
+    end when;
+  end AtStart;
+
   model Quiet
     output Real y = noEvent(if time > 1 then 1 else 0);
     output Real q = smooth(0, if time > 1 then time else 1);
