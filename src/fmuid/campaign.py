@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,6 +30,10 @@ def read_only(values: ArrayLike) -> FloatArray:
 def frozen_mapping(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return a read-only copy of `mapping`, in its order."""
     return MappingProxyType(dict(mapping))
+
+
+# Tasks travel to other processes, and the standard library cannot pickle read-only mappings by itself.
+copyreg.pickle(MappingProxyType, lambda mapping: (frozen_mapping, (dict(mapping),)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

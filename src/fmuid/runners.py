@@ -29,13 +29,20 @@ def in_process(jobs: Sequence[Job]) -> list[Outcome]:
     return [simulate(job) for job in jobs]
 
 
+def _outcome(future: Future[Outcome]) -> Outcome:
+    try:
+        return future.result()
+    except SimulationError as error:
+        return error
+
+
 def on_executor(executor: Executor) -> Runner:
     """Return a runner that submits every job to `executor`."""
 
     def run(jobs: Sequence[Job]) -> list[Outcome]:
         futures: list[Future[Outcome]] = [executor.submit(simulate, job) for job in jobs]
         try:
-            return [future.result() for future in futures]
+            return [_outcome(future) for future in futures]
         except BaseException:
             for future in futures:
                 future.cancel()
