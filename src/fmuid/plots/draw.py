@@ -343,7 +343,9 @@ def _parallel(figure: ParallelFigure) -> Canvas:
                 zorder=6,
                 label="reference" if k == 0 else None,
             )
-    axes.set_xticks(range(n), [s.axis.label.replace(" / ", "\n/ ") for s in figure.scales], fontsize=7)
+    turned: dict[str, Any] = {"rotation": 30, "ha": "right"} if n > 6 else {}
+    labels = [s.axis.label.replace(" / ", "\n/ ") for s in figure.scales]
+    axes.set_xticks(range(n), labels, fontsize=7, **turned)
     axes.tick_params(axis="x", length=0, pad=12)
     axes.set_yticks([])
     axes.spines[["left", "bottom"]].set_visible(False)

@@ -354,8 +354,11 @@ def _parallel(figure: ParallelFigure) -> tuple[list[Spec], Spec]:
             "values": packed(np.log10(cost[order]) if log else cost[order]),
         }
     )
-    trace = {"type": "parcoords", "line": line, "dimensions": dimensions, "labelfont": {"size": 12}}
-    return [trace], {"height": 400, "margin": {"l": 70, "r": 70, "t": 70, "b": 30}}
+    crowded = len(dimensions) > 5
+    trace: Spec = {"type": "parcoords", "line": line, "dimensions": dimensions, "labelfont": {"size": 12}}
+    trace["labelangle"] = -30 if crowded else 0
+    top = 150 if crowded else 70
+    return [trace], {"height": 330 + top, "margin": {"l": 70, "r": 110 if crowded else 70, "t": top, "b": 30}}
 
 
 def _dimension(scale: Scale, values: FloatArray) -> Spec:
