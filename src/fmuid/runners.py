@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future
+from typing import Any
 
 from fmuid.campaign import FloatArray
 from fmuid.errors import SimulationError
@@ -29,11 +30,13 @@ def in_process(jobs: Sequence[Job]) -> list[Outcome]:
     return [simulate(job) for job in jobs]
 
 
-def _outcome(future: Future[Outcome]) -> Outcome:
+def outcome_of(future: Future[Any]) -> Outcome:
+    """Wait for a simulation; one that raised is its error."""
     try:
-        return future.result()
+        outcome: Outcome = future.result()
     except SimulationError as error:
         return error
+    return outcome
 
 
 def on_executor(executor: Executor) -> Runner:
@@ -42,7 +45,7 @@ def on_executor(executor: Executor) -> Runner:
     def run(jobs: Sequence[Job]) -> list[Outcome]:
         futures: list[Future[Outcome]] = [executor.submit(simulate, job) for job in jobs]
         try:
-            return [_outcome(future) for future in futures]
+            return [outcome_of(future) for future in futures]
         except BaseException:
             for future in futures:
                 future.cancel()

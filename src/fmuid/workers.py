@@ -11,21 +11,18 @@ its worker, exceeds the time limit or the memory limit becomes a `SimulationErro
 
 from __future__ import annotations
 
-import copyreg
-import io
 import itertools
 import os
 import pickle
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
-from types import MappingProxyType, TracebackType
+from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
 
 from fmuid import worker_process
-from fmuid.campaign import frozen_mapping
-from fmuid.errors import FmuidError, SimulationError
-from fmuid.runners import Job, Outcome, simulate
+from fmuid.errors import FmuidError
+from fmuid.runners import Job, Outcome, outcome_of, simulate
 from fmuid.worker_supervision import Call, Limits, Supervisor
 
 P = ParamSpec("P")
@@ -93,7 +90,7 @@ class WorkerPool(Executor):
         """
         futures = self._enqueue([self._job(job) for job in jobs])
         try:
-            return [_outcome(future) for future in futures]
+            return [outcome_of(future) for future in futures]
         except BaseException:
             for future in futures:
                 future.cancel()
@@ -162,30 +159,12 @@ def _memory_share(workers: int) -> int:
         return 0
 
 
-def _outcome(future: Future[Any]) -> Outcome:
-    try:
-        outcome: Outcome = future.result()
-    except SimulationError as error:
-        return error
-    return outcome
-
-
-class _Pickler(pickle.Pickler):
-    # Experiments and tasks hold read-only mappings, which pickle does not know.
-    dispatch_table = {  # noqa: RUF012
-        **copyreg.dispatch_table,
-        MappingProxyType: lambda m: (frozen_mapping, (dict(m),)),
-    }
-
-
 def _dumps(thing: Any) -> bytes:
-    buffer = io.BytesIO()
     try:
-        _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump(thing)
+        return pickle.dumps(thing, pickle.HIGHEST_PROTOCOL)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise FmuidError(
             f"cannot be sent to a worker process ({error})",
             where=type(thing).__name__,
             fix="define it in a module, or run in this process",
         ) from None
-    return buffer.getvalue()
