@@ -7,6 +7,7 @@ import operator
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import casadi as ca
 
@@ -99,6 +100,23 @@ def scalars(value: Value) -> tuple[Scalar, ...]:
     if isinstance(value, bool | int | float | SX):
         return (value,)
     raise TypeError(f"a number is needed here, not {kind(value)}")
+
+
+class UnknownSizeError(Exception):
+    """A whole number that must be known at translation depends on symbols."""
+
+    def __init__(self, value: SX) -> None:
+        super().__init__("a size or loop range that is not known at translation")
+        self.value = value
+        self.span: Any = None
+
+
+def whole(value: Value) -> int:
+    """Integer that decides a size, a range or a subscript at translation."""
+    (number,) = scalars(value)
+    if isinstance(number, SX):
+        raise UnknownSizeError(number)
+    return int(number)
 
 
 def elementwise(function: Callable[..., Scalar], *values: Value) -> Value:

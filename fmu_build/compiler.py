@@ -11,7 +11,6 @@ from fmu_build import algebra, algorithms, codegen, events, start
 from fmu_build.aliases import Aliases, eliminate
 from fmu_build.annotations import experiment
 from fmu_build.equations import Equations, collect, when_targets
-from fmu_build.expressions import UnknownSizeError
 from fmu_build.frontend import Flat, load
 from fmu_build.graph import SX, Graph, key
 from fmu_build.index_reduction import Reduced, reduce
@@ -49,7 +48,7 @@ def compile_flat(flat: Flat) -> CompiledModel:
         scope = ModelScope(flat, Graph(), when_targets(flat), structural)
         try:
             return _translate(flat, scope)
-        except UnknownSizeError as error:
+        except algebra.UnknownSizeError as error:
             # Parameters that turn out to decide a size become constants of the translation.
             found = [scope.declarations.by_symbol.get(k) for k in scope.graph.symbols(error.value)]
             names = {d.node["name"] for d in found if d is not None and d.kind == "parameter"}

@@ -1,4 +1,3 @@
-# ruff: noqa: ARG001, ARG005  (built-in functions of one table share a signature)
 """Flat expressions (rumoca's tree) to values: numbers where known, SX otherwise."""
 
 from __future__ import annotations
@@ -10,7 +9,8 @@ from itertools import product
 from typing import Any, Protocol
 
 from fmu_build import algebra
-from fmu_build.algebra import Array, Scalar, Value
+from fmu_build.algebra import Array, Scalar, UnknownSizeError, Value, whole
+from fmu_build.builtin_functions import BUILTIN, as_matrix, cat
 from fmu_build.frontend import Flat, Node
 from fmu_build.graph import SX
 from fmuid.errors import ModelicaError
@@ -53,23 +53,6 @@ class Scope(Protocol):
 
     def initial(self) -> SX:
         """Truth of ``initial()``."""
-
-
-class UnknownSizeError(Exception):
-    """A whole number that must be known at translation depends on symbols."""
-
-    def __init__(self, value: SX) -> None:
-        super().__init__("a size or loop range that is not known at translation")
-        self.value = value
-        self.span: Any = None
-
-
-def whole(value: Value) -> int:
-    """Integer that decides a size, a range or a subscript at translation."""
-    (number,) = algebra.scalars(value)
-    if isinstance(number, SX):
-        raise UnknownSizeError(number)
-    return int(number)
 
 
 class Evaluator:
@@ -167,8 +150,8 @@ class Evaluator:
         elements = [self(e) for e in node["elements"]]
         if node["kind"] == "Array":
             return Array.stack(elements)
-        matrices = [_matrix(e) for e in elements]  # [a, b; c, d]
-        return _cat(self, 2 if node["kind"] == "Horizontal" else 1, *matrices)
+        matrices = [as_matrix(e) for e in elements]  # [a, b; c, d]
+        return cat(self, 2 if node["kind"] == "Horizontal" else 1, *matrices)
 
     def _literal(self, node: Node) -> Value:
         ((tag, value),) = node["value"].items()
@@ -340,7 +323,7 @@ class Evaluator:
             return algebra.elementwise(algebra.FUNCTIONS[name], *arguments)
         if name in _STEPS:
             return algebra.elementwise(lambda *a: self._step(name, *a), *arguments)
-        special = _SPECIAL.get(name)
+        special = BUILTIN.get(name)
         if special is None:
             raise ValueError(f"{name[0].lower()}{name[1:]}() is not supported")
         return special(self, *arguments)
@@ -384,129 +367,3 @@ def select(value: Array, index: list[list[int] | int | SX]) -> Value:
     lists = [i if isinstance(i, list) else [i] for i in index if not isinstance(i, SX)]
     items = tuple(value[at] for at in product(*lists))
     return Array(shape, items) if shape else items[0]
-
-
-def _total(e: Evaluator, a: Value) -> Value:
-    out: Scalar = 0
-    for item in algebra.scalars(a):
-        out = out + item
-    return out
-
-
-def _product(e: Evaluator, a: Value) -> Value:
-    out: Scalar = 1
-    for item in algebra.scalars(a):
-        out = out * item
-    return out
-
-
-def _extreme(function: Callable[..., Scalar]) -> Callable[..., Value]:
-    def evaluate(e: Evaluator, *arguments: Value) -> Value:
-        items = [i for a in arguments for i in algebra.scalars(a)]
-        out = items[0]
-        for item in items[1:]:
-            out = function(out, item)
-        return out
-
-    return evaluate
-
-
-def _fill(value: Value, *shape: Value) -> Value:
-    sizes = tuple(whole(n) for n in shape)
-    return Array.fill(sizes, algebra.scalars(value)[0])
-
-
-def _identity(e: Evaluator, n: Value) -> Value:
-    size = whole(n)
-    return Array((size, size), tuple(int(i == j) for i in range(size) for j in range(size)))
-
-
-def _linspace(e: Evaluator, a: Value, b: Value, n: Value) -> Value:
-    (low,), (high,), count = algebra.scalars(a), algebra.scalars(b), whole(n)
-    return Array((count,), tuple(low + (high - low) * i / (count - 1) for i in range(count)))
-
-
-def _matrix(value: Value) -> Array:
-    if not isinstance(value, Array):
-        return Array((1, 1), algebra.scalars(value))
-    return Array((*value.shape, 1), value.items) if len(value.shape) == 1 else value
-
-
-def _transpose(e: Evaluator, a: Value) -> Value:
-    if not isinstance(a, Array) or len(a.shape) != 2:
-        raise ValueError(f"transpose of {algebra.kind(a)}")
-    rows, columns = a.shape
-    return Array((columns, rows), tuple(a[(i, j)] for j in range(columns) for i in range(rows)))
-
-
-def _cross(e: Evaluator, a: Value, b: Value) -> Value:
-    x, y = algebra.scalars(a), algebra.scalars(b)
-    return Array((3,), tuple(x[i - 2] * y[i - 1] - x[i - 1] * y[i - 2] for i in range(3)))
-
-
-def _outer_product(e: Evaluator, a: Value, b: Value) -> Value:
-    x, y = algebra.scalars(a), algebra.scalars(b)
-    return Array((len(x), len(y)), tuple(i * j for i in x for j in y))
-
-
-def _diagonal(e: Evaluator, a: Value) -> Value:
-    x = algebra.scalars(a)
-    return Array((len(x), len(x)), tuple(v if i == j else 0 for i, v in enumerate(x) for j in range(len(x))))
-
-
-def _skew(e: Evaluator, a: Value) -> Value:
-    x, y, z = algebra.scalars(a)
-    return Array((3, 3), (0, -z, y, z, 0, -x, -y, x, 0))
-
-
-def _cat(e: Evaluator, dimension: Value, *parts: Value) -> Value:
-    arrays = [p for p in parts if isinstance(p, Array)]
-    axis = whole(dimension) - 1
-    if len(arrays) != len(parts) or axis not in (0, 1):
-        raise ValueError("cat along this dimension is not supported")
-    if axis == 1:
-        return _transpose(e, _cat(e, 1, *(_transpose(e, a) for a in arrays)))
-    rows = sum(a.shape[0] for a in arrays)
-    return Array((rows, *arrays[0].shape[1:]), tuple(i for a in arrays for i in a.items))
-
-
-def _edge(e: Evaluator, a: Value) -> Value:
-    return algebra.elementwise(lambda b: algebra.AND(b, algebra.NOT(e.scope.previous(b))), a)
-
-
-def _change(e: Evaluator, a: Value) -> Value:
-    return algebra.elementwise(lambda b: algebra.NOT(algebra.EQUAL(b, e.scope.previous(b))), a)
-
-
-def _semi_linear(e: Evaluator, x: Value, positive: Value, negative: Value) -> Value:
-    a, p, n = algebra.scalars(x)[0], algebra.scalars(positive)[0], algebra.scalars(negative)[0]
-    return algebra.choose(algebra.LESS_EQUAL(0, a), p * a, n * a)
-
-
-_SPECIAL: dict[str, Callable[..., Value]] = {
-    "Der": lambda e, a: algebra.elementwise(e.scope.derivative, a),
-    "Pre": lambda e, a: algebra.elementwise(e.scope.previous, a),
-    "Edge": _edge,
-    "Change": _change,
-    "Sample": lambda e, start, interval: e.scope.sample(algebra.scalars(start)[0], algebra.scalars(interval)[0]),
-    "Initial": lambda e: e.scope.initial(),
-    "Min": _extreme(algebra.MIN),
-    "Max": _extreme(algebra.MAX),
-    "Sum": _total,
-    "Product": _product,
-    "Zeros": lambda e, *n: _fill(0, *n),
-    "Ones": lambda e, *n: _fill(1, *n),
-    "Fill": lambda e, v, *n: _fill(v, *n),
-    "Identity": _identity,
-    "Linspace": _linspace,
-    "Transpose": _transpose,
-    "Cross": _cross,
-    "OuterProduct": _outer_product,
-    "Diagonal": _diagonal,
-    "Skew": _skew,
-    "Cat": _cat,
-    "Ndims": lambda e, a: len(a.shape) if isinstance(a, Array) else 0,
-    "Scalar": lambda e, a: algebra.scalars(a)[0],
-    "Vector": lambda e, a: Array((len(algebra.scalars(a)),), algebra.scalars(a)),
-    "SemiLinear": _semi_linear,
-}

@@ -9,8 +9,8 @@ from itertools import product
 from typing import Any, Protocol
 
 from fmu_build import algebra
-from fmu_build.algebra import Array, Scalar, Value
-from fmu_build.expressions import Evaluator, Scope, span_of, whole
+from fmu_build.algebra import Array, Scalar, Value, whole
+from fmu_build.expressions import Evaluator, Scope, span_of
 from fmu_build.frontend import Flat, Node
 from fmu_build.graph import SX
 

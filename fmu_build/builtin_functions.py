@@ -1,0 +1,163 @@
+# ruff: noqa: ARG001, ARG005  (built-in functions of one table share a signature)
+"""Modelica's built-in functions on arrays, and the operators that need the scope."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from fmu_build import algebra
+from fmu_build.algebra import Array, Scalar, Value, whole
+from fmu_build.graph import SX
+
+
+class History(Protocol):
+    """What the operators on model variables mean."""
+
+    def derivative(self, value: Scalar) -> Scalar:
+        """Return ``der(value)``."""
+
+    def previous(self, value: Scalar) -> Scalar:
+        """Return ``pre(value)``."""
+
+    def sample(self, start: Scalar, interval: Scalar) -> SX:
+        """Truth of ``sample(start, interval)``."""
+
+    def initial(self) -> SX:
+        """Truth of ``initial()``."""
+
+
+class Operators(Protocol):
+    """The part of the evaluator that built-in functions see."""
+
+    @property
+    def scope(self) -> History:
+        """Meaning of der, pre, sample and initial."""
+
+
+def _total(e: Operators, a: Value) -> Value:
+    out: Scalar = 0
+    for item in algebra.scalars(a):
+        out = out + item
+    return out
+
+
+def _product(e: Operators, a: Value) -> Value:
+    out: Scalar = 1
+    for item in algebra.scalars(a):
+        out = out * item
+    return out
+
+
+def _extreme(function: Callable[..., Scalar]) -> Callable[..., Value]:
+    def evaluate(e: Operators, *arguments: Value) -> Value:
+        items = [i for a in arguments for i in algebra.scalars(a)]
+        out = items[0]
+        for item in items[1:]:
+            out = function(out, item)
+        return out
+
+    return evaluate
+
+
+def _fill(value: Value, *shape: Value) -> Value:
+    sizes = tuple(whole(n) for n in shape)
+    return Array.fill(sizes, algebra.scalars(value)[0])
+
+
+def _identity(e: Operators, n: Value) -> Value:
+    size = whole(n)
+    return Array((size, size), tuple(int(i == j) for i in range(size) for j in range(size)))
+
+
+def _linspace(e: Operators, a: Value, b: Value, n: Value) -> Value:
+    (low,), (high,), count = algebra.scalars(a), algebra.scalars(b), whole(n)
+    return Array((count,), tuple(low + (high - low) * i / (count - 1) for i in range(count)))
+
+
+def as_matrix(value: Value) -> Array:
+    """Promote a scalar or vector to a matrix of one column."""
+    if not isinstance(value, Array):
+        return Array((1, 1), algebra.scalars(value))
+    return Array((*value.shape, 1), value.items) if len(value.shape) == 1 else value
+
+
+def _transpose(e: Operators, a: Value) -> Value:
+    if not isinstance(a, Array) or len(a.shape) != 2:
+        raise ValueError(f"transpose of {algebra.kind(a)}")
+    rows, columns = a.shape
+    return Array((columns, rows), tuple(a[(i, j)] for j in range(columns) for i in range(rows)))
+
+
+def _cross(e: Operators, a: Value, b: Value) -> Value:
+    x, y = algebra.scalars(a), algebra.scalars(b)
+    return Array((3,), tuple(x[i - 2] * y[i - 1] - x[i - 1] * y[i - 2] for i in range(3)))
+
+
+def _outer_product(e: Operators, a: Value, b: Value) -> Value:
+    x, y = algebra.scalars(a), algebra.scalars(b)
+    return Array((len(x), len(y)), tuple(i * j for i in x for j in y))
+
+
+def _diagonal(e: Operators, a: Value) -> Value:
+    x = algebra.scalars(a)
+    return Array((len(x), len(x)), tuple(v if i == j else 0 for i, v in enumerate(x) for j in range(len(x))))
+
+
+def _skew(e: Operators, a: Value) -> Value:
+    x, y, z = algebra.scalars(a)
+    return Array((3, 3), (0, -z, y, z, 0, -x, -y, x, 0))
+
+
+def cat(e: Operators, dimension: Value, *parts: Value) -> Value:
+    """Return ``cat(dimension, parts...)`` of vectors or matrices."""
+    arrays = [p for p in parts if isinstance(p, Array)]
+    axis = whole(dimension) - 1
+    if len(arrays) != len(parts) or axis not in (0, 1):
+        raise ValueError("cat along this dimension is not supported")
+    if axis == 1:
+        return _transpose(e, cat(e, 1, *(_transpose(e, a) for a in arrays)))
+    rows = sum(a.shape[0] for a in arrays)
+    return Array((rows, *arrays[0].shape[1:]), tuple(i for a in arrays for i in a.items))
+
+
+def _edge(e: Operators, a: Value) -> Value:
+    return algebra.elementwise(lambda b: algebra.AND(b, algebra.NOT(e.scope.previous(b))), a)
+
+
+def _change(e: Operators, a: Value) -> Value:
+    return algebra.elementwise(lambda b: algebra.NOT(algebra.EQUAL(b, e.scope.previous(b))), a)
+
+
+def _semi_linear(e: Operators, x: Value, positive: Value, negative: Value) -> Value:
+    a, p, n = algebra.scalars(x)[0], algebra.scalars(positive)[0], algebra.scalars(negative)[0]
+    return algebra.choose(algebra.LESS_EQUAL(0, a), p * a, n * a)
+
+
+BUILTIN: dict[str, Callable[..., Value]] = {
+    "Der": lambda e, a: algebra.elementwise(e.scope.derivative, a),
+    "Pre": lambda e, a: algebra.elementwise(e.scope.previous, a),
+    "Edge": _edge,
+    "Change": _change,
+    "Sample": lambda e, start, interval: e.scope.sample(algebra.scalars(start)[0], algebra.scalars(interval)[0]),
+    "Initial": lambda e: e.scope.initial(),
+    "Min": _extreme(algebra.MIN),
+    "Max": _extreme(algebra.MAX),
+    "Sum": _total,
+    "Product": _product,
+    "Zeros": lambda e, *n: _fill(0, *n),
+    "Ones": lambda e, *n: _fill(1, *n),
+    "Fill": lambda e, v, *n: _fill(v, *n),
+    "Identity": _identity,
+    "Linspace": _linspace,
+    "Transpose": _transpose,
+    "Cross": _cross,
+    "OuterProduct": _outer_product,
+    "Diagonal": _diagonal,
+    "Skew": _skew,
+    "Cat": cat,
+    "Ndims": lambda e, a: len(a.shape) if isinstance(a, Array) else 0,
+    "Scalar": lambda e, a: algebra.scalars(a)[0],
+    "Vector": lambda e, a: Array((len(algebra.scalars(a)),), algebra.scalars(a)),
+    "SemiLinear": _semi_linear,
+}
