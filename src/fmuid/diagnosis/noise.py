@@ -140,22 +140,32 @@ class Whitener:
         return out
 
 
-def estimate_noise(runs: Sequence[RepeatedRuns], *, lattice: Mapping[str, float] | None = None) -> SetupNoise:
+def quantum(values: FloatArray) -> float:
+    """Return the step of the lattice that all `values` lie on, as an encoder's counts do; 0 if there is none."""
+    levels = np.unique(values[np.isfinite(values)])
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-9 * max(float(np.abs(levels).max(initial=0.0)), 1e-300)]
+    if gaps.size < 2:
+        return 0.0
+    step = float(gaps.min())
+    counts = gaps / step
+    return step if np.all(np.abs(counts - np.round(counts)) < 0.02) else 0.0
+
+
+def estimate_noise(runs: Sequence[RepeatedRuns]) -> SetupNoise:
     """Estimate the noise of one setup from the differences between repeats.
 
     Parameters
     ----------
     runs
         Experiments of one setup, with the same channels and sampling interval.
-    lattice
-        Channel -> smallest standard deviation allowed, such as that of its quantisation, which repeats at
-        rest do not show.
 
     Returns
     -------
     SetupNoise
         Covariances pooled over experiments in bands one octave wide; ``calibrated`` is False with fewer
-        than five runs of every experiment.
+        than five runs of every experiment. Counted signals are never taken as better than their counts: at rest
+        they repeat exactly, and are as wrong as before.
 
     Raises
     ------
@@ -170,7 +180,7 @@ def estimate_noise(runs: Sequence[RepeatedRuns], *, lattice: Mapping[str, float]
             f"no experiment of setup '{runs[0].setup}' was repeated, so its noise cannot be measured",
             fix="repeat at least one experiment, better five times",
         )
-    floor = np.array([(lattice or {}).get(c, 0.0) for c in channels])
+    floor = np.array([max(quantum(r.values[:, c]) for r in runs) for c in range(len(channels))]) / np.sqrt(12.0)
     edges = _band_edges(max(len(r.time) for r in repeated), dt)
     n_bands, n_channels = len(edges) - 1, len(channels)
     total = np.zeros((n_bands, n_channels, n_channels))
