@@ -109,6 +109,9 @@ def identify(
         plan = list(_chosen(campaign, stages))
         specs = dict(campaign.parameters)
         simulators = simulators or _models(campaign)
+    for step in plan:  # what cannot be posed or solved is said before anything is written
+        problem, asked, settings, _ = _posed(step, campaign, simulators or {}, {}, in_process)
+        make(solver or asked, options if options is not None else {} if solver else settings, problem)
     results: list[StageResult] = []
     best: dict[str, float] = {}
     with _runner(executor, workers) as runner, History(folder, resume=resume) as history:

@@ -228,14 +228,18 @@ def test_missing_samples_do_not_count(bench):
         (StageSpec("s", ("low",), ("Q",)), ProblemError, "unknown parameter 'Q'"),
         (StageSpec("s", ("no_such",), ("K",)), ProblemError, "no experiment matches 'no_such'"),
         (StageSpec("s", ("low",), ("K",), criteria=(CriterionSpec("speed"),)), ProblemError, "'speed'"),
+        (StageSpec("s", ("low",), ("K",), solver="bobyka"), ProblemError, "did you mean 'bobyqa'"),
         (StageSpec("s", ("low",), ("K",), combine="sum"), ProblemError, "unknown combine 'sum'"),
         (StageSpec("s", ("low",), ("K",), constraints=({"expression": "Q", "max": 1},)), ProblemError, "'Q'"),
         (StageSpec("s", ("low",), ("K",), constraints=({"expression": "K"},)), ProblemError, "not understood"),
     ],
 )
-def test_stages_that_cannot_be_posed(bench, stage, error, message):
+def test_stages_that_cannot_be_posed(tmp_path, bench, stage, error, message):
+    stages = {"gain": campaign().stages["gain"], "s": stage}
     with pytest.raises(error, match=message):
-        identify(campaign(stages={"s": stage}), simulators=bench)
+        identify(campaign(stages=stages), simulators=bench, out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+    assert bench["bench"].count == 0
 
 
 def test_names_and_units_that_do_not_fit_the_model(bench, analytic):
