@@ -28,7 +28,7 @@ class TerminalProgress(Observer):
         self._bar = Progress(
             SpinnerColumn(),
             TextColumn("{task.description}"),
-            BarColumn(bar_width=20),
+            BarColumn(bar_width=10),
             TextColumn("{task.fields[evaluations]} evaluations, cost {task.fields[cost]}"),
             _TimeLeft(),
             console=self.console,
@@ -49,7 +49,7 @@ class TerminalProgress(Observer):
     def started(self, problem: Problem, solver: str, why: str, stop: StopRules) -> None:  # noqa: ARG002
         """See `Observer.started`."""
         if self._task is not None:
-            self._bar.reset(self._task, description=escape(f"{problem.name} ({solver})"), **_fields())
+            self._bar.reset(self._task, description=escape(f"{problem.name}, {solver}"), **_fields())
             self._bar.update(self._task, visible=True)
 
     def evaluated(self, progress: Report) -> None:
@@ -62,7 +62,7 @@ class TerminalProgress(Observer):
             shares.append(progress.evaluations / stop.evaluations)
         if stop.seconds:
             shares.append(progress.seconds / stop.seconds)
-        cost = "none yet" if progress.cost is None else f"{progress.cost:.5g}"
+        cost = "none yet" if progress.cost is None else f"{progress.cost:.4g}"
         self._bar.update(
             self._task,
             total=1.0 if max(shares) > 0.0 else None,
@@ -90,8 +90,8 @@ class _TimeLeft(ProgressColumn):
         """Return the column."""
         spent = float(task.fields["seconds"])
         share = task.completed / task.total if task.total else 0.0
-        left = f", at most {spent * (1.0 - share) / share:.0f} s left" if share > 0.0 else ""
-        return Text(f"{spent:.1f} s{left}")
+        left = f", < {spent * (1.0 - share) / share:.0f} s left" if share > 0.0 else ""
+        return Text(f"{spent:.0f} s{left}", no_wrap=True)
 
 
 def _fields() -> dict[str, Any]:
