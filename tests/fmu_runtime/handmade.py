@@ -425,3 +425,13 @@ def failing() -> CompiledModel:
         ],
         outputs={"y": lambda e: e.x},
     )
+
+
+def one_sided_spring() -> CompiledModel:
+    """Unit mass that flies to a stop at x = 0 of stiffness 1e6 N/m."""
+    return compile_by_hand(
+        "OneSidedSpring",
+        states={"x": 1.0, "v": -1.0},
+        rhs=lambda e: [e.v, 1e6 * ca.fmax(0, -e.x)],
+        outputs={"force": lambda e: 1e6 * ca.fmax(0, -e.x)},
+    )
