@@ -3,27 +3,33 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from fmuid.cli.output import Json, Printer, Quiet
+
+Fmi = Literal["2", "3"]
+Compiler = Literal["rumoca", "omc"]
 
 
 def build(
     source: Annotated[Path, typer.Argument(help="A .mo file, or the folder of a package.")],
     class_name: Annotated[str, typer.Argument(metavar="CLASS", help="Qualified name of the model to export.")],
     out: Annotated[Path, typer.Option(help="Folder for the FMU.")] = Path("build/fmus"),
+    fmi: Annotated[Fmi, typer.Option(help="Version of FMI.")] = "2",
+    compiler: Annotated[Compiler, typer.Option(help="Modelica front end; omc has to be on the PATH.")] = "rumoca",
+    root: Annotated[list[Path] | None, typer.Option(help="Folder with further libraries (repeat).")] = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Build an FMU (FMI 2.0, co-simulation and model exchange) from Modelica source.
+    """Build an FMU (co-simulation and model exchange in one) from Modelica source.
 
     Example: fmuid build modelica/Drives Drives.Setups.FixedShaft --out build/fmus
     """
     from fmu_build import build as build_fmu
 
-    path = build_fmu(source, class_name, out)
+    path = build_fmu(source, class_name, out, fmi, compiler, root or ())
     printer = Printer(quiet, json)
     printer.say(str(path))
     printer.write({"fmu": path, "class": class_name, "source": source})
