@@ -33,7 +33,7 @@ def frozen_mapping(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 # Tasks travel to other processes, and the standard library cannot pickle read-only mappings by itself.
-copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mapping),)))
+copyreg.pickle(MappingProxyType, lambda mapping: (frozen_mapping, (dict(mapping),)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -335,10 +335,9 @@ def _fill(file: Any, stages: Any) -> None:
             group.attrs[key] = list(getattr(stage, key)) or ""
         group.attrs["signals"] = ["\n".join(names) for names in stage.signals]
         rows: Sequence[Row] = stage.rows
-        n = len(rows)
-        group["parameters"] = np.array([[r.parameters[p] for p in stage.parameters] for r in rows]).reshape(n, -1)
+        group["parameters"] = _table([[r.parameters[p] for p in stage.parameters] for r in rows])
         for key in ("search", "criteria", "constraints"):
-            group[key] = np.array([getattr(r, key) for r in rows]).reshape(n, -1)
+            group[key] = _table([getattr(r, key) for r in rows])
         for key in ("cost", "seconds"):
             group[key] = np.array([getattr(r, key) for r in rows], dtype=np.float64)
         group["improved"] = np.array([r.improved for r in rows], dtype=bool)
@@ -348,6 +347,11 @@ def _fill(file: Any, stages: Any) -> None:
             iterate = group.create_group(f"iterates/{i}")
             for case, prediction in zip(stage.cases, row.predictions, strict=True):
                 iterate.create_dataset(case, data=prediction, compression="gzip", compression_opts=1)
+
+
+def _table(rows: Sequence[Any]) -> FloatArray:
+    """Return rows as (n, columns), also where there is none of either."""
+    return np.array(rows, dtype=np.float64).reshape(len(rows), len(rows[0]) if rows else 0)
 
 
 def _read_stage(name: str, group: Any) -> StageHistory:

@@ -50,7 +50,7 @@ class TerminalProgress(Observer):
         """See `Observer.started`."""
         if self._task is not None:
             self._bar.reset(self._task, description=escape(f"{problem.name}, {solver}"), **_fields())
-            self._bar.update(self._task, visible=True)
+            self._bar.update(self._task, visible=True, refresh=True)
 
     def evaluated(self, progress: Report) -> None:
         """See `Observer.evaluated`."""

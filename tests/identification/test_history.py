@@ -147,6 +147,17 @@ def test_a_complete_run_is_not_resumed_and_a_budget_can_be_raised(tmp_path, msd)
         identify(msd(), solver="bobyqa", out=tmp_path, resume=True)
 
 
+def test_ctrl_c_before_the_first_evaluation(tmp_path, msd):
+    class AtOnce(Observer):
+        def started(self, problem, solver, why, stop):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        identify(msd(), solver="trf", out=tmp_path, observer=AtOnce())
+    assert read_history(tmp_path / "history.h5")["msd"].rows == []
+    assert identify(msd(), solver="trf", out=tmp_path, resume=True).status is Status.CONVERGED
+
+
 def test_a_foreign_file_is_no_history(tmp_path):
     (tmp_path / "history.h5").write_bytes(b"no")
     with pytest.raises(HistoryError, match="cannot be read"):
