@@ -41,10 +41,10 @@ def reference(model, h, inputs, tol=1e-11):
 
 
 CASES = {
-    "pendulum": (["phi", "w"], 0.02, np.where(np.arange(150) // 20 % 2, 0.5, -0.5)),
-    "train": (["phi_R", "w", "phi_S", "w_S", "b"], 5e-4, np.where(np.arange(8) // 4 % 2, -0.8, 0.8)),
+    "pendulum": (["phi", "w"], 0.02, np.where(np.arange(60) // 20 % 2, 0.5, -0.5)),
+    "train": (["phi_R", "w", "phi_S", "w_S", "b"], 5e-4, np.where(np.arange(6) // 3 % 2, -0.8, 0.8)),
     "robertson": (["a", "b", "c"], 10.0, np.zeros(40)),
-    "van_der_pol": (["x", "v"], 10.0, np.zeros(85)),
+    "van_der_pol": (["x", "v"], 20.0, np.zeros(30)),
 }
 
 
@@ -57,8 +57,7 @@ def test_global_error_is_of_the_order_of_the_tolerance(fmu, name):
     for tolerance in (1e-4, 1e-6, 1e-7):
         one = fmu(name).start(tolerance, **({drive: inputs[0]} if drive else {}))
         got = one.run(states, len(inputs), h, inputs={drive: inputs} if drive else None)
-        # Van der Pol's jump (at 807 s) magnifies an error before it 1000 times
-        error = (np.abs(got - expected) / size)[: 80 if name == "van_der_pol" else None]
+        error = np.abs(got - expected) / size
         assert error.max() < 5 * tolerance, tolerance
 
 

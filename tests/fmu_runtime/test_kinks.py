@@ -26,6 +26,8 @@ def test_impact_on_a_stop(fmu):
         x, v = one.run(["x", "v"], 40, 0.05).T
         free, w = 1.0, np.sqrt(1e6)  # reaches the stop at t = 1 with speed 1
         contact = np.pi / w
-        expected = np.where(np.arange(41) * 0.05 <= free, 1 - np.arange(41) * 0.05, np.arange(41) * 0.05 - free - contact)
+        expected = np.where(
+            np.arange(41) * 0.05 <= free, 1 - np.arange(41) * 0.05, np.arange(41) * 0.05 - free - contact
+        )
         assert np.abs(x - expected).max() < 20 * tolerance
         assert np.abs(v[-1] - 1.0) < 20 * tolerance
