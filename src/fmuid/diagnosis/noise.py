@@ -97,7 +97,10 @@ def coefficient_frequencies(n: int, dt: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetupNoise:
-    """Noise of one setup: band edges in Hz, a (C, C) covariance a band, and the variance of a run's mean."""
+    """Noise of one setup: band edges in Hz, a (C, C) covariance a band, and the variance of a run's mean.
+
+    Nothing is said about frequencies from `cutoff` (Hz) on: whitened residuals do not have them.
+    """
 
     channels: tuple[str, ...]
     dt: float
@@ -106,6 +109,7 @@ class SetupNoise:
     mean_variance: FloatArray
     degrees_of_freedom: FloatArray
     calibrated: bool
+    cutoff: float = np.inf
 
     @property
     def sigma(self) -> Mapping[str, float]:
@@ -127,11 +131,11 @@ class Whitener:
     @property
     def size(self) -> int:
         """Length of a whitened residual."""
-        return int(self.mask.size)
+        return len(self.mask) * len(self.band_of)
 
     def __call__(self, residual: FloatArray) -> FloatArray:
-        """Whiten (..., C, N) to (..., C, N); coefficient 0 of each channel is the run's mean."""
-        spectrum = real_spectrum(residual * self.mask)
+        """Whiten (..., C, N) to (..., C, K), K = N below a cutoff; coefficient 0 of each channel is its mean."""
+        spectrum = real_spectrum(residual * self.mask)[..., : len(self.band_of)]
         out = np.empty_like(spectrum)
         out[..., 0] = spectrum[..., 0] * self.mean_scale
         for band, factor in enumerate(self.factors):
@@ -201,7 +205,8 @@ def estimate_noise(runs: Sequence[RepeatedRuns]) -> SetupNoise:
     prior = 4.0  # bands with few differences lean on the mean spectrum, as if it were four more of them
     covariance = (total + prior * np.diag(np.diag(pooled))) / (dof + prior)[:, None, None]
     covariance += np.diag(np.maximum(floor**2 - np.diag(pooled), 0.0))
-    if np.any(np.diagonal(covariance, axis1=1, axis2=2) <= 0.0):
+    rounding = np.max([np.abs(r.mean).max(axis=1) for r in repeated], axis=0) * 1e-12
+    if np.any(np.diagonal(covariance, axis1=1, axis2=2) <= rounding**2):
         raise ProblemError(
             "a signal is the same in every repeat, so its noise cannot be measured",
             where=f"setup '{runs[0].setup}'",
@@ -238,23 +243,30 @@ def noise_of_residuals(
     Returns
     -------
     SetupNoise
-        Variances in bands of an octave or more, none below a tenth of their mean over all bands: what a model
-        leaves is concentrated in time, and its quiet bands are no measure of the noise there. The mean of a run
-        varies as the lowest band does.
+        Variances in bands of an octave or more, up to where they have fallen below a tenth of their mean in every
+        channel: what a model leaves lies in its slow motion, comes in bursts, and is no measure of the noise of
+        the quiet bands. The mean of a run varies as the means of the residuals do.
     """
     channels = runs[0].channels
     dt = float(np.mean(np.diff(runs[0].time)))
     edges = np.array([0.0, np.inf]) if leverage is None else _band_edges(max(len(r.time) for r in runs), dt)
     total, dof = np.zeros((len(edges) - 1, len(channels))), np.zeros((len(edges) - 1, len(channels)))
+    mean_sum, mean_dof = np.zeros(len(channels)), np.zeros(len(channels))
     for k, (run, residual) in enumerate(zip(runs, residuals, strict=True)):
         spectrum = real_spectrum(residual * run.mask)
         bands = _bands_of(len(run.time), dt, edges)
         taken = np.zeros_like(spectrum) if leverage is None else leverage[k]
+        mean_sum += spectrum[:, 0] ** 2 / len(run.time)
+        mean_dof += 1.0 - taken[:, 0]
         for band in range(len(dof)):
             chosen = bands == band
             total[band] += np.sum(spectrum[:, chosen] ** 2, axis=1)
             dof[band] += np.sum(1.0 - taken[:, chosen], axis=1)
-    variance = np.maximum(total / np.maximum(dof, 1.0), _QUIETEST * total.sum(axis=0) / dof.sum(axis=0))
+    quiet = _QUIETEST * total.sum(axis=0) / dof.sum(axis=0)
+    variance = total / np.maximum(dof, 1.0)
+    loud = np.flatnonzero(np.any(variance >= quiet, axis=1))
+    cutoff = float(edges[loud.max() + 1]) if len(loud) else np.inf
+    variance = np.maximum(variance, quiet)
     if np.any(variance <= 0.0):
         raise ProblemError(
             "a signal without repeats is predicted without error, so its noise cannot be estimated",
@@ -262,7 +274,16 @@ def noise_of_residuals(
             fix="leave the signal out, or repeat the experiment",
         )
     covariance = np.array([np.diag(v) for v in variance])
-    return SetupNoise(channels, dt, edges, covariance, np.zeros(len(channels)), dof.mean(axis=1), calibrated=False)
+    return SetupNoise(
+        channels=channels,
+        dt=dt,
+        edges=edges,
+        covariance=covariance,
+        mean_variance=mean_sum / np.maximum(mean_dof, 0.5),
+        degrees_of_freedom=dof.mean(axis=1),
+        calibrated=False,
+        cutoff=cutoff,
+    )
 
 
 def whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener:
@@ -277,7 +298,7 @@ def whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener:
     return Whitener(
         mask=read_only(run.mask),
         factors=read_only(np.array(factors)),
-        band_of=read_only(_bands_of(n, noise.dt, noise.edges)),
+        band_of=read_only(_bands_of(n, noise.dt, noise.edges)[: _below(n, noise.dt, noise.cutoff)]),
         mean_scale=read_only(1.0 / np.sqrt(mean_variance)),
     )
 
@@ -288,6 +309,10 @@ def _band_edges(n: int, dt: float) -> FloatArray:
     count = max(1, int(np.floor(np.log2(nyquist / lowest) * _BANDS_PER_OCTAVE)))
     inner = nyquist * 2.0 ** (-np.arange(count, 0, -1.0) / _BANDS_PER_OCTAVE)
     return np.concatenate([[0.0], inner, [np.inf]])
+
+
+def _below(n: int, dt: float, cutoff: float) -> int:
+    return int(np.searchsorted(coefficient_frequencies(n, dt), cutoff, side="left"))
 
 
 def _bands_of(n: int, dt: float, edges: FloatArray) -> FloatArray:

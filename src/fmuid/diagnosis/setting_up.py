@@ -15,6 +15,7 @@ from fmuid.diagnosis.catalogue import Catalogue, Effect, load_catalogue
 from fmuid.diagnosis.model import CampaignModel
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Unknown
+from fmuid.diagnosis.signal_effects import NEUTRAL
 from fmuid.diagnosis.unrepeated import observe
 from fmuid.errors import CampaignError, FmuError
 from fmuid.expressions import parse
@@ -86,6 +87,8 @@ def subject_of(
     }
     fixed = {p.name: p.start for p in campaign.parameters.values()}
     model = CampaignModel(cases, runner, fixed, tie)
+    signals = {c.signal for case in cases for c in case.channels} | {n for case in cases for n in case.task.inputs}
+    known |= {f"{signal}.{name}" for signal in signals for name in NEUTRAL}
     effects = tuple(e for e in catalogue.effects.values() if any(u.name in known for u in e.unknowns))
     missing = [u.name for e in effects for u in e.unknowns if u.name not in known]
     if missing or not effects:

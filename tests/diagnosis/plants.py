@@ -1,0 +1,140 @@
+"""A driven mass with friction, written in numpy: a rig and a model to diagnose that need no FMU."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from fmuid.cases import measured_case
+from fmuid.diagnosis.catalogue import Catalogue, Effect
+from fmuid.diagnosis.model import CampaignModel
+from fmuid.diagnosis.ports import Port
+from fmuid.diagnosis.refit import Unknown
+from fmuid.diagnosis.regimes import Regime
+from fmuid.diagnosis.setting_up import Subject
+from fmuid.diagnosis.unrepeated import observe
+from fmuid.simulation import Task, Variable
+
+DT = 5e-3
+N = 400
+SIGMA = 2e-3
+PARAMETERS = {"m": 1.0, "d": 0.8, "Fc": 0.5, "a": 0.0, "tilt": 0.0, "cable": 0.0, "square": 0.0, "grip": 0.0}
+
+
+class Mass:
+    """m der(v) = u - d v - (Fc + bump) s - a |s| - tilt - cable - square v |v| - port, s = tanh(v / 0.02)."""
+
+    variables: ClassVar = {
+        **{n: Variable(n, "parameter", "fixed", start=v) for n, v in PARAMETERS.items()},
+        **{n: Variable(n, "input") for n in ("u", "port")},
+        **{n: Variable(n, "output") for n in ("x", "v")},
+    }
+
+    def simulate(self, task: Task, parameters: Mapping[str, float]) -> np.ndarray:
+        p = {**PARAMETERS, **task.start_values, **parameters}
+        m, d, fc, a, square, grip = (p[n] for n in ("m", "d", "Fc", "a", "square", "grip"))
+        constant = p["tilt"] + p["cable"]
+        u = task.inputs["u"].tolist()
+        port = task.inputs["port"].tolist() if "port" in task.inputs else [0.0] * len(u)
+        x = v = 0.0
+        rows = [(x, v)]
+        for k in range(len(u) - 1):
+            for _ in range(2):
+                s = math.tanh(v / 0.02)
+                dry = fc + (grip if 0.1 < x % 0.3 < 0.15 else 0.0)
+                force = u[k] - d * v - dry * s - a * abs(s) - constant - square * v * abs(v) - port[k]
+                v += 0.5 * DT * force / m
+                x += 0.5 * DT * v
+            rows.append((x, v))
+        named = dict(zip(("x", "v"), np.array(rows).T, strict=True))
+        return np.array([named[o] for o in task.outputs])
+
+
+def _effect(name: str, parameter: str, size: float, **options: bool) -> Effect:
+    two_sided = options.get("two_sided", False)
+    unknown = Unknown(parameter, 0.0, -10.0 if two_sided else 0.0, 10.0, 1e-3)
+    trials = ({parameter: size}, {parameter: 4 * size})
+    return Effect(name, name, "friction", (unknown,), {parameter: 0.0}, trials, two_sided=two_sided)
+
+
+EFFECTS = {
+    e.id: e
+    for e in (
+        _effect("asymmetry", "a", 0.05, two_sided=True),
+        _effect("quadratic", "square", 0.1, two_sided=True),
+        _effect("tilt", "tilt", 0.05, two_sided=True),
+        Effect(
+            "reading_gain",
+            "the speed reading is out of scale",
+            "reading",
+            (Unknown("v.gain", 1.0, 0.5, 2.0, 2e-3),),
+            {"v.gain": 1.0},
+            ({"v.gain": 1.03},),
+            two_sided=True,
+        ),
+        Effect(
+            "dead_time",
+            "the command comes late",
+            "command",
+            (Unknown("u.delay", 0.0, 0.0, 0.1, 1e-3),),
+            {"u.delay": 0.0},
+            ({"u.delay": 5e-3},),
+        ),
+    )
+}
+TWIN = _effect("cable", "cable", 0.05, two_sided=True)
+PORTS = {
+    "friction": Port("friction", "port", None, 0.05, "N"),
+    "reading": Port("reading", None, "v", 0.01, "m/s"),
+    "command": Port("command", None, None, 1.0),
+}
+REGIMES = {"speed": Regime("speed", "v", "speed", "m/s"), "position": Regime("position", "x", "value", "m")}
+NOMINAL = (
+    Unknown("m", 0.8, 0.1, 10.0, 0.01),
+    Unknown("d", 0.5, 0.0, 10.0, 0.01),
+    Unknown("Fc", 0.3, 0.0, 5.0, 0.01),
+)
+
+
+def inputs() -> dict[str, np.ndarray]:
+    """Forces of five experiments."""
+    t = DT * np.arange(N)
+    steps = np.repeat([1.5, -1.5, 2.5, -2.5], N // 4)
+    return {
+        "sine": 1.8 * np.sin(2 * np.pi * 1.0 * t),
+        "fast": 2.5 * np.sin(2 * np.pi * 2.0 * t),
+        "steps": steps,
+        "ramp": 3.0 * np.sin(2 * np.pi * 0.5 * t) ** 3,
+        "mixed": 1.2 * np.sin(2 * np.pi * 0.5 * t) + 1.2 * np.sin(2 * np.pi * 1.5 * t),
+    }
+
+
+def plant(
+    truth: Mapping[str, float],
+    *,
+    effects: Mapping[str, Effect] = EFFECTS,
+    repeats: int = 5,
+    seed: int = 0,
+    delay: float = 0.0,
+    gain: float = 1.0,
+) -> Subject:
+    """Return the subject of a diagnosis: runs of a mass with `truth`, and the model without it."""
+    rng = np.random.default_rng(seed)
+    mass, cases = Mass(), []
+    for name, u in inputs().items():
+        time = DT * np.arange(N)
+        late = np.interp(time - delay, time, u) if delay else u
+        plain = Task(time, {"u": u}, ("x", "v"))
+        true = mass.simulate(replace(plain, inputs={"u": late}), truth) * np.array([[1.0], [gain]])
+        noise = SIGMA * np.array([[0.2], [1.0]]) * rng.standard_normal((repeats, 2, N))
+        offset = 0.2 * SIGMA * rng.standard_normal((repeats, 2, 1))
+        runs = true + noise + offset
+        case = measured_case(name, mass, plain, {"x": runs[:, 0], "v": runs[:, 1]})
+        cases.append(replace(case, setup="bench"))
+    model = CampaignModel(tuple(cases))
+    observed = observe(model, NOMINAL, tuple(effects.values()))
+    return Subject(model, observed, NOMINAL, Catalogue(effects, PORTS, REGIMES), tuple(effects.values()))

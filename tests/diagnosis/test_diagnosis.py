@@ -1,0 +1,124 @@
+"""Whole diagnoses of a driven mass whose truth is known: every kind of verdict, and the JSON form."""
+
+import json
+from importlib.resources import files
+
+import jsonschema
+import pytest
+from plants import EFFECTS, PORTS, TWIN, plant
+
+from fmuid.diagnosis.diagnose import Found, diagnose_subject
+from fmuid.errors import SimulationError
+
+SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
+
+
+def check(found: Found) -> dict:
+    """Hold what every diagnosis must keep; return its JSON value."""
+    answer = found.diagnosis.to_dict()
+    text = json.dumps(answer, allow_nan=False)
+    jsonschema.Draft202012Validator(SCHEMA).validate(json.loads(text))
+    assert sum(e["probability"] for e in answer["effects"]) == pytest.approx(1.0)
+    assert {e["id"] for e in answer["effects"]} == {*(e.id for e in found.subject.effects), "none", "unknown"}
+    assert answer["verdict"]["port"] in (None, *PORTS)
+    for effect in answer["effects"]:
+        if "closure" in effect and answer["gap"]["present"]:
+            low, high = effect["closure"]["interval"]
+            assert low <= effect["closure"]["held_out"] + 0.05
+            assert effect["closure"]["held_out"] - 0.05 <= high
+    return answer
+
+
+def test_a_complete_model_is_called_complete():
+    answer = check(diagnose_subject(plant({})))
+    assert answer["verdict"] == {"kind": "complete", "effects": [], "port": None}
+    assert not answer["gap"]["present"]
+    assert answer["gap"]["p_value"] > 0.01
+    # Refitting the nominal parameters closed the gap of the start values; that is no effect's credit.
+    assert answer["gap"]["nominal"] > 10 * answer["gap"]["nominal_refit"]
+    assert answer["effects"][0]["id"] == "none"
+    assert answer["model"]["parameters"] == pytest.approx({"m": 1.0, "d": 0.8, "Fc": 0.5}, rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("truth", "effect", "port", "estimate"),
+    [
+        ({"truth": {"a": 0.05}}, "asymmetry", "friction", {"a": 0.05}),
+        ({"truth": {"square": 0.3}}, "quadratic", "friction", {"square": 0.3}),
+        ({"truth": {}, "gain": 1.03}, "reading_gain", "reading", {"v.gain": 1.03}),
+        ({"truth": {}, "delay": 5e-3}, "dead_time", "command", {"u.delay": 5e-3}),
+    ],
+)
+def test_one_effect_is_named_measured_and_closes_the_gap(truth, effect, port, estimate):
+    answer = check(diagnose_subject(plant(**truth)))
+    assert answer["verdict"] == {"kind": "effect", "effects": [effect], "port": port}
+    assert answer["gap"]["present"]
+    assert answer["gap"]["corrected"] < 0.1 * answer["gap"]["nominal_refit"]
+    best = answer["effects"][0]
+    assert (best["id"], best["probability"] > 0.9) == (effect, True)
+    assert best["closure"]["held_out"] > 0.9
+    for name, value in estimate.items():
+        found = best["parameters"][name]
+        assert found["value"] == pytest.approx(value, rel=0.05)
+        assert abs(found["value"] - value) < 5 * found["standard_error"] + 1e-3 * abs(value)
+        assert answer["model"]["parameters"][name] == found["value"]
+    # Where: the shares are of the whole gap, the largest first.
+    shares = [w["share"] for w in answer["where"]]
+    assert shares == sorted(shares, reverse=True)
+    assert 0.0 < sum(shares) <= 1.0 + 1e-9
+
+
+def test_what_no_effect_explains_is_called_unknown_at_its_port():
+    found = diagnose_subject(plant({"grip": 0.4}))
+    answer = check(found)
+    assert answer["verdict"]["kind"] == "unknown"
+    assert answer["verdict"]["effects"] == []
+    assert answer["effects"][0]["id"] == "unknown"
+    assert answer["ports"].keys() == {"friction"}
+
+
+def test_two_effects_that_no_experiment_tells_apart_are_both_named():
+    answer = check(diagnose_subject(plant({"tilt": 0.05}, effects={**EFFECTS, "cable": TWIN})))
+    assert answer["verdict"]["kind"] == "ambiguous"
+    assert set(answer["verdict"]["effects"]) == {"tilt", "cable"}
+    assert any({"tilt", "cable"} <= set(names) for names in answer["alias_classes"])
+    probability = {e["id"]: e["probability"] for e in answer["effects"]}
+    assert probability["tilt"] == pytest.approx(probability["cable"], abs=0.1)
+
+
+def test_nothing_repeated_still_gets_an_answer_that_says_so():
+    """The noise is then what the most flexible model leaves."""
+    from fmuid.diagnosis.unrepeated import observe
+
+    subject = plant({"a": 0.3}, repeats=1)
+    assert subject.observed.modelled_noise
+    answer = check(diagnose_subject(subject))
+    assert answer["gap"]["calibrated"] is False
+    assert answer["verdict"]["kind"] == "effect"
+    assert "asymmetry" in answer["verdict"]["effects"]
+    complete = plant({}, repeats=1)
+    assert check(diagnose_subject(complete))["verdict"]["kind"] == "complete"
+    assert observe(complete.model, complete.nominal, complete.effects).modelled_noise
+
+
+def test_the_same_seed_gives_the_same_answer():
+    first, second = (diagnose_subject(plant({"square": 0.3}), seed=3).diagnosis.to_dict() for _ in range(2))
+    assert first == second
+
+
+def test_progress_is_told_and_never_goes_back():
+    shares = []
+    diagnose_subject(plant({"a": 0.05}), say=lambda _, share: shares.append(share))
+    assert shares == sorted(shares)
+    assert 0.0 <= shares[0] < shares[-1] <= 1.0
+
+
+def test_a_nominal_model_that_cannot_be_simulated_says_why(monkeypatch):
+    subject = plant({})
+
+    def fail(_self, _task, _parameters):
+        raise SimulationError("stuck")
+
+    monkeypatch.setattr("plants.Mass.simulate", fail)
+    with pytest.raises(SimulationError, match="stuck"):
+        diagnose_subject(subject)

@@ -1,0 +1,154 @@
+"""The noise floor: whitened noise has unit variance, whatever its colour, and nothing else has."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from fmuid.diagnosis.noise import (
+    RepeatedRuns,
+    coefficient_frequencies,
+    estimate_noise,
+    noise_of_residuals,
+    real_spectrum,
+    whitener,
+)
+from fmuid.diagnosis.null import draw_null
+from fmuid.diagnosis.observed import Observed, excess, gap
+from fmuid.errors import ProblemError
+
+DT = 1e-3
+TIME = DT * np.arange(600)
+
+
+def coloured(rng, shape):
+    """Two correlated channels: one low-passed, the other that and some white noise."""
+    white = rng.standard_normal((*shape, 2, len(TIME) + 200))
+    slow = lfilter([1.0], [1.0, -0.9], white[..., 0, :])[..., 200:]
+    return np.stack([slow, 0.5 * slow + white[..., 1, 200:]], axis=-2)
+
+
+def repeated(rng, repeats=6, name="run", offset=0.0, setup="bench"):
+    signal = np.sin(20 * TIME) * np.array([[1.0], [3.0]])
+    values = signal + coloured(rng, (repeats,)) + offset * rng.standard_normal((repeats, 2, 1))
+    return RepeatedRuns(name, setup, TIME, ("a", "b"), values)
+
+
+def test_coefficients_keep_the_sum_of_squares_and_know_their_frequency():
+    for n in (64, 65):
+        time = np.arange(n) / n
+        wave = np.cos(2 * np.pi * 5 * time)
+        spectrum = real_spectrum(wave)
+        assert spectrum @ spectrum == pytest.approx(wave @ wave)
+        assert coefficient_frequencies(n, 1 / n)[np.argmax(np.abs(spectrum))] == pytest.approx(5)
+
+
+def test_whitened_coloured_noise_is_white():
+    rng = np.random.default_rng(1)
+    runs = [repeated(rng, name=f"run{k}") for k in range(8)]
+    noise = estimate_noise(runs)
+    assert noise.calibrated
+    fresh = coloured(rng, (200,))
+    z = whitener(runs[0], noise)(fresh)
+    frequencies = coefficient_frequencies(len(TIME), DT)
+    for low, high in ((1, 30), (30, 120), (120, 500)):
+        part = z[..., (frequencies > low) & (frequencies <= high)]
+        covariance = np.einsum("rcn,rdn->cd", part, part) / (part.shape[0] * part.shape[2])
+        np.testing.assert_allclose(covariance, np.eye(2), atol=0.25)
+    assert np.mean(z[..., 1:] ** 2) == pytest.approx(1.0, abs=0.08)
+
+
+def test_the_mean_of_a_run_has_a_variance_of_its_own():
+    rng = np.random.default_rng(2)
+    runs = [repeated(rng, name=f"run{k}", offset=2.0) for k in range(8)]
+    noise = estimate_noise(runs)
+    fresh = coloured(rng, (300,)) + 2.0 * rng.standard_normal((300, 2, 1))
+    z = whitener(runs[0], noise)(fresh)
+    assert np.mean(z[..., 0] ** 2) == pytest.approx(1.0, abs=0.35)
+    # A shift that is usual from run to run does not count, though the noise averaged over a run is far smaller.
+    assert np.all(np.abs(whitener(runs[0], noise)(np.full((2, len(TIME)), 2.0))[:, 0]) < 2.0)
+
+
+def test_missing_samples_count_for_nothing():
+    rng = np.random.default_rng(3)
+    run = repeated(rng)
+    values = np.array(run.values)
+    values[2, 0, 100:200] = np.nan
+    holed = RepeatedRuns("run", "bench", TIME, run.channels, values)
+    noise = estimate_noise([holed])
+    residual = np.zeros((2, len(TIME)))
+    residual[0, 100:200] = 1e6
+    assert np.all(whitener(holed, noise)(residual) == 0.0)
+
+
+@pytest.mark.parametrize(("repeats", "calibrated"), [(5, True), (4, False)])
+def test_fewer_than_five_repeats_are_said_to_be_uncalibrated(repeats, calibrated):
+    assert estimate_noise([repeated(np.random.default_rng(4), repeats)]).calibrated is calibrated
+
+
+def test_a_signal_without_noise_is_refused():
+    run = repeated(np.random.default_rng(5))
+    values = np.array(run.values)
+    values[:, 1] = values[0, 1]
+    with pytest.raises(ProblemError, match="same in every repeat"):
+        estimate_noise([RepeatedRuns("run", "bench", TIME, run.channels, values)])
+
+
+def test_repeats_at_other_times_are_refused():
+    with pytest.raises(ProblemError, match="evenly spaced"):
+        RepeatedRuns("run", "bench", TIME**1.1, ("a",), np.zeros((2, 1, len(TIME))))
+
+
+def test_false_alarms_are_as_rare_as_promised():
+    """Complete models with coloured noise and shifts between runs: p < 0.05 in about one of twenty."""
+    alarms, gaps = 0, []
+    for seed in range(40):
+        rng = np.random.default_rng(100 + seed)
+        runs = [repeated(rng, 5, f"run{k}", offset=0.3) for k in range(4)]
+        observed = Observed.from_runs(runs)
+        truth = np.sin(20 * TIME) * np.array([[1.0], [3.0]])
+        residuals = observed.residuals([truth] * len(runs))
+        null = draw_null(observed, np.zeros((sum(r.size for r in residuals), 0)), [], draws=60, seed=seed)
+        alarms += null.p_value(excess(residuals, observed)) < 0.05
+        gaps.append(gap(residuals, observed))
+    assert alarms <= 7  # 2 expected; 8 or more have a probability of 1e-3 at 5 %
+    assert np.median(gaps) < 0.2
+
+
+def test_a_gap_as_large_as_the_noise_is_seen():
+    rng = np.random.default_rng(7)
+    runs = [repeated(rng, 5, f"run{k}") for k in range(4)]
+    observed = Observed.from_runs(runs)
+    wrong = np.sin(20 * TIME) * np.array([[4.0], [3.0]]) + 3.0 * np.sin(200 * TIME)
+    residuals = observed.residuals([wrong] * 4)
+    null = draw_null(observed, np.zeros((sum(r.size for r in residuals), 0)), [], draws=200)
+    assert null.p_value(excess(residuals, observed)) < 1e-6
+    assert gap(residuals, observed) > 0.25
+
+
+def test_what_a_model_leaves_stands_for_noise_where_nothing_was_repeated():
+    rng = np.random.default_rng(8)
+    run = RepeatedRuns("run", "bench", TIME, ("a", "b"), np.zeros((1, 2, len(TIME))))
+    left = coloured(rng, ())
+    noise = noise_of_residuals([run], [left], [np.zeros_like(left)])
+    assert not noise.calibrated
+    whiten = whitener(run, noise)
+    z = np.stack([whiten(r) for r in coloured(rng, (200,))])
+    assert z.shape[-1] * 2 == whiten.size
+    assert np.mean(z**2) == pytest.approx(1.0, abs=0.25)
+    # Degrees of freedom that parameters have taken make the noise larger, not smaller.
+    taken = noise_of_residuals([run], [left], [np.full_like(left, 0.5)])
+    assert np.all(
+        np.diagonal(taken.covariance, axis1=1, axis2=2) >= 1.9 * np.diagonal(noise.covariance, axis1=1, axis2=2)
+    )
+
+
+def test_quiet_frequencies_are_left_out_of_modelled_noise():
+    rng = np.random.default_rng(9)
+    run = RepeatedRuns("run", "bench", TIME, ("a",), np.zeros((1, 1, len(TIME))))
+    slow = np.cumsum(np.cumsum(rng.standard_normal((1, len(TIME))), axis=1), axis=1)
+    noise = noise_of_residuals([run], [slow], [np.zeros_like(slow)])
+    assert noise.cutoff < 100.0
+    whiten = whitener(run, noise)
+    assert whiten(np.sin(2 * np.pi * 400 * TIME)[None]).size == whiten.size < len(TIME) / 4
+    fast = np.tile([1.0, -1.0], len(TIME) // 2)[None] * 1e9
+    assert np.abs(whiten(fast)).max() < 1e-3

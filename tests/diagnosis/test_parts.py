@@ -1,0 +1,199 @@
+"""Scores, aliases, held-out losses, closures, decoys and signal effects, each on what has a known answer."""
+
+import numpy as np
+import pytest
+from plants import EFFECTS, NOMINAL, PORTS, REGIMES, TWIN, plant
+
+from fmuid.diagnosis.candidates import fit_effects, score_further
+from fmuid.diagnosis.held_out import HeldOut, advantage, closure, closure_interval, leave_each_out
+from fmuid.diagnosis.noise import RepeatedRuns
+from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.ports import fit_decoys, harmonics, hats, quantile_knots
+from fmuid.diagnosis.refit import Unknown, refit
+from fmuid.diagnosis.regimes import bases, trajectories
+from fmuid.diagnosis.scores import alias_classes, nominal_basis, project_off, stack
+from fmuid.diagnosis.signal_effects import disturb_input, disturb_output, split_signal_parameters
+
+TIME = np.linspace(0.0, 1.0, 501)
+
+
+@pytest.fixture(scope="module")
+def asymmetric():
+    """A rig whose friction depends on direction, its model refitted, and the scores of the effects."""
+    subject = plant({"a": 0.05}, effects={**EFFECTS, "cable": TWIN})
+    nominal = fit_effects(subject, (), {})
+    return subject, nominal, score_further(subject, nominal)
+
+
+def test_the_nominal_parameters_are_found_without_an_effect():
+    fit = fit_effects(plant({}), (), {}).fit
+    assert fit.converged
+    assert fit.values == pytest.approx({"m": 1.0, "d": 0.8, "Fc": 0.5}, rel=5e-3)
+
+
+def test_scores_credit_nothing_that_refitting_could_imitate(asymmetric):
+    subject, nominal, scores = asymmetric
+    basis = nominal_basis(nominal.fit, subject.observed)
+    np.testing.assert_allclose(basis.T @ basis, np.eye(3), atol=1e-9)
+    for score in scores:
+        if score.signature is not None:
+            assert np.linalg.norm(score.signature) == pytest.approx(1.0)
+            assert np.abs(basis.T @ score.signature).max() < 1e-9
+    # What a nominal parameter does is gone entirely.
+    moved = stack([j[:, 1] for j in nominal.fit.jacobian], subject.observed)
+    assert np.linalg.norm(project_off(moved, basis)) < 1e-9 * np.linalg.norm(moved)
+
+
+def test_the_true_effect_scores_best_and_knows_its_size(asymmetric):
+    _, _, scores = asymmetric
+    assert scores[0].effect in ("asymmetry", "tilt", "cable")
+    assert scores[0].drop > 2 * next(s for s in scores if s.effect == "quadratic").drop
+    best = next(s for s in scores if s.effect == "asymmetry")
+    assert best.scale * best.trial["a"] == pytest.approx(0.05, rel=0.1)
+
+
+def test_effects_of_the_same_signature_are_one_class(asymmetric):
+    _, _, scores = asymmetric
+    signatures = {s.effect: s.signature for s in scores if s.signature is not None}
+    (found,) = alias_classes(signatures)
+    assert {"tilt", "cable"} <= set(found)
+    assert "quadratic" not in found
+    e = np.eye(3)
+    assert alias_classes({"a": e[0], "b": e[1]}) == ()
+    assert alias_classes({"c": e[0], "b": -e[0], "a": e[2]}) == (("b", "c"),)
+    # Classes are chained: a ~ b and b ~ c puts a and c together.
+    chain = {n: np.array([np.cos(x), np.sin(x), 0.0]) for n, x in (("a", 0.0), ("b", 0.3), ("c", 0.6))}
+    assert alias_classes(chain) == (("a", "b", "c"),)
+
+
+def linear(slopes, keep=(0, 1, 2, 3)):
+    """Measurements of y = slope t, one slope an experiment, and the model y = k t fitted to those of `keep`."""
+    rng = np.random.default_rng(0)
+    noise = 0.1 * rng.standard_normal((len(slopes), 5, 1, len(TIME)))
+    runs = [RepeatedRuns(f"e{k}", "bench", TIME, ("y",), s * TIME + noise[k]) for k, s in enumerate(slopes)]
+    observed = Observed.from_runs(runs).select([f"e{k}" for k in keep])
+
+    def predict(points):
+        return [[(p["k"] * TIME)[None] for _ in keep] for p in points]
+
+    return observed, refit(predict, observed, [Unknown("k", 1.0, -100.0, 100.0, 0.01)])
+
+
+def test_held_out_losses_are_those_of_fits_to_the_other_experiments():
+    slopes = [2.0, 2.0, 2.0, 5.0]
+    observed, fit = linear(slopes)
+    held = leave_each_out(fit, observed)
+    for left_out in range(4):
+        others = [k for k in range(4) if k != left_out]
+        _, alone = linear(slopes, keep=others)
+        whiten = observed.whiteners[left_out]
+        residual = whiten((alone.values["k"] * TIME)[None] - observed.runs[left_out].mean).ravel()
+        assert held.loss[left_out] == pytest.approx(np.mean(residual**2) - 1 / 5, rel=1e-3, abs=1e-3)
+    assert held.loss[3] > 3 * held.loss[0] > 0
+
+
+def test_runs_of_a_complete_model_lose_nothing_when_left_out():
+    observed, fit = linear([2.0, 2.0, 2.0, 2.0])
+    held = leave_each_out(fit, observed)
+    assert np.abs(held.loss).max() < 0.1
+    assert held.gap < 0.3
+    for losses in held.per_run:
+        assert np.abs(losses).max() < 0.5
+
+
+def lost(*loss):
+    return HeldOut(np.array(loss), tuple(np.full(5, x) for x in loss), np.full(len(loss), 100.0))
+
+
+def test_closure_is_the_share_of_the_gap_that_is_gone():
+    before, after = lost(4.0, 4.0, 4.0), lost(1.0, 1.0, 1.0)
+    assert closure(before, after) == pytest.approx(0.5)
+    assert closure(before, lost(-0.1, 0.0, 0.1)) == pytest.approx(1.0)
+    assert closure(lost(0.0, 0.0, 0.0), after) == 0.0
+    assert closure(after, before) == pytest.approx(-1.0)
+    assert closure_interval(before, after) == pytest.approx((0.5, 0.5))
+    low, high = closure_interval(before, lost(0.0, 1.0, 4.0))
+    assert low <= closure(before, lost(0.0, 1.0, 4.0)) <= high
+    assert high - low > 0.3
+
+
+def test_an_advantage_that_the_runs_do_not_agree_on_is_within_its_error():
+    def scattered(*losses):
+        per_run = tuple(np.array(x, dtype=float) for x in losses)
+        return HeldOut(np.array([x.mean() for x in per_run]), per_run, np.full(len(losses), 100.0))
+
+    gained, error = advantage(scattered([4, 4, 4], [4, 4, 4]), scattered([0, 9, 4], [4, 8, 1]))
+    assert abs(gained) < error
+    gained, error = advantage(scattered([0, 1, 0], [0, 0, 1]), scattered([8, 8, 7], [7, 8, 8]))
+    assert gained == pytest.approx(22 / 3, abs=0.1)
+    assert gained > 5 * error
+
+
+def test_basis_functions_are_what_they_are_named():
+    values = [np.linspace(-1.0, 1.0, 101)]
+    knots = quantile_knots(values, 5)
+    basis = hats(values, knots)
+    np.testing.assert_allclose(sum(b[0] for b in basis), 1.0)
+    np.testing.assert_allclose(sum(k * b[0] for k, b in zip(knots, basis, strict=True)), values[0])
+    assert len(harmonics(values, (1, 2))) == 4
+    at_rest = quantile_knots([np.zeros(50)], 5)
+    assert len(at_rest) == 1
+
+
+def test_a_free_function_of_position_finds_what_no_effect_explains():
+    subject = plant({"grip": 0.4})
+    nominal = fit_effects(subject, (), {})
+    paths = trajectories(subject.model, nominal.fit.values, REGIMES)
+    families = {**bases(paths, REGIMES), "position, fine": hats(paths["position"], np.linspace(-1.0, 1.0, 60))}
+    decoys = fit_decoys(subject.model, subject.observed, nominal.fit, tuple(PORTS.values()), families)
+    assert {d.port for d in decoys} == {"friction"}
+    by_name = {d.over: d for d in decoys}
+    assert by_name["position"].fit.cost < nominal.fit.cost
+    assert closure(nominal.held_out, by_name["speed"].held_out) < 0.3
+
+
+def test_signal_parameters_are_told_from_the_model_s():
+    plain, disturbed = split_signal_parameters(
+        {"d": 1.0, "gear.gain": 3.0, "y.gain": 1.1, "y.offset": 0.0, "u.delay": 2e-3}, {"y", "u"}
+    )
+    assert plain == {"d": 1.0, "gear.gain": 3.0}
+    assert disturbed == {"y": {"gain": 1.1}, "u": {"delay": 2e-3}}
+
+
+@pytest.mark.parametrize("delay", [1e-3, 5e-3, 7e-3])
+def test_a_delayed_input_is_the_earlier_one(delay):
+    u = np.sin(2 * np.pi * 2 * TIME)
+    # A held sample stands for the mean of its step, half a step later.
+    late = disturb_input(TIME, u, {"delay": delay})
+    step = TIME[1] - TIME[0]
+    np.testing.assert_allclose(late[10:-1], np.interp(TIME - delay, TIME, u)[10:-1], atol=2 * np.pi * 2 * step)
+    assert disturb_input(TIME, u, {}) is u
+    np.testing.assert_allclose(disturb_input(TIME, u, {"delay": step})[1:], u[:-1], atol=1e-12)
+
+
+def test_lags_settle_at_the_input_and_take_their_time():
+    step = np.ones(len(TIME))
+    lagged = disturb_input(TIME, step, {"lag": 0.05})
+    assert lagged[0] < 0.05
+    at = int(np.searchsorted(TIME, 0.05))
+    assert lagged[at] == pytest.approx(1 - np.exp(-1), abs=0.02)
+    assert lagged[-1] == pytest.approx(1.0, abs=1e-6)
+    y = np.stack([np.where(TIME < 0.1, 0.0, 1.0), TIME])
+    read = disturb_output(TIME, y, ("a", "b"), {"a": {"lag": 0.05}})
+    assert read[0, np.searchsorted(TIME, 0.15)] == pytest.approx(1 - np.exp(-1), abs=0.02)
+    assert np.array_equal(read[1], y[1])
+
+
+def test_sensors_that_read_wrongly():
+    y = np.stack([TIME, -TIME])
+    read = disturb_output(TIME, y, ("a", "b"), {"a": {"gain": 2.0, "offset": 0.5}, "b": {"saturation": 0.5}})
+    np.testing.assert_allclose(read[0], 2.0 * TIME + 0.5)
+    assert np.abs(read[1]).max() < 0.5
+    assert read[1, 1] == pytest.approx(-TIME[1], rel=1e-3)
+
+
+def test_a_parameter_never_leaves_its_bounds():
+    subject = plant({"d": 0.0})
+    fit = refit(subject.model.predict, subject.observed, NOMINAL)
+    assert fit.values["d"] >= 0.0
+    assert fit.converged
