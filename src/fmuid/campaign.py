@@ -27,7 +27,7 @@ def read_only(values: ArrayLike) -> FloatArray:
     return array
 
 
-def frozen_mapping(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
+def frozen_mapping(mapping: Mapping[str, Any]) -> MappingProxyType[str, Any]:
     """Return a read-only copy of `mapping`, in its order."""
     return MappingProxyType(dict(mapping))
 
