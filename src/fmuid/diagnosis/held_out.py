@@ -109,9 +109,15 @@ def closure_interval(
 
 
 def advantage(better: HeldOut, worse: HeldOut) -> tuple[float, float]:
-    """Return the mean difference of losses (worse - better) and its standard error over experiments and runs."""
+    """Return the mean difference of losses (worse - better) and its standard error over the runs.
+
+    Experiments are what the campaign is about, not a sample of others: an effect that one of them alone shows is
+    no less there. What is random is which runs were recorded.
+    """
     size = better.size / better.size.sum()
     difference = (worse.loss - better.loss) * size
-    n = len(difference)
-    spread = float(np.sqrt(n / max(n - 1, 1) * np.sum((difference - difference.mean()) ** 2)))
-    return float(difference.sum()), spread
+    variance = 0.0
+    for share, a, b in zip(size, worse.per_run, better.per_run, strict=True):
+        if len(a) > 1:
+            variance += float(share**2 * np.var(a - b, ddof=1) / len(a))
+    return float(difference.sum()), float(np.sqrt(variance))
