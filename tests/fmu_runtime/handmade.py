@@ -435,3 +435,14 @@ def one_sided_spring() -> CompiledModel:
         rhs=lambda e: [e.v, 1e6 * ca.fmax(0, -e.x)],
         outputs={"force": lambda e: 1e6 * ca.fmax(0, -e.x)},
     )
+
+
+def forced() -> CompiledModel:
+    """x' = -x^2 + sin(3 t) + u: explicit dependence on time and on an input that may be a ramp."""
+    return compile_by_hand(
+        "Forced",
+        states={"x": 1.0},
+        inputs={"u": 0.0},
+        rhs=lambda e: [-(e.x**2) + ca.sin(3 * e.time) + e.u],
+        outputs={"y": lambda e: e.x},
+    )

@@ -73,6 +73,23 @@ def test_order_five(fmu):
     assert orders == pytest.approx(5.0, abs=0.6)
 
 
+@pytest.mark.parametrize("slope", [0.0, 2.0])
+def test_order_five_with_dependence_on_time(fmu, slope):
+    """df/dt and the slope of a linear input are in the method: without them the order falls to two."""
+
+    def end(steps, tolerance):
+        one = fmu("forced").start(tolerance)
+        for k in range(steps):
+            one.set(u=slope * k / steps + 1e-13 * (k % 2))  # a change that restarts, far below the errors
+            one.c.setRealInputDerivatives([one.vr["u"]], [1], [slope])
+            one.c.doStep(k / steps, 1 / steps)
+        return one.get("x")
+
+    exact = end(1, 1e-13)
+    errors = np.array([abs(end(steps, 0.1) - exact) for steps in (8, 16, 32)])
+    assert np.all(np.log2(errors[:-1] / errors[1:]) > 4.4)
+
+
 def test_dense_output_between_steps(fmu):
     """A fine grid and a coarse one see the same solution: lookahead does not leak."""
     fine = fmu("pendulum").start(1e-7).run(["phi", "w"], 3000, 1e-3)
