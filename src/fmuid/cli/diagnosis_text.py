@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fmuid.cli.output import Printer
+
+if TYPE_CHECKING:
+    from fmuid.diagnosis.validation import DiagnosisValidation
 
 _ROWS = 6
 
@@ -42,3 +45,31 @@ def _row(effect: Mapping[str, Any]) -> list[object]:
 def _with_error(estimate: Mapping[str, Any]) -> str:
     error = estimate["standard_error"]
     return f"{estimate['value']:.4g}" + ("" if error is None else f" ± {error:.2g}")
+
+
+def print_validation(found: DiagnosisValidation, printer: Printer) -> None:
+    """Print errors by run and signal, then gaps by run."""
+    rows = [
+        [
+            c.experiment,
+            c.signal,
+            c.unit or "",
+            c.noise,
+            c.rmse_nominal,
+            c.rmse_corrected,
+            f"{100 * c.nrmse_nominal:.3g} %",
+            f"{100 * c.nrmse_corrected:.3g} %",
+        ]
+        for c in found.comparisons
+    ]
+    errors = ["RMSE refitted", "corrected", "NRMSE refitted", "corrected"]
+    printer.table(["run", "signal", "unit", "noise", *errors], rows)
+    printer.say("")
+    if not found.gaps:
+        printer.say("no gap in noise floors: the runs were not repeated")
+        return
+    gaps = found.to_dict()["gaps"]
+    printer.table(
+        ["gap, in noise floors", "refitted", "corrected", "closure"],
+        [[name, g["nominal"], g["corrected"], round(g["closure"], 3)] for name, g in gaps.items()],
+    )

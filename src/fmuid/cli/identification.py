@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json as json_library
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fmuid.cli.diagnosis_text import print_diagnosis
+from fmuid.cli.diagnosis_text import print_diagnosis, print_validation
 from fmuid.cli.output import CampaignPath, Json, Printer, Quiet
 from fmuid.errors import FmuidError
 
@@ -82,8 +83,12 @@ def identify(
 
 
 def validate(
-    run: RunFolder,
-    campaign: Annotated[Path | None, typer.Option(help="Validate on this campaign, not the run's own.")] = None,
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Folder of fmuid identify, or the JSON file of fmuid diagnose.")
+    ],
+    campaign: Annotated[
+        Path | None, typer.Argument(metavar="[CAMPAIGN]", help="Validate on it, not on the run's own campaign.")
+    ] = None,
     experiment: Annotated[
         list[str] | None, typer.Option("--experiment", "-e", help="Id or glob; the validation set by default.")
     ] = None,
@@ -93,11 +98,17 @@ def validate(
 ) -> None:
     """Simulate runs that were kept for validation with what a run found, beside the sensors' noise.
 
+    Of a diagnosis, the corrected model is held against the nominal one with its parameters refitted.
+
     Example: fmuid validate runs/force_feedback
+    Example: fmuid validate runs/diagnosis/diagnosis.json campaigns/force_feedback
     """
     from fmuid.result import Result
 
     printer = Printer(quiet, json)
+    if run.suffix == ".json":
+        printer.write(_diagnosis_validation(run, campaign, experiment or (), printer))
+        return
     printer.write(_validation(Result.from_json(run), printer, campaign, experiment, out))
 
 
@@ -129,7 +140,7 @@ def diagnose(
     Example: fmuid diagnose campaigns/force_feedback --out runs/diagnosis
     """
     from fmuid.campaign_toml import load_campaign
-    from fmuid.diagnosis.of_campaign import FILE_NAME
+    from fmuid.diagnosis.of_campaign import FILE_NAME, answer_of
     from fmuid.diagnosis.of_campaign import diagnose as run
     from fmuid.diagnosis.progress import DiagnosisProgress
 
@@ -137,7 +148,7 @@ def diagnose(
     folder = out or Path("runs") / f"{loaded.name}-diagnosis"
     with nullcontext() if quiet else DiagnosisProgress() as say:
         found = run(loaded, out=folder, experiments=experiment or (), workers=workers, say=say, seed=seed)
-    answer = found.diagnosis.to_dict()
+    answer = answer_of(found)
     printer = Printer(quiet, json)
     print_diagnosis(answer, printer)
     printer.say(f"\n{folder / FILE_NAME}\nreport: {folder / 'index.html'}")
@@ -167,6 +178,20 @@ def report(
     printer = Printer(quiet, json)
     printer.say(str(page))
     printer.write({"run": run, "report": page})
+
+
+def _diagnosis_validation(
+    file: Path, campaign: Path | None, experiments: Sequence[str], printer: Printer
+) -> dict[str, Any]:
+    from fmuid.campaign_toml import load_campaign
+    from fmuid.diagnosis.validation import read_diagnosis, validate_diagnosis
+
+    answer = read_diagnosis(file)
+    if campaign is None:
+        raise FmuidError("no campaign to validate on", where=file, fix="give one as second argument")
+    found = validate_diagnosis(answer, load_campaign(campaign), experiments=experiments)
+    print_validation(found, printer)
+    return {"diagnosis": file, "campaign": campaign, **found.to_dict()}
 
 
 def _progress(quiet: bool) -> Any:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from fmuid.campaign import Campaign
 from fmuid.diagnosis.diagnose import Found, Say, diagnose_subject
@@ -75,12 +76,18 @@ def diagnose(
     return replace(found, subject=replace(subject, model=replace(subject.model, runner=in_process)))
 
 
+def answer_of(found: Found) -> dict[str, Any]:
+    """Return the JSON object of a diagnosis, with the nominal model refitted beside the corrected one."""
+    nominal = found.subject.model.expanded(found.nominal.fit.values)
+    return {**found.diagnosis.to_dict(), "nominal": {"parameters": nominal}}
+
+
 def _write(found: Found, campaign: Campaign, out: Path, seed: int) -> None:
     from fmuid.report import write_diagnosis_report
     from fmuid.report.diagnosis_pictures import pictures_of
     from fmuid.report.provenance import hashes, versions
 
-    answer = found.diagnosis.to_dict()
+    answer = answer_of(found)
     write_atomically(out / FILE_NAME, json.dumps(answer, indent=2, allow_nan=False) + "\n")
     models = {m.fmu for m in campaign.models.values()}
     models |= {m.with_name(f"{found.subject.catalogue.models.get(m.stem, m.stem)}.fmu") for m in models}

@@ -34,10 +34,10 @@ _COLUMNS = (
 def diagnose_case(template: Path, measurements: Path, target: Path) -> str:
     """Diagnose one measurement file by the campaign `template`, write `target`, return the verdict in words."""
     from fmuid.campaign_toml import load_campaign
-    from fmuid.diagnosis.of_campaign import diagnose
+    from fmuid.diagnosis.of_campaign import answer_of, diagnose
 
     found = diagnose(load_campaign(template, measurements=measurements), workers=0)
-    answer = found.diagnosis.to_dict()
+    answer = answer_of(found)
     write_atomically(target, json.dumps(answer, indent=2, allow_nan=False) + "\n")
     return _verdict(answer)
 

@@ -62,6 +62,32 @@ def subject_of(
     FmuError
         An FMU lacks the parameters of every effect, or one that a tie names.
     """
+    model, catalogue, known = model_of(campaign, load, runner=runner, experiments=experiments)
+    spec = campaign.effects
+    assert spec is not None
+    cases = model.cases
+    signals = {c.signal for case in cases for c in case.channels} | {n for case in cases for n in case.task.inputs}
+    known |= {f"{signal}.{name}" for signal in signals for name in NEUTRAL}
+    effects = tuple(e for e in catalogue.effects.values() if any(u.name in known for u in e.unknowns))
+    missing = [u.name for e in effects for u in e.unknowns if u.name not in known]
+    if missing or not effects:
+        raise FmuError(
+            f"no FMU has '{missing[0]}'" if missing else "no FMU has the parameters of any effect",
+            where=spec.catalogue,
+            fix=suggestion(missing[0], known) if missing else "name the FMUs that carry the effects in [models]",
+        )
+    nominal = _nominal(campaign, spec, cases_parameters={n for c in cases for n in c.setting})
+    return Subject(model, observe(model, nominal, effects), nominal, catalogue, effects)
+
+
+def model_of(
+    campaign: Campaign,
+    load: Callable[[Path], Simulator],
+    *,
+    runner: Runner = in_process,
+    experiments: Sequence[str] = (),
+) -> tuple[CampaignModel, Catalogue, set[str]]:
+    """Return the model that carries the effects, their catalogue, and the names of the model's variables."""
     spec = campaign.effects
     if spec is None:
         raise CampaignError(
@@ -86,19 +112,7 @@ def subject_of(
         for name in expand_slice(target, known)
     }
     fixed = {p.name: p.start for p in campaign.parameters.values()}
-    model = CampaignModel(cases, runner, fixed, tie)
-    signals = {c.signal for case in cases for c in case.channels} | {n for case in cases for n in case.task.inputs}
-    known |= {f"{signal}.{name}" for signal in signals for name in NEUTRAL}
-    effects = tuple(e for e in catalogue.effects.values() if any(u.name in known for u in e.unknowns))
-    missing = [u.name for e in effects for u in e.unknowns if u.name not in known]
-    if missing or not effects:
-        raise FmuError(
-            f"no FMU has '{missing[0]}'" if missing else "no FMU has the parameters of any effect",
-            where=spec.catalogue,
-            fix=suggestion(missing[0], known) if missing else "name the FMUs that carry the effects in [models]",
-        )
-    nominal = _nominal(campaign, spec, cases_parameters={n for c in cases for n in c.setting})
-    return Subject(model, observe(model, nominal, effects), nominal, catalogue, effects)
+    return CampaignModel(cases, runner, fixed, tie), catalogue, known
 
 
 def expand_slice(target: str, known: Sequence[str] | set[str]) -> list[str]:
