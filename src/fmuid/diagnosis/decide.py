@@ -35,6 +35,7 @@ def separation(a: Fitted, b: Fitted, observed: Observed) -> float:
     if difference == 0.0:
         return 0.0
     left = float(np.mean(observed.repeats)) * min(a.gap, b.gap) ** 2
+    left += float(observed.modelled_noise)  # that noise is model error as well
     return (b.fit.cost - a.fit.cost) / (2.0 * difference * float(np.sqrt(1.0 + _BLOCK * left)))
 
 

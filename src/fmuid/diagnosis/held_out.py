@@ -49,36 +49,37 @@ def gap_of(loss: FloatArray, size: FloatArray) -> float:
 
 
 def leave_each_out(fit: Refit, observed: Observed) -> HeldOut:
-    """Return the losses of `fit` with each experiment predicted from the others."""
+    """Return the losses of `fit` with each experiment (or piece of one) predicted from the others."""
     steps = np.array([u.step for u in fit.unknowns])
     lower = np.array([u.lower for u in fit.unknowns])
     upper = np.array([u.upper for u in fit.unknowns])
     x = np.array([fit.values[u.name] for u in fit.unknowns])
     inside = (x > lower + 1e-6 * steps) & (x < upper - 1e-6 * steps)
-    parts = [j[:, inside] * steps[inside] for j in fit.jacobian]
-    normal = [n * p.T @ p for n, p in zip(observed.repeats, parts, strict=True)]
-    gradient = [n * p.T @ r for n, p, r in zip(observed.repeats, parts, fit.residuals, strict=True)]
+    parts = [fit.jacobian[e][rows][:, inside] * steps[inside] for e, rows in observed.folds]
+    residuals = [fit.residuals[e][rows] for e, rows in observed.folds]
+    repeats = [observed.repeats[e] for e, _ in observed.folds]
+    normal = [n * p.T @ p for n, p in zip(repeats, parts, strict=True)]
+    gradient = [n * p.T @ r for n, p, r in zip(repeats, parts, residuals, strict=True)]
     total, slope = sum(normal), sum(gradient)
     ridge = np.eye(int(inside.sum())) / _PRIOR_STEPS**2
     predicted = []
-    for p, r, h, g in zip(parts, fit.residuals, normal, gradient, strict=True):
+    for p, r, h, g in zip(parts, residuals, normal, gradient, strict=True):
         move = np.linalg.solve(total - h + ridge, -(slope - g)) if inside.any() else np.zeros(0)
         predicted.append(r + p @ move)
     return losses(predicted, observed)
 
 
 def losses(residuals: Sequence[FloatArray], observed: Observed) -> HeldOut:
-    """Return the losses of given whitened residuals (of the mean runs)."""
-    per_run = []
-    for r, run, w in zip(residuals, observed.runs, observed.whiteners, strict=True):
-        deviation = w(np.nan_to_num(run.values - run.mean)).reshape(run.n_repeats, -1)
+    """Return the losses of given whitened residuals (of the mean runs), one a fold."""
+    per_run, loss = [], []
+    for r, (e, rows) in zip(residuals, observed.folds, strict=True):
+        run, whiten = observed.runs[e], observed.whiteners[e]
+        deviation = whiten(np.nan_to_num(run.values - run.mean)).reshape(run.n_repeats, -1)[:, rows]
         # residual of run k = residual of the mean - its deviation from the mean
         per_run.append(read_only(np.mean((r - deviation) ** 2, axis=1) - 1.0))
-    loss = np.array(
-        [float(np.mean(r**2)) - 1.0 / run.n_repeats for r, run in zip(residuals, observed.runs, strict=True)]
-    )
+        loss.append(float(np.mean(r**2)) - 1.0 / run.n_repeats)
     size = np.array([float(r.size) for r in residuals])
-    return HeldOut(read_only(loss), tuple(per_run), read_only(size))
+    return HeldOut(read_only(np.array(loss)), tuple(per_run), read_only(size))
 
 
 def closure(before: HeldOut, after: HeldOut) -> float:
@@ -112,10 +113,14 @@ def advantage(better: HeldOut, worse: HeldOut) -> tuple[float, float]:
     """Return the mean difference of losses (worse - better) and its standard error over the runs.
 
     Experiments are what the campaign is about, not a sample of others: an effect that one of them alone shows is
-    no less there. What is random is which runs were recorded.
+    no less there. What is random is which runs were recorded. Where none was repeated, pieces of runs are.
     """
     size = better.size / better.size.sum()
     difference = (worse.loss - better.loss) * size
+    if all(len(a) < 2 for a in worse.per_run):
+        n = len(difference)
+        spread = n / max(n - 1, 1) * float(np.sum((difference - difference.mean()) ** 2))
+        return float(difference.sum()), float(np.sqrt(spread))
     variance = 0.0
     for share, a, b in zip(size, worse.per_run, better.per_run, strict=True):
         if len(a) > 1:

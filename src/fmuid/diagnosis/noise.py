@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from fmuid.campaign import FloatArray, read_only
@@ -99,7 +101,8 @@ def coefficient_frequencies(n: int, dt: float) -> FloatArray:
 class SetupNoise:
     """Noise of one setup: band edges in Hz, a (C, C) covariance a band, and the variance of a run's mean.
 
-    Nothing is said about frequencies from `cutoff` (Hz) on: whitened residuals do not have them.
+    Nothing is said about frequencies from `cutoff` (Hz) on: whitened residuals do not have them. Runs are taken
+    apart into `pieces` before they are whitened.
     """
 
     channels: tuple[str, ...]
@@ -110,6 +113,7 @@ class SetupNoise:
     degrees_of_freedom: FloatArray
     calibrated: bool
     cutoff: float = np.inf
+    pieces: int = 1
 
     @property
     def sigma(self) -> Mapping[str, float]:
@@ -154,6 +158,46 @@ def quantum(values: FloatArray) -> float:
     step = float(gaps.min())
     counts = gaps / step
     return step if np.all(np.abs(counts - np.round(counts)) < 0.02) else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PiecewiseWhitener:
+    """Whitens the pieces of a run that was not repeated one by one.
+
+    Parameters
+    ----------
+    pieces
+        Where each begins and ends, and its whitener.
+    """
+
+    pieces: tuple[tuple[int, int, Whitener], ...]
+
+    @property
+    def size(self) -> int:
+        """Length of a whitened residual."""
+        return sum(w.size for _, _, w in self.pieces)
+
+    def __call__(self, residual: FloatArray) -> FloatArray:
+        """Whiten (..., C, N) to (..., C, K), the pieces one after the other."""
+        return np.concatenate([w(residual[..., a:b]) for a, b, w in self.pieces], axis=-1)
+
+    @property
+    def folds(self) -> tuple[NDArray[np.intp], ...]:
+        """Indices of each piece's components in a flattened (C * K,) whitened residual."""
+        counts = [len(w.band_of) for _, _, w in self.pieces]
+        channels, total = len(self.pieces[0][2].mask), sum(counts)
+        index = np.arange(channels * total).reshape(channels, total)
+        ends = np.cumsum([0, *counts])
+        return tuple(np.ravel(index[:, a:b]) for a, b in pairwise(ends.tolist()))
+
+
+def cut(run: RepeatedRuns, pieces: int) -> tuple[tuple[int, int, RepeatedRuns], ...]:
+    """Return a run cut into pieces of about equal length: where each begins and ends, and itself."""
+    ends = np.linspace(0, len(run.time), pieces + 1).astype(int).tolist()
+    return tuple(
+        (a, b, RepeatedRuns(run.id, run.setup, run.time[a:b], run.channels, run.values[..., a:b]))
+        for a, b in pairwise(ends)
+    )
 
 
 def estimate_noise(runs: Sequence[RepeatedRuns]) -> SetupNoise:
@@ -227,6 +271,8 @@ def noise_of_residuals(
     runs: Sequence[RepeatedRuns],
     residuals: Sequence[FloatArray],
     leverage: Sequence[FloatArray] | None = None,
+    *,
+    pieces: int = 1,
 ) -> SetupNoise:
     """Take what a model leaves of runs without repeats for their noise, each channel by itself.
 
@@ -239,6 +285,9 @@ def noise_of_residuals(
     leverage
         (C, N) an experiment: degrees of freedom that the model's parameters have taken from each coefficient.
         Without it the noise is white, of each mean square: for a model that does not fit yet.
+
+    pieces
+        Number of pieces that whole runs are cut into; all arguments are of the pieces.
 
     Returns
     -------
@@ -283,6 +332,7 @@ def noise_of_residuals(
         degrees_of_freedom=dof.mean(axis=1),
         calibrated=False,
         cutoff=cutoff,
+        pieces=pieces,
     )
 
 

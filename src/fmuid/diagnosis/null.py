@@ -8,14 +8,13 @@ run to run that touch many signals at once are in them, as white noise would not
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm
 
 from fmuid.campaign import FloatArray, read_only
-from fmuid.diagnosis.noise import Whitener
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.scores import project_off
 
@@ -78,7 +77,7 @@ def draw_null(
     return Null(read_only(excess), read_only(drops.max(axis=0)))
 
 
-def _contrasts(deviation: FloatArray, whiten: Whitener) -> FloatArray:
+def _contrasts(deviation: FloatArray, whiten: Callable[[FloatArray], FloatArray]) -> FloatArray:
     """Return the (R - 1, M) orthonormal contrasts of R whitened runs: each distributed as the noise of one run."""
     r = len(deviation)
     if r < 2:

@@ -7,9 +7,18 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmuid.campaign import Experiment, FloatArray, Measurements
-from fmuid.diagnosis.noise import RepeatedRuns, SetupNoise, Whitener, estimate_noise, whitener
+from fmuid.diagnosis.noise import (
+    PiecewiseWhitener,
+    RepeatedRuns,
+    SetupNoise,
+    Whitener,
+    cut,
+    estimate_noise,
+    whitener,
+)
 from fmuid.errors import ProblemError
 
 
@@ -78,9 +87,21 @@ class Observed:
         return Observed(tuple(r for r in self.runs if r.id in ids), self.noise, self.modelled_noise)
 
     @cached_property
-    def whiteners(self) -> tuple[Whitener, ...]:
+    def whiteners(self) -> tuple[Whitener | PiecewiseWhitener, ...]:
         """What whitens each experiment's residual."""
-        return tuple(whitener(r, self.noise[r.setup]) for r in self.runs)
+        return tuple(_whitener(r, self.noise[r.setup]) for r in self.runs)
+
+    @cached_property
+    def folds(self) -> tuple[tuple[int, NDArray[np.intp] | slice], ...]:
+        """What is left out at a time: experiment, and components of its whitened residual.
+
+        Whole experiments where they were repeated; pieces of those that were not.
+        """
+        return tuple(
+            (e, fold)
+            for e, w in enumerate(self.whiteners)
+            for fold in (w.folds if isinstance(w, PiecewiseWhitener) else (slice(None),))
+        )
 
     @cached_property
     def repeats(self) -> FloatArray:
@@ -104,6 +125,12 @@ class Observed:
     def whiten(self, differences: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
         """Whiten differences of predictions: (C, N) to (C * N,), one an experiment."""
         return tuple(w(d).ravel() for d, w in zip(differences, self.whiteners, strict=True))
+
+
+def _whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener | PiecewiseWhitener:
+    if noise.pieces == 1:
+        return whitener(run, noise)
+    return PiecewiseWhitener(tuple((a, b, whitener(part, noise)) for a, b, part in cut(run, noise.pieces)))
 
 
 def gap(residuals: Sequence[FloatArray], observed: Observed) -> float:

@@ -15,12 +15,14 @@ import numpy as np
 from fmuid.campaign import FloatArray
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.model import CampaignModel
-from fmuid.diagnosis.noise import RepeatedRuns, noise_of_residuals
+from fmuid.diagnosis.noise import PiecewiseWhitener, RepeatedRuns, cut, noise_of_residuals
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Refit, Unknown, refit
 from fmuid.diagnosis.scores import score_effects, stack
 from fmuid.errors import SimulationError
 
+_PIECES = 6  # that a run without repeats is cut into: each is left out in turn
+_SHORTEST = 64  # samples of a piece
 _PASSES = 2  # nominal refits, each weighted by what the one before left
 _MOST = 6  # effects together
 _WORTH = 0.01  # share of the cost that a further effect must save
@@ -102,24 +104,35 @@ def _observed(
     noise = dict(Observed.from_runs(repeated).noise) if repeated else {}
     for setup in single:
         own = [k for k, r in enumerate(runs) if r.setup == setup]
-        noise[setup] = noise_of_residuals(
-            [runs[k] for k in own],
-            [prediction[k] - runs[k].mean for k in own],
-            None if leverage is None else [leverage[k] for k in own],
-        )
+        pieces = max(1, min(_PIECES, *(len(runs[k].time) // _SHORTEST for k in own)))
+        parts, residuals, taken = [], [], []
+        for k in own:
+            error = prediction[k] - runs[k].mean
+            ends = []
+            for a, b, part in cut(runs[k], pieces):
+                parts.append(part)
+                residuals.append(error[:, a:b])
+                ends.append(b)
+            taken += [] if leverage is None else np.split(leverage[k], ends[:-1], axis=1)
+        noise[setup] = noise_of_residuals(parts, residuals, taken or None, pieces=pieces)
     return Observed(tuple(runs), noise, modelled_noise=True)
 
 
 def _leverage(observed: Observed, fit: Refit) -> list[FloatArray]:
-    """(C, N) an experiment: the share of each whitened coefficient that the fit's parameters can take up."""
+    """(C, N) an experiment: the share of each coefficient of each piece that the fit's parameters can take up."""
     jacobian = stack(fit.jacobian, observed)
     norms = np.linalg.norm(jacobian, axis=0)
     u, s, _ = np.linalg.svd(jacobian[:, norms > 0] / norms[norms > 0], full_matrices=False)
     taken = np.sum(u[:, s > 1e-6 * s[0]] ** 2, axis=1)
     shares = []
     for run, w in zip(observed.runs, observed.whiteners, strict=True):
-        share = np.zeros(run.mask.shape)  # above a cutoff nothing is taken
-        share[:, : w.size // len(share)] = taken[: w.size].reshape(len(share), -1)
+        own = taken[: w.size].reshape(len(run.channels), -1)
         taken = taken[w.size :]
+        share = np.zeros(run.mask.shape)  # above a cutoff nothing is taken
+        begin = 0
+        for a, _, piece in w.pieces if isinstance(w, PiecewiseWhitener) else ((0, 0, w),):
+            count = len(piece.band_of)
+            share[:, a : a + count] = own[:, begin : begin + count]
+            begin += count
         shares.append(share)
     return shares
