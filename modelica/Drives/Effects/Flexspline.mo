@@ -8,7 +8,7 @@ model Flexspline "Compliance with backlash, hardening and rate-independent hyste
   parameter Types.Angle hysteresis_angle(min = 0) = 3e-4 "The hysteresis is wound up over some of these";
   Interfaces.RealInput phi_port(unit = "rad") "Deflection added to that of the spring";
   Types.Angle wind "Deflection of the spring";
-  Real z(start = 0, fixed = true, unit = "1") "Hysteresis torque over its largest value, Bouc-Wen";
+  Real z(start = 0, fixed = true, nominal = 1, unit = "1") "Hysteresis torque over its largest value, Bouc-Wen";
 protected
   Types.Angle deflection "Relative angle before backlash";
   Types.Torque pressing "Torque of spring and damper; teeth with play between them only press";

@@ -1,6 +1,6 @@
 within Drives.Setups;
 partial model PartialSpeedControlled "Actuator under the rig's speed controller"
-  extends PartialActuator(rotor(phi(start = n*phi_load_start), w(start = w_motor_start)));
+  extends PartialActuator(rotor(phi(start = n*phi_load_start, fixed = true), w(start = w_motor_start, fixed = true)));
   parameter Real kp(unit = "A.s/rad") = 0.02 "Proportional gain of the speed controller";
   parameter Real ki(unit = "A/rad") = 0.4 "Integral gain of the speed controller";
   parameter Types.Current i_max(min = 0) = 6 "Largest current of the speed controller";

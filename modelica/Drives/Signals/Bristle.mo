@@ -4,7 +4,7 @@ block Bristle "Friction as a share of break-away, event-free, with a true stuck 
   parameter Real z_e(unit = "1", min = 0, max = 0.999) = 0.9 "Purely elastic up to this share of the deflection";
   Interfaces.RealInput v(unit = "1/s") "Sliding speed over presliding deflection";
   Interfaces.RealOutput share(unit = "1") "Friction over break-away friction, in [-1, 1]";
-  Real z(start = 0, fixed = true, unit = "1") "Deflection over presliding deflection, in [-1, 1]";
+  Real z(start = 0, fixed = true, nominal = 1, unit = "1") "Deflection over presliding deflection, in [-1, 1]";
 equation
   der(z) = noEvent(Functions.bristleRate(v, z, z_e));
   share = noEvent(max(-1.0, min(1.0, z + t_s*der(z))));
