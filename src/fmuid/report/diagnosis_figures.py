@@ -130,8 +130,7 @@ def _residual_panel(pair: ResidualPair) -> Panel:
     series.append(Series("before", time, pair.before[keep], "before"))
     if pair.after is not None:
         series.append(Series("after", time, pair.after[keep], "after"))
-    axis = Axis(f"residual of {pair.signal}", pair.unit)
-    return Panel(f"{pair.setup}: {pair.experiment}", TIME, axis, tuple(series))
+    return Panel(f"{pair.experiment}: {pair.signal}", TIME, Axis("residual", pair.unit), tuple(series))
 
 
 def excess_figure(excess: ExcessEnergy | None) -> MapFigure | None:
@@ -164,7 +163,10 @@ def missing_figure(missing: Sequence[MissingQuantity]) -> LineFigure | None:
             role: Role = "final" if k == 0 else "alternative"
             series.append(Series(label, x, y, role))
         panels.append(Panel(f"over {m.variable.name}", m.variable, m.quantity, tuple(series)))
-    caption = "Points: what must be added at the port to explain the residual, with standard errors."
+    caption = (
+        "Points: what must be added at the verdict's port to explain the residual, with standard errors; angles are "
+        "within a turn."
+    )
     return LineFigure("missing", "What is missing at the port", tuple(panels), caption, min(len(panels), 3))
 
 

@@ -90,7 +90,7 @@ def _missing(found: Found, nominal: Prediction, after: Prediction | None) -> tup
     port = found.subject.catalogue.ports.get(found.diagnosis.verdict.port or "")
     if port is None or port.input is None:
         return ()
-    quantity = Axis(f"missing at {port.name}", port.unit)
+    quantity = Axis("missing", port.unit)
     label = " + ".join(found.diagnosis.verdict.effects)
     missing = []
     for regime in found.subject.catalogue.regimes.values():
@@ -106,7 +106,7 @@ def _missing(found: Found, nominal: Prediction, after: Prediction | None) -> tup
 
 
 def _axis(regime: Regime) -> Axis:
-    return Axis(f"{regime.name}, within a turn" if regime.kind == "angle" else regime.name, regime.unit)
+    return Axis(regime.name, regime.unit)
 
 
 def _ordinates(
