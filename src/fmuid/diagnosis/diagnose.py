@@ -171,7 +171,7 @@ def _conclude(
         verdict, chosen = Verdict("complete"), nominal
     elif unknown or best is None:
         port = _strongest(decoys) if decoys else None
-        verdict, chosen = Verdict("unknown", (), port), best or nominal
+        verdict, chosen = Verdict("unknown", (), port), nominal
     elif len(alike) > 1:
         names = tuple(dict.fromkeys(n for c in alike for n in c.names))
         places = {ports[n] for n in names}
