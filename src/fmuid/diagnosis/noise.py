@@ -22,7 +22,7 @@ from fmuid.errors import ProblemError
 _BANDS_PER_OCTAVE = 1
 _MIN_BIN_COUNT = 3
 _QUIETEST = 0.1
-_LEAST_PIECE = 0.25
+_LEAST_PIECE = 1.0  # quiet pieces do not count for more than their share
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -97,6 +97,9 @@ def model_of(
         )
     catalogue = load_catalogue(spec.catalogue)
     chosen = experiments_of(campaign, experiments or spec.experiments, where="[effects] experiments")
+    if experiments:  # repeats come along
+        origins = {e.origin for e in chosen}
+        chosen = tuple(e for e in campaign.measurements if e.origin in origins)
     setups = list(dict.fromkeys(e.setup for e in chosen))
     models = {s: _with_effects(campaign, s, catalogue) for s in setups}
     campaign = replace(campaign, models={**campaign.models, **models})

@@ -164,8 +164,8 @@ def missing_figure(missing: Sequence[MissingQuantity]) -> LineFigure | None:
             series.append(Series(label, x, y, role))
         panels.append(Panel(f"over {m.variable.name}", m.variable, m.quantity, tuple(series)))
     caption = (
-        "Points: what must be added at the verdict's port to explain the residual, with standard errors; angles are "
-        "within a turn."
+        "Points: what must be added at the verdict's port to explain the residual, with standard errors; angles "
+        "are within a turn."
     )
     return LineFigure("missing", "What is missing at the port", tuple(panels), caption, min(len(panels), 3))
 
