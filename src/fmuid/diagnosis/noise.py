@@ -9,7 +9,7 @@ its own: sensors shift from run to run by more than their noise averaged over a 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -22,7 +22,6 @@ from fmuid.errors import ProblemError
 _BANDS_PER_OCTAVE = 1
 _MIN_BIN_COUNT = 3
 _QUIETEST = 0.1
-_LEAST_PIECE = 1.0  # quiet pieces do not count for more than their share
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +102,7 @@ class SetupNoise:
     """Noise of one setup: band edges in Hz, a (C, C) covariance a band, and the variance of a run's mean.
 
     Nothing is said about frequencies from `cutoff` (Hz) on: whitened residuals do not have them. Runs are taken
-    apart into `pieces` before they are whitened; `scale` gives, by run, the (pieces,) factors of their deviation.
+    apart into `pieces` before they are whitened.
     """
 
     channels: tuple[str, ...]
@@ -115,7 +114,6 @@ class SetupNoise:
     calibrated: bool
     cutoff: float = np.inf
     pieces: int = 1
-    scale: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def sigma(self) -> Mapping[str, float]:
@@ -301,22 +299,20 @@ def noise_of_residuals(
     channels = runs[0].channels
     dt = float(np.mean(np.diff(runs[0].time)))
     edges = np.array([0.0, np.inf]) if leverage is None else _band_edges(max(len(r.time) for r in runs), dt)
-    spectra = [real_spectrum(e * r.mask) for e, r in zip(residuals, runs, strict=True)]
-    bands = [_bands_of(len(r.time), dt, edges) for r in runs]
-    free = [np.ones_like(x) for x in spectra] if leverage is None else [1.0 - x for x in leverage]
-    scale = np.ones(len(runs))
-    for _ in range(2):
-        energy = [(x / s) ** 2 for x, s in zip(spectra, scale, strict=True)]
-        total, dof = _by_band(energy, bands, len(edges) - 1), _by_band(free, bands, len(edges) - 1)
-        # What a model leaves differs from piece to piece: those that it fails in count less.
-        mean = total / np.maximum(dof, 1.0)
-        if pieces > 1 and leverage is not None:
-            relative = [_relative(e, f, b, mean) for e, f, b in zip(energy, free, bands, strict=True)]
-            scale = scale * np.sqrt(np.maximum(relative, _LEAST_PIECE))
-    mean_sum = np.sum([e[:, 0] / e.shape[1] for e in energy], axis=0)
-    mean_dof = np.sum([f[:, 0] for f in free], axis=0)
+    total, dof = np.zeros((len(edges) - 1, len(channels))), np.zeros((len(edges) - 1, len(channels)))
+    mean_sum, mean_dof = np.zeros(len(channels)), np.zeros(len(channels))
+    for k, (run, residual) in enumerate(zip(runs, residuals, strict=True)):
+        spectrum = real_spectrum(residual * run.mask)
+        bands = _bands_of(len(run.time), dt, edges)
+        taken = np.zeros_like(spectrum) if leverage is None else leverage[k]
+        mean_sum += spectrum[:, 0] ** 2 / len(run.time)
+        mean_dof += 1.0 - taken[:, 0]
+        for band in range(len(dof)):
+            chosen = bands == band
+            total[band] += np.sum(spectrum[:, chosen] ** 2, axis=1)
+            dof[band] += np.sum(1.0 - taken[:, chosen], axis=1)
     quiet = _QUIETEST * total.sum(axis=0) / dof.sum(axis=0)
-    variance = mean
+    variance = total / np.maximum(dof, 1.0)
     loud = np.flatnonzero(np.any(variance >= quiet, axis=1))
     cutoff = float(edges[loud.max() + 1]) if len(loud) else np.inf
     variance = np.maximum(variance, quiet)
@@ -337,28 +333,10 @@ def noise_of_residuals(
         calibrated=False,
         cutoff=cutoff,
         pieces=pieces,
-        scale={n: scale[[r.id == n for r in runs]] for n in dict.fromkeys(r.id for r in runs)},
     )
 
 
-def _by_band(values: Sequence[FloatArray], bands: Sequence[FloatArray], count: int) -> FloatArray:
-    """(count, C) sums over the coefficients of each band."""
-    return np.array(
-        [
-            np.sum([v[:, b == k].sum(axis=1) for v, b in zip(values, bands, strict=True)], axis=0)
-            for k in range(count)
-        ]
-    )
-
-
-def _relative(energy: FloatArray, free: FloatArray, bands: FloatArray, variance: FloatArray) -> float:
-    """Mean energy of a piece in units of the variance in each band, without the mean."""
-    chosen = bands >= 0
-    expected = variance[bands[chosen].astype(int)].T
-    return float(np.sum(energy[:, chosen] / expected) / max(np.sum(free[:, chosen]), 1.0))
-
-
-def whitener(run: RepeatedRuns, noise: SetupNoise, scale: float = 1.0) -> Whitener:
+def whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener:
     """Return what whitens residuals of `run` by `noise`; the mean's variance is never below its noise's."""
     n = len(run.time)
     factors = []
@@ -369,9 +347,9 @@ def whitener(run: RepeatedRuns, noise: SetupNoise, scale: float = 1.0) -> Whiten
     mean_variance = np.maximum(n * noise.mean_variance, lowest)
     return Whitener(
         mask=read_only(run.mask),
-        factors=read_only(np.array(factors) / scale),
+        factors=read_only(np.array(factors)),
         band_of=read_only(_bands_of(n, noise.dt, noise.edges)[: _below(n, noise.dt, noise.cutoff)]),
-        mean_scale=read_only(1.0 / np.sqrt(mean_variance) / scale),
+        mean_scale=read_only(1.0 / np.sqrt(mean_variance)),
     )
 
 

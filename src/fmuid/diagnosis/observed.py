@@ -130,9 +130,7 @@ class Observed:
 def _whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener | PiecewiseWhitener:
     if noise.pieces == 1:
         return whitener(run, noise)
-    scales = noise.scale.get(run.id, np.ones(noise.pieces))
-    pieces = zip(cut(run, noise.pieces), scales.tolist(), strict=True)
-    return PiecewiseWhitener(tuple((a, b, whitener(part, noise, s)) for (a, b, part), s in pieces))
+    return PiecewiseWhitener(tuple((a, b, whitener(part, noise)) for a, b, part in cut(run, noise.pieces)))
 
 
 def gap(residuals: Sequence[FloatArray], observed: Observed) -> float:

@@ -1,0 +1,118 @@
+"""The guide's own example: an effect added to an FMU by data alone, found on the command line."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmuid.campaign import Experiment, Measurements, Signal
+from fmuid.cli.app import run
+from fmuid.fmu import load_fmu
+from fmuid.measurements import write_measurements
+from fmuid.simulation import Task
+
+GUIDE = Path(__file__).parents[2] / "docs" / "diagnosis.md"
+TIME = 5e-3 * np.arange(400)
+INPUTS = {
+    "sine": 1.5 * np.sin(2 * np.pi * TIME),
+    "steps": np.repeat([1.5, -2.0, 2.5, -1.0], 100),
+    "slow": 2.5 * np.sin(np.pi * TIME) ** 3,
+}
+
+
+@pytest.fixture(scope="module")
+def trolley(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The guide's files, and the FMU it builds from them."""
+    folder = tmp_path_factory.mktemp("trolley")
+    for name, text in re.findall(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", GUIDE.read_text(), re.DOTALL):
+        (folder / name).write_text(text)
+    assert run(["build", str(folder / "Trolley.mo"), "Trolley", "--out", str(folder), "--quiet"]) == 0
+    return folder
+
+
+def record(folder: Path, repeats: int = 5, **truth: float) -> None:
+    """Write runs of a trolley with `truth` and noise."""
+    rng = np.random.default_rng(1)
+    fmu, found = load_fmu(folder / "Trolley.fmu"), {}
+    for name, u in INPUTS.items():
+        (v,) = fmu.simulate(Task(TIME, {"u": u}, ("v",)), {"m": 1.0, "d": 0.8, **truth})
+        for k in range(repeats):
+            measured = v + 5e-3 * rng.standard_normal(len(v)) + 1e-3 * rng.standard_normal()
+            signals = {"u": Signal("u", u, "N", "input"), "v": Signal("v", measured, "m/s", "output")}
+            id_ = f"{name}_r{k}" if k else name
+            found[id_] = Experiment(id_, "bench", TIME, signals, repeat_of=name if k else None)
+    write_measurements(Measurements(found), folder / "measurements.h5")
+
+
+def test_an_effect_of_one_s_own_is_found(trolley, tmp_path, capsys):
+    record(trolley, drag=0.3)
+    out = tmp_path / "diagnosis"
+    assert run(["diagnose", str(trolley), "--out", str(out), "--workers", "0"]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"Verdict: air_drag \(9\d %\) at friction", said)
+    assert "closure (held out)" in said
+    answer = json.loads((out / "diagnosis.json").read_text())
+    assert answer["verdict"] == {"kind": "effect", "effects": ["air_drag"], "port": "friction"}
+    assert answer["model"]["parameters"] == pytest.approx({"m": 1.0, "d": 0.8, "drag": 0.3}, rel=0.03)
+    page = (out / "index.html").read_text()
+    assert "air_drag" in page
+    assert {"residuals", "missing", "excess-energy", "gap"} <= {p.stem for p in (out / "figures").iterdir()}
+
+    # On other data: the corrected model beside the nominal one.
+    other = tmp_path / "other"
+    shutil.copytree(trolley, other)
+    record(other, drag=0.3)
+    assert run(["validate", str(out / "diagnosis.json"), str(other), "--json", str(tmp_path / "v.json")]) == 0
+    gaps = json.loads((tmp_path / "v.json").read_text())["gaps"]
+    assert gaps["all"]["nominal"] > 0.5
+    assert gaps["all"]["corrected"] < 0.25
+    assert gaps["all"]["closure"] > 0.7
+
+
+def test_experiments_named_bring_their_repeats_and_quiet_is_quiet(trolley, tmp_path, capsys):
+    record(trolley)
+    arguments = ["diagnose", str(trolley), "--out", str(tmp_path), "--workers", "0", "-e", "s*", "--quiet"]
+    assert run([*arguments, "--json", str(tmp_path / "answer.json")]) == 0
+    assert capsys.readouterr().out == ""
+    answer = json.loads((tmp_path / "answer.json").read_text())
+    assert answer["gap"]["calibrated"] is True
+    assert answer["verdict"]["kind"] == "complete"
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("", "no effects to look for"),
+        ('[effects]\ncatalogue = "nowhere.toml"\n', "nowhere.toml"),
+        ('[effects]\ncatalogue = "effects.toml"\nnominal = ["m", "D"]\n', "unknown parameter 'D'"),
+        ('[effects]\ncatalogue = "effects.toml"\ntie = { "drg" = "d" }\n', "no FMU has 'drg'"),
+    ],
+)
+def test_a_mistake_in_the_table_is_one_line(trolley, tmp_path, capsys, table, message):
+    record(trolley)
+    shutil.copytree(trolley, tmp_path, dirs_exist_ok=True)
+    text = (tmp_path / "campaign.toml").read_text()
+    (tmp_path / "campaign.toml").write_text(text[: text.index("[effects]")] + table)
+    assert run(["diagnose", str(tmp_path), "--workers", "0"]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
+
+
+def test_a_diagnosis_that_is_none_is_refused(trolley, tmp_path, capsys):
+    (tmp_path / "d.json").write_text("{}")
+    assert run(["validate", str(tmp_path / "d.json"), str(trolley)]) == 2
+    assert "is no diagnosis" in capsys.readouterr().err
+
+
+def test_ctrl_c_ends_a_diagnosis(trolley, tmp_path, capsys, monkeypatch):
+    def interrupted(*_arguments, **_options):
+        raise KeyboardInterrupt
+
+    record(trolley)
+    monkeypatch.setattr("fmuid.diagnosis.of_campaign.diagnose_subject", interrupted)
+    assert run(["diagnose", str(trolley), "--out", str(tmp_path / "out"), "--workers", "1"]) == 130
+    assert not (tmp_path / "out").exists()
