@@ -53,6 +53,18 @@ static int same(const double *a, const double *b, int n) {
     return 1;
 }
 
+/* Takes over new relations: all, or (where the plain fixed point alternates) only those that turn false, or else the
+ * first that turns true. */
+static void adopt(double *m, const double *new, int few) {
+    int falls = 0;
+    for (int i = 0; i < NM; i++) falls |= m[i] != 0.0 && new[i] == 0.0;
+    for (int i = 0; i < NM; i++) {
+        if (m[i] == new[i] || (few && falls && new[i] != 0.0)) continue;
+        m[i] = new[i];
+        if (few && !falls) break;
+    }
+}
+
 /* The event iteration at (s.t, s.x, s.u), as fmu_build/model.py defines it. With `initial` only the inner loop runs,
  * and when-clauses fire where they name initial(). */
 Status event_iteration(Instance *me, int initial) {
@@ -79,7 +91,7 @@ Status event_iteration(Instance *me, int initial) {
             memcpy(s->z, z, NZ * sizeof *z);
             relations(me, s->t, s->x, s->u, m);
             settled &= same(m, s->m, NM);
-            memcpy(s->m, m, NM * sizeof *m);
+            adopt(s->m, m, inner >= 10);
         }
         if (!settled)
             return report(me, STATUS_ERROR, "t = %.9g: the event iteration finds no consistent discrete variables", s->t);

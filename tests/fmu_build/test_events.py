@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from fmu_build import build, compile_modelica
+from fmuid.fmu import Fmu
+from fmuid.simulation import Task
 from tests.fmu_build.simulate import Instance, find, states, values
 
 HYBRID = Path(__file__).parent / "models" / "Hybrid.mo"
@@ -180,3 +182,52 @@ def test_a_gear_that_comes_to_rest_under_load_finds_its_stuck_mode(side):
         assert values(model.functions["derivatives"](*env))[states(model).index("w")] == pytest.approx(
             0, abs=1e-12
         )
+
+
+def _set_valued_gear(time, u, load):
+    """Lossy with a set-valued loss torque, by time stepping: angle, speed and loss energy on side a."""
+    j_a, j_b, ratio, eta1, eta2, tau_bf = 0.01, 1.0, 5.0, 0.8, 0.7, 0.1
+
+    def sliding(side, u_k, load_k):
+        for share, positive in ((1 - eta1, side > 0), (1 - 1 / eta2, side < 0)):
+            # a = (u - tau)/J_a and J_b a/ratio = ratio (tau - loss) + load with loss = share tau + side tau_bf
+            tau = (j_b * u_k / (ratio * j_a) + ratio * side * tau_bf - load_k) / (
+                j_b / (ratio * j_a) + ratio * (1 - share)
+            )
+            if (tau >= 0) == positive:
+                return (u_k - tau) / j_a, share * tau + side * tau_bf
+        raise AssertionError("no branch of Table 1 is consistent")
+
+    w, energy, rows = 0.0, 0.0, []
+    dt = time[1] - time[0]
+    for u_k, load_k in zip(u, load, strict=True):
+        rows.append((w, energy))
+        if w == 0.0:
+            held = u_k + load_k / ratio
+            high = (1 - eta1) * u_k + tau_bf if u_k >= 0 else (1 - 1 / eta2) * u_k + tau_bf
+            low = (1 - 1 / eta2) * u_k - tau_bf if u_k >= 0 else (1 - eta1) * u_k - tau_bf
+            if low <= held <= high:
+                continue
+            side = 1.0 if held > high else -1.0
+        else:
+            side = np.sign(w)
+        a, loss = sliding(side, u_k, load_k)
+        new = w + dt * a
+        if w * new < 0.0:
+            new = 0.0
+        energy += loss * 0.5 * (w + new) * dt
+        w = new
+    return np.array(rows).T
+
+
+def test_a_lossy_gear_with_modes_runs_as_an_fmu(tmp_path):
+    fmu = Fmu(build(HYBRID, "Hybrid.Lossy", tmp_path))
+    time = np.arange(0.0, 6.0, 5e-4)
+    inputs = {"u": 0.6 * np.sin(2.0 * time), "load": 2.4 * np.sin(1.3 * time + 1.0)}
+    w, energy = fmu.simulate(Task(time, inputs, ("w_a", "lossEnergy")), {})
+    expected_w, expected_energy = _set_valued_gear(time, inputs["u"], inputs["load"])
+    assert np.ptp(expected_w) > 1.0
+    assert np.count_nonzero(expected_w == 0.0) > 100  # it also sticks
+    assert np.max(np.abs(w - expected_w)) < 5e-3 * np.ptp(expected_w)
+    assert np.max(np.abs(energy - expected_energy)) < 5e-3 * expected_energy[-1]
+    assert np.all(np.diff(energy) > -1e-9)
