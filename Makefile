@@ -3,6 +3,9 @@ PYTHON ?= python3
 VENV ?= .venv
 EMPS ?= ../shared/data/emps
 SEALED ?= ../shared/data/sealed
+# The blind check: cases in the grid, and a folder outside this one for what the diagnosis must not see.
+COUNT ?= 200
+LABELS ?= ../blind-labels
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DEVELOPER := $(VENV)/.developer
@@ -19,7 +22,7 @@ FORCE_FEEDBACK := campaigns/force_feedback
 LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 FRICTION := --stage bearing $(foreach row,10 15 20 30,--stage row_$(row)_equal --stage row_$(row)) --stage standstill
 
-.PHONY: all setup fmus test test-all lint identify identify-linear identify-friction identify-emps diagnose diagnose-emps sealed bench clean
+.PHONY: all setup fmus test test-all lint identify identify-linear identify-friction identify-emps diagnose diagnose-emps sealed blind bench clean
 all: identify
 
 setup: $(READY)
@@ -62,6 +65,12 @@ diagnose-emps: $(FMUS) campaigns/emps/measurements.h5
 
 sealed: $(FMUS)
 	$(BIN)/python -m fmuid.diagnosis.sealed $(SEALED) --out sealed --page docs/sealed.md
+
+# Goes on where it was interrupted. FIRST=20: the first twenty cases of the grid. SEED=5: not a drawn one.
+blind: $(FMUS)
+	$(BIN)/python -m fmuid.diagnosis.blind_check --labels $(LABELS) --count $(COUNT) \
+	  $(FIRST:%=--first %) $(SEED:%=--seed %) --page docs/blind.md \
+	  --command "make blind COUNT=$(COUNT)$(FIRST:%= FIRST=%)$(SEED:%= SEED=%)"
 
 lint: $(DEVELOPER)
 	$(BIN)/ruff check .

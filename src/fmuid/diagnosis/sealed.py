@@ -10,7 +10,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
@@ -39,10 +39,17 @@ def diagnose_case(template: Path, measurements: Path, target: Path) -> str:
     found = diagnose(load_campaign(template, measurements=measurements), workers=0)
     answer = answer_of(found)
     write_atomically(target, json.dumps(answer, indent=2, allow_nan=False) + "\n")
-    return _verdict(answer)
+    return verdict_in_words(answer)
 
 
-def diagnose_folder(folder: Path, template: Path, out: Path, *, workers: int | None = None) -> list[str]:
+def diagnose_folder(
+    folder: Path,
+    template: Path,
+    out: Path,
+    *,
+    workers: int | None = None,
+    diagnose: Callable[[Path, Path, Path], str] = diagnose_case,
+) -> list[str]:
     """Diagnose every case of `folder` that has no result in `out` yet; cases run side by side.
 
     Returns
@@ -57,9 +64,7 @@ def diagnose_folder(folder: Path, template: Path, out: Path, *, workers: int | N
     print(f"{len(cases)} cases, {len(cases) - len(waiting)} of them done before", flush=True)
     failures, begun = [], time.monotonic()
     with WorkerPool(workers, time_limit=None) as pool:
-        jobs = {
-            pool.submit(diagnose_case, template, c / "measurements.h5", out / f"{c.name}.json"): c for c in waiting
-        }
+        jobs = {pool.submit(diagnose, template, c / "measurements.h5", out / f"{c.name}.json"): c for c in waiting}
         for done, job in enumerate(as_completed(jobs), 1):
             name = jobs[job].name
             try:
@@ -110,10 +115,11 @@ def _row(name: str, answer: Mapping[str, Any]) -> list[str]:
     if entry:
         closure, interval = f"{entry['held_out']:.2f}", "{:.2f} … {:.2f}".format(*entry["interval"])
     gaps = [f"{gap[k]:.2f}" for k in ("nominal_refit", "corrected")]
-    return [name, _verdict(answer), sure, verdict["port"] or "", *gaps, closure, interval]
+    return [name, verdict_in_words(answer), sure, verdict["port"] or "", *gaps, closure, interval]
 
 
-def _verdict(answer: Mapping[str, Any]) -> str:
+def verdict_in_words(answer: Mapping[str, Any]) -> str:
+    """Return the verdict of a diagnosis in a few words."""
     kind, named = answer["verdict"]["kind"], answer["verdict"]["effects"]
     joined = {"effect": " and ", "ambiguous": " or "}.get(kind, ", ").join(named)
     return joined if kind == "effect" else f"{kind}: {joined}" if named else kind

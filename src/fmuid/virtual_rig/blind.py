@@ -67,7 +67,7 @@ def make_blind_campaigns(
     chosen = planned if cases is None else tuple(planned[i] for i in cases)
 
     with ThreadPoolExecutor(workers) as pool:
-        truths = list(pool.map(lambda case: _truth(case, labels, say), chosen))
+        truths = list(pool.map(lambda case: truth_of(case, labels, say), chosen))
         text = json.dumps([label(t) for t in truths], indent=1, sort_keys=True) + "\n"
         write_atomically(labels / LABELS, text)
         digest = hashlib.sha256(text.encode()).hexdigest()
@@ -76,8 +76,8 @@ def make_blind_campaigns(
     return digest
 
 
-def _truth(case: Case, labels: Path, say: Callable[[str], object]) -> Truth:
-    """Return the case's truth, from its label if it was found before."""
+def truth_of(case: Case, labels: Path, say: Callable[[str], object] = print) -> Truth:
+    """Return the case's truth, from its label in `labels` if it was found before."""
     file = labels / case.name / "label.json"
     key = f"{case!r}"
     if file.exists():
@@ -111,7 +111,8 @@ def _write(truth: Truth, out: Path, labels: Path, say: Callable[[str], object]) 
     say(f"{name}: recorded")
 
 
-def _kept_seed(labels: Path) -> int:
+def kept_seed(labels: Path) -> int:
+    """Return the seed kept among the labels; drawn at the first time."""
     file = labels / "seed.txt"
     if not file.exists():
         write_atomically(file, f"{secrets.randbits(63)}\n")
@@ -136,7 +137,7 @@ def main(arguments: list[str]) -> int:
             given.out,
             given.labels,
             count=given.count,
-            seed=_kept_seed(given.labels) if given.seed is None else given.seed,
+            seed=kept_seed(given.labels) if given.seed is None else given.seed,
             cases=None if given.first is None else range(given.first),
             workers=given.workers,
             say=lambda line: print(line, flush=True),

@@ -1,0 +1,57 @@
+"""`python -m fmuid.diagnosis.blind_case FOLDER`: the diagnosing process of the blind check.
+
+It knows the campaigns and nothing of the labels: not where they are, nor the seed that made them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from fmuid.errors import FmuidError
+from fmuid.files import write_atomically
+
+
+def diagnose_blind(template: Path, measurements: Path, target: Path) -> str:
+    """Diagnose one measurement file by the campaign `template`, with baselines; write it, return the verdict."""
+    from fmuid.campaign_toml import load_campaign
+    from fmuid.diagnosis.baselines import baseline_answers
+    from fmuid.diagnosis.of_campaign import answer_of, diagnose
+    from fmuid.diagnosis.sealed import verdict_in_words
+
+    found = diagnose(load_campaign(template, measurements=measurements), workers=0)
+    baselines = {name: list(effects) for name, effects in baseline_answers(found).items()}
+    answer = {**answer_of(found), "baselines": baselines}
+    write_atomically(target, json.dumps(answer, indent=1, allow_nan=False) + "\n")
+    return verdict_in_words(answer)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Diagnose every case that has no result yet; return the exit code."""
+    from fmuid.diagnosis.sealed import diagnose_folder
+
+    parser = argparse.ArgumentParser(prog="python -m fmuid.diagnosis.blind_case", description=__doc__)
+    parser.add_argument("folder", type=Path, help="holds NAME/measurements.h5")
+    parser.add_argument("--campaign", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True, help="for NAME.json")
+    parser.add_argument("--workers", type=int)
+    given = parser.parse_args(arguments)
+    try:
+        failures = diagnose_folder(
+            given.folder, given.campaign, given.out, workers=given.workers, diagnose=diagnose_blind
+        )
+    except FmuidError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    for line in failures:
+        print(line, file=sys.stderr)
+    return int(bool(failures))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
