@@ -1,0 +1,66 @@
+"""The page about a folder of sealed campaigns, and that finished cases are not diagnosed again."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fmuid.diagnosis import sealed
+from fmuid.errors import FmuidError
+
+ANSWER = {
+    "verdict": {"kind": "ambiguous", "effects": ["viscous", "stribeck"], "port": "gear_friction"},
+    "gap": {"nominal_refit": 2.5, "corrected": 0.2},
+    "effects": [
+        {"id": "viscous", "probability": 0.5, "closure": {"train": 0.9, "held_out": 0.9, "interval": [0.8, 0.95]}},
+        {"id": "stribeck", "probability": 0.45},
+        {"id": "none", "probability": 0.05},
+    ],
+    "next_experiment": {
+        "setup": "free_shaft",
+        "description": "as free_20, with its input times 0.25",
+        "separation_sigma": 12.0,
+        "between": ["viscous", "stribeck"],
+    },
+}
+
+
+def test_the_page_says_verdict_probability_port_and_closure():
+    complete = {
+        "verdict": {"kind": "complete", "effects": [], "port": None},
+        "gap": {"nominal_refit": 0.1, "corrected": 0.1},
+        "effects": [{"id": "none", "probability": 0.97}],
+    }
+    text = sealed.page({"s01": ANSWER, "s02": complete}, "make sealed")
+    assert (
+        "| s01 | ambiguous: viscous or stribeck | 0.50, 0.45 | gear_friction | 2.50 | 0.20 | 0.90 | 0.80 … 0.95 |"
+        in text
+    )
+    assert "| s02 | complete | 0.97 |  | 0.10 | 0.10 |  |  |" in text
+    assert "- s01: free_shaft, as free_20, with its input times 0.25: 12 standard deviations" in text
+
+
+def test_finished_cases_are_kept(tmp_path: Path, capsys):
+    (tmp_path / "s01").mkdir()
+    (tmp_path / "s01" / "measurements.h5").write_bytes(b"")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "s01.json").write_text(json.dumps(ANSWER))
+    arguments = [str(tmp_path), "--out", str(out), "--page", str(tmp_path / "page.md"), "--workers", "1"]
+    assert sealed.main(arguments) == 0
+    assert "1 cases, 1 of them done before" in capsys.readouterr().out
+    assert "viscous or stribeck" in (tmp_path / "page.md").read_text()
+
+
+def test_a_folder_without_cases_is_refused(tmp_path: Path):
+    with pytest.raises(FmuidError, match=r"no \*/measurements.h5"):
+        sealed.diagnose_folder(tmp_path, tmp_path, tmp_path)
+
+
+def test_a_case_that_fails_does_not_stop_the_others(tmp_path: Path, capsys):
+    for name in ("s01", "s02"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "measurements.h5").write_bytes(b"no HDF5")
+    assert sealed.main([str(tmp_path), "--out", str(tmp_path / "out"), "--workers", "1"]) == 1
+    said = capsys.readouterr().err.splitlines()
+    assert [line[:4] for line in said] == ["s01:", "s02:"]
