@@ -110,7 +110,7 @@ def residuals_figure(pairs: Sequence[ResidualPair]) -> LineFigure | None:
     """Return the residuals over time before and after, one panel for each setup's worst experiment."""
     if not pairs:
         return None
-    panels = tuple(_residual_panel(p) for p in pairs)
+    panels = tuple(_residual_panel(p, alone=len(pairs) == 1) for p in pairs)
     caption = (
         "Prediction minus measurement in the worst experiment of each setup: nominal parameters refitted "
         "(before) and with the effect added (after)."
@@ -118,7 +118,7 @@ def residuals_figure(pairs: Sequence[ResidualPair]) -> LineFigure | None:
     return LineFigure("residuals", "Residual before and after", panels, caption, 1 if len(panels) == 1 else 2)
 
 
-def _residual_panel(pair: ResidualPair) -> Panel:
+def _residual_panel(pair: ResidualPair, *, alone: bool) -> Panel:
     rows = [pair.before] + ([] if pair.after is None else [pair.after])
     keep = kept_samples(rows)
     time = pair.time[keep]
@@ -130,7 +130,9 @@ def _residual_panel(pair: ResidualPair) -> Panel:
     series.append(Series("before", time, pair.before[keep], "before"))
     if pair.after is not None:
         series.append(Series("after", time, pair.after[keep], "after"))
-    return Panel(f"{pair.experiment}: {pair.signal}", TIME, Axis("residual", pair.unit), tuple(series))
+    # One panel alone is drawn without its heading, many leave no room for a long label.
+    axis = Axis(f"residual of {pair.signal}, {pair.experiment}" if alone else "residual", pair.unit)
+    return Panel(f"{pair.experiment}: {pair.signal}", TIME, axis, tuple(series))
 
 
 def excess_figure(excess: ExcessEnergy | None) -> MapFigure | None:
