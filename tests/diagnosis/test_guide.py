@@ -82,6 +82,15 @@ def test_experiments_named_bring_their_repeats_and_quiet_is_quiet(trolley, tmp_p
     assert answer["verdict"]["kind"] == "complete"
 
 
+def test_noise_that_was_not_measured_is_said(trolley, tmp_path, capsys):
+    record(trolley, repeats=1, drag=0.3)
+    assert run(["diagnose", str(trolley), "--out", str(tmp_path), "--workers", "0"]) == 0
+    said = capsys.readouterr().out
+    assert "Note: Runs were not repeated" in said
+    assert "air_drag" in said.splitlines()[0]
+    assert "Uncalibrated" in (tmp_path / "index.html").read_text()
+
+
 @pytest.mark.parametrize(
     ("table", "message"),
     [

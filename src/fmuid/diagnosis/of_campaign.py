@@ -16,6 +16,11 @@ from fmuid.files import write_atomically
 from fmuid.runners import Runner, in_process
 
 FILE_NAME = "diagnosis.json"
+_MODELLED = (
+    "Runs were not repeated, so their noise was not measured: what the nominal parameters and the most helpful "
+    "effects together leave stands for it. A gap is one that some effect of the catalogue closes; take "
+    "probabilities and intervals for less certain than they look."
+)
 
 
 def diagnose(
@@ -66,6 +71,8 @@ def diagnose(
     from fmuid.fmu import load_fmu
 
     with _runner(workers) as runner:
+        if say is not None:
+            say("noise floor", 0.0)
         subject = subject_of(campaign, load_fmu, runner=runner, experiments=experiments)
         found = diagnose_subject(subject, **({} if say is None else {"say": say}), seed=seed)
         if out is not None:
@@ -79,7 +86,10 @@ def diagnose(
 def answer_of(found: Found) -> dict[str, Any]:
     """Return the JSON object of a diagnosis, with the nominal model refitted beside the corrected one."""
     nominal = found.subject.model.expanded(found.nominal.fit.values)
-    return {**found.diagnosis.to_dict(), "nominal": {"parameters": nominal}}
+    answer = {**found.diagnosis.to_dict(), "nominal": {"parameters": nominal}}
+    if found.subject.observed.modelled_noise:
+        answer["notes"] = [*answer["notes"], _MODELLED]
+    return answer
 
 
 def _write(found: Found, campaign: Campaign, out: Path, seed: int) -> None:
