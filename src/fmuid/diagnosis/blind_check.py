@@ -40,8 +40,8 @@ class Check:
         Labels and held-out runs.
     template
         Campaign that the cases are held against.
-    first
-        Only the first so many of the `count` cases.
+    only
+        Indices of the cases to make, of the grid of `count`; None: all.
     seed
         None: drawn, and kept with the labels.
     """
@@ -50,7 +50,7 @@ class Check:
     labels: Path
     template: Path
     count: int = 200
-    first: int | None = None
+    only: tuple[int, ...] | None = None
     seed: int | None = None
     workers: int | None = None
 
@@ -89,7 +89,7 @@ class Check:
             self.labels,
             count=self.count,
             seed=self._seed,
-            cases=None if self.first is None else range(self.first),
+            cases=self.only,
             workers=self.workers or os.cpu_count() or 1,
             say=lambda line: print(line, flush=True),
         )
@@ -165,7 +165,7 @@ def out_of_reach(folder: Path) -> Iterator[bool]:
 
 
 def _environment(labels: Path) -> dict[str, str]:
-    """Return this environment without folder of the labels and seed, which `make` hands on in several variables."""
+    """Return this environment without the labels' folder and the seed, which `make` hands on in many ways."""
     return {
         k: v
         for k, v in os.environ.items()
@@ -191,7 +191,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.labels.resolve().is_relative_to(Path.cwd()):
         print("error: the labels would lie where the diagnosis works; name a folder elsewhere", file=sys.stderr)
         return 2
-    check = Check(given.out, given.labels, given.campaign, given.count, given.first, given.seed, given.workers)
+    only = None if given.first is None else tuple(range(given.first))
+    check = Check(given.out, given.labels, given.campaign, given.count, only, given.seed, given.workers)
     try:
         found = check.run()
         text = page(found, given.command)

@@ -26,7 +26,11 @@ def add_suggested_run(truth: Truth, description: str, campaign: Path, target: Pa
     found = _SUGGESTION.fullmatch(description)
     planned = {e.id: e for e in sealed_experiments()}.get(found["id"]) if found else None
     if found is None or planned is None:
-        raise FmuidError(f"cannot be made on the virtual rig: '{description}'", where=truth.case.name, fix="")
+        raise FmuidError(
+            f"'{description}' cannot be made on the virtual rig",
+            where=truth.case.name,
+            fix="suggest a variation of an experiment",
+        )
     further = replace(planned, id=f"{planned.id}_further", inputs=float(found["scale"]) * planned.inputs)
     made = record_case(truth, (further,), "further")
     before = read_measurements(campaign)

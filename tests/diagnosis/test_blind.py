@@ -1,0 +1,215 @@
+"""The blind check: its figures on answers that are known, what keeps the labels away, and three real cases."""
+
+import json
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from fmuid.diagnosis.blind_check import Check, _environment, main, out_of_reach
+from fmuid.diagnosis.blind_page import page
+from fmuid.diagnosis.blind_score import Outcome, Scored, calibration, confusion, figures, power_curve, share
+from fmuid.errors import FmuidError
+from fmuid.measurements import read_measurements, write_measurements
+from fmuid.virtual_rig.blind_cases import find_truth, plan_cases, record_case
+from fmuid.virtual_rig.blind_experiments import sealed_experiments
+from fmuid.virtual_rig.blind_further import add_suggested_run
+
+ROOT = Path(__file__).parents[2]
+PORTS = ("friction", "sensor")
+
+
+def scored(
+    kind: str,
+    effects: list[str],
+    verdict: str,
+    named: list[str] | None = None,
+    *,
+    gaps: list[float] | None = None,
+    encoder: bool = True,
+    port: str | None = "friction",
+    probability: dict[str, float] | None = None,
+    **options: object,
+) -> Scored:
+    gaps = [3.0] * len(effects) if gaps is None else gaps
+    named = named or []
+    head = named or [{"complete": "none"}.get(verdict, "unknown")]
+    given = probability or {n: 1.0 / len(head) for n in head}
+    label = {
+        "case": "c",
+        "kind": kind,
+        "effects": effects,
+        "ports": ["friction"] * len(effects),
+        "gaps": gaps,
+        "gap": max(gaps, default=0.0),
+        "noise": "usual",
+        "repeats": 6,
+        "load_encoder": encoder,
+    }
+    names = {"a", "b", "none", "unknown"}
+    answer = {
+        "verdict": {"kind": verdict, "effects": named, "port": port},
+        "gap": {"nominal_refit": 3.0, "corrected": 0.1},
+        "effects": [
+            {
+                "id": n,
+                "probability": given.get(n, 0.0),
+                "closure": {"train": 1, "held_out": 0.9, "interval": [0.8, 1]},
+            }
+            for n in names
+        ],
+        "baselines": {"white_noise_bic": ["a"], "hold_out_rmse": [], "score_without_projection": ["b"]},
+    }
+    return Scored(label, answer, **options)
+
+
+CASES = (
+    scored("none", [], "complete"),
+    scored("none", [], "effect", ["a"]),
+    scored("one", ["a"], "effect", ["a"], closure=0.9),
+    scored("one", ["a"], "effect", ["b"], closure=0.4),
+    scored("one", ["a"], "complete", gaps=[0.5]),
+    scored("one", ["b"], "ambiguous", ["a", "b"], encoder=False, closure=0.7, second=None),
+    scored("one", ["b"], "unknown", encoder=False, port="sensor"),
+    scored("two", ["a", "b"], "effect", ["a", "b"], closure=0.7),
+    scored("two", ["a", "b"], "effect", ["a"]),
+    scored("outside", ["rub"], "unknown"),
+    scored("outside", ["rub"], "effect", ["b"], port="sensor"),
+)
+
+
+def test_every_figure_of_the_aims_table_is_what_counting_by_hand_gives():
+    found = {f.name: (f.value, f.count) for f in figures(CASES, PORTS)}
+    assert found == {
+        "false alarm on complete models": (0.5, 2),
+        "top-1, load encoder": (0.5, 2),
+        "top-2, load encoder": (pytest.approx(0.5, abs=0.5), 2),  # the others tie at zero
+        "top-1, no load encoder": (pytest.approx(0.25, abs=0.25), 2),
+        "class coverage, no load encoder": (0.5, 2),
+        "mean class size, no load encoder": (2.0, 1),
+        "unknown called unknown": (0.5, 2),
+        "known called unknown": (pytest.approx(1 / 6), 6),
+        "two effects: both": (0.5, 2),
+        "two effects: at least one": (1.0, 2),
+        "right port": (pytest.approx(4 / 6), 6),
+        "held-out closure, median": (pytest.approx(0.8), 2),
+        "held-out closure, 10th percentile": (pytest.approx(0.72), 2),
+        "90 % closure interval covers": (0.5, 2),
+        "calibration error (ECE)": (pytest.approx(found["calibration error (ECE)"][0]), len(CASES)),
+        "Brier score": (pytest.approx(found["Brier score"][0]), len(CASES)),
+        "suggested experiment settles": (None, 0),
+    }
+
+
+def test_calibration_is_of_the_verdict_and_brier_of_every_probability():
+    right = scored("one", ["a"], "effect", ["a"], probability={"a": 0.8, "b": 0.2})
+    wrong = scored("one", ["b"], "effect", ["a"], probability={"a": 0.8, "b": 0.2})
+    assert calibration([right] * 4 + [wrong]) == pytest.approx((0.0, 0.8 * 0.08 + 0.2 * 1.28))
+    assert calibration([wrong]) == pytest.approx((0.8, 1.28))
+    both = scored("two", ["a", "b"], "effect", ["a", "b"])
+    assert calibration([both]) == pytest.approx((0.0, 0.0))
+
+
+def test_a_suggested_experiment_settles_only_what_ends_with_the_truth_alone():
+    first = scored("one", ["a"], "ambiguous", ["a", "b"])
+    for named, settled in ((["a"], 1.0), (["b"], 0.0)):
+        case = Scored(first.label, first.answer, 0.9, scored("one", ["a"], "effect", named).answer)
+        figure = next(f for f in figures([case], PORTS) if f.name == "suggested experiment settles")
+        assert (figure.value, figure.count) == (settled, 1)
+
+
+def test_shares_say_how_sure_they_are_and_by_how_much_they_miss():
+    figure = share("of ten", [True] * 8 + [False] * 2, lower=0.9)
+    assert figure.missed_by == pytest.approx(0.1)
+    assert figure.interval == pytest.approx((0.4931, 0.9632), abs=1e-4)
+    assert share("of none", []).value is None
+
+
+def test_power_and_confusion_count_every_case_once():
+    assert [(p.count, p.detected, p.right) for p in power_curve(CASES)] == [(1, 0.0, 0.0), (4, 1.0, 0.25)]
+    table = confusion(CASES)
+    assert sum(n for given in table.values() for n in given.values()) == len(CASES)
+    assert table["b"] == {"a or b": 1, "unknown": 1}
+    assert table["outside: rub"] == {"unknown": 1, "b": 1}
+
+
+def test_the_page_has_the_command_the_hash_the_misses_and_the_failures():
+    text = page(Outcome(CASES, PORTS, 12, 200, 5, "abc123", closed=True), "make blind COUNT=200")
+    for piece in ("make blind COUNT=200", "abc123", "11 of 12 cases", "| not measured |", "by 0.45", "a or b"):
+        assert piece in text
+    assert "white-noise BIC" in text
+    failures = text.split("## Every case")[1]
+    assert failures.count("\n| c |") == sum(not c.right for c in CASES)
+
+
+def test_the_labels_folder_is_closed_meanwhile_and_open_again_even_after_an_error(tmp_path):
+    tmp_path.chmod(0o700)
+
+    def look() -> None:
+        with out_of_reach(tmp_path) as closed:
+            assert stat.S_IMODE(tmp_path.stat().st_mode) == 0
+            assert closed == (os.geteuid() != 0)
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        look()
+    assert stat.S_IMODE(tmp_path.stat().st_mode) == 0o700
+
+
+def test_the_environment_of_the_diagnosing_process_tells_neither_labels_nor_seed(monkeypatch):
+    told = {"LABELS": "x", "SEED": "5", "MAKEFLAGS": "-- SEED=5", "OTHER": "/some/where/blind-labels/c1"}
+    for name, value in told.items():
+        monkeypatch.setenv(name, value)
+    left = _environment(Path("../blind-labels"))
+    assert not told.keys() & left.keys()
+    assert left["PATH"] == os.environ["PATH"]
+
+
+def test_labels_inside_the_working_folder_are_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["--labels", "here/labels"]) == 2
+    assert "elsewhere" in capsys.readouterr().err
+
+
+def test_labels_that_are_not_those_of_the_hash_are_refused(tmp_path):
+    check = Check(tmp_path / "out", tmp_path / "labels", ROOT / "campaigns" / "sealed", count=4, seed=1)
+    (tmp_path / "labels").mkdir()
+    (tmp_path / "out" / "campaigns").mkdir(parents=True)
+    (tmp_path / "labels" / "labels.json").write_text(json.dumps([]))
+    (tmp_path / "out" / "campaigns" / "labels.sha256").write_text("0" * 64 + "  labels.json\n")
+    with pytest.raises(FmuidError, match="hash"):
+        check._checked_labels()
+
+
+def test_the_suggested_run_is_made_on_the_case_s_own_actuator_and_repeated_as_often(tmp_path):
+    case = next(c for c in plan_cases(4, 1) if c.kind == "none")
+    truth = find_truth(case)
+    first = tuple(e for e in sealed_experiments() if e.id == "step_0p5")
+    write_measurements(record_case(truth, first, "campaign"), tmp_path / "before.h5")
+    target = tmp_path / "second" / "measurements.h5"
+    add_suggested_run(truth, "as step_0p5, with its input times -0.5", tmp_path / "before.h5", target)
+    both = read_measurements(target)
+    assert len(both.experiments) == 2 * case.repeats
+    assert len(both.repeats("step_0p5_further")) == case.repeats
+    before, further = (both[n].signals["i_cmd"].values for n in ("step_0p5", "step_0p5_further"))
+    assert further == pytest.approx(-0.5 * before)
+    with pytest.raises(FmuidError, match="virtual rig"):
+        add_suggested_run(truth, "as nothing, with its input times 2", tmp_path / "before.h5", target)
+
+
+@pytest.mark.slow
+def test_three_cases_blind(tmp_path, effect_fmus):
+    """None, one effect, one outside the catalogue: c001, c006 and c004 of the grid of seed 5."""
+    check = Check(tmp_path / "out", tmp_path / "labels", ROOT / "campaigns" / "sealed", seed=5, only=(1, 4, 6))
+    outcome = check.run()
+    verdicts = {c.label["case"]: (c.label["kind"], c.kind, c.right) for c in outcome.cases}
+    assert verdicts == {
+        "c001": ("none", "complete", True),
+        "c004": ("outside", "unknown", True),
+        "c006": ("one", "effect", True),
+    }
+    closed = next(c.closure for c in outcome.cases if c.label["case"] == "c006")
+    assert closed is not None
+    assert closed > 0.5
+    page(outcome, "make blind")
