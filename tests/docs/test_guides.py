@@ -1,0 +1,112 @@
+"""README.md and docs/*.md: every block is run, in its order, as a reader would.
+
+The blocks of a page share a folder that looks like the repository's root. A block in `python` or `sh` is run; `text` after
+it is what it prints (`...` stands for anything); with `<!-- file: NAME -->` before it, a block is the content of that
+file; other TOML has to parse. Of commands in a block without a language, which take long, names and options are checked.
+`make` is asked only whether it knows the targets. Files that a page takes for granted are in `given/PAGE`.
+"""
+
+from __future__ import annotations
+
+import doctest
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+from typer.main import get_command
+
+from fmu_build import compile_modelica
+from fmuid.cli.app import app
+from fmuid.errors import ModelicaError
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+BLOCK = re.compile(r"(?:^<!-- file: (\S+) -->\n)?^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+MAKE = f'make() {{ command make --dry-run --directory "{ROOT}" "$@" > /dev/null; }}\n'
+MODELICA_GUIDE = (ROOT / "docs" / "modelica.md").read_text()
+
+
+@pytest.fixture
+def desk(fmus: Mapping[str, Path], tmp_path: Path) -> Path:
+    """A folder with all that a page may name: the repository's folders, FMUs and measurements."""
+    if not (ROOT / "campaigns" / "force_feedback" / "measurements.h5").exists():
+        rig = [sys.executable, "-m", "fmuid.virtual_rig", "campaigns/force_feedback"]
+        subprocess.run(rig, cwd=ROOT, check=True, capture_output=True)
+    for folder in ("build", "campaigns", "modelica"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_blocks_of_a_page(page: Path, desk: Path) -> None:
+    given = Path(__file__).parent / "given" / page.stem
+    if given.is_dir():
+        shutil.copytree(given, desk, dirs_exist_ok=True)
+    printed = ""
+    for name, language, text in BLOCK.findall(page.read_text()):
+        if name:
+            (desk / name).write_text(text)
+        elif language == "python":
+            printed = run([sys.executable, "-W", "error", "-c", text], desk)
+        elif language == "sh":
+            printed = run(["bash", "-e", "-c", MAKE + text], desk)
+        elif language == "toml":
+            tomllib.loads(text)
+        elif language:
+            assert language == "text", f"a block in '{language}' is neither run nor the content of a file"
+            options = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+            assert doctest.OutputChecker().check_output(text, printed, options), printed
+
+
+def run(command: list[str], folder: Path) -> str:
+    scripts = str(Path(sys.executable).parent)
+    environment = os.environ | {"PATH": os.pathsep.join([scripts, os.environ["PATH"]])}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, f"{command[-1]}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_and_links_in_the_text_exist(page: Path) -> None:
+    text = page.read_text()
+    commands = get_command(app).commands
+    inline = "\n".join(" ".join(code.split()) for code in re.findall(r"`([^`]+)`", BLOCK.sub("", text)))
+    inline += "\n".join(block for _, language, block in BLOCK.findall(text) if not language)
+    for name, rest in re.findall(r"\bfmuid ([a-z-]+)(.*)", inline):
+        assert name in commands, f"fmuid {name}"
+        known = {o for parameter in commands[name].params for o in parameter.opts + parameter.secondary_opts}
+        assert set(re.findall(r"(?<!\S)--[a-z-]+", rest)) <= known, f"fmuid {name}{rest}"
+    for link in re.findall(r"\]\(([^)#:]+)", text):
+        assert (page.parent / link).exists(), link
+
+
+def test_the_index_links_every_guide() -> None:
+    linked = set(re.findall(r"\]\(([^)]+)", (ROOT / "docs" / "index.md").read_text()))
+    guides = {page.name for page in (ROOT / "docs").glob("*.md")} - {
+        "index.md",
+        "sealed.md",
+    }  # `make sealed` writes it
+    assert linked >= guides
+
+
+def refusals() -> list[tuple[str, str]]:
+    rows = [line.split(" | ") for line in MODELICA_GUIDE.splitlines() if line.startswith("| ")]
+    return [
+        (row[1].strip("`"), row[2].removesuffix(" |")) for row in rows if len(row) == 3 and row[1].startswith("`")
+    ]
+
+
+@pytest.mark.parametrize(("example", "message"), refusals())
+def test_what_the_guide_says_is_refused(example: str, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "M.mo"
+    file.write_text(f"model M\n  {example}\nend M;\n")
+    with pytest.raises(ModelicaError) as refusal:
+        compile_modelica(file, "M")
+    assert message in str(refusal.value)
+    assert "\n" not in str(refusal.value)
