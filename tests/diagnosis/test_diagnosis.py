@@ -88,8 +88,6 @@ def test_two_effects_that_no_experiment_tells_apart_are_both_named():
 
 def test_nothing_repeated_still_gets_an_answer_that_says_so():
     """The noise is then what the most flexible model leaves."""
-    from fmuid.diagnosis.unrepeated import observe
-
     subject = plant({"a": 0.3}, repeats=1)
     assert subject.observed.modelled_noise
     answer = check(diagnose_subject(subject))
@@ -98,7 +96,6 @@ def test_nothing_repeated_still_gets_an_answer_that_says_so():
     assert "asymmetry" in answer["verdict"]["effects"]
     complete = plant({}, repeats=1)
     assert check(diagnose_subject(complete))["verdict"]["kind"] == "complete"
-    assert observe(complete.model, complete.nominal, complete.effects).modelled_noise
 
 
 def test_the_same_seed_gives_the_same_answer():

@@ -91,7 +91,7 @@ def _missing(found: Found, nominal: Prediction, after: Prediction | None) -> tup
     if port is None or port.input is None:
         return ()
     quantity = Axis("missing", port.unit)
-    label = " + ".join(found.diagnosis.verdict.effects)
+    label = "" if found.best is None else " + ".join(found.best.names)  # whose law it is, also in "A or B"
     missing = []
     for regime in found.subject.catalogue.regimes.values():
         turn = 2 * np.pi if regime.kind == "angle" else None
