@@ -198,6 +198,40 @@ def test_the_suggested_run_is_made_on_the_case_s_own_actuator_and_repeated_as_of
         add_suggested_run(truth, "as nothing, with its input times 2", tmp_path / "before.h5", target)
 
 
+def test_an_open_answer_is_asked_again_with_the_run_it_suggested_and_nothing_is_done_twice(tmp_path, monkeypatch):
+    rounds = []
+
+    def diagnose(check: Check, campaigns: Path, answers: Path) -> bool:
+        """Stand for the diagnosing process."""
+        rounds.append(campaigns.name)
+        for case in campaigns.glob("*/measurements.h5"):
+            further = "step_0p5_further" in read_measurements(case).experiments
+            answer = dict(
+                scored("one", ["a"], *(("effect", ["a"]) if further else ("ambiguous", ["a", "b"]))).answer
+            )
+            if not further:
+                answer["next_experiment"] = {"description": "as step_0p5, with its input times 0.5"}
+            answers.mkdir(exist_ok=True)
+            (answers / f"{case.parent.name}.json").write_text(json.dumps(answer))
+        return True
+
+    monkeypatch.setattr(Check, "_diagnose", diagnose)
+    monkeypatch.setattr(Check, "_closures", lambda *_: {})
+    only = next(i for i, c in enumerate(plan_cases(8, 1)) if c.kind == "none")
+    check = Check(tmp_path / "out", tmp_path / "labels", ROOT / "campaigns" / "sealed", 8, (only,), 1, 1)
+    (case,) = check.run().cases
+    assert rounds == ["campaigns", "second_campaigns"]
+    assert case.kind == "ambiguous"
+    assert case.second is not None
+    assert case.second["verdict"]["effects"] == ["a"]
+    written = sorted(p for p in tmp_path.rglob("*.h5"))
+    times = [p.stat().st_mtime_ns for p in written]
+    check.run()
+    assert [p.stat().st_mtime_ns for p in written] == times
+    told = "".join(p.read_text() for p in (tmp_path / "out").rglob("*") if p.suffix in (".sha256", ".json"))
+    assert "load_encoder" not in told
+
+
 @pytest.mark.slow
 def test_three_cases_blind(tmp_path, effect_fmus):
     """None, one effect, one outside the catalogue: c001, c006 and c004 of the grid of seed 5."""
