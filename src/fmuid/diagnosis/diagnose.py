@@ -199,7 +199,7 @@ def _conclude(
             calibrated=all(n.calibrated for n in observed.noise.values()),
         ),
         where=energy.shares(),
-        effects=_candidates(subject, nominal, candidates, scores, probability),
+        effects=_candidates(subject, nominal, best, candidates, scores, probability),
         alias_classes=aliases,
         model={**subject.model.expanded(chosen.fit.values)},
         next_experiment=suggest(subject, alike) if verdict.kind == "ambiguous" else None,
@@ -211,15 +211,15 @@ def _conclude(
 def _candidates(
     subject: Subject,
     nominal: Fitted,
+    best: Fitted | None,
     candidates: Sequence[Fitted],
     scores: Sequence[Score],
     probability: Mapping[str, float],
 ) -> tuple[Candidate, ...]:
-    best_with: dict[str, Fitted] = {}
-    for fitted in candidates:
-        for name in fitted.names:
-            if name not in best_with or fitted.fit.cost < best_with[name].fit.cost:
-                best_with[name] = fitted
+    # An effect is credited with what it closes alone; those of the verdict with what they close together.
+    best_with = {fitted.names[0]: fitted for fitted in candidates if len(fitted.names) == 1}
+    if best is not None:
+        best_with |= dict.fromkeys(best.names, best)
     drops = {s.effect: s.drop for s in scores}
     found = []
     for name, p in probability.items():

@@ -21,7 +21,7 @@ _SCALES = (-1.0, 0.25, 0.5, 1.25, 1.5)
 
 
 def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
-    """Return the variation of an experiment that separates the first two of `alike` best, or None."""
+    """Return the variation of an experiment that separates the first two of `alike` best; None if none does."""
     if len(alike) < 2:
         return None
     a, b = alike[0], alike[1]
@@ -52,4 +52,4 @@ def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
                 best = NextExperiment(
                     case.setup, f"as {case.id}, with its input times {scale:g}", sigma, (a.id, b.id)
                 )
-    return best
+    return best if best is not None and best.separation_sigma > 1.0 else None
