@@ -176,8 +176,7 @@ def figures(cases: Sequence[Scored], ports: Sequence[str]) -> tuple[Figure, ...]
     ]
     closed = [c for c in of["one"] + of["two"] if c.right and c.closure is not None]
     large = np.array([c.closure for c in closed if c.label["gap"] >= LARGE], dtype=float)
-    alone = [c for c in closed if len(c.named) == 1 and c.label["gap"] >= FLOOR]
-    covered = [_covered(c) for c in alone]  # what several effects close together, no interval is promised for
+    covered = [_covered(c) for c in closed if c.label["gap"] >= FLOOR]
     asked = [c for c in cases if c.second is not None and c.label["kind"] == "one"]
     ece, brier = calibration(cases)
     return (
@@ -285,9 +284,9 @@ def _by_kind(cases: Sequence[Scored]) -> dict[str, list[Scored]]:
 
 
 def _covered(case: Scored) -> bool:
-    """Whether the closure on held-out runs is inside the interval promised for the verdict's one effect."""
-    (entry,) = (e for e in case.answer["effects"] if e["id"] in case.named)
-    low, high = entry["closure"]["interval"]
+    """Whether the closure on held-out runs is inside the interval promised for the verdict's effects."""
+    entries = {e["id"]: e["closure"]["interval"] for e in case.answer["effects"] if e.get("closure")}
+    low, high = next(entries[name] for name, _ in case.ranked if name in case.named and name in entries)
     return case.closure is not None and bool(low <= case.closure <= high)
 
 
