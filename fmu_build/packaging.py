@@ -35,6 +35,7 @@ _SHARED = (
     "lifecycle.c",
     "sensitivity.c",
     "simulate.c",
+    "starts.c",
 )
 _HEADERS = ("instance.h", "lu.h", "sensitivity.h")
 _FMI_HEADERS = {

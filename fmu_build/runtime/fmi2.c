@@ -50,9 +50,9 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
                               fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions,
                               fmi2Boolean visible, fmi2Boolean loggingOn) {
-    (void)fmuResourceLocation;
     (void)visible;
-    Instance *me = new_instance(instanceName, fmuGUID, log_message, functions ? (void (*)(void))functions->logger : NULL,
+    Instance *me = new_instance(instanceName, fmuGUID, fmuResourceLocation, log_message,
+                                functions ? (void (*)(void))functions->logger : NULL,
                                 functions ? functions->componentEnvironment : NULL, fmuType == fmi2CoSimulation);
     if (me) me->logging = loggingOn;
     return me;

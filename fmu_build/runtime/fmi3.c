@@ -42,9 +42,10 @@ static fmi3Status refuse(fmi3Instance instance, const char *what) {
 
 const char *fmi3GetVersion(void) { return fmi3Version; }
 
-static fmi3Instance instantiate(fmi3String name, fmi3String token, fmi3InstanceEnvironment environment,
-                                fmi3LogMessageCallback log, int logging, int is_co_simulation) {
-    Instance *me = new_instance(name, token, log_message, (void (*)(void))log, environment, is_co_simulation);
+static fmi3Instance instantiate(fmi3String name, fmi3String token, fmi3String resources,
+                                fmi3InstanceEnvironment environment, fmi3LogMessageCallback log, int logging,
+                                int is_co_simulation) {
+    Instance *me = new_instance(name, token, resources, log_message, (void (*)(void))log, environment, is_co_simulation);
     if (me) me->logging = logging;
     return me;
 }
@@ -53,9 +54,8 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String in
                                           fmi3String resourcePath, fmi3Boolean visible, fmi3Boolean loggingOn,
                                           fmi3InstanceEnvironment instanceEnvironment,
                                           fmi3LogMessageCallback logMessage) {
-    (void)resourcePath;
     (void)visible;
-    return instantiate(instanceName, instantiationToken, instanceEnvironment, logMessage, loggingOn, 0);
+    return instantiate(instanceName, instantiationToken, resourcePath, instanceEnvironment, logMessage, loggingOn, 0);
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String instantiationToken,
@@ -66,14 +66,13 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
                                          fmi3InstanceEnvironment instanceEnvironment,
                                          fmi3LogMessageCallback logMessage,
                                          fmi3IntermediateUpdateCallback intermediateUpdate) {
-    (void)resourcePath;
     (void)visible;
     (void)eventModeUsed; /* hasEventMode is not set: events are handled inside the step */
     (void)earlyReturnAllowed;
     (void)requiredIntermediateVariables;
     (void)nRequiredIntermediateVariables;
     (void)intermediateUpdate;
-    return instantiate(instanceName, instantiationToken, instanceEnvironment, logMessage, loggingOn, 1);
+    return instantiate(instanceName, instantiationToken, resourcePath, instanceEnvironment, logMessage, loggingOn, 1);
 }
 
 fmi3Instance fmi3InstantiateScheduledExecution(fmi3String instanceName, fmi3String instantiationToken,

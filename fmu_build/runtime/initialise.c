@@ -7,7 +7,6 @@
 
 /* A new or reset instance: every byte of the state is defined, so that equal runs are equal bit by bit. */
 void set_defaults(Instance *me) {
-    static const double p[] = MODEL_P_START, u[] = MODEL_U_START;
     State *s = &me->s;
     const int is_co_simulation = s->is_co_simulation;
     free_sensitivities(me);
@@ -16,8 +15,10 @@ void set_defaults(Instance *me) {
     s->phase = PHASE_INSTANTIATED;
     s->tolerance = MODEL_TOLERANCE;
     s->next_event = INFINITY;
-    memcpy(s->p, p, NP * sizeof *p);
-    memcpy(s->u, u, NU * sizeof *u);
+    memcpy(s->p, me->start.p, sizeof s->p);
+    memcpy(s->u, me->start.u, sizeof s->u);
+    memcpy(s->xs, me->start.xs, sizeof s->xs);
+    memcpy(s->xs_set, me->start.xs_set, sizeof s->xs_set);
 }
 
 /* Newton for the implicit initial equations: unknowns [x; y], started at [xs; y]. */

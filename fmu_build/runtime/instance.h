@@ -65,6 +65,10 @@ typedef void (*LogFunction)(const Instance *me, Status status, const char *messa
 
 struct Instance {
     State s;
+    struct {
+        double p[LENGTH(NP)], u[LENGTH(NU)], xs[LENGTH(NX)];
+        unsigned char xs_set[LENGTH(NX)];
+    } start; /* what reset goes back to */
     /* work memory: nothing in it outlives one call */
     const double *arg[LARGER(MODEL_SZ_ARG, SWITCHES_SZ_ARG) + 1];
     double *res[LARGER(MODEL_SZ_RES, SWITCHES_SZ_RES) + 1];
@@ -100,6 +104,9 @@ int evaluate_variables(Instance *me);
 int directional_derivative(Instance *me, double t, const double *x, const double *u, const double *sx, const double *su,
                            const double *sp, double *ddx, double *dv);
 Status check_assertions(Instance *me);
+
+/* starts.c */
+Status read_starts(Instance *me, const char *location);
 
 /* initialise.c */
 void set_defaults(Instance *me);
@@ -141,8 +148,8 @@ Status advance_sensitivities(Instance *me, double t);
 void free_sensitivities(Instance *me);
 
 /* lifecycle.c: memory, the complete state, arrays of model exchange */
-Instance *new_instance(const char *name, const char *guid, LogFunction log, void (*callback)(void), void *environment,
-                       int is_co_simulation);
+Instance *new_instance(const char *name, const char *guid, const char *resources, LogFunction log, void (*callback)(void),
+                       void *environment, int is_co_simulation);
 void free_instance(Instance *me);
 Status copy_state(const Instance *me, void **copy);
 Status restore_state(Instance *me, const void *copy);

@@ -5,9 +5,9 @@
 
 #include "instance.h"
 
-/* NULL, with a message, if the GUID is another model's. */
-Instance *new_instance(const char *name, const char *guid, LogFunction log, void (*callback)(void), void *environment,
-                       int is_co_simulation) {
+/* NULL, with a message, if the GUID is another model's or the start values cannot be read. */
+Instance *new_instance(const char *name, const char *guid, const char *resources, LogFunction log,
+                       void (*callback)(void), void *environment, int is_co_simulation) {
     Instance *me = calloc(1, sizeof *me);
     if (!me) return NULL;
     if (!name) name = MODEL_IDENTIFIER;
@@ -23,7 +23,10 @@ Instance *new_instance(const char *name, const char *guid, LogFunction log, void
         return NULL;
     }
     me->s.is_co_simulation = is_co_simulation;
-    set_defaults(me);
+    if (read_starts(me, resources) > STATUS_WARNING) {
+        free_instance(me);
+        return NULL;
+    }
     return me;
 }
 

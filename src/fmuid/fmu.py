@@ -25,7 +25,7 @@ from fmuid.campaign import FloatArray
 from fmuid.errors import FmuError, SimulationError
 from fmuid.fmu_library import FmuLibrary, ProcessSpentError
 from fmuid.fmu_plan import PreparedTask
-from fmuid.fmu_variables import in_words, read_variables
+from fmuid.fmu_variables import Slot, in_words, read_variables
 from fmuid.simulation import Task, Variable
 from fmuid.stepper import FUNCTIONS, Outcome
 
@@ -97,6 +97,11 @@ class Fmu:
     def variables(self) -> Mapping[str, Variable]:
         """Every scalar variable by name; arrays of FMI 3.0 element by element, as ``table[1,2]``."""
         return self._view
+
+    @property
+    def slots(self) -> Mapping[str, Slot]:
+        """Where the FMU keeps each variable, by name."""
+        return MappingProxyType(self._slots)
 
     @property
     def name(self) -> str:

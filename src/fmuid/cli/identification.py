@@ -15,6 +15,7 @@ from fmuid.cli.output import CampaignPath, Json, Printer, Quiet
 from fmuid.errors import FmuidError
 
 if TYPE_CHECKING:
+    from fmuid.campaign import Campaign
     from fmuid.result import Result
 
 INTERRUPTED = 130
@@ -74,6 +75,8 @@ def identify(
 
         summary["report"] = write_report(folder, campaign=loaded)
         printer.say(f"\nreport: {summary['report']}")
+    if result.status not in (Status.INTERRUPTED, Status.FAILED):
+        summary |= _write_back(result, loaded, folder, printer)
     if interrupted:
         # Whoever presses Ctrl-C does not wait for figures.
         printer.say(f"\ngo on with: fmuid identify {campaign} --out {folder} --resume")
@@ -192,6 +195,16 @@ def _diagnosis_validation(
     found = validate_diagnosis(answer, load_campaign(campaign), experiments=experiments)
     print_validation(found, printer)
     return {"diagnosis": file, "campaign": campaign, **found.to_dict()}
+
+
+def _write_back(result: Result, campaign: Campaign, folder: Path, printer: Printer) -> dict[str, Any]:
+    from fmuid.identified import write_identified
+
+    written = write_identified(result, campaign, folder / "identified")
+    printer.say(f"identified: {folder / 'identified'} (FMUs with these values, and parameters.ssv)")
+    for warning in written.warnings:
+        printer.say(f"! {warning}")
+    return {"identified": {"fmus": written.fmus, "parameters": written.parameters}}
 
 
 def _progress(quiet: bool) -> Any:

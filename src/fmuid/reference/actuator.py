@@ -31,9 +31,7 @@ class _Actuator:
         self.c_S, self.d_S, self.c_G, self.d_G = p["c_S"], p["d_S"], p["c_G"], p["d_G"]
         self.phi_s, self.t_s, self.z_e = p["phi_s"], p["t_s"], p["z_e"]
         rows = range(1, len(ROW_SPEEDS) + 1)
-        self.losses = loss_table(
-            [[p[f"lossTable[{row},{column}]"] for column in range(1, 6)] for row in rows]
-        )
+        self.losses = loss_table([[p[f"lossTable[{row},{column}]"] for column in range(1, 6)] for row in rows])
 
     def torques(self, x: Sequence[float], phi_load: float, w_load: float) -> tuple[float, ...]:
         """Return T, D, tau_sensor, der(z) and the power lost, from (phi_C, w_C, phi_W, w_W, z)."""
@@ -206,6 +204,4 @@ def free_shaft() -> Equations:
 
 def eccentric_load() -> Equations:
     """Eccentric mass on the output shaft, rotor speed controlled."""
-    return _speed_controlled(
-        "EccentricLoad", 0.5, (parameter("mgr", 25.0, "N.m"), computed("phi_load", "rad"))
-    )
+    return _speed_controlled("EccentricLoad", 0.5, (parameter("mgr", 25.0, "N.m"), computed("phi_load", "rad")))

@@ -117,9 +117,7 @@ class ReferenceFmu:
                 fix="set inputs or parameters",
             )
         if variable.causality == "parameter" and self._instance is not None:
-            raise FmuError(
-                f"parameter '{name}' set after initialisation", where=self.name, fix="call reset first"
-            )
+            raise FmuError(f"parameter '{name}' set after initialisation", where=self.name, fix="call reset first")
         if not np.isfinite(value):
             raise FmuError(f"'{name}' set to {value}", where=self.name, fix="give a finite value")
         self._set[name] = float(value)
@@ -168,9 +166,7 @@ class ReferenceFmu:
         def record(k: int, x: Sequence[float], held: Sequence[float]) -> None:
             values = instance.values(x, held)
             at_hand = dict(zip(self._inputs, held, strict=True))
-            predictions[:, k] = [
-                values[n] if n in values else at_hand.get(n, known.get(n)) for n in task.outputs
-            ]
+            predictions[:, k] = [values[n] if n in values else at_hand.get(n, known.get(n)) for n in task.outputs]
 
         record(0, self._state, u[:, 0].tolist())
         for first, last in _segments(u, task.interpolation):
