@@ -1,0 +1,89 @@
+"""Writing back what was identified: FMUs that start with it, and a parameter set (SSP 1.0)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from fmuid.campaign import Campaign
+from fmuid.channel_noise import conversion_at
+from fmuid.errors import ProblemError
+from fmuid.files import write_atomically
+from fmuid.fmu import Fmu, load_fmu
+from fmuid.fmu_copy import copy_with_starts, takes_effect
+from fmuid.model_check import load_models
+from fmuid.result import Result
+from fmuid.solvers import Status
+from fmuid.ssv import parameter_set
+
+
+@dataclass(frozen=True, slots=True)
+class Identified:
+    """What was written: FMUs by setup, the parameter set, and what the user should know."""
+
+    fmus: Mapping[str, Path]
+    parameters: Path
+    warnings: tuple[str, ...] = ()
+
+
+def write_identified(result: Result, campaign: Campaign, folder: str | Path) -> Identified:
+    """Write ``<model>.fmu``, one for each FMU of the campaign, and ``parameters.ssv``.
+
+    Start values of a copy are what all runs of its setup have in common: the result's parameters, the
+    campaign's settings and initial values; not the settings of a run, nor parameters that each run has its own
+    of. The parameter set lists the same values by FMU variable, as ``setup.variable`` where setups differ.
+
+    Returns
+    -------
+    Identified
+        With a warning for each FMU that does not start with what its copy says.
+
+    Raises
+    ------
+    ProblemError
+        The result is of an identification that failed or was interrupted.
+    FmuError
+        A value cannot be a start value of its variable.
+    """
+    if result.status in (Status.FAILED, Status.INTERRUPTED):
+        raise ProblemError(f"the identification is {result.status.value}", fix="finish it first")
+    folder = Path(folder)
+    values: dict[str, dict[str, float]] = {}
+    fmus: dict[str, Fmu] = {}
+    for setup in load_models(campaign):
+        fmus[setup] = load_fmu(campaign.models[setup].fmu)
+        values[setup] = _start_values(result, campaign, setup, fmus[setup])
+    written: dict[str, Path] = {}
+    warnings = []
+    for setup, fmu in fmus.items():
+        same = [s for s in written if fmus[s] is fmu and values[s] == values[setup]]
+        if same:
+            written[setup] = written[same[0]]
+            continue
+        stem = fmu.path.stem
+        target = folder / f"{stem}.fmu"
+        if target in written.values():
+            target = folder / f"{stem}_{setup}.fmu"
+        copy_with_starts(fmu, values[setup], target)
+        written[setup] = target
+        if not takes_effect(fmu, values[setup], target):
+            warnings.append(
+                f"{target.name}: {fmu.tool} lets its FMU start with other values than its description says; "
+                "set those of parameters.ssv"
+            )
+    parameters = folder / "parameters.ssv"
+    write_atomically(parameters, parameter_set(campaign.name, values, fmus))
+    return Identified(written, parameters, tuple(warnings))
+
+
+def _start_values(result: Result, campaign: Campaign, setup: str, fmu: Fmu) -> dict[str, float]:
+    model, variables = campaign.models[setup], fmu.variables
+    settings = {model.variable(n): v for n, v in campaign.settings.items()}
+    found = {n: v for n, v in settings.items() if n in variables} | dict(model.initial)
+    for spec in campaign.parameters.values():
+        variable = model.variable(spec.name)
+        if variable in variables and spec.per == "campaign" and spec.name in result.parameters:
+            convert = conversion_at(spec.unit, variables[variable].unit, f"parameter '{spec.name}'")
+            found[variable] = convert.factor * result.parameters[spec.name] + convert.offset
+    return found

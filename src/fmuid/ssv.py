@@ -1,0 +1,89 @@
+"""Parameter sets of SSP 1.0 (``.ssv``), with the units that the FMUs define."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from xml.etree import ElementTree
+
+from fmuid.fmu import Fmu
+from fmuid.fmu_copy import DESCRIPTION, as_bytes, as_text
+
+_SSV = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+_SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
+_BASE_UNIT = ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")
+_TAGS = {"Boolean": "Boolean", "Enumeration": "Enumeration"} | dict.fromkeys(
+    ("Real", "Float64", "Float32"), "Real"
+)
+
+
+def parameter_set(name: str, values: Mapping[str, Mapping[str, float]], fmus: Mapping[str, Fmu]) -> bytes:
+    """Return a parameter set as XML.
+
+    Parameters
+    ----------
+    name
+        Of the set.
+    values
+        By setup and FMU variable; a variable that setups disagree about is listed as ``setup.variable``.
+    fmus
+        By setup.
+    """
+    ElementTree.register_namespace("ssv", _SSV)
+    ElementTree.register_namespace("ssc", _SSC)
+    root = ElementTree.Element(f"{{{_SSV}}}ParameterSet", {"version": "1.0", "name": name})
+    parameters = ElementTree.SubElement(root, f"{{{_SSV}}}Parameters")
+    units: dict[str, dict[str, str]] = {}
+    listed: set[str] = set()
+    for setup, own in values.items():
+        description = _description(fmus[setup].path)
+        defined = _units(description)
+        for variable, value in own.items():
+            alike = all(other.get(variable, value) == value for other in values.values())
+            shown = variable if alike else f"{setup}.{variable}"
+            if shown in listed:
+                continue
+            listed.add(shown)
+            described = fmus[setup].variables[variable]
+            text = as_text(described, value)
+            if described.type == "Enumeration":
+                text = _literal(description, variable, text)
+            tag = _TAGS.get(described.type, "Integer")
+            parameter = ElementTree.SubElement(parameters, f"{{{_SSV}}}Parameter", {"name": shown})
+            entry = ElementTree.SubElement(parameter, f"{{{_SSV}}}{tag}", {"value": text})
+            unit = described.unit
+            if tag == "Real" and unit is not None and unit in defined:
+                entry.set("unit", unit)
+                units[unit] = defined[unit]
+    if units:
+        parent = ElementTree.SubElement(root, f"{{{_SSV}}}Units")
+        for unit, exponents in sorted(units.items()):
+            element = ElementTree.SubElement(parent, f"{{{_SSC}}}Unit", {"name": unit})
+            ElementTree.SubElement(element, f"{{{_SSC}}}BaseUnit", exponents)
+    ElementTree.indent(root)
+    return as_bytes(root)
+
+
+def _description(path: Path) -> ElementTree.Element:
+    with zipfile.ZipFile(path) as archive:
+        return ElementTree.fromstring(archive.read(DESCRIPTION))
+
+
+def _units(description: ElementTree.Element) -> dict[str, dict[str, str]]:
+    return {
+        unit.get("name", ""): {k: v for k, v in base.attrib.items() if k in _BASE_UNIT}
+        for unit in description.iterfind("UnitDefinitions/Unit")
+        if (base := unit.find("BaseUnit")) is not None
+    }
+
+
+def _literal(description: ElementTree.Element, variable: str, ordinal: str) -> str:
+    """Return the name of an enumeration's literal, by which SSP knows it."""
+    (declared,) = (v for v in description.iterfind("ModelVariables/*") if v.get("name") == variable)
+    kind = declared.get("declaredType") or declared[0].get("declaredType")
+    for type_ in description.iterfind("TypeDefinitions/*"):
+        for item in type_.iter("Item"):
+            if type_.get("name") == kind and item.get("value") == ordinal:
+                return item.get("name", ordinal)
+    return ordinal
