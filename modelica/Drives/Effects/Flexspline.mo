@@ -2,6 +2,7 @@ within Drives.Effects;
 model Flexspline "Compliance with backlash, hardening and rate-independent hysteresis"
   extends Components.PartialSpringDamper;
   parameter Types.Angle backlash(min = 0) = 0 "Lost motion";
+  parameter Real backlash_pull(unit = "1", min = 0, max = 1) = 0 "Share of the torque by which teeth with play pull while the damper holds them";
   parameter Real hardening(unit = "1") = 0 "Share by which the secant stiffness grows up to a wind-up of phi_hard";
   parameter Types.Angle phi_hard(min = 0) = 1e-3 "Wind-up that hardening refers to";
   parameter Types.Torque hysteresis(min = 0) = 0 "Torque of the hysteresis when it is wound up";
@@ -11,7 +12,7 @@ model Flexspline "Compliance with backlash, hardening and rate-independent hyste
   Real z(start = 0, fixed = true, nominal = 1, unit = "1") "Hysteresis torque over its largest value, Bouc-Wen";
 protected
   Types.Angle deflection "Relative angle before backlash";
-  Types.Torque pressing "Torque of spring and damper; teeth with play between them only press";
+  Types.Torque pressing "Torque of spring and damper; teeth with play press, and may pull a little";
   Real contact(unit = "1") "0 within the backlash, 1 in contact";
 equation
   deflection = phi_rel - phi_rel0 + phi_port;
@@ -19,5 +20,5 @@ equation
   contact = noEvent(if backlash > 0 then min(1.0, abs(wind)/max(0.02*backlash, 1e-9)) else 1.0);
   der(z) = noEvent(if hysteresis > 0 then (w_rel - (if w_rel*z > 0 then abs(z)*w_rel else 0.0))/hysteresis_angle else 0.0);
   pressing = c*wind*(1 + hardening*(wind/phi_hard)^2) + d*contact*w_rel;
-  tau = hysteresis*z + noEvent(if not backlash > 0 then pressing elseif wind > 0 then max(0.0, pressing) else min(0.0, pressing));
+  tau = hysteresis*z + noEvent(if not backlash > 0 then pressing elseif wind > 0 then max(backlash_pull*pressing, pressing) else min(backlash_pull*pressing, pressing));
 end Flexspline;

@@ -15,6 +15,8 @@ from fmuid.diagnosis.scores import stack
 # Calibrated on the virtual rig (`make blind`), never on data whose answer is to be found.
 GAP_THAT_MATTERS = 0.25  # floors: smaller gaps are within what sampling and discretisation of a rig leave
 SIGNIFICANCE = 0.01
+SCORE_MARGIN = 2.0  # the largest score must be this many times what noise reaches in one diagnosis of a hundred
+CLOSURE_THAT_PLACES = 0.1  # free functions at a port must close at least this much for the port to be named
 CLOSURE_THAT_NAMES = 0.5  # a named effect must close at least half of the gap on experiments left out
 GAIN_OF_A_SECOND = 0.25  # a further effect must close at least a quarter of what is left
 DECOY_MARGIN = 0.5  # a decoy must leave less than half the gap of the best named effect

@@ -93,7 +93,8 @@ def diagnose_subject(subject: Subject, *, say: Say = _quiet, seed: int = 0) -> F
         for r, n in zip(nominal.fit.residuals, observed.repeats, strict=True)
     )
     matters = nominal.gap > decide.GAP_THAT_MATTERS or by_experiment > 3 * decide.GAP_THAT_MATTERS
-    present = p_value < decide.SIGNIFICANCE and matters
+    largest = max((s.drop for s in scores), default=0.0)
+    present = matters and (p_value < decide.SIGNIFICANCE or largest > decide.SCORE_MARGIN * null.threshold())
     candidates, best = _search(subject, nominal, scores, say, present=present)
     decoys: tuple[Decoy, ...] = ()
     if present and (best is None or closure(nominal.held_out, best.held_out) < decide.CLOSURE_BEYOND_DECOYS):
@@ -170,7 +171,7 @@ def _conclude(
     if not present:
         verdict, chosen = Verdict("complete"), nominal
     elif unknown or best is None:
-        port = _strongest(decoys) if decoys else None
+        port = _strongest(nominal, decoys)
         verdict, chosen = Verdict("unknown", (), port), nominal
     elif len(alike) > 1:
         names = tuple(dict.fromkeys(n for c in alike for n in c.names))
@@ -255,8 +256,11 @@ def _aliases(
     return alias_classes(own)
 
 
-def _strongest(decoys: Sequence[Decoy]) -> str:
-    return min(decoys, key=lambda d: float(np.average(d.held_out.loss, weights=d.held_out.size))).port
+def _strongest(nominal: Fitted, decoys: Sequence[Decoy]) -> str | None:
+    """Return the port whose free functions close most of the held-out gap; None if none closes much."""
+    shares = _port_shares(nominal, decoys)
+    port = max(shares, key=lambda p: shares[p], default=None)
+    return port if port is not None and shares[port] >= decide.CLOSURE_THAT_PLACES else None
 
 
 def _port_shares(nominal: Fitted, decoys: Sequence[Decoy]) -> dict[str, float]:
