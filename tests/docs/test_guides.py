@@ -1,4 +1,4 @@
-"""README.md and docs/*.md: every block is run, in its order, as a reader would.
+"""README.md, docs/*.md and the like: every block is run, in its order, as a reader would.
 
 The blocks of a page share a folder that looks like the repository's root. A block in `python` or `sh` is run; `text` after
 it is what it prints (`...` stands for anything); with `<!-- file: NAME -->` before it, a block is the content of that
@@ -26,7 +26,12 @@ from fmuid.cli.app import app
 from fmuid.errors import ModelicaError
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "CHANGELOG.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+]
 BLOCK = re.compile(r"(?:^<!-- file: (\S+) -->\n)?^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 MAKE = f'make() {{ command make --dry-run --directory "{ROOT}" "$@" > /dev/null; }}\n'
 MODELICA_GUIDE = (ROOT / "docs" / "modelica.md").read_text()
