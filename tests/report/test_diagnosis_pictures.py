@@ -50,7 +50,7 @@ def pictures():
         SimpleNamespace(
             subject=subject,
             nominal=SimpleNamespace(fit=nominal),
-            best=SimpleNamespace(fit=SimpleNamespace(values={"effect": 1.0})),
+            best=SimpleNamespace(names=("viscous",), fit=SimpleNamespace(values={"effect": 1.0})),
             diagnosis=SimpleNamespace(verdict=Verdict("effect", ("viscous",), "torque")),
             excess=excess_map(observed, [np.zeros((1, TIME.size))], paths),
             paths=paths,
