@@ -60,13 +60,6 @@ Record = dict[str, "Value"]
 Value = Scalar | str | Array | Record | tuple["Value", ...] | None
 
 
-def is_numeric(value: Value) -> bool:
-    """Whether a value is known at translation time."""
-    if isinstance(value, Array):
-        return all(not isinstance(i, SX) for i in value.items)
-    return isinstance(value, bool | int | float)
-
-
 def sx(value: Value) -> SX:
     """Scalar as SX."""
     if isinstance(value, SX):

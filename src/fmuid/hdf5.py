@@ -61,11 +61,6 @@ def write_file(path: Path, fill: Callable[[Any], None]) -> None:
     write_atomically(path, memory.getvalue())
 
 
-def open_file(path: Path, mode: Literal["r", "r+", "a", "w", "x"]) -> Any:
-    """Open a file of our own making (the history), as `h5py.File`."""
-    return h5py.File(path, mode)
-
-
 def member(group: Any, name: str, kind: Literal["group", "dataset"], error: Error, where: str) -> Any:
     """Return the group or dataset `name` of `group`, reached by a hard link and kept in the same file."""
     link = group.get(name, getlink=True) if name in group.keys() else None  # noqa: SIM118 - `in group` follows links

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -243,8 +243,3 @@ def at_bound(value: float, lower: float, upper: float) -> str | None:
     if value - lower <= 1e-3 * width:
         return "lower"
     return "upper" if upper - value <= 1e-3 * width else None
-
-
-def values_of(estimates: Sequence[Estimate]) -> Mapping[str, float]:
-    """Return values by name."""
-    return {e.name: e.value for e in estimates}

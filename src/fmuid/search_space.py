@@ -106,14 +106,6 @@ class SearchSpace:
         """Return d model / d search, (n,), at `x`."""
         return np.where(self._log, self._model(x), self._unit)
 
-    def started_at(self, values: Mapping[str, float]) -> SearchSpace:
-        """Return this space with the starts (and fixed values) found in `values`."""
-        return SearchSpace(
-            tuple(replace(s, start=values.get(s.name, s.start)) for s in self.free),
-            {n: values.get(n, v) for n, v in self.fixed.items()},
-            self.ties,
-        )
-
     def _search(self, values: FloatArray) -> FloatArray:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self._log, np.log(np.maximum(values, 0.0)), values / self._unit)

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.campaign import Experiment, FloatArray, Measurements
+from fmuid.campaign import FloatArray
 from fmuid.diagnosis.noise import (
     PiecewiseWhitener,
     RepeatedRuns,
@@ -19,42 +19,6 @@ from fmuid.diagnosis.noise import (
     estimate_noise,
     whitener,
 )
-from fmuid.errors import ProblemError
-
-
-def gather_repeats(
-    measurements: Measurements, ids: Sequence[str], channels: Mapping[str, Sequence[str]]
-) -> tuple[RepeatedRuns, ...]:
-    """Group the runs of each experiment with its repeats.
-
-    Parameters
-    ----------
-    measurements
-        The campaign's runs.
-    ids
-        Experiments to use; repeats come along.
-    channels
-        Setup -> measured outputs to use.
-
-    Raises
-    ------
-    ProblemError
-        A repeat has another time axis than its first run.
-    """
-    origins = list(dict.fromkeys(measurements[i].origin for i in ids))
-    return tuple(_gather(measurements.repeats(i), tuple(channels[measurements[i].setup])) for i in origins)
-
-
-def _gather(runs: Sequence[Experiment], channels: tuple[str, ...]) -> RepeatedRuns:
-    first = runs[0]
-    for run in runs[1:]:
-        if run.time.shape != first.time.shape or not np.allclose(run.time, first.time, rtol=0, atol=1e-9):
-            raise ProblemError(
-                f"repeat '{run.id}' is sampled at other times than '{first.id}'",
-                fix="resample it onto the same time axis, or drop its `repeat_of`",
-            )
-    values = np.array([[run.signals[c].values for c in channels] for run in runs])
-    return RepeatedRuns(first.origin, first.setup, first.time, channels, values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,16 +71,6 @@ class Observed:
     def repeats(self) -> FloatArray:
         """(E,) number of runs of each experiment."""
         return np.array([float(r.n_repeats) for r in self.runs])
-
-    @cached_property
-    def scatter(self) -> FloatArray:
-        """(E,) mean square of each run's whitened deviation from the mean of its repeats."""
-        return np.array(
-            [
-                float(np.mean(w(np.nan_to_num(r.values - r.mean)) ** 2))
-                for r, w in zip(self.runs, self.whiteners, strict=True)
-            ]
-        )
 
     def residuals(self, predictions: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
         """Return prediction minus the mean of the repeats, whitened: one (C * N,) vector an experiment."""

@@ -57,15 +57,6 @@ class Refit:
     evaluations: int
     converged: bool
 
-    @property
-    def at_bounds(self) -> tuple[str, ...]:
-        """Parameters that ended at a bound."""
-        return tuple(
-            u.name
-            for u in self.unknowns
-            if min(self.values[u.name] - u.lower, u.upper - self.values[u.name]) < 1e-3 * u.step
-        )
-
 
 def refit(
     predict: Predict,
