@@ -25,7 +25,7 @@ from fmuid.campaign import FloatArray
 from fmuid.errors import FmuError, SimulationError
 from fmuid.fmu_library import FmuLibrary, ProcessSpentError
 from fmuid.fmu_plan import PreparedTask
-from fmuid.fmu_variables import Slot, in_words, read_variables
+from fmuid.fmu_variables import Slot, in_words, read_feedthrough, read_variables
 from fmuid.simulation import Task, Variable
 from fmuid.stepper import FUNCTIONS, Outcome
 
@@ -127,6 +127,22 @@ class Fmu:
         return {k: float(v) for k, v in values.items() if v is not None}
 
     @property
+    def even_steps(self) -> bool:
+        """Whether the FMU takes communication steps of one size only."""
+        co_simulation = self._description.coSimulation if self.interface == "co-simulation" else None
+        return bool(co_simulation and not co_simulation.canHandleVariableCommunicationStepSize)
+
+    @property
+    def saves_state(self) -> bool:
+        """Whether the FMU can be brought back to a state it was in."""
+        return bool(self._described.canGetAndSetFMUstate)
+
+    @property
+    def feedthrough(self) -> Mapping[str, frozenset[str]]:
+        """The inputs that each output depends on without delay; every input where the FMU does not say."""
+        return read_feedthrough(self._description, self._variables)
+
+    @property
     def renewal(self) -> Literal["reset", "instantiate"] | None:
         """How simulations are kept apart; None before the first one."""
         return self._renewal
@@ -149,16 +165,19 @@ class Fmu:
             The FMU failed, ended the simulation, or an output is not finite.
         """
         with self._lock:
-            prepared = self._prepare(task, parameters)
-            prepared.set_parameters(parameters)
+            prepared = self.prepare(task, parameters)
             if self._renewal is None:
                 return self._first(prepared)
             return self._simulate(prepared)
 
+    def renew(self, how: Literal["reset", "instantiate"]) -> None:
+        """Keep simulations apart in this way from now on, as found out by simulating."""
+        self._renewal = how
+
     def close(self) -> None:
         """Free the instance and remove the extracted files; the next simulation extracts them again."""
         with self._lock:
-            self._discard()
+            self.discard()
             self._library = None
             self._prepared.clear()
             if self._folder is not None:
@@ -213,7 +232,8 @@ class Fmu:
                 self._renewal = "instantiate"
         return self._library
 
-    def _prepare(self, task: Task, parameters: Mapping[str, float]) -> PreparedTask:
+    def prepare(self, task: Task, parameters: Mapping[str, float]) -> PreparedTask:
+        """Return the task laid out for this FMU, with `parameters` as the next run's."""
         names = tuple(parameters)
         prepared = self._prepared.get((id(task), names))
         if prepared is None:
@@ -228,7 +248,7 @@ class Fmu:
                 library=library,
                 described=self._description,
                 linear_inputs=bool(co_simulation and getattr(co_simulation, "canInterpolateInputs", False)),
-                even_steps=bool(co_simulation and not co_simulation.canHandleVariableCommunicationStepSize),
+                even_steps=self.even_steps,
             )
             new = [n for n in (*names, *task.start_values) if n not in self._set_before]
             if new:  # tasks prepared earlier must from now on put these back
@@ -237,6 +257,7 @@ class Fmu:
             while self._prepared and sum(p.size for p in self._prepared.values()) > _MAX_PREPARED:
                 self._prepared.pop(next(iter(self._prepared)))
             self._prepared[id(task), names] = prepared  # keeps the task, and so its id, alive
+        prepared.set_parameters(parameters)
         return prepared
 
     def _first(self, prepared: PreparedTask) -> FloatArray:
@@ -255,10 +276,11 @@ class Fmu:
                 self._renewal = "reset" if same else "instantiate"
         return predictions
 
-    def _simulate(self, prepared: PreparedTask, n_times: int | None = None) -> FloatArray:
+    def engage(self, prepared: PreparedTask) -> None:
+        """Give the plan an instance to run on, a new one where a reset is not as good; see `discard`."""
         library = self._load()
         if self._used and self._renewal == "instantiate":
-            self._discard()
+            self.discard()
         if self._instance is None:
             resources = (self._folder or Path()) / "resources"
             try:
@@ -272,11 +294,15 @@ class Fmu:
                     fix="simulate it in worker processes (`fmuid.WorkerPool`), which start anew for it",
                 ) from None
             self._used, self._instantiated = False, True
+        prepared.plan.instance = self._instance
+        prepared.plan.reset = int(self._used)
+        self._used = True
+        library.log.clear()
+
+    def _simulate(self, prepared: PreparedTask, n_times: int | None = None) -> FloatArray:
         plan = prepared.plan
         predictions = prepared.outputs(n_times)
-        plan.instance = self._instance
-        plan.reset = int(self._used)
-        library.log.clear()
+        self.engage(prepared)
         fatal = False
         finished = False
         try:
@@ -285,20 +311,21 @@ class Fmu:
             while outcome == Outcome.PAUSED:
                 outcome = run(plan, 1, _SLICE)
             if outcome == Outcome.DONE:
-                finished = self._used = True
+                finished = True
                 return predictions
             failed = FUNCTIONS[plan.call] if outcome == Outcome.CALL_FAILED else None
             fatal = failed is not None and plan.status == _FATAL
-            error = self._failure(Outcome(outcome), prepared)
+            error = self.failure(Outcome(outcome), prepared)
         finally:
             if not finished:  # also on Ctrl-C: nobody knows what state it is in
-                self._discard(fatal)
+                self.discard(fatal)
         if failed == "RESET":
             self._renewal = "instantiate"
             return self._simulate(prepared, n_times)
         raise error
 
-    def _failure(self, outcome: Outcome, prepared: PreparedTask) -> SimulationError:
+    def failure(self, outcome: Outcome, prepared: PreparedTask) -> SimulationError:
+        """Return what went wrong in a run that ended with `outcome`, with what the FMU said."""
         plan, library = prepared.plan, prepared.library
         at = f"at t = {plan.reached_time:.9g} s"
         if outcome == Outcome.CALL_FAILED:
@@ -316,7 +343,7 @@ class Fmu:
             what + (f": {said}" if said else "") + (f" (with {given})" if given else ""), where=self.path.name
         )
 
-    def _discard(self, fatal: bool = False) -> None:
+    def discard(self, fatal: bool = False) -> None:
         """Give the instance up; after fmi2Fatal nothing of the library may be called again."""
         if self._instance is not None and self._library is not None and not fatal:
             self._library.free(self._instance)

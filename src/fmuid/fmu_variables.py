@@ -142,3 +142,18 @@ def read_variables(description: Any, version: int) -> tuple[dict[str, Variable],
                 whole_numbers=storage > 1,
             )
     return variables, slots
+
+
+def read_feedthrough(description: Any, variables: Mapping[str, Variable]) -> dict[str, frozenset[str]]:
+    """Return the inputs that each output depends on without delay, element by element (all where not said)."""
+    elements: dict[str, list[str]] = {}
+    for v in description.modelVariables:
+        names = [f"{v.name}{subscript}" for subscript in _elements(tuple(v.shape or ()))]
+        elements[v.name] = names
+    inputs = frozenset(n for n, v in variables.items() if v.causality == "input")
+    found = {n: inputs for n, v in variables.items() if v.causality == "output"}
+    for unknown in description.outputs:
+        if unknown.dependencies is not None:
+            known = frozenset(n for v in unknown.dependencies for n in elements[v.name]) & inputs
+            found |= dict.fromkeys(elements[unknown.variable.name], known)
+    return found

@@ -60,9 +60,8 @@ int32_t set_values(Plan *plan, const Group *groups, int32_t n_groups, const doub
     return DONE;
 }
 
-static int32_t read_outputs(Plan *plan, size_t k)
+int32_t get_values(Plan *plan, double *row)
 {
-    double *row = plan->row;
     for (const Group *g = plan->output_groups; g < plan->output_groups + plan->n_output_groups; g++) {
         TRY(exchange(plan, g, GET_VALUES, g->direct ? row : g->buffer));
         if (g->direct) continue;
@@ -79,6 +78,13 @@ static int32_t read_outputs(Plan *plan, size_t k)
         default: TAKE(uint64_t);
         }
     }
+    return DONE;
+}
+
+static int32_t read_outputs(Plan *plan, size_t k)
+{
+    double *row = plan->row;
+    TRY(get_values(plan, row));
     for (size_t j = 0; j < plan->n_outputs; j++) {
         plan->outputs[j * plan->n_times + k] = row[j];
         if (!isfinite(row[j])) {
@@ -92,7 +98,7 @@ static int32_t read_outputs(Plan *plan, size_t k)
     return DONE;
 }
 
-static int32_t initialise(Plan *plan)
+int32_t enter_initialisation(Plan *plan)
 {
     Instance c = plan->instance;
     plan->reached = -1;
@@ -107,8 +113,14 @@ static int32_t initialise(Plan *plan)
     else
         CALL(ENTER_INITIALIZATION, int32_t (*)(Instance, bool, double, double, bool, double), c,
              (bool)plan->tolerance_defined, plan->tolerance, plan->time[0], true, plan->stop);
+    return DONE;
+}
+
+static int32_t initialise(Plan *plan)
+{
+    TRY(enter_initialisation(plan));
     TRY(set_values(plan, plan->input_groups, plan->n_input_groups, plan->inputs));
-    CALL(EXIT_INITIALIZATION, Plain, c);
+    CALL(EXIT_INITIALIZATION, Plain, plan->instance);
     return DONE;
 }
 
@@ -136,7 +148,7 @@ static inline int32_t advance(Plan *plan, double t, double h)
     return DONE;
 }
 
-static int32_t do_step(Plan *plan, size_t k)
+int32_t do_step(Plan *plan, size_t k)
 {
     const double t = plan->time[k], h = plan->time[k + 1] - t, *u = plan->inputs + k * plan->n_inputs;
     TRY(set_values(plan, plan->input_groups, plan->n_input_groups, u));

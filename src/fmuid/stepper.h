@@ -87,6 +87,9 @@ typedef int32_t (*Plain)(Instance);
 
 int32_t fail(Plan *plan, int32_t place, int32_t status);
 int32_t set_values(Plan *plan, const Group *groups, int32_t n_groups, const double *row);
+int32_t get_values(Plan *plan, double *row);
+int32_t enter_initialisation(Plan *plan);
+int32_t do_step(Plan *plan, size_t k);
 int32_t begin_model_exchange(Plan *plan);
 int32_t integrate(Plan *plan, size_t k);
 

@@ -103,8 +103,8 @@ class Run:
         """Call, and end the run if that fails."""
         self.check(place, self.call(place, *arguments))
 
-    def initialise(self) -> None:
-        """Bring the FMU from where it is to initialised, with inputs of the first communication point."""
+    def enter_initialisation(self) -> None:
+        """Bring the FMU from where it is into initialisation, its start values set."""
         plan = self.plan
         plan.reached, plan.reached_time = -1, float(self.time[0])
         if plan.reset:
@@ -121,6 +121,10 @@ class Run:
             self.do("SETUP_EXPERIMENT", *experiment)
         self.set_starts.set(_array(plan.starts, plan.n_starts))
         self.do("ENTER_INITIALIZATION", *(experiment if plan.fmi == 3 else []))
+
+    def initialise(self) -> None:
+        """Bring the FMU from where it is to initialised, with inputs of the first communication point."""
+        self.enter_initialisation()
         self.set_inputs.set(self.inputs[0])
         self.do("EXIT_INITIALIZATION")
 
