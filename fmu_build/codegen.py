@@ -106,11 +106,21 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
         ],
     )
     add("variables", environment, [column(e.v)])
-    seeds = [SX.sym(f"s{n}", len(v)) for n, v in (("x", ports.x), ("u", ports.u), ("p", ports.p), ("y", ports.y))]
-    along = _Direction(graph, ports, e.dependent, seeds)
-    add("partials", [*environment, *seeds], [column([along(r) for r in e.dx]), column([along(r) for r in e.v])])
-    held = _Direction(graph, ports, e.dependent, seeds[:3])
-    add("loop_partials", [*environment, *seeds[:3]], [column([held(r) for r in e.residuals])])
+    vectors = {"x": ports.x, "u": ports.u, "p": ports.p, "d": ports.d, "y": ports.y, "xs": e.xs}
+
+    def add_partials(name: str, arguments: list[SX], along: str, results: list[SX]) -> None:
+        """Exact derivative of the results along seeds of the named vectors."""
+        seeds = {n: SX.sym(f"s_{n}", len(vectors[n])) for n in along.split()}
+        by_symbol = {key(s): seeds[n][i] for n in seeds for i, s in enumerate(vectors[n])}
+        derivative = column([graph.directional(r, by_symbol) for r in results])
+        add(name, [*arguments, *seeds.values()], [derivative])
+
+    add_partials("partials", environment, "x u p d y", e.dx)
+    add_partials("variable_partials", environment, "x u p d y", e.v)
+    add_partials("loop_partials", environment, "x u p d", e.residuals)
+    add_partials("dependent_partials", [column(ports.p)], "p", e.dependent)
+    add_partials("start_partials", [column(ports.p), column(ports.d)], "p d", e.x_start)
+    add_partials("initial_partials", [*environment, column(e.xs)], "u p d xs", conditions)
     add("indicators", environment, [column(e.indicators)])
     add(
         "update",
@@ -119,21 +129,6 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
     )
     add("asserts", environment, [column(e.asserts)])
     return out
-
-
-class _Direction:
-    """Derivative of expressions along seeds of x, u, p and perhaps y, through the dependent parameters."""
-
-    def __init__(self, graph: Graph, ports: Ports, dependent: list[SX], seeds: list[SX]) -> None:
-        self._graph = graph
-        self._seed: dict[int, SX] = {}
-        for symbols, seed in zip((ports.x, ports.u, ports.p, ports.y), seeds, strict=False):
-            self._seed |= {key(s): seed[i] for i, s in enumerate(symbols)}
-        for symbol, value in zip(ports.d, dependent, strict=True):
-            self._seed[key(symbol)] = self(value)
-
-    def __call__(self, expression: SX) -> SX:
-        return self._graph.directional(expression, self._seed)
 
 
 def c_source(functions: Functions) -> str:

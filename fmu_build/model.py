@@ -33,28 +33,31 @@ v      MODEL_NV            every other variable (evaluated on request)
 
 ``ENV`` stands for the nine arguments ``t, x, u, p, d, z, pz, m, y`` in this order (arg[0] .. arg[8]).
 
-===============  ===============================  =====================================================================
-function         arguments                        results
-===============  ===============================  =====================================================================
-dependent        p                                d
-start            p, d                             xs (nx), z (nz), y (ny): start values; a caller may replace xs entries
-                                                  by values set through FMI. pz = z at the start
-initial          ENV, xs                          residual (nx+ny), Jacobian (nx+ny, nx+ny) with respect to [x; y];
-                                                  only needed if MODEL_HAS_INITIAL is 1 (Newton from [xs; y]),
-                                                  otherwise x = xs is the solution, y from loop
-derivatives      ENV                              dx (nx)
-jacobian         ENV                              dx (nx), df/dx (nx, nx), df/dt (nx), df/dy (nx, ny); partial, y held
-loop             ENV                              r (ny), dr/dy (ny, ny), dr/dx (ny, nx), dr/dt (ny); Newton for y
-variables        ENV                              v (nv)
-partials         ENV, sx, su, sp, sy              directional derivatives: of dx (nx), of v (nv); d = dependent(p) is
-                                                  chained inside
-loop_partials    ENV, sx, su, sp                  directional derivative of r (ny) with y held: sy solves
-                                                  dr/dy sy = - this
-indicators       ENV                              g (nm): relation i is true iff g_i > 0 (g_i >= 0 where
-                                                  ``MODEL_INCLUSIVE[i]`` is 1)
-update           ENV, init (1)                    z (nz), x (nx), next_event (1), terminate (1), reinit (1)
-asserts          ENV                              a (MODEL_NASSERT): assertion i holds iff a_i is not 0
-===============  ===============================  =====================================================================
+==================  =============================  =====================================================================
+function            arguments                      results
+==================  =============================  =====================================================================
+dependent           p                              d
+start               p, d                           xs (nx), z (nz), y (ny): start values; a caller may replace xs entries
+                                                   by values set through FMI. pz = z at the start
+initial             ENV, xs                        residual (nx+ny), Jacobian (nx+ny, nx+ny) with respect to [x; y];
+                                                   only needed if MODEL_HAS_INITIAL is 1 (Newton from [xs; y]),
+                                                   otherwise x = xs is the solution, y from loop
+derivatives         ENV                            dx (nx)
+jacobian            ENV                            dx (nx), df/dx (nx, nx), df/dt (nx), df/dy (nx, ny); partial, y held
+loop                ENV                            r (ny), dr/dy (ny, ny), dr/dx (ny, nx), dr/dt (ny); Newton for y
+variables           ENV                            v (nv)
+partials            ENV, sx, su, sp, sd, sy        directional derivative of dx (nx)
+variable_partials   ENV, sx, su, sp, sd, sy        directional derivative of v (nv)
+loop_partials       ENV, sx, su, sp, sd            directional derivative of r (ny) with y held: sy solves
+                                                   dr/dy sy = - this
+dependent_partials  p, sp                          directional derivative of d (nd)
+start_partials      p, d, sp, sd                   directional derivative of xs (nx)
+initial_partials    ENV, xs, su, sp, sd, sxs       directional derivative of the residual of ``initial``, x and y held
+indicators          ENV                            g (nm): relation i is true iff g_i > 0 (g_i >= 0 where
+                                                   ``MODEL_INCLUSIVE[i]`` is 1)
+update              ENV, init (1)                  z (nz), x (nx), next_event (1), terminate (1), reinit (1)
+asserts             ENV                            a (MODEL_NASSERT): assertion i holds iff a_i is not 0
+==================  =============================  =====================================================================
 
 Events (only if MODEL_HAS_EVENTS is 1). During integration m, z and pz = z are frozen; the indicators are watched, and
 an event is where the truth of some g_i differs from m_i (the runtime adds its hysteresis), or where t reaches

@@ -109,9 +109,10 @@ int linearise(Instance *me, double t, const double *x) {
         }
     }
     if (ramp) {
-        double ddx[LENGTH(NX)];
-        if (directional_derivative(me, t, x, me->ut, NULL, du, NULL, ddx, NULL)) return 1;
-        for (int i = 0; i < NX; i++) me->dfdt[i] += ddx[i];
+        Direction s = {.x = {0}};
+        memcpy(s.u, du, sizeof s.u);
+        if (derivatives_along(me, t, x, me->ut, &s)) return 1;
+        for (int i = 0; i < NX; i++) me->dfdt[i] += s.dx[i];
     }
     return 0;
 }
@@ -142,34 +143,43 @@ int evaluate_variables(Instance *me) {
     return failed;
 }
 
-/* Exact derivative of dx and v at (t, x, u) in the direction (sx, su, sp); NULL seeds are zero. */
-int directional_derivative(Instance *me, double t, const double *x, const double *u, const double *sx, const double *su,
-                           const double *sp, double *ddx, double *dv) {
-    double sy[LENGTH(NY)];
-    if (NY > 0) {
-        double r[LENGTH(NY)];
-        if (solve_loop(me, t, x, u)) return 1;
-        environment_at(me, &t, x, u);
-        me->res[0] = r;
-        me->res[1] = me->drdy;
-        if (CALL(loop) || lu_factor(NY, me->drdy, me->y_pivot)) return 1;
-        environment_at(me, &t, x, u);
-        me->arg[9] = sx;
-        me->arg[10] = su;
-        me->arg[11] = sp;
-        me->res[0] = sy;
-        if (CALL(loop_partials)) return 1;
-        for (int i = 0; i < NY; i++) sy[i] = -sy[i];
-        lu_solve(NY, me->drdy, me->y_pivot, sy);
-    }
+/* The environment with the direction as further arguments. */
+static void environment_along(Instance *me, const double *t, const double *x, const double *u, const Direction *s) {
+    environment_at(me, t, x, u);
+    const double *const seeds[] = {s->x, s->u, s->p, s->d, s->y};
+    for (int i = 0; i < 5; i++) me->arg[9 + i] = seeds[i];
+}
+
+/* Derivatives of the algebraic loops' unknowns along a direction, into s->y; leaves y itself solved. */
+static int loops_along(Instance *me, double t, const double *x, const double *u, Direction *s) {
+    double r[LENGTH(NY)];
+    if (NY == 0) return 0;
+    if (solve_loop(me, t, x, u)) return 1;
     environment_at(me, &t, x, u);
-    me->arg[9] = sx;
-    me->arg[10] = su;
-    me->arg[11] = sp;
-    me->arg[12] = NY > 0 ? sy : NULL;
-    me->res[0] = ddx;
-    me->res[1] = dv;
+    me->res[0] = r;
+    me->res[1] = me->drdy;
+    if (CALL(loop) || lu_factor(NY, me->drdy, me->y_pivot)) return 1;
+    environment_along(me, &t, x, u, s);
+    me->res[0] = s->y;
+    if (CALL(loop_partials)) return 1;
+    for (int i = 0; i < NY; i++) s->y[i] = -s->y[i];
+    lu_solve(NY, me->drdy, me->y_pivot, s->y);
+    return 0;
+}
+
+/* Exact derivatives of dx along a direction at (t, x, u), into s->dx (and s->y). */
+int derivatives_along(Instance *me, double t, const double *x, const double *u, Direction *s) {
+    if (loops_along(me, t, x, u, s)) return 1;
+    environment_along(me, &t, x, u, s);
+    me->res[0] = s->dx;
     return CALL(partials);
+}
+
+/* The same of v, into s->v; s->y is that of `derivatives_along` at the same point. */
+int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s) {
+    environment_along(me, &t, x, u, s);
+    me->res[0] = s->v;
+    return CALL(variable_partials);
 }
 
 /* Failed assertions at the current point; one with level warning is told once a run. */

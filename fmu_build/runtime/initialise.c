@@ -80,6 +80,43 @@ static Status solve_start(Instance *me) {
     return STATUS_OK;
 }
 
+/* Derivative of the calculated parameters in the direction sp. */
+int dependent_parameters_along(Instance *me, const double *sp, double *sd) {
+    me->arg[0] = me->s.p;
+    me->arg[1] = sp;
+    me->res[0] = sd;
+    return model_dependent_partials(me->arg, me->res, me->iw, me->w, 0);
+}
+
+/* Derivative of the initial state along s->u, s->p, s->d and the start values that were or can be set, into s->x. */
+int initial_states_along(Instance *me, const double *start, Direction *s) {
+    enum { N = NX + NY };
+    const State *now = &me->s;
+    double sxs[LENGTH(NX)] = {0}, r[LENGTH(N)];
+    me->arg[0] = now->p;
+    me->arg[1] = now->d;
+    me->arg[2] = s->p;
+    me->arg[3] = s->d;
+    me->res[0] = sxs;
+    if (model_start_partials(me->arg, me->res, me->iw, me->w, 0)) return 1;
+    for (int i = 0; i < NX; i++) s->x[i] = now->xs_set[i] ? start[i] : sxs[i] + start[i];
+    if (!MODEL_HAS_INITIAL) return 0;
+    memcpy(sxs, s->x, sizeof sxs);
+    environment_at(me, &now->t, now->x, now->u);
+    me->arg[9] = now->xs;
+    me->res[0] = NULL;
+    me->res[1] = me->matrix;
+    if (model_initial(me->arg, me->res, me->iw, me->w, 0) || lu_factor(N, me->matrix, me->pivot)) return 1;
+    environment_at(me, &now->t, now->x, now->u);
+    const double *const seeds[] = {now->xs, s->u, s->p, s->d, sxs};
+    for (int i = 0; i < 5; i++) me->arg[9 + i] = seeds[i];
+    me->res[0] = r;
+    if (model_initial_partials(me->arg, me->res, me->iw, me->w, 0)) return 1;
+    lu_solve(N, me->matrix, me->pivot, r);
+    for (int i = 0; i < NX; i++) s->x[i] = -r[i];
+    return 0;
+}
+
 /* Dependent parameters, start values, initial equations and the first event iteration, from what has been set. */
 Status initialise(Instance *me) {
     State *s = &me->s;

@@ -93,6 +93,12 @@ struct Instance {
 /* Messages: a failure says what, where and when; returns `status`. */
 Status report(const Instance *me, Status status, const char *format, ...);
 
+/* A direction in the independent vectors (x, u, p, d), and what follows from it. */
+typedef struct {
+    double x[LENGTH(NX)], u[LENGTH(NU)], p[LENGTH(NP)], d[LENGTH(ND)];
+    double y[LENGTH(NY)], dx[LENGTH(NX)], v[LENGTH(NV)];
+} Direction;
+
 /* equations.c: evaluation of the generated functions */
 const double **environment_at(Instance *me, const double *t, const double *x, const double *u);
 int solve_loop(Instance *me, double t, const double *x, const double *u);
@@ -101,8 +107,8 @@ int linearise(Instance *me, double t, const double *x);
 void input_at(Instance *me, double t);
 int evaluate_derivatives(Instance *me);
 int evaluate_variables(Instance *me);
-int directional_derivative(Instance *me, double t, const double *x, const double *u, const double *sx, const double *su,
-                           const double *sp, double *ddx, double *dv);
+int derivatives_along(Instance *me, double t, const double *x, const double *u, Direction *s);
+int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s);
 Status check_assertions(Instance *me);
 
 /* starts.c */
@@ -111,6 +117,8 @@ Status read_starts(Instance *me, const char *location);
 /* initialise.c */
 void set_defaults(Instance *me);
 Status initialise(Instance *me);
+int dependent_parameters_along(Instance *me, const double *sp, double *sd);
+int initial_states_along(Instance *me, const double *start, Direction *s);
 
 /* events.c */
 void relations(Instance *me, double t, const double *x, const double *u, double *m);
@@ -134,11 +142,8 @@ Status set_value(Instance *me, unsigned reference, VariableType type, double val
 Status set_input_slope(Instance *me, unsigned reference, double slope);
 Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t n_unknown, const unsigned *known,
                                   size_t n_known, const double *seed, double *sensitivity);
-Status pick_derivative(Instance *me, unsigned reference, const double *sx, const double *su, const double *sp,
-                       const double *dx, const double *dv, double *value);
-int is_parameter(unsigned reference);
-int parameter_index(unsigned reference);
-int parameter_sign(unsigned reference);
+Status pick_derivative(Instance *me, unsigned reference, const Direction *s, double *value);
+int parameter_direction(unsigned reference, Direction *s, double *start);
 Status set_experiment(Instance *me, int tolerance_defined, double tolerance, double start, int stop_defined, double stop);
 Status start_simulation(Instance *me);
 

@@ -18,6 +18,7 @@ enum { RADAU = 3, SIZE = RADAU * NX };
 struct Sensitivity {
     size_t n;
     unsigned *parameters;
+    Direction *along; /* of each parameter: p and d as they change with it, the rest is work memory */
     double *start;  /* n columns of NX: at the beginning of the last step */
     double *stages; /* n columns of RADAU * NX: at its collocation points */
     double *now;    /* n columns of NX: where they were asked for */
@@ -40,15 +41,13 @@ static double weight(int i, int j) {
     return a[i][j];
 }
 
-/* Derivative of the right-hand side by parameter j at (t, x): only independent parameters have one. */
-static int forcing(Instance *me, unsigned parameter, double t, const double *x, double *b) {
-    double sp[LENGTH(NP)] = {0};
-    const int index = parameter_index(parameter);
-    memset(b, 0, NX * sizeof *b);
-    if (index < 0) return 0;
-    sp[index] = parameter_sign(parameter);
+/* Derivative of the right-hand side by a parameter at (t, x). */
+static int forcing(Instance *me, Direction *along, double t, const double *x, double *b) {
+    memset(along->x, 0, sizeof along->x);
     input_at(me, t);
-    return directional_derivative(me, t, x, me->ut, NULL, NULL, sp, b, NULL);
+    if (derivatives_along(me, t, x, me->ut, along)) return 1;
+    memcpy(b, along->dx, NX * sizeof *b);
+    return 0;
 }
 
 /* The collocation equations of the last step. */
@@ -84,7 +83,7 @@ static Status solve_step(Instance *me) {
     for (size_t p = 0; p < q->n && !failed; p++) {
         double b[RADAU][LENGTH(NX)];
         double *y = q->stages + p * SIZE;
-        for (int i = 0; i < RADAU; i++) failed |= forcing(me, q->parameters[p], t[i], x[i], b[i]);
+        for (int i = 0; i < RADAU; i++) failed |= forcing(me, &q->along[p], t[i], x[i], b[i]);
         for (int i = 0; i < RADAU; i++)
             for (int row = 0; row < NX; row++) {
                 double sum = q->start[p * NX + row];
@@ -136,6 +135,7 @@ void free_sensitivities(Instance *me) {
     struct Sensitivity *q = me->sensitivity;
     if (q) {
         free(q->parameters);
+        free(q->along);
         free(q->start);
         free(q->stages);
         free(q->now);
@@ -144,29 +144,22 @@ void free_sensitivities(Instance *me) {
     me->sensitivity = NULL;
 }
 
-/* Start values by central differences of the initialisation: it is (piecewise) linear or a converged Newton. */
+/* Derivatives of the initial state. */
 Status start_sensitivities(Instance *me) {
     struct Sensitivity *q = me->sensitivity;
     if (!q || q->n == 0) return STATUS_OK;
-    State *kept = malloc(sizeof *kept);
-    if (!kept) return report(me, STATUS_ERROR, "no memory for sensitivities");
-    *kept = me->s;
-    Status status = STATUS_OK;
-    for (size_t j = 0; j < q->n && status <= STATUS_WARNING; j++) {
-        double value = 0.0, ends[2][LENGTH(NX)] = {{0}};
-        status = get_value(me, q->parameters[j], TYPE_REAL, &value);
-        const double difference = 1e-5 * fmax(fabs(value), 1e-3);
-        for (int side = 0; side < 2 && status <= STATUS_WARNING; side++) {
-            status = set_value(me, q->parameters[j], TYPE_REAL, value + (side ? difference : -difference));
-            if (status <= STATUS_WARNING) status = initialise(me);
-            memcpy(ends[side], me->s.x, sizeof ends[side]);
-            me->s = *kept;
-        }
-        for (int i = 0; i < NX; i++) q->start[j * NX + i] = (ends[1][i] - ends[0][i]) / (2.0 * difference);
+    for (size_t j = 0; j < q->n; j++) {
+        Direction *s = &q->along[j];
+        double start[LENGTH(NX)] = {0};
+        memset(s, 0, sizeof *s);
+        parameter_direction(q->parameters[j], s, start);
+        if (dependent_parameters_along(me, s->p, s->d) || initial_states_along(me, start, s))
+            return report(me, STATUS_ERROR, "t = %.9g: the sensitivities of the initial state cannot be computed",
+                          me->s.t);
+        memcpy(q->start + j * NX, s->x, NX * sizeof(double));
     }
-    free(kept);
     q->solved = 0;
-    return status;
+    return STATUS_OK;
 }
 
 int fmuidSetSensitivityParameters(void *instance, const unsigned *parameters, size_t n) {
@@ -176,20 +169,24 @@ int fmuidSetSensitivityParameters(void *instance, const unsigned *parameters, si
         return report(me, STATUS_ERROR, "sensitivities are chosen before a co-simulation starts");
     if (MODEL_HAS_EVENTS && n > 0)
         return report(me, STATUS_ERROR, "sensitivities of a model with events are not supported");
-    for (size_t i = 0; i < n; i++)
-        if (!is_parameter(parameters[i]))
+    for (size_t i = 0; i < n; i++) {
+        Direction s;
+        double start[LENGTH(NX)];
+        if (!parameter_direction(parameters[i], &s, start))
             return report(me, STATUS_ERROR, "value reference %u is no parameter or start value to differentiate by",
                           parameters[i]);
+    }
     free_sensitivities(me);
     if (n == 0) return STATUS_OK;
     struct Sensitivity *q = me->sensitivity = calloc(1, sizeof *q);
     if (q) {
         q->parameters = malloc(n * sizeof *parameters);
+        q->along = calloc(n, sizeof *q->along);
         q->start = calloc(n * LENGTH(NX), sizeof(double));
         q->stages = calloc(n * LENGTH(SIZE), sizeof(double));
         q->now = calloc(n * LENGTH(NX), sizeof(double));
     }
-    if (!q || !q->parameters || !q->start || !q->stages || !q->now) {
+    if (!q || !q->parameters || !q->along || !q->start || !q->stages || !q->now) {
         free_sensitivities(me);
         return report(me, STATUS_ERROR, "no memory for sensitivities");
     }
@@ -205,15 +202,14 @@ int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, d
     if (!q || q->n == 0 || me->s.phase != PHASE_STEP)
         return report(me, STATUS_ERROR, "no sensitivities were chosen before the simulation, or it has not started");
     Status status = evaluate(me, me->s.t, q->now);
+    const State *now = &me->s;
     for (size_t j = 0; j < q->n && status <= STATUS_WARNING; j++) {
-        double sp[LENGTH(NP)] = {0}, su[LENGTH(NU)] = {0}, dx[LENGTH(NX)], dv[LENGTH(NV)];
-        const double *sx = q->now + j * NX;
-        const int index = parameter_index(q->parameters[j]);
-        if (index >= 0) sp[index] = parameter_sign(q->parameters[j]);
-        if (directional_derivative(me, me->s.t, me->s.x, me->s.u, sx, su, sp, dx, dv))
-            return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", me->s.t);
+        Direction *s = &q->along[j];
+        memcpy(s->x, q->now + j * NX, NX * sizeof(double));
+        if (derivatives_along(me, now->t, now->x, now->u, s) || variables_along(me, now->t, now->x, now->u, s))
+            return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", now->t);
         for (size_t i = 0; i < n && status <= STATUS_WARNING; i++)
-            status = pick_derivative(me, variables[i], sx, su, sp, dx, dv, &values[i * q->n + j]);
+            status = pick_derivative(me, variables[i], s, &values[i * q->n + j]);
     }
     return status;
 }

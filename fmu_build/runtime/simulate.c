@@ -210,58 +210,74 @@ Status do_step(Instance *me, double t, double h) {
     return check_assertions(me);
 }
 
-/* The derivative of one variable, from those of the vectors. */
-Status pick_derivative(Instance *me, unsigned reference, const double *sx, const double *su, const double *sp,
-                       const double *dx, const double *dv, double *value) {
+/* The derivative of one variable, from those of the vectors; discrete variables do not change. */
+Status pick_derivative(Instance *me, unsigned reference, const Direction *s, double *value) {
     const VariableEntry *entry = entry_of(me, reference, TYPE_REAL);
     if (!entry) return STATUS_ERROR;
-    const int i = entry->index;
+    const double *vector = NULL;
     switch (entry->vector) {
-    case VECTOR_DX: *value = entry->sign * dx[i]; break;
-    case VECTOR_V: *value = entry->sign * dv[i]; break;
-    case VECTOR_X: *value = entry->sign * sx[i]; break;
-    case VECTOR_U: *value = entry->sign * su[i]; break;
-    case VECTOR_P: *value = entry->sign * sp[i]; break;
-    case VECTOR_T:
-    case VECTOR_CONSTANT: *value = 0.0; break;
-    default: return report(me, STATUS_ERROR, "%s has no directional derivative", entry->name);
+    case VECTOR_X: vector = s->x; break;
+    case VECTOR_U: vector = s->u; break;
+    case VECTOR_P: vector = s->p; break;
+    case VECTOR_D: vector = s->d; break;
+    case VECTOR_Y: vector = s->y; break;
+    case VECTOR_DX: vector = s->dx; break;
+    case VECTOR_V: vector = s->v; break;
+    case VECTOR_G: return report(me, STATUS_ERROR, "%s has no directional derivative", entry->name);
+    default: break;
     }
+    *value = vector ? entry->sign * vector[entry->index] : 0.0;
     return STATUS_OK;
 }
 
-/* What a run can be differentiated by: real parameters and start values. */
-int is_parameter(unsigned reference) {
+/* The unit direction of a real parameter (into s->p) or start value (into start); 0: the variable is neither. */
+int parameter_direction(unsigned reference, Direction *s, double *start) {
     if (reference >= MODEL_N_VARIABLES || VARIABLE[reference].type != TYPE_REAL) return 0;
-    const Settable settable = VARIABLE[reference].settable;
-    return settable == SETTABLE_FIXED || settable == SETTABLE_TUNABLE || settable == SETTABLE_START;
+    const VariableEntry *entry = &VARIABLE[reference];
+    const int is_parameter = entry->settable == SETTABLE_FIXED || entry->settable == SETTABLE_TUNABLE;
+    if (!is_parameter && entry->settable != SETTABLE_START) return 0;
+    (is_parameter ? s->p : start)[entry->index] = entry->sign;
+    return 1;
 }
 
-int parameter_index(unsigned reference) {
-    return VARIABLE[reference].vector == VECTOR_P ? VARIABLE[reference].index : -1;
+/* The vector of a direction that a variable's seed goes into; NULL with a message: nothing to differentiate by. */
+static double *seed_of(const Instance *me, const VariableEntry *entry, Direction *s, double *start) {
+    switch (entry->vector) {
+    case VECTOR_X: return me->s.phase == PHASE_INITIALIZATION ? start : s->x;
+    case VECTOR_U: return s->u;
+    case VECTOR_P: return s->p;
+    case VECTOR_D: return s->d;
+    default:
+        report(me, STATUS_ERROR, "%s is no state, input or parameter to differentiate by", entry->name);
+        return NULL;
+    }
 }
 
-int parameter_sign(unsigned reference) { return VARIABLE[reference].sign; }
-
-/* Derivative of the unknowns in the direction of the knowns: exact, for continuous states, inputs and parameters. */
+/* Derivative of the unknowns in the direction of the knowns: exact, for continuous states, inputs and parameters.
+ * Calculated parameters follow those they are calculated from; in the initialization mode the initial states do, too. */
 Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t n_unknown, const unsigned *known,
                                   size_t n_known, const double *seed, double *sensitivity) {
-    State *s = &me->s;
-    double sx[LENGTH(NX)] = {0}, su[LENGTH(NU)] = {0}, sp[LENGTH(NP)] = {0};
-    double dx[LENGTH(NX)], dv[LENGTH(NV)];
+    State *now = &me->s;
+    Direction s = {.x = {0}};
+    double start[LENGTH(NX)] = {0}, follow[LENGTH(ND)] = {0}, kept[LENGTH(NM)];
     const Status status = refresh(me, VECTOR_D);
     if (status > STATUS_WARNING) return status;
     for (size_t k = 0; k < n_known; k++) {
         const VariableEntry *entry = entry_of(me, known[k], TYPE_REAL);
-        if (!entry) return STATUS_ERROR;
-        double *direction = entry->vector == VECTOR_X ? sx : entry->vector == VECTOR_U ? su : sp;
-        if (entry->vector != VECTOR_X && entry->vector != VECTOR_U && entry->vector != VECTOR_P)
-            return report(me, STATUS_ERROR, "%s is no state, input or parameter to differentiate by", entry->name);
+        double *direction = entry ? seed_of(me, entry, &s, start) : NULL;
+        if (!direction) return STATUS_ERROR;
         direction[entry->index] += entry->sign * seed[k];
     }
-    if (directional_derivative(me, s->t, s->x, s->u, sx, su, sp, dx, dv))
-        return report(me, STATUS_ERROR, "t = %.9g: the directional derivative cannot be computed", s->t);
+    int failed = dependent_parameters_along(me, s.p, follow);
+    for (int i = 0; i < ND; i++) s.d[i] += follow[i];
+    if (now->phase == PHASE_INITIALIZATION) failed = failed || initial_states_along(me, start, &s);
+    failed = relations_for_input(me, kept) || failed;
+    failed = failed || derivatives_along(me, now->t, now->x, now->u, &s);
+    failed = failed || variables_along(me, now->t, now->x, now->u, &s);
+    memcpy(now->m, kept, sizeof kept);
+    if (failed) return report(me, STATUS_ERROR, "t = %.9g: the directional derivative cannot be computed", now->t);
     for (size_t k = 0; k < n_unknown; k++) {
-        const Status picked = pick_derivative(me, unknown[k], sx, su, sp, dx, dv, &sensitivity[k]);
+        const Status picked = pick_derivative(me, unknown[k], &s, &sensitivity[k]);
         if (picked > STATUS_WARNING) return picked;
     }
     return STATUS_OK;

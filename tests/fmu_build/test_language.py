@@ -98,7 +98,7 @@ def test_arithmetic(u):
 @pytest.mark.parametrize("u", [-7.3, -0.4, 0.0, 0.3, 6.5])
 def test_derivatives_never_come_from_the_branch_not_taken(u):
     instance = Instance.of(compiled("Arithmetic"))
-    _, dv = instance.model.functions["partials"](*instance.env(0.0, NOTHING, [u]), [], [1.0], [], [])
+    dv = instance.model.functions["variable_partials"](*instance.env(0.0, NOTHING, [u]), [], [1.0], [], [], [])
     assert np.all(np.isfinite(values(dv)))
     where = find(instance.model, "y[1]").location
     assert values(dv)[where.index] == pytest.approx(0.5 / math.sqrt(u) if u > 0 else 0.0)
@@ -122,10 +122,10 @@ def test_nonlinear_loop_is_left_to_newton_with_its_jacobian():
     # the whole derivative of the output along x, loop included
     f, env = instance.model.functions, instance.env(1.0, x[-1])
     _, slope, by_x, _ = f["loop"](*env)
-    (along,) = values(f["loop_partials"](*env, [1.0], [], np.zeros(1)))
+    (along,) = values(f["loop_partials"](*env, [1.0], [], np.zeros(1), []))
     assert along == float(by_x)
     sy = -along / float(slope)
-    _, dv = f["partials"](*env, [1.0], [], np.zeros(1), [sy])
+    dv = f["variable_partials"](*env, [1.0], [], np.zeros(1), [], [sy])
     assert values(dv)[find(instance.model, "x").location.index] == pytest.approx(
         -math.sin(angle) / (1 - 0.6 * math.cos(angle))
     )

@@ -74,15 +74,16 @@ def compile_by_hand(
     x_given = ca.SX.sym("xs", nx)
     init = ca.SX.sym("init")
     up = update(e, init) if update else {}
-    sx, su, sp, sy = (ca.SX.sym("s" + k, sizes[k]) for k in "xupy")
     p, d = s["p"], s["d"]
+    by = {**s, "xs": x_given}
+    seed = {k: ca.SX.sym("s_" + k, by[k].numel()) for k in ("x", "u", "p", "d", "y", "xs")}
 
-    def tangent(f):
-        def along(g, by, seed):
-            return ca.jacobian(g, by) @ seed if g.numel() and by.numel() else ca.SX.zeros(g.numel(), 1)
+    def along(f, letters):
+        slopes = (ca.jacobian(f, by[k]) @ seed[k] for k in letters if f.numel() and by[k].numel())
+        return sum(slopes, ca.SX.zeros(f.numel(), 1))
 
-        total = along(f, s["x"], sx) + along(f, s["u"], su) + along(f, p, sp)
-        return total + along(f, d, along(d_of_p, p, sp))
+    def seeds(letters):
+        return [seed[k] for k in letters]
 
     both = ca.vertcat(s["x"], s["y"])
     initial = ca.vertcat(s["x"] - x_given, r)
@@ -95,8 +96,15 @@ def compile_by_hand(
         "jacobian": (env, [dx, ca.jacobian(dx, s["x"]), ca.jacobian(dx, s["t"]), ca.jacobian(dx, s["y"])]),
         "loop": (env, [r, ca.jacobian(r, s["y"]), ca.jacobian(r, s["x"]), ca.jacobian(r, s["t"])]),
         "variables": (env, [v]),
-        "partials": ([*env, sx, su, sp, sy], [tangent(f) + ca.jacobian(f, s["y"]) @ sy for f in (dx, v)]),
-        "loop_partials": ([*env, sx, su, sp], [tangent(r)]),
+        "partials": ([*env, *seeds("xupdy")], [along(dx, "xupdy")]),
+        "variable_partials": ([*env, *seeds("xupdy")], [along(v, "xupdy")]),
+        "loop_partials": ([*env, *seeds("xupd")], [along(r, "xupd")]),
+        "dependent_partials": ([p, seed["p"]], [along(d_of_p, "p")]),
+        "start_partials": ([p, d, *seeds("pd")], [along(xs, "pd")]),
+        "initial_partials": (
+            [*env, x_given, *seeds(["u", "p", "d", "xs"])],
+            [along(initial, ["u", "p", "d", "xs"])],
+        ),
         "indicators": (env, [g]),
         "update": (
             [*env, init],
@@ -153,8 +161,8 @@ def compile_by_hand(
                 Location("x", i),
                 "local",
                 "continuous",
-                "calculated" if computed else "exact",
-                None if computed else float(start),
+                "approx" if computed else "exact",
+                0.0 if computed else float(start),
                 f"state {n}",
                 nominal=(nominal or {}).get(n),
             )
@@ -180,6 +188,8 @@ def compile_by_hand(
         variables.append(Variable(n, "Real", Location("d", i), "calculatedParameter", "fixed", "calculated"))
     for i, n in enumerate(discrete):
         variables.append(Variable(n, "Real", Location("z", i), "local", "discrete", "calculated"))
+    for i, n in enumerate(loops):
+        variables.append(Variable(n, "Real", Location("y", i), "local", "continuous", "calculated"))
     for i, n in enumerate(outputs):
         variables.append(
             Variable(
@@ -408,6 +418,20 @@ def algebraic_loop() -> CompiledModel:
         loops={"y": 0.0},
         loop=lambda e: [e.y**3 + e.a * e.y - e.x - e.u],
         outputs={"out": lambda e: 2 * e.y},
+    )
+
+
+def dependent_start() -> CompiledModel:
+    """x' = -y from a start value that follows from parameters, y from the loop (1 + x) y + y^3 = b."""
+    return compile_by_hand(
+        "DependentStart",
+        states={"x": lambda e: 2 * e.b + e.c},
+        parameters={"b": 0.5},
+        dependent={"c": lambda e: e.b**2},
+        rhs=lambda e: [-e.y],
+        loops={"y": 0.0},
+        loop=lambda e: [(1 + e.x) * e.y + e.y**3 - e.b],
+        outputs={"out": lambda e: e.x + e.y},
     )
 
 

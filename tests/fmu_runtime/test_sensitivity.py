@@ -29,6 +29,7 @@ CASES = {
     "pendulum": (["phi", "energy", "der(w)", "through"], ["phi", "m", "l", "damping"], "tau", 0.05, 40),
     "train": (["tau_sensor", "w_motor", "b"], ["K_m", "J_R", "J_S", "d_S", "tau_bf"], "i_cmd", 5e-4, 40),
     "algebraic_loop": (["x", "out"], ["x", "a"], "u", 0.1, 10),
+    "dependent_start": (["x", "out", "y", "c"], ["b"], None, 0.1, 20),
 }
 
 
@@ -41,7 +42,7 @@ def test_sensitivities_of_a_run(fmu, name):
     one.start(1e-7)
     got = [sensitivities(one, outputs, len(parameters))]
     for k in range(steps):
-        one.set(**{drive: u[k]})
+        one.set(**({drive: u[k]} if drive else {}))
         one.c.doStep(k * h, h)
         got.append(sensitivities(one, outputs, len(parameters)))
     exact = np.empty_like(got)
@@ -51,7 +52,9 @@ def test_sensitivities_of_a_run(fmu, name):
         values[j] = value
         eps = 1e-5 * value
         ends = [
-            fmu(name).start(1e-11, **{parameter: value + s * eps}).run(outputs, steps, h, inputs={drive: u})
+            fmu(name)
+            .start(1e-11, **{parameter: value + s * eps})
+            .run(outputs, steps, h, inputs={drive: u} if drive else None)
             for s in (1, -1)
         ]
         exact[:, :, j] = (ends[0] - ends[1]) / (2 * eps)
