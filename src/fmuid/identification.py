@@ -22,7 +22,7 @@ from fmuid.history import History
 from fmuid.observer import Observer, Progress
 from fmuid.problem import Evaluation, Problem
 from fmuid.result import FILE, CriterionValue, Estimate, Result, StageResult, at_bound, finite
-from fmuid.runners import Runner, in_process, on_executor
+from fmuid.runners import Runner, in_process
 from fmuid.search_space import SEPARATOR
 from fmuid.simulation import Simulator
 from fmuid.solvers import Outcome, Search, Solver, Status, StopRules, StopSearch, make
@@ -54,6 +54,8 @@ def identify(
     resume: bool = False,
     executor: Executor | None = None,
     workers: int = 0,
+    time_limit: float | None = None,
+    memory_limit: int | None = None,
     observer: Observer | None = None,
     simulators: Mapping[str, Simulator] | None = None,
     seed: int = 0,
@@ -76,9 +78,12 @@ def identify(
     resume
         Go on with the interrupted run in `out`: nothing it did is simulated again.
     executor
-        Any `concurrent.futures` executor to simulate on; results do not depend on it.
+        Any `concurrent.futures` executor to simulate on, such as a Dask client's; results do not depend on it.
     workers
         Number of supervised worker processes to simulate in instead (`fmuid.workers`); 0 for none.
+    time_limit, memory_limit
+        Seconds and resident bytes that one simulation may take in a worker process; those of a `WorkerPool` by
+        default.
     observer
         Told of progress.
     simulators
@@ -112,9 +117,10 @@ def identify(
     for step in plan:  # what cannot be posed or solved is said before anything is written
         problem, asked, settings, _ = _posed(step, campaign, simulators or {}, {}, in_process)
         make(solver or asked, options if options is not None else {} if solver else settings, problem)
+    limits = {"time_limit": time_limit, "memory_limit": memory_limit}
     results: list[StageResult] = []
     best: dict[str, float] = {}
-    with _runner(executor, workers) as runner, History(folder, resume=resume) as history:
+    with _runner(executor, workers, limits) as runner, History(folder, resume=resume) as history:
         run = _Run(history, observer or Observer(), seed, with_uncertainty, specs)
         for step in plan:
             problem, asked, settings, rules = _posed(step, campaign, simulators or {}, best, runner)
@@ -333,14 +339,21 @@ def _posed(
 
 
 @contextmanager
-def _runner(executor: Executor | None, workers: int) -> Iterator[Runner]:
+def _runner(executor: Executor | None, workers: int, limits: Mapping[str, Any]) -> Iterator[Runner]:
+    limits = {name: limit for name, limit in limits.items() if limit is not None}
     if executor is not None:
-        yield on_executor(executor)
+        from fmuid.remote import on_executor
+
+        yield on_executor(executor, **limits)
     elif workers > 0:
         from fmuid.workers import WorkerPool
 
-        with WorkerPool(workers) as pool:
+        with WorkerPool(workers, **limits) as pool:
             yield pool.run
+    elif limits:
+        raise ProblemError(
+            f"a {next(iter(limits)).replace('_', ' ')} needs worker processes", fix="use workers = 1"
+        )
     else:
         yield in_process
 

@@ -1,9 +1,9 @@
-"""Where simulations run: in this process, or on any `concurrent.futures` executor."""
+"""Where simulations run: in this process, or on its threads; elsewhere see `fmuid.workers` and `fmuid.remote`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from fmuid.campaign import FloatArray
@@ -39,8 +39,8 @@ def outcome_of(future: Future[Any]) -> Outcome:
     return outcome
 
 
-def on_executor(executor: Executor) -> Runner:
-    """Return a runner that submits every job to `executor`."""
+def on_threads(executor: ThreadPoolExecutor) -> Runner:
+    """Return a runner that simulates on the threads of `executor`."""
 
     def run(jobs: Sequence[Job]) -> list[Outcome]:
         futures: list[Future[Outcome]] = [executor.submit(simulate, job) for job in jobs]

@@ -18,6 +18,7 @@ from typing import Any
 
 from fmuid.errors import FmuidError
 from fmuid.fmu_library import ProcessSpentError
+from fmuid.parcels import unpacked
 from fmuid.runners import simulate
 
 _WEIGH_INTERVAL = 0.02  # s between looks at the memory
@@ -55,7 +56,7 @@ def main(connection: Connection, folder: str) -> None:
             kind, *content = pickle.loads(message)
             if kind == HOLD:
                 number, held = content
-                kept[number] = pickle.loads(held)
+                kept[number] = unpacked(held)
                 continue
             if kind == JOB:
                 simulator, task, parameters = content
@@ -73,6 +74,9 @@ def main(connection: Connection, folder: str) -> None:
         _send(connection, fine, result, memory)
     kept.clear()
     sys.stdout.flush()
+    parent = multiprocessing.parent_process()
+    if parent is None or not parent.is_alive():  # else it clears up itself
+        _clear(folder)
     os._exit(0)  # an FMU's own exit handlers have brought down more than one process
 
 
@@ -94,5 +98,12 @@ def _leave_with_parent(folder: str) -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
-        shutil.rmtree(folder, ignore_errors=True)
+        _clear(folder)
         os._exit(1)
+
+
+def _clear(folder: str) -> None:
+    """Remove this worker's folder, and the pool's with the last of them."""
+    shutil.rmtree(folder, ignore_errors=True)
+    with suppress(OSError):
+        Path(folder).parent.rmdir()

@@ -13,16 +13,17 @@ from __future__ import annotations
 
 import itertools
 import os
-import pickle
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
 
 from fmuid import worker_process
 from fmuid.errors import FmuidError
-from fmuid.runners import Job, Outcome, outcome_of, simulate
+from fmuid.parcels import Parcel, name_of, pickled
+from fmuid.runners import Job, Outcome, outcome_of
+from fmuid.simulation import Simulator, Task
 from fmuid.worker_supervision import Call, Limits, Supervisor
 
 P = ParamSpec("P")
@@ -57,11 +58,13 @@ class WorkerPool(Executor):
     ``if __name__ == "__main__":``.
     """
 
+    TIME_LIMIT = 300.0
+
     def __init__(
         self,
         workers: int | None = None,
         *,
-        time_limit: float | None = 300.0,
+        time_limit: float | None = TIME_LIMIT,
         memory_limit: int | None = None,
         recycle_after: int | None = None,
         recycle_growth: int = 256 * 2**20,
@@ -88,7 +91,14 @@ class WorkerPool(Executor):
         FmuidError
             A job is wrong whatever its parameters' values (an unknown name), or workers cannot be started.
         """
-        futures = self._enqueue([self._job(job) for job in jobs])
+        return self._wait([self._call(*job) for job in jobs])
+
+    def run_packed(self, simulator: Parcel, task: Parcel, parameters: Mapping[str, float]) -> Outcome:
+        """Simulate what another process has packed; see `run`."""
+        return self._wait([self._call(simulator, task, parameters)])[0]
+
+    def _wait(self, calls: list[Call]) -> list[Outcome]:
+        futures = self._enqueue(calls)
         try:
             return [outcome_of(future) for future in futures]
         except BaseException:
@@ -101,12 +111,8 @@ class WorkerPool(Executor):
 
         The future raises `SimulationError` if the call crashes the worker or exceeds a limit.
         """
-        if fn is simulate and len(args) == 1 and not kwargs:
-            call = self._job(args[0])  # type: ignore[arg-type]
-        else:
-            message = _dumps((worker_process.CALL, fn, args, kwargs))
-            call = Call(message, (), Future(), getattr(fn, "__name__", "call"), {})
-        return self._enqueue([call])[0]
+        message = pickled((worker_process.CALL, fn, args, kwargs))
+        return self._enqueue([Call(message, (), Future(), getattr(fn, "__name__", "call"), {})])[0]
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the workers; see `concurrent.futures.Executor.shutdown`.
@@ -123,22 +129,20 @@ class WorkerPool(Executor):
     ) -> None:
         self.shutdown(cancel_futures=exc_type is not None)
 
-    def _job(self, job: Job) -> Call:
-        simulator, task, parameters = job
+    def _call(self, simulator: Simulator | Parcel, task: Task | Parcel, parameters: Mapping[str, float]) -> Call:
         numbers = self._hold(simulator), self._hold(task)
-        message = _dumps((worker_process.JOB, *numbers, dict(parameters)))
-        name = getattr(getattr(simulator, "path", None), "name", type(simulator).__name__)
-        return Call(message, numbers, Future(), name, parameters)
+        message = pickled((worker_process.JOB, *numbers, dict(parameters)))
+        return Call(message, numbers, Future(), name_of(simulator), parameters)
 
     def _hold(self, thing: Any) -> int:
         """Give `thing` a number; workers receive it once."""
         with self._lock:
             if id(thing) in self._objects:
                 return self._objects[id(thing)][0]
-        content = _dumps(thing)
+        content = thing.content if isinstance(thing, Parcel) else pickled(thing)
         with self._lock:
             number = next(self._numbers)
-            self._supervisor.messages[number] = _dumps((worker_process.HOLD, number, content))
+            self._supervisor.messages[number] = pickled((worker_process.HOLD, number, content))
             self._objects[id(thing)] = number, thing
         return number
 
@@ -157,14 +161,3 @@ def _memory_share(workers: int) -> int:
         return int(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2 // workers)
     except (AttributeError, OSError, ValueError):
         return 0
-
-
-def _dumps(thing: Any) -> bytes:
-    try:
-        return pickle.dumps(thing, pickle.HIGHEST_PROTOCOL)
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise FmuidError(
-            f"cannot be sent to a worker process ({error})",
-            where=type(thing).__name__,
-            fix="define it in a module, or run in this process",
-        ) from None

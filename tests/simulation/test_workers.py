@@ -18,7 +18,8 @@ from fmus import FAULTS
 
 from fmuid.errors import FmuError, FmuidError, SimulationError
 from fmuid.fmu import load_fmu
-from fmuid.runners import in_process, on_executor
+from fmuid.remote import on_executor
+from fmuid.runners import in_process
 from fmuid.simulation import Task
 from fmuid.workers import WorkerPool
 

@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 INTERRUPTED = 130
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that fmuid identify wrote.")]
 Workers = Annotated[
-    int, typer.Option(min=0, help="Worker processes to simulate in: a crashing FMU costs one evaluation. 0: none.")
+    int | None,
+    typer.Option(
+        min=0,
+        help="Worker processes, where a crashing FMU costs one evaluation; one a processor by default. 0: none.",
+    ),
 ]
 
 
@@ -33,7 +37,14 @@ def identify(
     evaluations: Annotated[int | None, typer.Option(min=1, help="Largest number of evaluations a stage.")] = None,
     seconds: Annotated[float | None, typer.Option(min=0.0, help="Longest time a stage, s.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run that --out holds.")] = False,
-    workers: Workers = 0,
+    workers: Workers = None,
+    dask: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Simulate on the Dask cluster of this scheduler.")
+    ] = None,
+    time_limit: Annotated[float | None, typer.Option(min=0.0, help="Longest time a simulation, s; 300.")] = None,
+    memory_limit: Annotated[
+        int | None, typer.Option(min=1, metavar="MB", help="Most memory a worker; half of the machine's, shared.")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of random starts and solvers.")] = 0,
     with_report: Annotated[bool, typer.Option("--report/--no-report", help="Write the report too.")] = True,
     json: Json = None,
@@ -44,16 +55,19 @@ def identify(
     Exit code 1: a stage failed. 130: interrupted; what was reached is saved, `--resume` goes on.
 
     Example: fmuid identify campaigns/force_feedback --out runs/force_feedback
+    Example: fmuid identify campaigns/force_feedback --dask tcp://127.0.0.1:8786
     """
     from fmuid.campaign_toml import load_campaign
     from fmuid.identification import identify as run
+    from fmuid.remote import dask_executor
     from fmuid.solvers import Status, StopRules
+    from fmuid.workers import available_processors
 
     loaded = load_campaign(campaign)
     folder = out or Path("runs") / loaded.name
     stop = StopRules(evaluations, seconds) if evaluations or seconds else None
     printer = Printer(quiet, json)
-    with _progress(quiet) as observer:
+    with dask_executor(dask) if dask else nullcontext() as executor, _progress(quiet) as observer:
         result = run(
             loaded,
             out=folder,
@@ -61,7 +75,10 @@ def identify(
             solver=solver,
             stop=stop,
             resume=resume,
-            workers=workers,
+            executor=executor,
+            workers=available_processors() if workers is None else workers,
+            time_limit=time_limit,
+            memory_limit=None if memory_limit is None else memory_limit * 2**20,
             observer=observer,
             seed=seed,
         )
@@ -128,10 +145,7 @@ def diagnose(
     measurements: Annotated[
         Path | None, typer.Option(help="Diagnose these measurements, not the campaign's own.")
     ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(min=0, help="Worker processes; one a processor by default. 0: none."),
-    ] = None,
+    workers: Workers = None,
     seed: Annotated[int, typer.Option(help="Of the null distribution and the bootstrap.")] = 0,
     json: Json = None,
     quiet: Quiet = False,
@@ -145,14 +159,20 @@ def diagnose(
     from fmuid.campaign_toml import load_campaign
     from fmuid.diagnosis.of_campaign import FILE_NAME, answer_of
     from fmuid.diagnosis.of_campaign import diagnose as run
-    from fmuid.diagnosis.progress import DiagnosisProgress
 
     loaded = load_campaign(campaign, measurements=measurements)
     folder = out or Path("runs") / f"{loaded.name}-diagnosis"
-    with nullcontext() if quiet else DiagnosisProgress() as say:
-        found = run(loaded, out=folder, experiments=experiment or (), workers=workers, say=say, seed=seed)
-    answer = answer_of(found)
     printer = Printer(quiet, json)
+    with printer.working("") as shown:
+        found = run(
+            loaded,
+            out=folder,
+            experiments=experiment or (),
+            workers=workers,
+            say=lambda what, share: shown(share, what),
+            seed=seed,
+        )
+    answer = answer_of(found)
     print_diagnosis(answer, printer)
     printer.say(f"\n{folder / FILE_NAME}\nreport: {folder / 'index.html'}")
     printer.write(answer)
