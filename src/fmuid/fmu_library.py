@@ -35,11 +35,17 @@ _NAMES_OF_VERSION = {
         "GET_BOOLEAN_STATUS": "GetBooleanStatus",
         "UPDATE_DISCRETE_STATES": "NewDiscreteStates",
         "GET_DERIVATIVES": "GetDerivatives",
+        "GET_FMU_STATE": "GetFMUstate",
+        "SET_FMU_STATE": "SetFMUstate",
+        "FREE_FMU_STATE": "FreeFMUstate",
     },
     3: _NAMES
     | {
         "UPDATE_DISCRETE_STATES": "UpdateDiscreteStates",
         "GET_DERIVATIVES": "GetContinuousStateDerivatives",
+        "GET_FMU_STATE": "GetFMUState",
+        "SET_FMU_STATE": "SetFMUState",
+        "FREE_FMU_STATE": "FreeFMUState",
     },
 }
 _COMMON = ["ENTER_INITIALIZATION", "EXIT_INITIALIZATION"]

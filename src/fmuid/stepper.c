@@ -128,7 +128,7 @@ static inline int32_t advance(Plan *plan, double t, double h)
 {
     Instance c = plan->instance;
     if (plan->fmi == 2) {
-        int32_t status = ((int32_t (*)(Instance, double, double, int))plan->function[DO_STEP])(c, t, h, 1);
+        int32_t status = ((int32_t (*)(Instance, double, double, int))plan->function[DO_STEP])(c, t, h, !plan->rewinds);
         if (status == 2 && plan->function[GET_BOOLEAN_STATUS]) { /* discarded: perhaps it ended the simulation */
             int terminated = 0;
             int32_t answer = ((int32_t (*)(Instance, int, int *))plan->function[GET_BOOLEAN_STATUS])(c, 3, &terminated);
@@ -138,8 +138,8 @@ static inline int32_t advance(Plan *plan, double t, double h)
     }
     bool event = false, terminate = false, early = false;
     double last = t;
-    CALL(DO_STEP, int32_t (*)(Instance, double, double, bool, bool *, bool *, bool *, double *), c, t, h, true, &event,
-         &terminate, &early, &last);
+    CALL(DO_STEP, int32_t (*)(Instance, double, double, bool, bool *, bool *, bool *, double *), c, t, h,
+         !plan->rewinds, &event, &terminate, &early, &last);
     if (terminate) return TERMINATED;
     if (early) {
         plan->reached_time = last;

@@ -16,11 +16,11 @@ enum {
     RESET, SETUP_EXPERIMENT, ENTER_INITIALIZATION, EXIT_INITIALIZATION, TERMINATE, DO_STEP, SET_INPUT_DERIVATIVES,
     GET_BOOLEAN_STATUS, ENTER_EVENT_MODE, UPDATE_DISCRETE_STATES, ENTER_CONTINUOUS_TIME_MODE,
     COMPLETED_INTEGRATOR_STEP, SET_TIME, SET_STATES, GET_STATES, GET_DERIVATIVES, GET_INDICATORS, GET_NOMINALS,
-    SET_VALUES, GET_VALUES, N_FUNCTIONS
+    GET_FMU_STATE, SET_FMU_STATE, FREE_FMU_STATE, SET_VALUES, GET_VALUES, N_FUNCTIONS
 };
 
 /* Why a run ended; mirrored in stepper.py. */
-enum { DONE, PAUSED, CALL_FAILED, NOT_FINITE, TERMINATED, EARLY_RETURN, STEP_TOO_SMALL, EVENTS_DO_NOT_SETTLE };
+enum { DONE, PAUSED, CALL_FAILED, NOT_FINITE, TERMINATED, EARLY_RETURN, STEP_TOO_SMALL, EVENTS_DO_NOT_SETTLE, LOOP_NOT_SOLVED };
 
 typedef struct {           /* variables of one type, set or read by one call */
     void *function;        /* fmi2SetReal, fmi3GetFloat64, ... */
@@ -45,6 +45,7 @@ typedef struct {
     int32_t linear;         /* inputs are interpolated, else held */
     int32_t tolerance_defined;
     int32_t completed_step_needed;
+    int32_t rewinds;        /* a step may be taken again from a state before it */
     double tolerance;
     double stop;
     size_t n_times, n_inputs, n_outputs, n_starts, n_states, n_indicators;

@@ -1,7 +1,7 @@
 """The loop over communication points in compiled code, over any FMU's C functions.
 
-``stepper.c`` and ``model_exchange.c`` are compiled on first use and kept in the user's cache folder under the
-hash of their content. Without a C compiler ``stepper_python`` runs the same calls in the same order: slower,
+``stepper.c``, ``model_exchange.c`` and ``coupled/master.c`` are compiled on first use and kept in the user's
+cache folder under the hash of their content. Without a C compiler ``stepper_python`` runs the same calls in the same order: slower,
 with identical results. Set the environment variable ``FMUID_STEPPER=python`` to ask for that.
 """
 
@@ -43,6 +43,9 @@ FUNCTIONS = (
     "GET_DERIVATIVES",
     "GET_INDICATORS",
     "GET_NOMINALS",
+    "GET_FMU_STATE",
+    "SET_FMU_STATE",
+    "FREE_FMU_STATE",
     "SET_VALUES",
     "GET_VALUES",
 )
@@ -63,6 +66,7 @@ class Outcome(IntEnum):
     EARLY_RETURN = 5
     STEP_TOO_SMALL = 6
     EVENTS_DO_NOT_SETTLE = 7
+    LOOP_NOT_SOLVED = 8
 
 
 class Group(ctypes.Structure):
@@ -95,6 +99,7 @@ class Plan(ctypes.Structure):
         ("linear", c_int32),
         ("tolerance_defined", c_int32),
         ("completed_step_needed", c_int32),
+        ("rewinds", c_int32),
         ("tolerance", c_double),
         ("stop", c_double),
         ("n_times", c_size_t),
@@ -189,7 +194,7 @@ def library() -> ctypes.CDLL | None:
     """Return the compiled stepper, or None where it cannot be had."""
     if os.environ.get("FMUID_STEPPER") == "python":
         return None
-    sources = [Path(__file__).with_name(f"{n}.c") for n in ("stepper", "model_exchange")]
+    sources = [Path(__file__).parent / n for n in ("stepper.c", "model_exchange.c", "coupled/master.c")]
     stepper = None
     for _ in range(2):  # a library that cannot be loaded is made once more
         path = _compile(sources)

@@ -155,7 +155,7 @@ class Run:
                     (c_void_p, plan.slope_orders),
                     (c_void_p, plan.slopes),
                 )
-            status = self.call("DO_STEP", (c_double, t), (c_double, h), (c_int32, 1))
+            status = self.call("DO_STEP", (c_double, t), (c_double, h), (c_int32, not plan.rewinds))
             if status == 2 and self.has("GET_BOOLEAN_STATUS"):
                 ended = c_int32()
                 answer = self.call("GET_BOOLEAN_STATUS", (c_int32, 3), (c_void_p, ctypes.addressof(ended)))
@@ -165,7 +165,7 @@ class Run:
             return
         event, terminate, early, last = c_bool(), c_bool(), c_bool(), c_double(t)
         pointers = [(c_void_p, byref(p)) for p in (event, terminate, early, last)]
-        self.do("DO_STEP", (c_double, t), (c_double, h), (c_bool, True), *pointers)
+        self.do("DO_STEP", (c_double, t), (c_double, h), (c_bool, not plan.rewinds), *pointers)
         if terminate.value:
             raise RunEndedError(Outcome.TERMINATED)
         if early.value:

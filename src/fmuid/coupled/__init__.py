@@ -1,0 +1,1 @@
+"""Several FMUs coupled by their inputs and outputs: one model to everyone else."""
