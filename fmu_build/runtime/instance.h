@@ -35,6 +35,7 @@ typedef struct {
     double x0[LENGTH(NX)], x1[LENGTH(NX)];
     double k[STAGES][LENGTH(NX)]; /* stage increments: dense output */
     double h_next;                /* proposed size, 0 before the first step */
+    double h_start;               /* proposed for the first step after a restart, once one was rejected */
     double h_old, error_old;      /* last accepted size and error, for the predictive controller */
     double size[LENGTH(NX)];      /* largest |x| so far: scale of the states without nominal value */
     double u[LENGTH(NU)], du[LENGTH(NU)], u_time; /* input u + du (t - u_time) that the step was made with */

@@ -200,7 +200,9 @@ Status integrate_step(Instance *me, double target, int exact) {
         }
     if (!(step->h_next > 0.0)) step->h_next = first_step(me, step->x0);
 
-    double h = step->h_next;
+    /* What an input that has just changed sets off is as fast as after the last change. */
+    const int start = step->fresh;
+    double h = start && step->h_start > 0.0 ? fmin(step->h_next, step->h_start) : step->h_next;
     const double wanted = h;
     int rejected = 0, at_kink = 0;
     for (;;) {
@@ -225,6 +227,8 @@ Status integrate_step(Instance *me, double target, int exact) {
             step->h_next = cut && !rejected && error > 0.0 && 0.9 * pow(error, -0.2) * attempt < h
                                ? 0.9 * pow(error, -0.2) * attempt
                                : (cut && !rejected ? fmax(h, proposed) : proposed);
+            if (start && (rejected || step->h_start > 0.0))
+                step->h_start = fmax(proposed, attempt == room ? step->h_start : 0.0);
             if (at_kink) step->h_next = fmax(step->h_next, 0.1 * fmin(wanted, room));
             step->h_old = at_kink ? 0.0 : attempt;
             step->error_old = fmax(error, 1e-2);
@@ -235,9 +239,11 @@ Status integrate_step(Instance *me, double target, int exact) {
             if (step->t1 >= s->next_event) step->event = 1;
             return STATUS_OK;
         }
-        rejected = 1;
         step->rejections++;
         h = attempt * (isfinite(error) ? fmax(0.1, 0.9 * pow(error, -0.2)) : 0.1);
+        /* Rejected again: the error does not fall with the method's order, as behind a kink. */
+        if (rejected) h = fmin(h, 0.5 * attempt);
+        rejected = 1;
         /* An error out of all proportion comes from a kink in f: end the next attempt just past it. */
         if (error > 100.0 && at_kink < 4 && !step->fresh) {
             const double part = first_kink(me, attempt, at_kink);
