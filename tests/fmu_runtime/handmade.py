@@ -294,6 +294,28 @@ def van_der_pol() -> CompiledModel:
     )
 
 
+def pulled(rate: float = 1e9) -> CompiledModel:
+    """x' = rate (cos t - x) - sin t, pulled to the slow motion cos t [Prothero, Robinson, 1974]."""
+    return compile_by_hand(
+        "Pulled",
+        states={"x": 0.0},
+        parameters={"rate": rate},
+        rhs=lambda e: [e.rate * (ca.cos(e.time) - e.x) - ca.sin(e.time)],
+        outputs={"y": lambda e: e.x},
+    )
+
+
+def oscillator() -> CompiledModel:
+    """Without damping: x'' = -w^2 x."""
+    return compile_by_hand(
+        "Oscillator",
+        states={"x": 1.0, "v": 0.0},
+        parameters={"w": 1e4},
+        rhs=lambda e: [e.v, -(e.w**2) * e.x],
+        outputs={"y": lambda e: e.x},
+    )
+
+
 def bouncing_ball() -> CompiledModel:
     """h'' = -g with v := -e v on the ground; counts its bounces."""
 

@@ -61,6 +61,30 @@ def test_global_error_is_of_the_order_of_the_tolerance(fmu, name):
         assert error.max() < 5 * tolerance, tolerance
 
 
+TOLERANCES = 10.0 ** -np.arange(3, 12)
+
+
+@pytest.mark.parametrize("rate", [1e2, 1e6, 1e9])
+def test_a_state_pulled_to_a_slow_motion_keeps_its_tolerance(fmu, rate):
+    """However stiff, and between the integrator's steps too."""
+    t = np.arange(101) * 0.1
+    exact = np.cos(t) - np.exp(-rate * t)
+    for tolerance in TOLERANCES:
+        got = fmu("pulled").start(tolerance, rate=rate).run(["x"], 100, 0.1)[:, 0]
+        assert np.abs(got - exact).max() < tolerance
+
+
+def test_undamped_oscillation_error_is_proportional_to_the_tolerance(fmu):
+    t = np.arange(161) * 1e-4
+    errors = []
+    for tolerance in TOLERANCES:
+        got = fmu("oscillator").start(tolerance).run(["x"], 160, 1e-4)[:, 0]
+        errors.append(np.abs(got - np.cos(1e4 * t)).max())
+    slope, _ = np.polyfit(np.log(TOLERANCES), np.log(errors), 1)
+    assert slope == pytest.approx(1.0, abs=0.15)
+    assert np.all(errors < 10 * TOLERANCES)
+
+
 def test_order_five(fmu):
     """One step a communication step (a changed input restarts, the tolerance never acts): error ~ h^5."""
     exact = fmu("pendulum").start(1e-12).run(["phi"], 1, 1.0)[-1, 0]
