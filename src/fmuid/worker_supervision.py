@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import pickle
 import shutil
 import signal
@@ -11,9 +12,9 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing import connection as mp_connection
 from pathlib import Path
@@ -35,6 +36,21 @@ _START_HINT = {
     "where": "worker pool",
     "fix": 'keep the script in a file, its work under `if __name__ == "__main__":`',
 }
+
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Have processes that start now do linear algebra in one thread: the workers share the processors already."""
+    ours = [name for name in _THREADS if name not in os.environ]
+    os.environ.update(dict.fromkeys(ours, "1"))
+    try:
+        yield
+    finally:
+        for name in ours:
+            os.environ.pop(name, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,7 +327,8 @@ class Supervisor:
             target=worker_process.main, args=(theirs, str(folder)), name="fmuid worker", daemon=True
         )
         try:
-            process.start()
+            with _one_thread_each():
+                process.start()
         except (OSError, EOFError, RuntimeError) as error:
             raise FmuidError(f"worker processes cannot be started ({error})", **_START_HINT) from None
         finally:

@@ -106,6 +106,12 @@ def test_an_executor_like_any_other(build, pool):
         assert np.array_equal(outcome, expected)
 
 
+@pytest.mark.skipif("OMP_NUM_THREADS" in os.environ, reason="what the user sets stays")
+def test_linear_algebra_of_a_worker_runs_in_one_thread(pool):
+    assert pool.submit(os.getenv, "OMP_NUM_THREADS").result() == "1"
+    assert "OMP_NUM_THREADS" not in os.environ
+
+
 def test_recycled_after_so_many(build):
     with WorkerPool(1, recycle_after=3) as pool:
         pids = [f.result() for f in [pool.submit(os.getpid) for _ in range(9)]]
