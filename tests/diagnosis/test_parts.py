@@ -1,5 +1,7 @@
 """Scores, aliases, held-out losses, closures, decoys and signal effects, each on what has a known answer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from plants import EFFECTS, NOMINAL, PORTS, REGIMES, TWIN, plant
@@ -13,6 +15,7 @@ from fmuid.diagnosis.refit import Unknown, refit
 from fmuid.diagnosis.regimes import bases, trajectories
 from fmuid.diagnosis.scores import alias_classes, nominal_basis, project_off, stack
 from fmuid.diagnosis.signal_effects import disturb_input, disturb_output, split_signal_parameters
+from fmuid.runners import in_process
 
 TIME = np.linspace(0.0, 1.0, 501)
 
@@ -29,6 +32,28 @@ def test_the_nominal_parameters_are_found_without_an_effect():
     fit = fit_effects(plant({}), (), {}).fit
     assert fit.converged
     assert fit.values == pytest.approx({"m": 1.0, "d": 0.8, "Fc": 0.5}, rel=5e-3)
+
+
+def test_nothing_is_simulated_twice():
+    model, jobs = plant({}).model, []
+
+    def count(asked):
+        jobs.extend(asked)
+        return in_process(asked)
+
+    model = replace(model, runner=count)
+    n = len(model.cases)
+    (first,) = model.predict([{"m": 0.8}])
+    again, neutral, other, shown = model.predict(
+        [{"m": 0.8}, {"m": 0.8, "a": 0.0}, {"m": 0.9}, {"m": 0.8, "v.gain": 1.03}]
+    )
+    assert len(jobs) == 2 * n
+    assert all(np.array_equal(a, b) for f in (again, neutral) for a, b in zip(f, first, strict=True))
+    assert not np.array_equal(other[0], first[0])
+    assert np.allclose(shown[0][1], 1.03 * first[0][1])
+    drive = [np.full(400, 0.1) if k == 1 else np.zeros(400) for k in range(n)]
+    (driven,) = model.predict_driven({"m": 0.8}, [{"port": drive}])
+    assert [not np.array_equal(a, b) for a, b in zip(driven, first, strict=True)] == [k == 1 for k in range(n)]
 
 
 def test_scores_credit_nothing_that_refitting_could_imitate(asymmetric):

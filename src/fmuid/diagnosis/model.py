@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fmuid.campaign import FloatArray
+from fmuid.campaign import FloatArray, read_only
 from fmuid.cases import Case
 from fmuid.diagnosis.noise import RepeatedRuns
 from fmuid.diagnosis.signal_effects import disturb_input, disturb_output, split_signal_parameters
 from fmuid.errors import SimulationError
 from fmuid.expressions import Expression
-from fmuid.runners import Runner, in_process
-from fmuid.simulation import Task
+from fmuid.runners import Job, Outcome, Runner, in_process
 
 Prediction = tuple[FloatArray, ...]
 """(C, N) predicted signals, one array an experiment."""
+
+_KEPT_SAMPLES = 4_000_000  # of predictions, 32 MB
+_Key = tuple[int, frozenset[tuple[str, float]], tuple[tuple[str, bytes], ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +44,7 @@ class CampaignModel:
     runner: Runner = in_process
     fixed: Mapping[str, float] = field(default_factory=dict)
     tie: Mapping[str, Expression] = field(default_factory=dict)
+    _kept: OrderedDict[_Key, FloatArray] = field(default_factory=OrderedDict, init=False, repr=False)
 
     @property
     def runs(self) -> tuple[RepeatedRuns, ...]:
@@ -106,14 +111,22 @@ class CampaignModel:
     def _simulate(
         self, wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]]
     ) -> list[Prediction | SimulationError]:
-        jobs = []
         signals = {c.signal for case in self.cases for c in case.channels}
         signals |= {name for case in self.cases for name in case.task.inputs}
         split = [split_signal_parameters({**self.fixed, **values}, signals) for values, _ in wanted]
+        keys: list[_Key] = []
+        jobs: dict[_Key, Job] = {}
         for (_, drive), (plain, signal) in zip(wanted, split, strict=True):
             for k, case in enumerate(self.cases):
-                jobs.append((case.simulator, _task(case, k, signal, drive), self._start_values(case, plain)))
-        outcomes = self.runner(jobs)
+                values, inputs = self._start_values(case, plain), _changed_inputs(case, k, signal, drive)
+                keys.append(_key(k, case, values, inputs))
+                if keys[-1] not in self._kept and keys[-1] not in jobs:
+                    task = replace(case.task, inputs={**case.task.inputs, **inputs}) if inputs else case.task
+                    jobs[keys[-1]] = (case.simulator, task, values)
+        known = {key: self._kept[key] for key in keys if key in self._kept}
+        found = known | dict(zip(jobs, self.runner(list(jobs.values())) if jobs else [], strict=True))
+        self._keep(found)
+        outcomes = [found[key] for key in keys]
         results: list[Prediction | SimulationError] = []
         n = len(self.cases)
         for i, (plain, signal) in enumerate(split):
@@ -130,22 +143,39 @@ class CampaignModel:
             results.append(tuple(rows))
         return results
 
+    def _keep(self, found: Mapping[_Key, Outcome]) -> None:
+        for key, outcome in found.items():
+            if not isinstance(outcome, SimulationError):
+                self._kept[key] = read_only(outcome)
+                self._kept.move_to_end(key)
+        held = sum(p.size for p in self._kept.values())
+        while held > _KEPT_SAMPLES:
+            held -= self._kept.popitem(last=False)[1].size
 
-def _task(
+
+def _key(index: int, case: Case, values: Mapping[str, float], inputs: Mapping[str, FloatArray]) -> _Key:
+    """Return what a simulation depends on: a value that is the model's own start value changes nothing."""
+    variables, settings = case.simulator.variables, case.task.start_values
+    own = frozenset((n, v) for n, v in values.items() if v != variables[n].start or n in settings)
+    return index, own, tuple((n, hashlib.blake2b(u.tobytes()).digest()) for n, u in inputs.items())
+
+
+def _changed_inputs(
     case: Case,
     index: int,
     signal: Mapping[str, Mapping[str, float]],
     drive: Mapping[str, Sequence[FloatArray]] | None,
-) -> Task:
+) -> dict[str, FloatArray]:
+    """Return the inputs that differ from those of the case's own task."""
     task = case.task
-    inputs = {n: disturb_input(task.time, u, signal.get(n, {})) for n, u in task.inputs.items()}
+    inputs = {n: disturb_input(task.time, u, signal[n]) for n, u in task.inputs.items() if n in signal}
     for name, series in (drive or {}).items():
         values = _held(np.asarray(series[index]))
         # A step of the model ends at a measured sample: what acts during it is known at that sample.
-        inputs[name] = np.append(values, values[-1]) if case.lead else values
-    if drive is None and not signal:
-        return task
-    return replace(task, inputs=inputs)
+        values = np.append(values, values[-1]) if case.lead else values
+        if np.any(values) or case.simulator.variables[name].start != 0.0:
+            inputs[name] = values
+    return inputs
 
 
 def _held(values: FloatArray) -> FloatArray:
