@@ -52,6 +52,8 @@ class Signal:
         ``input`` drives the model, ``output`` is compared with it.
     sigma
         Standard deviation of the measurement noise in `unit`, if known.
+    resampled
+        From which time base the samples were brought onto the run's, and how; empty if they are as recorded.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Signal:
     unit: str
     causality: Causality
     sigma: float | None = None
+    resampled: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", read_only(self.values))

@@ -1,4 +1,8 @@
-"""CSV files as in the FMI Cross-Check: comma, quoted header, `time` first; read and written."""
+"""CSV files: written as in the FMI Cross-Check (comma, quoted header, `time` first), read as loggers write too.
+
+A logger's file may have semicolons or tabs between cells, then also decimal commas; its units in the header or
+in a row of their own; its time in another unit than s. What was understood so is in the table's notes.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +10,22 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fmuid.campaign import FloatArray, frozen_mapping, read_only
-from fmuid.errors import MeasurementsError
+from fmuid.errors import MeasurementsError, UnitError
 from fmuid.files import write_atomically
-
-if TYPE_CHECKING:
-    import _csv
+from fmuid.units import check_unit, conversion
 
 MAX_BYTES = 2_000_000_000
+_TIMES = ("time", "t", "timestamp", "timestamps")
 _DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab"}
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 # "tau [N.m]", "tau[N.m]", "tau (N.m)": a name and its unit; but lossTable[1,2] and der(v) are names.
 _WITH_UNIT = re.compile(
     r"(?P<name>.*\S)(?:\s+\[(?P<square>[^\[\]]*)\]|\[(?P<tight>[^\[\]]*[^\W\d][^\[\]]*)\]|\s+\((?P<round>[^()]*)\))"
@@ -40,11 +44,14 @@ class Table:
         Name -> (N,) values, NaN where a cell is empty, in the file's order.
     units
         Name -> unit, for the names whose header states one, as in ``"tau [N.m]"``.
+    notes
+        What a reader understood without being told, one line each.
     """
 
     time: FloatArray
     columns: Mapping[str, FloatArray]
     units: Mapping[str, str]
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", read_only(self.time))
@@ -52,8 +59,13 @@ class Table:
         object.__setattr__(self, "columns", frozen_mapping(columns))
         object.__setattr__(self, "units", frozen_mapping(self.units))
 
+    def only(self, names: Collection[str]) -> Table:
+        """Return the table with the columns in `names` alone."""
+        units = {n: u for n, u in self.units.items() if n in names}
+        return Table(self.time, {n: self.columns[n] for n in names}, units, self.notes)
 
-def read_csv(path: str | Path, *, delimiter: str = ",") -> Table:
+
+def read_csv(path: str | Path) -> Table:
     """Read a CSV file with a header row whose first column is `time`.
 
     Raises
@@ -63,6 +75,7 @@ def read_csv(path: str | Path, *, delimiter: str = ",") -> Table:
     """
     path = Path(path)
     text = _read_text(path)
+    delimiter = _delimiter(text)
     rows = csv.reader(io.StringIO(text), delimiter=delimiter, strict=True, skipinitialspace=True)
     try:
         header = next((row for row in rows if any(cell.strip() for cell in row)), None)
@@ -70,25 +83,33 @@ def read_csv(path: str | Path, *, delimiter: str = ",") -> Table:
         raise _malformed(path, 1, error) from None
     if header is None:
         raise MeasurementsError("is empty", where=path, fix='write a header "time","..." and the samples')
-    names, units = _read_header(header, path, delimiter)
-    values = _read_numbers(text, rows, names, path, delimiter)
+    names, units = _read_header(header, path)
+    notes = [] if delimiter == "," else [f"cells are separated by {_DELIMITERS[delimiter]}s"]
+    skip = rows.line_num
+    if not units and (below := _units_row(text, skip, names, delimiter)):
+        units = {n: u for n, u in zip(names, below, strict=True) if u}
+        notes.append(f"units are in line {skip + 1}")
+        skip += 1
+    values, decimal_comma = _read_numbers(text, skip, names, path, delimiter)
+    if decimal_comma:
+        notes.append("decimal commas")
     if len(values) < 2:
         raise MeasurementsError(
             f"has {len(values)} row(s) of values", where=path, fix="a run has at least 2 samples"
         )
-    time = values[:, 0]
-    bad = np.flatnonzero(~np.isfinite(time))
-    if bad.size:
-        raise MeasurementsError(f"time is missing in sample {bad[0]}", where=path, fix="write every time, in s")
-    bad = np.flatnonzero(np.diff(time) < 0)
-    if bad.size:
-        k = int(bad[0]) + 1
-        raise MeasurementsError(
-            f"time goes back from {time[k - 1]:.9g} s to {time[k]:.9g} s in sample {k}",
-            where=path,
-            fix="sort the rows by time",
-        )
-    return Table(time, {name: values[:, i] for i, name in enumerate(names) if i}, units)
+    unit = units.pop(names[0], "s")
+    time = _in_seconds(values[:, 0], unit, path)
+    if unit != "s":
+        notes.append(f"time converted from {unit} to s")
+    return Table(time, {name: values[:, i] for i, name in enumerate(names) if i}, units, tuple(notes))
+
+
+def name_and_unit(header: str) -> tuple[str, str | None]:
+    """Return the name and the unit in ``tau [N.m]``, ``tau[N.m]`` or ``tau (N.m)``; no unit is None."""
+    match = _WITH_UNIT.fullmatch(header.strip())
+    if match is None:
+        return header.strip(), None
+    return match["name"], (match["square"] or match["tight"] or match["round"] or "").strip()
 
 
 def write_csv(table: Table, path: str | Path) -> None:
@@ -114,27 +135,23 @@ def _read_text(path: Path) -> str:
         raise MeasurementsError(f"cannot be read ({error.strerror})", where=path, fix="check the path") from None
 
 
-def _read_header(header: list[str], path: Path, delimiter: str) -> tuple[list[str], dict[str, str]]:
-    names, units = [], {}
-    for cell in header:
-        name = cell.strip()
-        match = _WITH_UNIT.fullmatch(name)
-        if match:
-            name = match["name"]
-            units[name] = (match["square"] or match["tight"] or match["round"] or "").strip()
-        names.append(name)
-    if len(names) == 1:
-        for other, word in _DELIMITERS.items():
-            if other != delimiter and other in header[0]:
-                raise MeasurementsError(
-                    f"is separated by {word}s", where=path, fix=f"import it with: --delimiter {word}"
-                )
-    if names[0].casefold() not in ("time", "t"):
+def _delimiter(text: str) -> str:
+    """Return the first of comma, semicolon and tab that leaves `time` alone in the first cell."""
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    for delimiter in _DELIMITERS:
+        cell = first.split(delimiter, 1)[0].strip().strip('"')
+        if delimiter in first and name_and_unit(cell)[0].casefold() in _TIMES:
+            return delimiter
+    return ","
+
+
+def _read_header(header: list[str], path: Path) -> tuple[list[str], dict[str, str]]:
+    cells = [name_and_unit(cell) for cell in header]
+    names = [name for name, _ in cells]
+    if names[0].casefold() not in _TIMES:
         raise MeasurementsError(
-            f"the first column is '{names[0]}'", where=path, fix="the first column is 'time', in s"
+            f"the first column is '{names[0][:40]}'", where=path, fix="the first column is 'time', in s"
         )
-    if units.pop(names[0], "s") != "s":
-        raise MeasurementsError("time is not in s", where=path, fix="convert the first column to seconds")
     if len(names) < 2:
         raise MeasurementsError("has no column beside time", where=path, fix="add the signals")
     for i, name in enumerate(names):
@@ -142,45 +159,82 @@ def _read_header(header: list[str], path: Path, delimiter: str) -> tuple[list[st
             raise MeasurementsError(f"column {i + 1} has no name", where=path, fix="name every column")
         if name in names[:i]:
             raise MeasurementsError(f"column '{name}' is there twice", where=path, fix="rename one of the two")
-    return names, units
+    return names, {name: unit for name, unit in cells if unit is not None}
 
 
-def _read_numbers(text: str, rows: _csv.Reader, names: list[str], path: Path, delimiter: str) -> FloatArray:
-    skip = rows.line_num
+def _units_row(text: str, skip: int, names: list[str], delimiter: str) -> list[str]:
+    """Return the units that the line after the header holds; none if a cell of it is a number or no unit."""
+    line = text.split("\n", skip + 1)[skip] if text.count("\n") >= skip else ""
+    cells = [cell.strip().strip('"[]() ') for cell in line.split(delimiter)]
+    if len(cells) != len(names) or not cells[0].isalpha() or not any(cells[1:]):
+        return []
+    with suppress(UnitError):
+        for cell in cells:
+            check_unit(cell or "1")
+        return cells
+    return []
+
+
+def _in_seconds(time: FloatArray, unit: str, path: Path) -> FloatArray:
+    try:
+        time = conversion(unit, "s")(time)
+    except UnitError as error:
+        raise MeasurementsError(
+            f"time is in '{unit}', which is no unit of time ({error.what})", where=path, fix="correct its unit"
+        ) from None
+    bad = np.flatnonzero(~np.isfinite(time))
+    if bad.size:
+        raise MeasurementsError(f"time is missing in sample {bad[0]}", where=path, fix="write every time, in s")
+    bad = np.flatnonzero(np.diff(time) < 0)
+    if bad.size:
+        k = int(bad[0]) + 1
+        raise MeasurementsError(
+            f"time goes back from {time[k - 1]:.9g} s to {time[k]:.9g} s in sample {k}",
+            where=path,
+            fix="sort the rows by time",
+        )
+    return time
+
+
+def _read_numbers(text: str, skip: int, names: list[str], path: Path, delimiter: str) -> tuple[FloatArray, bool]:
+    """Return the values (N, columns), and whether they are written with decimal commas."""
     n = len(names)
+    body = text.split("\n", skip)[skip] if text.count("\n") >= skip else ""
+    decimal_comma = delimiter != "," and "." not in body and "," in body
+    plain = body.replace(",", ".") if decimal_comma else body
     try:  # NumPy's reader is fast but takes no empty cells and names no column
         with warnings.catch_warnings(action="error"):  # it warns of a file without rows
-            values = np.loadtxt(
-                io.StringIO(text), delimiter=delimiter, skiprows=skip, ndmin=2, quotechar='"', comments=None
-            )
+            values = np.loadtxt(io.StringIO(plain), delimiter=delimiter, ndmin=2, quotechar='"', comments=None)
         if values.shape[1] == n:
-            return values
+            return values, decimal_comma
     except (ValueError, UserWarning):
         pass
     cells: list[list[float]] = []
+    rows = csv.reader(io.StringIO(body), delimiter=delimiter, strict=True, skipinitialspace=True)
     try:
         for row in rows:
             if not any(cell.strip() for cell in row):
                 continue
-            where = f"{path} line {rows.line_num}"
+            where = f"{path} line {skip + rows.line_num}"
             if len(row) != n:
                 raise MeasurementsError(
                     f"has {len(row)} cells, the header has {n}", where=where, fix="write one cell a column"
                 )
-            cells.append([_number(cell, name, where) for cell, name in zip(row, names, strict=True)])
+            cells.append([_number(c, name, where, decimal_comma) for c, name in zip(row, names, strict=True)])
     except csv.Error as error:
-        raise _malformed(path, rows.line_num, error) from None
-    return np.array(cells, dtype=np.float64).reshape(-1, n)
+        raise _malformed(path, skip + rows.line_num, error) from None
+    return np.array(cells, dtype=np.float64).reshape(-1, n), decimal_comma
 
 
-def _number(cell: str, name: str, where: str) -> float:
+def _number(cell: str, name: str, where: str, decimal_comma: bool) -> float:
     text = cell.strip()
     if not text:
         return np.nan
+    is_comma = _DECIMAL_COMMA.fullmatch(text) is not None
     try:
-        return float(text)
+        return float(text.replace(",", ".") if decimal_comma and is_comma else text)
     except ValueError:
-        fix = "write the decimal point as '.'" if re.fullmatch(r"[-+]?\d+,\d+", text) else "write a number"
+        fix = "write the decimal point as '.', everywhere" if is_comma else "write a number"
         raise MeasurementsError(
             f"'{text[:40]}' in column '{name}' is not a number", where=where, fix=fix
         ) from None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,6 +24,7 @@ Group = h5py.Group
 File = h5py.File
 Error = type[FmuidError]
 
+MAX_DEPTH = 8  # of groups in each other: a hard link can lead back up
 MAX_SAMPLES = 50_000_000  # of one dataset: 400 MB; a damaged or hostile header can claim any size
 
 # What h5py raises on damaged files, by experience and by fuzzing.
@@ -96,6 +98,71 @@ def samples(dataset: Any, error: Error, where: str) -> FloatArray:
             fix="split the run or sample slower",
         )
     return np.asarray(dataset[()], dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredVector:
+    """A vector of numbers as any file may hold it, (N,), and its attribute `unit` or `units`."""
+
+    values: FloatArray
+    unit: str | None
+
+
+def vectors(path: Path) -> tuple[str | None, dict[tuple[str, ...], StoredVector], list[str]]:
+    """Return what an HDF5 file of any layout holds.
+
+    Returns
+    -------
+    str or None
+        The root attribute `format`.
+    dict
+        Place in the file -> vector; (N, 1) and (1, N) count as vectors.
+    list of str
+        Places of the other datasets, and of what is a link.
+    """
+    found: dict[tuple[str, ...], StoredVector] = {}
+    others: list[str] = []
+    with reading(path) as file:
+        for place, dataset in _datasets(file, ()):
+            if (
+                dataset is not None
+                and dataset.dtype.kind in "fiub"
+                and max(dataset.shape, default=0) == dataset.size
+            ):
+                if dataset.size > MAX_SAMPLES:
+                    raise MeasurementsError(
+                        f"'{'/'.join(place)}' has {dataset.size} samples, more than {MAX_SAMPLES}",
+                        where=path,
+                        fix="split the run or sample slower",
+                    )
+                values = np.asarray(dataset[()], dtype=np.float64).reshape(-1)
+                unit = next(
+                    (_text_attribute(dataset, n, path) for n in ("unit", "units") if n in dataset.attrs), None
+                )
+                found[place] = StoredVector(values, unit)
+            else:
+                others.append(".".join(place))
+        kind = _text_attribute(file, "format", path) if "format" in file.attrs else None
+    return kind, found, others
+
+
+def _text_attribute(holder: Any, name: str, path: Path) -> str:
+    return text(holder, name, MeasurementsError, f"{path}: '{holder.name}'")
+
+
+def _datasets(group: Any, place: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield place and dataset below `group`, reached by hard links and kept in the file; None for others."""
+    for name in group.keys():  # noqa: SIM118
+        here = (*place, name)
+        link = group.get(name, getlink=True)
+        item = group[name] if isinstance(link, h5py.HardLink) else None
+        if isinstance(item, h5py.Group):
+            if len(here) < MAX_DEPTH and not name.startswith("#"):  # MATLAB keeps its cells in #refs#
+                yield from _datasets(item, here)
+        elif isinstance(item, h5py.Dataset) and not (item.is_virtual or item.external):
+            yield here, item
+        else:
+            yield here, None
 
 
 def text(holder: Any, name: str, error: Error, where: str, *, default: str | None = None) -> str:

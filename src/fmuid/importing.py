@@ -1,16 +1,49 @@
-"""From tables to measurement files and back."""
+"""From recorded runs to measurement files and back."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from fmuid.campaign import Causality, Experiment, Signal
 from fmuid.crosscheck_csv import Table
-from fmuid.errors import MeasurementsError
+from fmuid.errors import MeasurementsError, UnitError
+from fmuid.recordings import read_recording
+from fmuid.resampling import TimeBase, aliased, one_time_base
 from fmuid.suggest import suggestion
+from fmuid.units import check_unit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """A recorded run on one time base; `resampled` says how signals came onto it, `notes` what else to know."""
+
+    table: Table
+    resampled: Mapping[str, str]
+    notes: tuple[str, ...]
+
+
+def read_run(path: Path, signals: Collection[str] = (), base: TimeBase | None = None) -> Run:
+    """Read a file of one run, and bring it onto one time base as `base` says.
+
+    Raises
+    ------
+    MeasurementsError
+        As `fmuid.recordings.read_recording` and `fmuid.resampling.one_time_base` do.
+    """
+    recording = read_recording(path, signals)
+    table, resampled = one_time_base(recording, base, path)
+    notes = [*recording.notes, *(f"'{name}' resampled: {how}" for name, how in resampled.items())]
+    fast = aliased(table, recording, base) if base is not None else ()
+    if fast:
+        notes.append(
+            f"{', '.join(fast)}: sampled more slowly than recorded; if something in there is faster than half the"
+            " new rate, --method mean averages it out"
+        )
+    return Run(table, resampled, tuple(notes))
 
 
 def experiment_from_table(
@@ -23,6 +56,7 @@ def experiment_from_table(
     sigmas: Mapping[str, float] | None = None,
     settings: Mapping[str, float] | None = None,
     setting_units: Mapping[str, str] | None = None,
+    resampled: Mapping[str, str] | None = None,
 ) -> Experiment:
     """Return one run from a table whose columns are its signals.
 
@@ -38,13 +72,15 @@ def experiment_from_table(
         Units (these win over the header's) and noise standard deviations by column.
     settings, setting_units
         Values that the run sets on the model.
+    resampled
+        How columns came onto the run's time base, for those that were not recorded on it.
 
     Raises
     ------
     MeasurementsError
         A name is no column, or a column has no unit.
     """
-    units, sigmas = units or {}, sigmas or {}
+    units, sigmas, resampled = units or {}, sigmas or {}, resampled or {}
     for what, names in (("input", inputs), ("unit", units), ("sigma", sigmas)):
         for name in names:
             if name not in table.columns:
@@ -61,7 +97,11 @@ def experiment_from_table(
                 fix=f'write it in the header as "{name} [N.m]", or give --unit {name}=N.m (1 for none)',
             )
         causality: Causality = "input" if name in inputs else "output"
-        signals[name] = Signal(name, values, unit, causality, sigmas.get(name))
+        try:
+            check_unit(unit)
+        except UnitError as error:
+            raise MeasurementsError(f"column '{name}': {error.what}", where=id, fix=error.fix) from None
+        signals[name] = Signal(name, values, unit, causality, sigmas.get(name), resampled.get(name, ""))
     return Experiment(id, setup, table.time, signals, settings or {}, setting_units or {})
 
 

@@ -227,6 +227,7 @@ def _read_signal(signals: Any, name: str, where: str) -> Signal:
         unit=hdf5.text(dataset, "unit", _Error, where),
         causality=cast(Causality, causality),  # check_signal refuses any other
         sigma=hdf5.number(dataset, "sigma", _Error, where),
+        resampled=hdf5.text(dataset, "resampled", _Error, where, default=""),
     )
 
 
@@ -271,6 +272,8 @@ def _write_experiment(group: Any, experiment: Experiment) -> None:
         dataset.attrs["causality"] = signal.causality
         if signal.sigma is not None:
             dataset.attrs["sigma"] = float(signal.sigma)
+        if signal.resampled:
+            dataset.attrs["resampled"] = signal.resampled
 
 
 def _is_name(name: str) -> bool:

@@ -6,7 +6,7 @@ import difflib
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,11 +14,12 @@ import numpy as np
 
 from fmuid.campaign import Experiment, FloatArray, Measurements
 from fmuid.campaign_toml import FILE_NAME, load_campaign
-from fmuid.crosscheck_csv import Table, read_csv
+from fmuid.crosscheck_csv import Table
 from fmuid.errors import CampaignError, FmuidError, UnitError
 from fmuid.files import write_atomically
-from fmuid.importing import experiment_from_table, with_repeats
+from fmuid.importing import Run, experiment_from_table, read_run, with_repeats
 from fmuid.measurements import write_measurements
+from fmuid.resampling import TimeBase
 from fmuid.simulation import Simulator, Task, Variable
 from fmuid.suggest import known_names
 from fmuid.units import conversion
@@ -37,12 +38,31 @@ class NewCampaign:
     guesses: tuple[str, ...]
 
 
-def new_campaign(files: Sequence[Path], fmu: Path, folder: Path) -> NewCampaign:
-    """Write a campaign that runs from CSV files (one a run) and an FMU.
+def new_campaign(
+    files: Sequence[Path],
+    fmu: Path,
+    folder: Path,
+    *,
+    signals: Collection[str] = (),
+    base: TimeBase | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> NewCampaign:
+    """Write a campaign that runs from recorded runs (a file each) and an FMU.
 
     Columns become signals by the name or, where that is unique, the unit of the FMU's inputs and outputs.
     Free are the parameters with the most independent effects on the outputs (QR with column pivoting of the
     relative sensitivities at the start values), at most six. The last run is kept for validation.
+
+    Parameters
+    ----------
+    files, fmu, folder
+        What there is, and where the campaign goes.
+    signals
+        Of the files, the signals to use; all by default.
+    base
+        What signals with different time bases are brought onto.
+    progress
+        Called with the share of the work that is behind.
 
     Raises
     ------
@@ -62,7 +82,8 @@ def new_campaign(files: Sequence[Path], fmu: Path, folder: Path) -> NewCampaign:
     for file in files:
         if file.stem in runs:
             raise CampaignError(f"two runs are called '{file.stem}'", where=file, fix="rename one file")
-        table = read_csv(file)
+        run = read_run(file, signals, base)
+        table = run.table
         matched = match_columns(table, ports)
         if not any(ports[v].causality == "output" for v in matched.values()):
             raise CampaignError(
@@ -70,11 +91,12 @@ def new_campaign(files: Sequence[Path], fmu: Path, folder: Path) -> NewCampaign:
                 where=file,
                 fix=f"name the columns after its variables; {known_names(ports)}",
             )
-        runs[file.stem] = _run(table, matched, ports, file.stem, fmu.stem)
+        runs[file.stem] = _run(run, matched, ports, file.stem, fmu.stem)
+        guesses += [f"{file.name}: {note}" for note in run.notes]
         guesses += _lines(table, matched, ports, file.name)
         mapping |= {c: v for c, v in matched.items() if c != v}
     runs = with_repeats(runs)
-    free, others = _choose_parameters(model, next(iter(runs.values())), mapping)
+    free, others = _choose_parameters(model, next(iter(runs.values())), mapping, progress)
     guesses.append(f"free parameters: {', '.join(v.name for v in free) or 'none found'}")
     if not free:
         raise CampaignError(
@@ -128,13 +150,12 @@ def _fits(unit: str, other: str | None) -> bool:
     return other is not None
 
 
-def _run(
-    table: Table, matched: Mapping[str, str], ports: Mapping[str, Variable], id: str, setup: str
-) -> Experiment:
+def _run(run: Run, matched: Mapping[str, str], ports: Mapping[str, Variable], id: str, setup: str) -> Experiment:
+    table = run.table
     units = {c: table.units.get(c) or ports[v].unit or "1" for c, v in matched.items()}
     kept = Table(table.time, {c: table.columns[c] for c in matched}, {})
     inputs = [c for c, v in matched.items() if ports[v].causality == "input"]
-    return experiment_from_table(kept, id=id, setup=setup, inputs=inputs, units=units)
+    return experiment_from_table(kept, id=id, setup=setup, inputs=inputs, units=units, resampled=run.resampled)
 
 
 def _lines(table: Table, matched: Mapping[str, str], ports: Mapping[str, Variable], file: str) -> list[str]:
@@ -151,7 +172,10 @@ def _lines(table: Table, matched: Mapping[str, str], ports: Mapping[str, Variabl
 
 
 def _choose_parameters(
-    model: Simulator, run: Experiment, mapping: Mapping[str, str]
+    model: Simulator,
+    run: Experiment,
+    mapping: Mapping[str, str],
+    progress: Callable[[float], None] | None,
 ) -> tuple[list[Variable], list[Variable]]:
     """Return the parameters to free, most influential first, and the others."""
     candidates = [
@@ -168,7 +192,10 @@ def _choose_parameters(
     nominal = model.simulate(task, {})
     scale = np.maximum(np.ptp(nominal, axis=1, keepdims=True), 1e-12)
     effects: dict[str, FloatArray] = {}
-    for candidate in candidates[:_MAX_CANDIDATES]:
+    tried = candidates[:_MAX_CANDIDATES]
+    for k, candidate in enumerate(tried):
+        if progress is not None:
+            progress(k / len(tried))
         start = candidate.start or 0.0
         try:
             moved = model.simulate(task, {candidate.name: start * (1 + _STEP)})

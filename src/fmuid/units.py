@@ -129,7 +129,7 @@ def _factors(unit: str) -> _Factors:
     """Split a unit into symbols and exponents: ``N.m/(rad.s)`` is N 1, m 1, rad -1, s -1."""
     powers: dict[str, int] = {}
     signs, sign, position = [1], 1, 0
-    text = unit.strip()
+    text = unit.strip().removeprefix("-" if unit.strip() == "-" else "")  # loggers write - for 1
     while position < len(text):
         match = _TOKEN.match(text, position)
         if match is None:

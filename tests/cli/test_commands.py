@@ -271,11 +271,19 @@ def test_import_and_export(folder: Path, measurements: Measurements, fmuid: Comm
         ("time,u [N],x", [], "run.csv: column 'x' has no unit; write it in the header as \"x [N.m]\", or give --unit x=N.m (1 for none)"),
         ("time,u [N],x [m]", ["--input", "v"], "run.csv: no column 'v' (input); known: u, x"),
         ("time,u [N],x [m]", ["--unit", "y=m"], "run.csv: no column 'y' (unit); known: u, x"),
-        ("time [ms],u [N],x [m]", [], "run.csv: time is not in s; convert the first column to seconds"),
+        ("time [N],u [N],x [m]", [], "run.csv: time is in 'N', which is no unit of time ('N' cannot be converted to 's'); correct its unit"),
+        ("time,u [N],x [Nwt]", [], "run.csv: column 'x': unit 'Nwt' is unknown; write it as in 'N.m' or 'kg.m2/s'"),
+        ("time,u [N],x [m]", ["--signal", "u", "--signal", "y"], "run.csv: has no signal 'y'; known: u, x"),
+        ("time,u [N],x [m]", ["--resample", "10", "--align", "u"], "--resample and --align are two time bases; leave one out"),
+        ("time,u [N],x [m]", ["--resample", "0"], "--resample: rate 0 is none; give samples a second, such as 1000"),
+        ("time,u [N],x [m]", ["--resample", "0.1"], "run.csv: 1 s at 0.1 Hz are 1 samples; give another rate"),
+        ("time,u [N],x [m]", ["--resample", "10", "--method", "spline"], "--method: no method 'spline'; known: linear, hold, mean"),
+        ("time,u [N],x [m]", ["--method", "hold"], "--method without a time base; give --resample RATE or --align SIGNAL too"),
+        ("time,u [N],x [m]", ["--align", "X"], "run.csv: has no signal 'X'; did you mean 'x'?"),
         ("x [m],u [N],time", [], "run.csv: the first column is 'x'; the first column is 'time', in s"),
         ("time,u [N],u [m]", [], "run.csv: column 'u' is there twice; rename one of the two"),
         ("time,u [N],", [], "run.csv: column 3 has no name; name every column"),
-        ("time;u [N];x [m]", [], "run.csv: is separated by semicolons; import it with: --delimiter semicolon"),
+        ("time;u [N];x [m]", [], "run.csv line 2: has 1 cells, the header has 3; write one cell a column"),
         ("time,u [N]", [], "run.csv line 2: has 3 cells, the header has 2; write one cell a column"),
     ],
 )  # fmt: skip
@@ -311,8 +319,10 @@ def test_import_refuses_rows(
 def test_import_other_csv(tmp_path: Path, fmuid: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("run.csv").write_text('\ufefft;tau[N.m];"x y (rad)";\tlossTable[1,2]\n0;1;;3\n\n1;2;5;4\n')
-    arguments = ["--setup", "s", "--input", "tau", "--delimiter", "semicolon", "--unit", "lossTable[1,2]=1"]
-    assert fmuid("import", "run.csv", *arguments)[::2] == (0, "")
+    arguments = ["--setup", "s", "--input", "tau", "--unit", "lossTable[1,2]=1"]
+    code, out, err = fmuid("import", "run.csv", *arguments)
+    assert (code, err) == (0, "")
+    assert out.startswith("run.csv: cells are separated by semicolons\nexperiment")
     run = read_measurements("measurements.h5")["run"]
     assert {n: s.unit for n, s in run.signals.items()} == {"tau": "N.m", "x y": "rad", "lossTable[1,2]": "1"}
     np.testing.assert_array_equal(run.signals["x y"].values, [np.nan, 5.0])
@@ -331,7 +341,7 @@ def test_import_matlab(tmp_path: Path, fmuid: Command, monkeypatch: pytest.Monke
     )
     code, out, err = fmuid("import", "run.mat", *arguments, "--unit", "qm=m")
     assert (code, err) == (0, "")
-    assert out.startswith("run.mat: not used, no vectors over time: kp, note\n")
+    assert out.startswith("run.mat: not used, no vectors as long as 't': kp, note\n")
     run = read_measurements("measurements.h5")["run"]
     np.testing.assert_array_equal(run.signals["qm"].values, np.arange(5.0) ** 2)
 

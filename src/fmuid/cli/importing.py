@@ -3,24 +3,47 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fmuid.cli.output import Json, Printer, Quiet, numbers, pairs
 from fmuid.errors import FmuidError
 
-_DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t"}
+if TYPE_CHECKING:
+    from fmuid.resampling import TimeBase
+
+
+_METHODS = ("linear", "hold", "mean")
+Signals = Annotated[list[str] | None, typer.Option("--signal", help="Take this signal only (repeat).")]
+Resample = Annotated[
+    float | None,
+    typer.Option(metavar="RATE", help="Bring all signals onto one time base of RATE samples a second."),
+]
+Align = Annotated[str | None, typer.Option(metavar="SIGNAL", help="Bring all signals onto the times of this one.")]
+Methods = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--method", metavar="[SIGNAL=]METHOD", help="How, for all or one (repeat): linear (default), hold or mean."
+    ),
+]
 
 
 def import_(
     files: Annotated[
-        list[Path], typer.Argument(help='CSV or MAT files, one a run; CSV headers as in "tau [N.m]".')
+        list[Path],
+        typer.Argument(
+            help='CSV, MAT, HDF5, Parquet or MF4 files, one a run; names as in "tau [N.m]" state units.'
+        ),
     ],
     setup: Annotated[str, typer.Option(help="Setup that the runs were made with.")],
-    input_: Annotated[list[str], typer.Option("--input", "-i", help="Column that drives the model (repeat).")],
+    input_: Annotated[list[str], typer.Option("--input", "-i", help="Signal that drives the model (repeat).")],
     out: Annotated[Path, typer.Option(help="Measurement file to write.")] = Path("measurements.h5"),
-    unit: Annotated[list[str] | None, typer.Option(metavar="NAME=UNIT", help="Unit of a column (repeat).")] = None,
+    signal: Signals = None,
+    resample: Resample = None,
+    align: Align = None,
+    method: Methods = None,
+    unit: Annotated[list[str] | None, typer.Option(metavar="NAME=UNIT", help="Unit of a signal (repeat).")] = None,
     sigma: Annotated[
         list[str] | None, typer.Option(metavar="NAME=VALUE", help="Noise standard deviation (repeat).")
     ] = None,
@@ -29,42 +52,45 @@ def import_(
     ] = None,
     repeats: Annotated[bool, typer.Option("--repeats", help="Runs with the same inputs are repeats.")] = False,
     append: Annotated[bool, typer.Option("--append", help="Add the runs to the file at --out.")] = False,
-    delimiter: Annotated[
-        Literal["comma", "semicolon", "tab"], typer.Option(help="What separates cells.")
-    ] = "comma",
     title: Annotated[str, typer.Option(help="Title of the measurement file.")] = "",
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Import CSV or MATLAB files into a measurement file; a run's id is its file's name.
+    """Import recorded runs into a measurement file; a run's id is its file's name.
+
+    Signals with different time bases are refused until you say what to bring them onto.
 
     Example: fmuid import step.csv prbs.csv --setup fixed_shaft --input i_cmd --out measurements.h5
+
+    Example: fmuid import step.mf4 --setup fixed_shaft -i i_cmd --signal i_cmd --signal w --resample 1000
     """
     from fmuid.campaign import Measurements
-    from fmuid.importing import experiment_from_table, with_repeats
+    from fmuid.importing import experiment_from_table, read_run, with_repeats
     from fmuid.measurements import read_measurements, write_measurements
-    from fmuid.tables import read_table
 
     printer = Printer(quiet, json)
     if out.exists() and not append:
         raise FmuidError("is there already", where=out, fix="give --append to add to it, or another --out")
     old = read_measurements(out) if append and out.exists() else Measurements({}, title=title)
     experiments = dict(old.experiments)
+    base = _time_base(resample, align, method or [])
     for file in files:
         if file.stem in experiments:
             raise FmuidError(f"there is a run '{file.stem}' already", where=file, fix="rename the file")
-        table, ignored = read_table(file, delimiter=_DELIMITERS[delimiter])
-        if ignored:
-            printer.say(f"{file}: not used, no vectors over time: {', '.join(ignored)}")
+        with printer.working(f"reading {file}"):
+            run = read_run(file, signal or (), base)
+        for note in run.notes:
+            printer.say(f"{file}: {note}")
         try:
             experiments[file.stem] = experiment_from_table(
-                table,
+                run.table,
                 id=file.stem,
                 setup=setup,
                 inputs=input_,
                 units=pairs(unit or [], "--unit"),
                 sigmas=numbers(sigma or [], "--sigma"),
                 settings=numbers(setting or [], "--setting"),
+                resampled=run.resampled,
             )
         except FmuidError as error:
             if error.where != file.stem:
@@ -75,7 +101,8 @@ def import_(
     measurements = Measurements(
         experiments, title=title or old.title, rig=old.rig, source=old.source, licence=old.licence
     )
-    write_measurements(measurements, out)
+    with printer.working(f"writing {out}"):
+        write_measurements(measurements, out)
     printer.table(
         ("experiment", "samples", "end s", "inputs", "outputs", "repeat of"),
         [
@@ -84,7 +111,8 @@ def import_(
         ],
     )
     printer.say(f"{out}: {len(measurements)} runs")
-    printer.write({"out": out, "experiments": list(measurements.experiments)})
+    resampled = {e.id: {s.name: s.resampled for s in e.signals.values() if s.resampled} for e in measurements}
+    printer.write({"out": out, "experiments": list(measurements.experiments), "resampled": resampled})
 
 
 def export(
@@ -116,21 +144,54 @@ def export(
 
 
 def init(
-    data: Annotated[list[Path], typer.Argument(metavar="CSV...", help="CSV files, one a run.")],
+    data: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="CSV, MAT, HDF5, Parquet or MF4 files, one a run.")
+    ],
     fmu: Annotated[Path, typer.Option(help="The FMU to identify.")],
     out: Annotated[Path, typer.Option(help="Folder of the new campaign.")] = Path("campaign"),
+    signal: Signals = None,
+    resample: Resample = None,
+    align: Align = None,
+    method: Methods = None,
     quiet: Quiet = False,
     json: Json = None,
 ) -> None:
-    """Start a campaign from CSV files and an FMU: signals and parameters are guessed by name and unit.
+    """Start a campaign from recorded runs and an FMU: signals and parameters are guessed by name and unit.
 
     Example: fmuid init step.csv prbs.csv --fmu Drive.fmu --out campaigns/drive
     """
     from fmuid.new_campaign import new_campaign
 
-    made = new_campaign(data, fmu, out)
     printer = Printer(quiet, json)
+    with printer.working(f"trying the parameters of {fmu.name}") as progress:
+        made = new_campaign(
+            data,
+            fmu,
+            out,
+            signals=signal or (),
+            base=_time_base(resample, align, method or []),
+            progress=progress,
+        )
     for line in made.guesses:
         printer.say(line)
     printer.say(f"{out / 'campaign.toml'}: look it through, then run: fmuid check {out}; fmuid identify {out}")
     printer.write({"out": out, "guesses": made.guesses})
+
+
+def _time_base(rate: float | None, align: str | None, methods: list[str]) -> TimeBase | None:
+    from fmuid.resampling import TimeBase
+
+    for_one: dict[str, Any] = pairs([m for m in methods if "=" in m], "--method")
+    for_all: list[Any] = [m for m in methods if "=" not in m]
+    for method in (*for_all, *for_one.values()):
+        if method not in _METHODS:
+            raise FmuidError(f"no method '{method}'", where="--method", fix=f"known: {', '.join(_METHODS)}")
+    if rate is None and align is None:
+        if methods:
+            raise FmuidError("--method without a time base", fix="give --resample RATE or --align SIGNAL too")
+        return None
+    if rate is not None and align is not None:
+        raise FmuidError("--resample and --align are two time bases", fix="leave one out")
+    if rate is not None and not 0 < rate < float("inf"):
+        raise FmuidError(f"rate {rate:g} is none", where="--resample", fix="give samples a second, such as 1000")
+    return TimeBase(rate, align, for_all[-1] if for_all else "linear", for_one)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -43,6 +45,17 @@ class Printer:
             line = (c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right, strict=True))
             self.say("  ".join(line).rstrip())
 
+    @contextmanager
+    def working(self, what: str) -> Iterator[Callable[..., None]]:
+        """Show on a terminal what is being done; yield what takes the share that is behind, and a new text."""
+        if self.quiet or not sys.stderr.isatty():
+            yield _say_nothing
+            return
+        from fmuid.waiting import Waiting
+
+        with Waiting(what) as shown:
+            yield shown
+
     def write(self, result: Mapping[str, Any]) -> None:
         """Write `result` to the JSON file, if one was asked for; NaN and infinities become null."""
         if self.json_file is not None:
@@ -75,6 +88,10 @@ def numbers(texts: Sequence[str], option: str) -> dict[str, float]:
         if not math.isfinite(result[name]):
             raise FmuidError(f"'{name}' is {value}", where=option, fix="write a finite number")
     return result
+
+
+def _say_nothing(*_: object) -> None:
+    """Take what nobody is there to read."""
 
 
 def _cell(value: object) -> str:

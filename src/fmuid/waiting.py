@@ -1,0 +1,49 @@
+"""One moving line on a terminal while something takes its time."""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn
+from rich.text import Text
+
+
+class Waiting:
+    """What is being done, how much is behind, the time left. Use it as a context manager, call it with shares."""
+
+    def __init__(self, what: str = "", console: Console | None = None) -> None:
+        console = console or Console(stderr=True)
+        self._bar = Progress(
+            SpinnerColumn(),
+            BarColumn(bar_width=20),
+            _TimeLeft(),
+            TextColumn("{task.description}", markup=False),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task = self._bar.add_task(what, total=None)
+
+    def __enter__(self) -> Waiting:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()
+
+    def __call__(self, share: float, what: str | None = None) -> None:
+        """Show the share of the work that is behind, and what is being done now."""
+        self._bar.update(self._task, description=what, completed=share, total=1.0)
+
+
+class _TimeLeft(ProgressColumn):
+    """Time spent, and what the share that is behind lets expect of the rest."""
+
+    def render(self, task: Task) -> Text:
+        """Return the column."""
+        spent, share = task.elapsed or 0.0, task.completed
+        left = f", about {spent * (1.0 - share) / share:.0f} s left" if share > 0.05 else ""
+        return Text(f"{spent:.0f} s{left}")
