@@ -67,6 +67,7 @@ an event is where the truth of some g_i differs from m_i (the runtime adds its h
         repeat                           # inner: relations and discrete variables, mixed loops by fixed point
             solve loop for y             # if ny > 0
             z_new, x_new, ... = update(t, x, u, p, d, z, pz, m, y, init)
+            solve loop for y again           # if ny > 0
             m_new = truth of indicators(t, x, u, p, d, z_new, pz, m, y)
             changed = z_new != z or m_new != m;  z = z_new;  m = m_new (see below from the 11th round on)
         until not changed                # report an error after e.g. 100 rounds

@@ -89,6 +89,8 @@ Status event_iteration(Instance *me, int initial) {
             model_update(me->arg, me->res, me->iw, me->w, 0);
             settled = same(z, s->z, NZ);
             memcpy(s->z, z, NZ * sizeof *z);
+            if (NY > 0 && !settled && solve_loop(me, s->t, s->x, s->u))
+                return report(me, STATUS_ERROR, "t = %.9g: an algebraic loop has no solution at an event", s->t);
             relations(me, s->t, s->x, s->u, m);
             settled &= same(m, s->m, NM);
             adopt(s->m, m, inner >= 10);
