@@ -48,8 +48,12 @@ def prbs(n: int, amplitude: float, seed: int = 1) -> np.ndarray:
 def cases() -> list[Case]:
     free = ("i_motor", "w_motor", "tau_sensor")
     ramp = 20.0 * np.minimum(1.0, np.arange(5001) * 0.01 / 2.0)
+    sine = 0.75 * np.sin(2 * np.pi * 10.0 * np.arange(501) * 1e-3)
+    fixed = ("tau_sensor", "w_motor")
     return [
-        Case("PRBS 0.8 A, 0.5 s at 1 kHz", "FixedShaft", 1e-3, prbs(501, 0.8), ("tau_sensor", "w_motor")),
+        Case("step 0.5 A, 0.2 s at 1 kHz", "FixedShaft", 1e-3, np.full(201, 0.5), fixed),
+        Case("sine 0.75 A 10 Hz, 0.5 s", "FixedShaft", 1e-3, sine, fixed),
+        Case("PRBS 0.8 A, 0.5 s at 1 kHz", "FixedShaft", 1e-3, prbs(501, 0.8), fixed),
         Case("eccentric load, 50 s at 100 Hz", "EccentricLoad", 1e-2, np.full(5001, 20.0), (*free, "phi_load")),
         Case("the same after a ramp of 2 s", "EccentricLoad", 1e-2, ramp, (*free, "phi_load")),
         Case("free shaft, 10 s at 500 Hz", "FreeShaft", 2e-3, np.full(5001, 100.0), free),

@@ -23,44 +23,72 @@ const double **environment_at(Instance *me, const double *t, const double *x, co
     return arg;
 }
 
-static double residual_norm(const double *r) {
-    double norm = 0.0;
-    for (int i = 0; i < NY; i++) norm += r[i] * r[i];
-    return norm;
+static int all_finite(const double *values, int n) {
+    for (int i = 0; i < n; i++)
+        if (!isfinite(values[i])) return 0;
+    return 1;
 }
 
-/* Solves loop(t, x, u, ..., y) = 0 for s.y, starting from the last solution; 0 on success. */
-int solve_loop(Instance *me, double t, const double *x, const double *u) {
-    if (NY == 0) return 0;
-    double r[LENGTH(NY)], y_old[LENGTH(NY)];
+/* Size of a correction of y, relative to y or its nominal values. */
+static double relative_size(const double *correction, const double *y) {
+    double size = 0.0;
+    for (int i = 0; i < NY; i++)
+        size = fmax(size, fabs(correction[i]) / fmax(MODEL_Y_NOMINAL[i], fabs(y[i])));
+    return size;
+}
+
+/* Newton's method for s.y, damped until the next correction (with the same Jacobian) is smaller: the natural
+ * monotonicity test, which no scaling of the equations changes [Deuflhard, Newton Methods for Nonlinear Problems, 2004].
+ * 0 on success. */
+static int newton(Instance *me, double t, const double *x, const double *u) {
+    static const double CONVERGED = 1e-9;  /* the error after this correction is about its square */
+    static const double ROUNDING = 1e-6;   /* corrections that are smaller and no longer shrink are rounding */
+    static const double SHORTEST = 1e-12;  /* part of a correction */
+    double r[LENGTH(NY)], old[LENGTH(NY)], next[LENGTH(NY)];
     double *y = me->s.y;
-    for (int iteration = 0; iteration < 50; iteration++) {
+    for (int iteration = 0; iteration < 100; iteration++) {
         environment_at(me, &t, x, u);
         me->res[0] = r;
         me->res[1] = me->drdy;
-        if (CALL(loop)) return 1;
-        const double norm = residual_norm(r);
-        if (!isfinite(norm)) return 1;
-        if (norm == 0.0) return lu_factor(NY, me->drdy, me->y_pivot);
+        if (CALL(loop) || !all_finite(r, NY)) return 1;
+        int solved = 1;
+        for (int i = 0; i < NY; i++) solved &= r[i] == 0.0;
+        if (solved) return 0;
         if (lu_factor(NY, me->drdy, me->y_pivot)) return 1;
         lu_solve(NY, me->drdy, me->y_pivot, r);
-        double step = 0.0;
-        for (int i = 0; i < NY; i++) step = fmax(step, fabs(r[i]) / fmax(MODEL_Y_NOMINAL[i], fabs(y[i])));
-        memcpy(y_old, y, sizeof y_old);
-        for (int i = 0; i < NY; i++) y[i] = y_old[i] - r[i];
-        /* Newton converges quadratically: the error after this step is about its square */
-        if (step <= 1e-9) return 0;
-        /* shorten the step while it makes the residual worse (kinks) */
-        for (double part = 0.5; part > 1e-3; part *= 0.5) {
-            double trial[LENGTH(NY)];
+        const double size = relative_size(r, y);
+        memcpy(old, y, sizeof old);
+        for (int i = 0; i < NY; i++) y[i] -= r[i];
+        if (size <= CONVERGED) return !all_finite(y, NY);
+        for (double part = 1.0; part > SHORTEST; part *= 0.5) {
+            for (int i = 0; i < NY; i++) y[i] = old[i] - part * r[i];
             environment_at(me, &t, x, u);
-            me->res[0] = trial;
+            me->res[0] = next;
             if (CALL(loop)) return 1;
-            const double now = residual_norm(trial);
-            if (isfinite(now) && (now < norm || step < 1e-6)) break;
-            for (int i = 0; i < NY; i++) y[i] = y_old[i] - part * r[i];
+            if (!all_finite(next, NY)) continue;
+            lu_solve(NY, me->drdy, me->y_pivot, next);
+            const double left = relative_size(next, old);
+            if (left < (1.0 - 0.5 * part) * size) break;
+            if (size < ROUNDING) return 0;
         }
     }
+    return 1;
+}
+
+/* Solves loop(t, x, u, ..., y) = 0 for s.y from the last solution, or else from the model's start values; 0 on success.
+ * A failure leaves the last solution. */
+int solve_loop(Instance *me, double t, const double *x, const double *u) {
+    if (NY == 0) return 0;
+    double last[LENGTH(NY)];
+    memcpy(last, me->s.y, sizeof last);
+    if (!newton(me, t, x, u)) return 0;
+    me->arg[0] = me->s.p;
+    me->arg[1] = me->s.d;
+    for (int i = 0; i < MODEL_SZ_RES; i++) me->res[i] = NULL;
+    me->res[2] = me->s.y;
+    CALL(start);
+    if (!newton(me, t, x, u)) return 0;
+    memcpy(me->s.y, last, sizeof last);
     return 1;
 }
 

@@ -41,10 +41,11 @@ int relations_for_input(Instance *me, double *kept) {
 }
 
 /* Indicators for an importer's root finder: they cross zero where the relation shall change. */
-void event_indicators(Instance *me, double *g) {
+int event_indicators(Instance *me, double *g) {
     State *s = &me->s;
-    indicators_at(me, s->t, s->x, s->u, g);
+    const int failed = indicators_at(me, s->t, s->x, s->u, g);
     for (int i = 0; i < NM; i++) g[i] += s->m[i] != 0.0 ? HYSTERESIS : -HYSTERESIS;
+    return failed;
 }
 
 static int same(const double *a, const double *b, int n) {

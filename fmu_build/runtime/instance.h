@@ -124,7 +124,7 @@ int initial_states_along(Instance *me, const double *start, Direction *s);
 /* events.c */
 void relations(Instance *me, double t, const double *x, const double *u, double *m);
 int relations_for_input(Instance *me, double *kept);
-void event_indicators(Instance *me, double *g);
+int event_indicators(Instance *me, double *g);
 Status event_iteration(Instance *me, int initial);
 void find_event(Instance *me);
 

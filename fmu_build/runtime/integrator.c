@@ -176,6 +176,16 @@ static const char *culprit(const Instance *me) {
     return name[worst];
 }
 
+static Status step_too_small(const Instance *me, double t, double error) {
+    if (isnan(error))
+        return report(me, STATUS_ERROR, "t = %.9g: the equations cannot be evaluated or solved any further (state %s)", t,
+                      culprit(me));
+    return report(me, STATUS_ERROR,
+                  "t = %.9g: with the smallest step size the error of %s still exceeds the tolerance %.3g; the model has a "
+                  "discontinuity or a singularity there",
+                  t, culprit(me), me->s.tolerance);
+}
+
 /* One accepted step from step.t1. It may run past `target`, unless `exact` or the integration has just (re)started. */
 Status integrate_step(Instance *me, double target, int exact) {
     State *s = &me->s;
@@ -217,6 +227,7 @@ Status integrate_step(Instance *me, double target, int exact) {
     const int start = step->fresh;
     double h = start && step->h_start > 0.0 ? fmin(step->h_next, step->h_start) : step->h_next;
     const double wanted = h;
+    double last = 0.0;
     int rejected = 0, at_kink = 0;
     for (;;) {
         const int cut = h >= room || (h > 0.5 * room && isfinite(room));
@@ -224,11 +235,8 @@ Status integrate_step(Instance *me, double target, int exact) {
         if (h >= 0.999999 * room) attempt = room;
         else if (cut) attempt = 0.5 * room; /* two equal steps instead of one and a sliver */
         if (t + attempt <= t || attempt < 1e-290)
-            return report(me, STATUS_ERROR,
-                          "t = %.9g: the step size went below %.3g s and the error of %s still exceeds the tolerance "
-                          "%.3g; the model has a discontinuity or a singularity there",
-                          t, attempt, culprit(me), s->tolerance);
-        const double error = try_step(me, t, attempt);
+            return step_too_small(me, t, last);
+        const double error = last = try_step(me, t, attempt);
         if (error <= 1.0) {
             double grow = error > 0.0 ? 0.9 * pow(error, -0.2) : 8.0;
             double cap = rejected ? 1.0 : 8.0;

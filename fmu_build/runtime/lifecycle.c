@@ -109,7 +109,8 @@ Status get_derivatives(Instance *me, double *dx, size_t n) {
 
 Status get_indicators(Instance *me, double *g, size_t n) {
     const Status status = check_length(me, n, NM, "event indicators");
-    if (status == STATUS_OK && NM > 0) event_indicators(me, g);
+    if (status == STATUS_OK && NM > 0 && event_indicators(me, g))
+        return report(me, STATUS_DISCARD, "t = %.9g: an algebraic loop has no solution", me->s.t);
     return status;
 }
 

@@ -33,7 +33,7 @@ static Status refresh(Instance *me, Vector vector) {
     if (vector == VECTOR_Y) failed = solve_loop(me, s->t, s->x, s->u);
     if (vector == VECTOR_DX) failed = evaluate_derivatives(me);
     if (vector == VECTOR_V) failed = evaluate_variables(me);
-    if (vector == VECTOR_G) event_indicators(me, me->g);
+    if (vector == VECTOR_G) failed = event_indicators(me, me->g);
     if (failed) return report(me, STATUS_ERROR, "t = %.9g: an algebraic loop has no solution", s->t);
     return STATUS_OK;
 }
@@ -165,7 +165,10 @@ Status do_step(Instance *me, double t, double h) {
     Step *step = &s->step;
     const double target = t + h;
     if (!(h >= 0.0) || !isfinite(target))
-        return report(me, STATUS_ERROR, "t = %.9g: the communication step size %g is not allowed", s->t, h);
+        return report(me, STATUS_ERROR, "a step from t = %.9g of size %g is not possible: the model is at t = %.9g", t, h,
+                      s->t);
+    if (s->stop_defined && target > s->stop_time + 1e-9 * (1.0 + fabs(s->stop_time)))
+        return report(me, STATUS_ERROR, "the step to t = %.9g goes past the stop time %.9g", target, s->stop_time);
     if (fabs(t - s->t) > 1e-9 * (1.0 + fabs(s->t)))
         return report(me, STATUS_ERROR, "the step starts at t = %.9g but the model is at t = %.9g", t, s->t);
     /* An input that has just changed is likely to change again: end at the communication point, waste nothing. */
@@ -179,7 +182,7 @@ Status do_step(Instance *me, double t, double h) {
     s->input_event = 0;
     const double begin = s->t;
     const long limit = step->steps + MAX_STEPS;
-    const double close = 4e-16 * fabs(target); /* do not integrate what is only rounding of the time */
+    const double close = 1e-280 + 4e-16 * fabs(target); /* do not integrate what is only rounding of the time */
     const double late = 1e-13 * fmax(1.0, fabs(target)); /* so much may a sum of sample times be off */
     int events = 0;
     double last_event = -INFINITY;

@@ -443,6 +443,44 @@ def algebraic_loop() -> CompiledModel:
     )
 
 
+def diode() -> CompiledModel:
+    """Voltage y over a diode with a resistor of 1 kOhm beside it, fed with the current u + x: a loop that overflows."""
+    return compile_by_hand(
+        "Diode",
+        states={"x": 0.0},
+        inputs={"u": 0.0},
+        rhs=lambda e: [0 * e.y],
+        loops={"y": 0.0},
+        loop=lambda e: [1e-9 * (ca.exp(e.y / 0.025) - 1) + e.y / 1e3 - e.x - e.u],
+        outputs={"out": lambda e: e.y},
+    )
+
+
+def cubic() -> CompiledModel:
+    """y^3 + a y = t - 1, nearly singular where it crosses zero; z is the integral of y."""
+    return compile_by_hand(
+        "Cubic",
+        states={"z": 0.0},
+        parameters={"a": 1e-6},
+        rhs=lambda e: [e.y],
+        loops={"y": -1.0},
+        loop=lambda e: [e.y**3 + e.a * e.y - e.time + 1],
+        outputs={"out": lambda e: e.y},
+    )
+
+
+def fold() -> CompiledModel:
+    """y^2 = 1 - t: no solution after t = 1."""
+    return compile_by_hand(
+        "Fold",
+        states={"z": 0.0},
+        rhs=lambda e: [e.y],
+        loops={"y": 1.0},
+        loop=lambda e: [e.y**2 - 1 + e.time],
+        outputs={"out": lambda e: e.y},
+    )
+
+
 def dependent_start() -> CompiledModel:
     """x' = -y from a start value that follows from parameters, y from the loop (1 + x) y + y^3 = b."""
     return compile_by_hand(

@@ -168,3 +168,19 @@ def test_algebraic_loop(fmu):
     np.testing.assert_allclose(y**3 + y, got[:, 0], rtol=1e-12)
     invariant = 1.5 * y**2 + np.log(y) + np.arange(11) * 0.1  # separated variables
     np.testing.assert_allclose(invariant, invariant[0], atol=1e-7)
+
+
+def test_a_loop_that_overflows_is_damped_and_a_failure_leaves_no_trace(fmu):
+    one = fmu("diode").start()
+    for u in (1e-6, 1.0, -1.0, 1e3, -1e3, 1e6, 0.0):
+        one.set(u=u)
+        y = one.get("out")
+        assert 1e-9 * np.expm1(y / 0.025) + y / 1e3 == pytest.approx(u, rel=1e-9, abs=1e-15)
+
+
+def test_a_loop_that_is_nearly_singular(fmu):
+    y = fmu("cubic").start(1e-7).run(["out"], 20, 0.1)[:, 0]
+    np.testing.assert_allclose(y**3 + 1e-6 * y, np.arange(21) * 0.1 - 1, atol=1e-14)
+    z = fmu("cubic").start(1e-7).run(["z"], 20, 0.1)[:, 0]
+    assert z[-1] == pytest.approx(0.0, abs=1e-5)  # odd about t = 1
+    assert z[10] == pytest.approx(-0.75, abs=1e-5)
