@@ -142,6 +142,11 @@ class Fmu:
         """The inputs that each output depends on without delay; every input where the FMU does not say."""
         return read_feedthrough(self._description, self._variables)
 
+    def literals(self, name: str) -> Mapping[str, int]:
+        """Return the values of an enumeration variable by their names, empty for other variables."""
+        declared = next((v.declaredType for v in self._description.modelVariables if v.name == name), None)
+        return {item.name: int(item.value) for item in getattr(declared, "items", None) or ()}
+
     @property
     def renewal(self) -> Literal["reset", "instantiate"] | None:
         """How simulations are kept apart; None before the first one."""
@@ -215,7 +220,7 @@ class Fmu:
 
     def _load(self) -> FmuLibrary:
         if self._library is None:
-            self._folder = _extract(self.path)
+            self._folder = extract(self.path)
             weakref.finalize(self, _remove, self._folder, os.getpid())
             platform = fmpy.platform if self.version == 2 else fmpy.platform_tuple
             identifier = self._described.modelIdentifier
@@ -415,7 +420,14 @@ def _remove(folder: Path, process: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _extract(path: Path) -> Path:
+def extract(path: Path) -> Path:
+    """Return a new folder with the content of an FMU or another archive, which the caller removes.
+
+    Raises
+    ------
+    FmuError
+        It cannot be read, or would write outside the folder.
+    """
     folder = Path(tempfile.mkdtemp(prefix="fmuid-")).resolve()
     try:
         _check_members(path)  # the file may have changed since

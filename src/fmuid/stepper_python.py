@@ -24,7 +24,8 @@ class RunEndedError(Exception):
         self.outcome = outcome
 
 
-def _array(address: int | None, n: int, dtype: str = "f8") -> NDArray[Any]:
+def array_at(address: int | None, n: int, dtype: str = "f8") -> NDArray[Any]:
+    """Return the array that begins at an address, without a copy."""
     if not n or not address:
         return np.empty(0, dtype)
     size = n * np.dtype(dtype).itemsize
@@ -45,8 +46,8 @@ class _Groups:
             if run.plan.fmi == 3:
                 signature.append(c_size_t)
                 arguments.append(g.n_values)
-            columns, places = (_array(a, g.n_columns, "i4") for a in (g.column, g.place))
-            buffer = _array(g.buffer, g.n_values, DTYPES[g.type])
+            columns, places = (array_at(a, g.n_columns, "i4") for a in (g.column, g.place))
+            buffer = array_at(g.buffer, g.n_values, DTYPES[g.type])
             self._calls.append((CFUNCTYPE(c_int32, *signature)(g.function), arguments, columns, places, buffer))
 
     def set(self, row: NDArray[np.float64]) -> None:
@@ -68,15 +69,15 @@ class Run:
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
         n = plan.n_times
-        self.time = _array(plan.time, n)
-        self.inputs = _array(plan.inputs, n * plan.n_inputs).reshape(n, -1)
-        self.predictions = _array(plan.outputs, plan.n_outputs * n).reshape(-1, n)
+        self.time = array_at(plan.time, n)
+        self.inputs = array_at(plan.inputs, n * plan.n_inputs).reshape(n, -1)
+        self.predictions = array_at(plan.outputs, plan.n_outputs * n).reshape(-1, n)
         self.integrator: Integrator | None = None
         self.row = np.empty(plan.n_outputs)
         self.set_starts = _Groups(self, plan.start_groups, plan.n_start_groups, "SET_VALUES")
         self.set_inputs = _Groups(self, plan.input_groups, plan.n_input_groups, "SET_VALUES")
         self.set_slopes = _Groups(self, plan.slope_groups, plan.n_slope_groups, "SET_VALUES")
-        self.slope_columns = [int(j) for j in _array(plan.slope_columns, plan.n_slopes, "i4")]
+        self.slope_columns = [int(j) for j in array_at(plan.slope_columns, plan.n_slopes, "i4")]
         self.get_outputs = _Groups(self, plan.output_groups, plan.n_output_groups, "GET_VALUES")
 
     def check(self, place: str, status: int) -> None:
@@ -119,7 +120,7 @@ class Run:
         ]
         if plan.fmi == 2:
             self.do("SETUP_EXPERIMENT", *experiment)
-        self.set_starts.set(_array(plan.starts, plan.n_starts))
+        self.set_starts.set(array_at(plan.starts, plan.n_starts))
         self.do("ENTER_INITIALIZATION", *(experiment if plan.fmi == 3 else []))
 
     def initialise(self) -> None:
@@ -147,7 +148,7 @@ class Run:
         if plan.fmi == 2:
             if plan.n_slopes:
                 u = self.inputs[:, self.slope_columns]
-                _array(plan.slopes, plan.n_slopes)[:] = (u[k + 1] - u[k]) / h
+                array_at(plan.slopes, plan.n_slopes)[:] = (u[k + 1] - u[k]) / h
                 self.do(
                     "SET_INPUT_DERIVATIVES",
                     (c_void_p, plan.slope_references),

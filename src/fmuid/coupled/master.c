@@ -38,7 +38,7 @@ typedef struct {
     const Feed *feeds;
     const Record *records;
     int32_t n_components, n_links, n_feeds, n_records, n_values, n_signals, n_unknowns;
-    int32_t gauss_seidel, linear, iterations;
+    int32_t gauss_seidel, iterations;
     double tolerance;
     int64_t n_times;
     const double *time;       /* (n_times) of the samples */

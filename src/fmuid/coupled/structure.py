@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 from fmuid.campaign import frozen_mapping
@@ -34,6 +35,7 @@ class Linear(NamedTuple):
         return Linear(other.factor * self.factor, other.factor * self.offset + other.offset)
 
     def __call__(self, value: float) -> float:
+        """Return what a value becomes."""
         return self.factor * value + self.offset
 
 
@@ -104,3 +106,24 @@ class Master:
         if isinstance(self.extrapolation, str):
             return self.extrapolation == "linear"
         return self.extrapolation.get(component) == "linear"
+
+
+@dataclass(frozen=True, slots=True)
+class Coupling:
+    """What a campaign says about a coupled model.
+
+    Parameters
+    ----------
+    components
+        FMU files by name; empty for an SSP file, which has its own.
+    connections
+        Input -> output it follows and the transformation on the way, by ``component.variable``.
+    """
+
+    master: Master = field(default_factory=Master)
+    components: Mapping[str, Path] = field(default_factory=dict)
+    connections: Mapping[str, tuple[str, Linear]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("components", "connections"):
+            object.__setattr__(self, name, frozen_mapping(getattr(self, name)))
