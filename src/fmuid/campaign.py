@@ -7,12 +7,15 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fmuid.errors import MeasurementsError
+
+if TYPE_CHECKING:
+    from fmuid.coupled.structure import Coupling
 
 FloatArray = NDArray[np.float64]
 Causality = Literal["input", "output"]
@@ -142,6 +145,9 @@ class ModelSpec:
     of the FMU's `v` over the samples, as a differentiated encoder measures it. `initial` holds start values
     by FMU variable. `interpolation` says when input sample k acts: ``hold`` on [t_k, t_{k+1}), ``linear``
     between the samples, ``preceding`` on (t_{k-1}, t_k] (a recorder that writes a row after each step).
+
+    Several FMUs may stand for it: those that `coupling` connects, `fmu` being what errors name; or those of an
+    SSP file.
     """
 
     setup: str
@@ -149,6 +155,13 @@ class ModelSpec:
     map: Mapping[str, str] = field(default_factory=dict)
     initial: Mapping[str, float] = field(default_factory=dict)
     interpolation: Sampling = "hold"
+    coupling: Coupling | None = None
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that the model is made of."""
+        components = self.coupling.components if self.coupling is not None else {}
+        return tuple(components.values()) or (self.fmu,)
 
     def variable(self, name: str) -> str:
         """Return the FMU variable that stands for a campaign's `name`."""

@@ -26,6 +26,7 @@ from fmuid.campaign import (
 )
 from fmuid.errors import CampaignError, ProblemError
 from fmuid.expressions import parse
+from fmuid.coupled.table import CoupledTable, coupling_of
 from fmuid.measurements import read_measurements
 from fmuid.suggest import suggestion
 from fmuid.toml_tables import Table, convert, finite, numbers, read_toml
@@ -41,8 +42,7 @@ class _CampaignTable(Table):
     make: str | None = None
 
 
-class _ModelTable(Table):
-    fmu: str
+class _ModelTable(CoupledTable):
     map: dict[str, str] = {}
     initial: dict[str, Any] = {}
     interpolation: Literal["hold", "linear", "preceding"] = "hold"
@@ -189,11 +189,9 @@ def _effects(
 
 def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
     table = convert(raw, _ModelTable, where)
-    if not table.fmu:
-        raise CampaignError("'fmu' is empty", where=where, fix="write the path of the FMU")
     return ModelSpec(
         setup=setup,
-        fmu=folder / table.fmu,
+        fmu=folder / (table.fmu or "+".join(table.fmus)),
         map=frozen_mapping(table.map),
         initial=frozen_mapping(numbers(table.initial, f"{where} initial")),
         interpolation=table.interpolation,
@@ -207,6 +205,7 @@ def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
     table = convert(raw, _ParameterTable, where)
     finite("start", table.start, where)
     if math.isnan(table.lower) or math.isnan(table.upper):
+        coupling=coupling_of(table, folder, where),
         raise CampaignError("a bound is nan", where=where, fix="write a number, or leave the bound out")
     if table.lower >= table.upper:
         raise CampaignError(

@@ -35,25 +35,25 @@ class Finding:
 
 
 def load_models(campaign: Campaign) -> dict[str, Simulator]:
-    """Return the FMU of each setup that an experiment with a role has, by setup.
+    """Return the model of each setup that an experiment with a role has, by setup.
 
     Raises
     ------
     FmuError
         An FMU is missing or cannot be used.
     """
-    from fmuid.fmu import load_fmu
+    from fmuid.coupled.loading import load_model
 
     models: dict[str, Simulator] = {}
     for setup in dict.fromkeys(experiment.setup for experiment in _first_runs(campaign)):
-        path = campaign.models[setup].fmu
-        if not path.is_file():
-            raise FmuError(
-                "no such file",
-                where=os.path.normpath(path),
-                fix=f"build it (make fmus, or fmuid build) or correct [models.{setup}] fmu",
-            )
-        models[setup] = load_fmu(path)
+        for path in campaign.models[setup].files:
+            if not path.is_file():
+                raise FmuError(
+                    "no such file",
+                    where=os.path.normpath(path),
+                    fix=f"build it (make fmus, or fmuid build) or correct [models.{setup}] fmu",
+                )
+        models[setup] = load_model(campaign.models[setup])
     return models
 
 

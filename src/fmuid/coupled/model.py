@@ -204,11 +204,14 @@ class CoupledModel:
                 variable = replace(variable, start=start)
             found[name] = variable
         for port in self.ports:
-            place, _ = port.ends[0]
+            place, linear = port.ends[0]
             end = self.components[place.component].variables[place.variable]
-            found[port.name] = Variable(
-                port.name, port.causality, end.variability, port.unit, port.start, description=port.description
-            )
+            start = self._starts.get(place.component, {}).get(place.variable, end.start)
+            if port.causality == "output" or start is None or linear.factor == 0.0:
+                start = None
+            else:
+                start = (start - linear.offset) / linear.factor
+            found[port.name] = Variable(port.name, port.causality, end.variability, port.unit, start)
         return found
 
     def _lay_out(self, task: Task, parameters: Mapping[str, float]) -> Layout:

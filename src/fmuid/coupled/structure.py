@@ -63,8 +63,6 @@ class Port:
     causality: Literal["input", "parameter", "output"]
     unit: str | None
     ends: tuple[tuple[Place, Linear], ...]
-    start: float | None = None
-    description: str = ""
 
 
 @dataclass(frozen=True, slots=True)
