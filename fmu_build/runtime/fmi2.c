@@ -228,14 +228,13 @@ fmi2Status fmi2EnterEventMode(fmi2Component c) {
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     IN(PHASE_EVENT);
-    State *s = &me->s;
-    double x[LENGTH(NX)];
-    memcpy(x, s->x, sizeof x);
-    const Status status = event_iteration(me, 0);
+    const State *s = &me->s;
+    int states_changed = 0;
+    const Status status = update_discrete_states(me, &states_changed);
     info->newDiscreteStatesNeeded = fmi2False;
     info->terminateSimulation = s->terminate;
     info->nominalsOfContinuousStatesChanged = fmi2False;
-    info->valuesOfContinuousStatesChanged = memcmp(x, s->x, sizeof x) != 0;
+    info->valuesOfContinuousStatesChanged = states_changed;
     info->nextEventTimeDefined = isfinite(s->next_event);
     info->nextEventTime = s->next_event;
     return failed(me, status);

@@ -343,14 +343,13 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discrete
                                     fmi3Boolean *valuesOfContinuousStatesChanged, fmi3Boolean *nextEventTimeDefined,
                                     fmi3Float64 *nextEventTime) {
     IN(PHASE_EVENT);
-    State *s = &me->s;
-    double x[LENGTH(NX)];
-    memcpy(x, s->x, sizeof x);
-    const Status status = event_iteration(me, 0);
+    const State *s = &me->s;
+    int states_changed = 0;
+    const Status status = update_discrete_states(me, &states_changed);
     *discreteStatesNeedUpdate = fmi3False;
     *terminateSimulation = s->terminate != 0;
     *nominalsOfContinuousStatesChanged = fmi3False;
-    *valuesOfContinuousStatesChanged = memcmp(x, s->x, sizeof x) != 0;
+    *valuesOfContinuousStatesChanged = states_changed != 0;
     *nextEventTimeDefined = isfinite(s->next_event) != 0;
     *nextEventTime = s->next_event;
     return failed(me, status);

@@ -144,9 +144,11 @@ Status set_input_slope(Instance *me, unsigned reference, double slope);
 Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t n_unknown, const unsigned *known,
                                   size_t n_known, const double *seed, double *sensitivity);
 Status pick_derivative(Instance *me, unsigned reference, const Direction *s, double *value);
+int is_slope(unsigned reference);
 int parameter_direction(unsigned reference, Direction *s, double *start);
 Status set_experiment(Instance *me, int tolerance_defined, double tolerance, double start, int stop_defined, double stop);
 Status start_simulation(Instance *me);
+Status update_discrete_states(Instance *me, int *states_changed);
 
 /* sensitivity.c */
 Status start_sensitivities(Instance *me);

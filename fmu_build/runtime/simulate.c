@@ -150,10 +150,26 @@ static int input_changed(Instance *me) {
     return changed;
 }
 
+/* A time event is due although only nearly reached: the sums of whoever steps are off by rounding. */
+static double at_time_event(const State *s, double t) {
+    return fabs(s->next_event - t) <= 1e-13 * fmax(1.0, fabs(t)) ? s->next_event : t;
+}
+
+/* Event update in model exchange. */
+Status update_discrete_states(Instance *me, int *states_changed) {
+    State *s = &me->s;
+    double x[LENGTH(NX)];
+    memcpy(x, s->x, sizeof x);
+    s->t = at_time_event(s, s->t);
+    const Status status = event_iteration(me, 0);
+    *states_changed = memcmp(x, s->x, sizeof x) != 0;
+    return status;
+}
+
 static Status handle_event(Instance *me) {
     State *s = &me->s;
     dense_output(&s->step, s->step.t1, s->x);
-    s->t = fabs(s->next_event - s->step.t1) <= 1e-13 * fmax(1.0, fabs(s->step.t1)) ? s->next_event : s->step.t1;
+    s->t = at_time_event(s, s->step.t1);
     Status status = event_iteration(me, 0);
     if (status <= STATUS_WARNING) status = restart_integration(me);
     return status;
@@ -232,6 +248,9 @@ Status pick_derivative(Instance *me, unsigned reference, const Direction *s, dou
     *value = vector ? entry->sign * vector[entry->index] : 0.0;
     return STATUS_OK;
 }
+
+/* Is the variable the derivative of a state? */
+int is_slope(unsigned reference) { return reference < MODEL_N_VARIABLES && VARIABLE[reference].vector == VECTOR_DX; }
 
 /* The unit direction of a real parameter (into s->p) or start value (into start); 0: the variable is neither. */
 int parameter_direction(unsigned reference, Direction *s, double *start) {

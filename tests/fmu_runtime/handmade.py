@@ -367,6 +367,24 @@ def sampled_counter() -> CompiledModel:
     )
 
 
+def clock() -> CompiledModel:
+    """x' = 1, counted at 0.05 + 0.1 k s; that is no number that sums of 0.05 reach exactly."""
+
+    def update(e, init):
+        due = ca.logic_and(e.time >= 0.05 + 0.1 * e.pre_count, ca.logic_not(init))
+        count = e.pre_count + due
+        return {"z": {"count": count, "held": ca.if_else(due, e.x, e.pre_held)}, "next": 0.05 + 0.1 * count}
+
+    return compile_by_hand(
+        "Clock",
+        states={"x": 0.0},
+        rhs=lambda e: [1 + 0 * e.held],
+        discrete={"count": 0.0, "held": 0.0},
+        update=update,
+        outputs={"y": lambda e: e.held},
+    )
+
+
 def stick_slip() -> CompiledModel:
     """Mass dragged by a spring over Coulomb friction with the modes forward, stuck and backward.
 

@@ -55,6 +55,21 @@ def test_time_events_and_termination(fmu, h):
     assert "the model ends the simulation" in one.messages[-1]
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("interval", [0.05, 0.25, 0.1])
+def test_time_events_on_output_points_in_model_exchange(built, fmi, interval):
+    """An importer whose own sum of intervals is a rounding error short of the event is at the event."""
+    result = fmpy.simulate_fmu(
+        str(built("clock", fmi)[0]),
+        fmi_type="ModelExchange",
+        stop_time=1.0,
+        output_interval=interval,
+        output=["count", "held"],
+    )
+    assert result["count"][-1] == 10
+    assert result["held"][-1] == pytest.approx(0.95)
+
+
 def test_relation_of_an_input(fmu):
     one = fmu("relay").start()
     assert one.get("direction") == -1
