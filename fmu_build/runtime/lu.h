@@ -3,6 +3,7 @@
 #define FMUID_LU_H
 
 #include <math.h>
+#include <stddef.h>
 
 /* Factorises the n x n matrix `a` in place; 0 on success, 1 if singular or not finite. */
 static inline int lu_factor(int n, double *a, int *pivot) {
@@ -44,6 +45,32 @@ static inline void lu_solve(int n, const double *a, const int *pivot, double *b)
     for (int c = n - 1; c >= 0; c--) {
         b[c] *= a[c * n + c];
         for (int i = 0; i < c; i++) b[i] -= a[c * n + i] * b[c];
+    }
+}
+
+/* The same for m right-hand sides at once, `b` with n rows of m; what is zero in the factors costs nothing. */
+static inline void lu_solve_many(int n, const double *a, const int *pivot, size_t m, double *b) {
+    for (int c = 0; c < n; c++) {
+        double *row = b + c * m, *other = b + pivot[c] * m;
+        for (size_t k = 0; k < m && other != row; k++) {
+            const double swap = row[k];
+            row[k] = other[k];
+            other[k] = swap;
+        }
+    }
+    for (int c = 0; c < n; c++)
+        for (int i = c + 1; i < n; i++) {
+            const double factor = a[c * n + i];
+            if (factor == 0.0) continue;
+            for (size_t k = 0; k < m; k++) b[i * m + k] -= factor * b[c * m + k];
+        }
+    for (int c = n - 1; c >= 0; c--) {
+        for (size_t k = 0; k < m; k++) b[c * m + k] *= a[c * n + c];
+        for (int i = 0; i < c; i++) {
+            const double factor = a[c * n + i];
+            if (factor == 0.0) continue;
+            for (size_t k = 0; k < m; k++) b[i * m + k] -= factor * b[c * m + k];
+        }
     }
 }
 

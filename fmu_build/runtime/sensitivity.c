@@ -16,13 +16,14 @@
 enum { RADAU = 3, SIZE = RADAU * NX };
 
 struct Sensitivity {
-    size_t n;
+    size_t n, n_parameters;
     unsigned *parameters;
-    Direction *along; /* of each parameter: p and d as they change with it, the rest is work memory */
-    double *start;  /* n columns of NX: at the beginning of the last step */
-    double *stages; /* n columns of RADAU * NX: at its collocation points */
-    double *now;    /* n columns of NX: where they were asked for */
-    int solved;     /* `stages` belong to the last step */
+    double *weights;  /* n rows of n_parameters: how they move together */
+    Direction *along; /* p and d as they change, the rest is work memory */
+    double *start;    /* NX rows of n: at the beginning of the last step */
+    double *stages;   /* RADAU * NX rows of n: at its collocation points */
+    double *now;      /* NX rows of n: where they were asked for */
+    int solved;       /* `stages` belong to the last step */
     double jacobian[RADAU][LENGTH(NX) * LENGTH(NX)];
     double matrix[LENGTH(SIZE) * LENGTH(SIZE)];
     int pivot[LENGTH(SIZE)];
@@ -41,12 +42,19 @@ static double weight(int i, int j) {
     return a[i][j];
 }
 
-/* Derivative of the right-hand side by a parameter at (t, x). */
-static int forcing(Instance *me, Direction *along, double t, const double *x, double *b) {
-    memset(along->x, 0, sizeof along->x);
+/* Adds h A b to the right-hand sides `stages`, b_i the derivatives of f by the parameters at collocation point i. */
+static int add_forcing(Instance *me, int i, double t, const double *x, double h) {
+    struct Sensitivity *q = me->sensitivity;
     input_at(me, t);
-    if (derivatives_along(me, t, x, me->ut, along)) return 1;
-    memcpy(b, along->dx, NX * sizeof *b);
+    for (size_t p = 0; p < q->n; p++) {
+        Direction *along = &q->along[p];
+        memset(along->x, 0, sizeof along->x);
+        if (derivatives_along(me, t, x, me->ut, along)) return 1;
+        for (int row = 0; row < NX; row++) {
+            if (along->dx[row] == 0.0) continue;
+            for (int j = 0; j < RADAU; j++) q->stages[(j * NX + row) * q->n + p] += h * weight(j, i) * along->dx[row];
+        }
+    }
     return 0;
 }
 
@@ -57,18 +65,15 @@ static Status solve_step(Instance *me) {
     double x[RADAU][LENGTH(NX)], t[RADAU];
     const double h = step->h;
     q->solved = 1;
-    if (h <= 0.0) {
-        for (size_t j = 0; j < q->n; j++)
-            for (int i = 0; i < RADAU; i++)
-                memcpy(q->stages + (j * RADAU + i) * NX, q->start + j * NX, NX * sizeof(double));
-        return STATUS_OK;
-    }
+    for (int i = 0; i < RADAU; i++) memcpy(q->stages + i * NX * q->n, q->start, NX * q->n * sizeof(double));
+    if (h <= 0.0) return STATUS_OK;
     int failed = 0;
     for (int i = 0; i < RADAU; i++) {
         t[i] = step->t0 + node(i) * h;
         dense_output(step, t[i], x[i]);
         failed |= linearise(me, t[i], x[i]);
         memcpy(q->jacobian[i], me->jacobian, sizeof me->jacobian);
+        failed = failed || add_forcing(me, i, t[i], x[i], h);
     }
     for (int j = 0; j < RADAU; j++)
         for (int column = 0; column < NX; column++) {
@@ -80,18 +85,7 @@ static Status solve_step(Instance *me) {
             target[j * NX + column] += 1.0;
         }
     failed = failed || lu_factor(SIZE, q->matrix, q->pivot);
-    for (size_t p = 0; p < q->n && !failed; p++) {
-        double b[RADAU][LENGTH(NX)];
-        double *y = q->stages + p * SIZE;
-        for (int i = 0; i < RADAU; i++) failed |= forcing(me, &q->along[p], t[i], x[i], b[i]);
-        for (int i = 0; i < RADAU; i++)
-            for (int row = 0; row < NX; row++) {
-                double sum = q->start[p * NX + row];
-                for (int j = 0; j < RADAU; j++) sum += h * weight(i, j) * b[j][row];
-                y[i * NX + row] = sum;
-            }
-        lu_solve(SIZE, q->matrix, q->pivot, y);
-    }
+    if (!failed) lu_solve_many(SIZE, q->matrix, q->pivot, q->n, q->stages);
     if (failed) return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", step->t0);
     return STATUS_OK;
 }
@@ -112,12 +106,10 @@ static Status evaluate(Instance *me, double t, double *target) {
         for (int j = 0; j <= RADAU; j++)
             if (j != i) basis[i] *= (r - at[j]) / (at[i] - at[j]);
     }
-    for (size_t p = 0; p < q->n; p++)
-        for (int row = 0; row < NX; row++) {
-            double sum = basis[0] * q->start[p * NX + row];
-            for (int i = 0; i < RADAU; i++) sum += basis[i + 1] * q->stages[p * SIZE + i * NX + row];
-            target[p * NX + row] = sum;
-        }
+    const size_t size = NX * q->n;
+    for (size_t k = 0; k < size; k++) target[k] = basis[0] * q->start[k];
+    for (int i = 0; i < RADAU; i++)
+        for (size_t k = 0; k < size; k++) target[k] += basis[i + 1] * q->stages[i * size + k];
     return STATUS_OK;
 }
 
@@ -135,6 +127,7 @@ void free_sensitivities(Instance *me) {
     struct Sensitivity *q = me->sensitivity;
     if (q) {
         free(q->parameters);
+        free(q->weights);
         free(q->along);
         free(q->start);
         free(q->stages);
@@ -149,27 +142,36 @@ Status start_sensitivities(Instance *me) {
     struct Sensitivity *q = me->sensitivity;
     if (!q || q->n == 0) return STATUS_OK;
     for (size_t j = 0; j < q->n; j++) {
-        Direction *s = &q->along[j];
-        double start[LENGTH(NX)] = {0};
+        Direction *s = &q->along[j], unit;
+        double start[LENGTH(NX)] = {0}, unit_start[LENGTH(NX)];
         memset(s, 0, sizeof *s);
-        parameter_direction(q->parameters[j], s, start);
+        for (size_t i = 0; i < q->n_parameters; i++) {
+            const double w = q->weights[j * q->n_parameters + i];
+            if (w == 0.0) continue;
+            memset(&unit, 0, sizeof unit);
+            memset(unit_start, 0, sizeof unit_start);
+            parameter_direction(q->parameters[i], &unit, unit_start);
+            for (int k = 0; k < NP; k++) s->p[k] += w * unit.p[k];
+            for (int k = 0; k < NX; k++) start[k] += w * unit_start[k];
+        }
         if (dependent_parameters_along(me, s->p, s->d) || initial_states_along(me, start, s))
             return report(me, STATUS_ERROR, "t = %.9g: the sensitivities of the initial state cannot be computed",
                           me->s.t);
-        memcpy(q->start + j * NX, s->x, NX * sizeof(double));
+        for (int row = 0; row < NX; row++) q->start[row * q->n + j] = s->x[row];
     }
     q->solved = 0;
     return STATUS_OK;
 }
 
-int fmuidSetSensitivityParameters(void *instance, const unsigned *parameters, size_t n) {
+int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, size_t n_parameters, const double *weights,
+                                  size_t n) {
     Instance *me = instance;
     if (!me) return STATUS_ERROR;
     if (!(me->s.phase & (PHASE_INSTANTIATED | PHASE_INITIALIZATION)) || !me->s.is_co_simulation)
         return report(me, STATUS_ERROR, "sensitivities are chosen before a co-simulation starts");
     if (MODEL_HAS_EVENTS && n > 0)
         return report(me, STATUS_ERROR, "sensitivities of a model with events are not supported");
-    for (size_t i = 0; i < n; i++) {
+    for (size_t i = 0; i < n_parameters; i++) {
         Direction s;
         double start[LENGTH(NX)];
         if (!parameter_direction(parameters[i], &s, start))
@@ -180,19 +182,31 @@ int fmuidSetSensitivityParameters(void *instance, const unsigned *parameters, si
     if (n == 0) return STATUS_OK;
     struct Sensitivity *q = me->sensitivity = calloc(1, sizeof *q);
     if (q) {
-        q->parameters = malloc(n * sizeof *parameters);
+        q->parameters = malloc(LENGTH(n_parameters) * sizeof *parameters);
+        q->weights = malloc(LENGTH(n * n_parameters) * sizeof *weights);
         q->along = calloc(n, sizeof *q->along);
         q->start = calloc(n * LENGTH(NX), sizeof(double));
         q->stages = calloc(n * LENGTH(SIZE), sizeof(double));
         q->now = calloc(n * LENGTH(NX), sizeof(double));
     }
-    if (!q || !q->parameters || !q->along || !q->start || !q->stages || !q->now) {
+    if (!q || !q->parameters || !q->weights || !q->along || !q->start || !q->stages || !q->now) {
         free_sensitivities(me);
         return report(me, STATUS_ERROR, "no memory for sensitivities");
     }
-    memcpy(q->parameters, parameters, n * sizeof *parameters);
+    memcpy(q->parameters, parameters, n_parameters * sizeof *parameters);
+    memcpy(q->weights, weights, n * n_parameters * sizeof *weights);
+    q->n_parameters = n_parameters;
     q->n = n;
     return STATUS_OK;
+}
+
+int fmuidSetSensitivityParameters(void *instance, const unsigned *parameters, size_t n) {
+    double *unit = calloc(LENGTH(n * n), sizeof *unit);
+    if (!unit) return STATUS_ERROR;
+    for (size_t i = 0; i < n; i++) unit[i * n + i] = 1.0;
+    const int status = fmuidSetSensitivityDirections(instance, parameters, n, unit, n);
+    free(unit);
+    return status;
 }
 
 int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, double *values) {
@@ -203,10 +217,12 @@ int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, d
         return report(me, STATUS_ERROR, "no sensitivities were chosen before the simulation, or it has not started");
     Status status = evaluate(me, me->s.t, q->now);
     const State *now = &me->s;
+    int slopes = NY > 0; /* derivatives of dx are seldom asked for, but bring those of loops */
+    for (size_t i = 0; i < n; i++) slopes |= is_slope(variables[i]);
     for (size_t j = 0; j < q->n && status <= STATUS_WARNING; j++) {
         Direction *s = &q->along[j];
-        memcpy(s->x, q->now + j * NX, NX * sizeof(double));
-        if (derivatives_along(me, now->t, now->x, now->u, s) || variables_along(me, now->t, now->x, now->u, s))
+        for (int row = 0; row < NX; row++) s->x[row] = q->now[row * q->n + j];
+        if ((slopes && derivatives_along(me, now->t, now->x, now->u, s)) || variables_along(me, now->t, now->x, now->u, s))
             return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", now->t);
         for (size_t i = 0; i < n && status <= STATUS_WARNING; i++)
             status = pick_derivative(me, variables[i], s, &values[i * q->n + j]);

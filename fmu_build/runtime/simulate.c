@@ -166,10 +166,16 @@ Status update_discrete_states(Instance *me, int *states_changed) {
     return status;
 }
 
+/* Moves on to time t, the inputs along their slopes. */
+static void move_to(State *s, double t) {
+    for (int i = 0; i < NU; i++) s->u[i] += s->du[i] * (t - s->t);
+    s->t = t;
+}
+
 static Status handle_event(Instance *me) {
     State *s = &me->s;
     dense_output(&s->step, s->step.t1, s->x);
-    s->t = at_time_event(s, s->step.t1);
+    move_to(s, at_time_event(s, s->step.t1));
     Status status = event_iteration(me, 0);
     if (status <= STATUS_WARNING) status = restart_integration(me);
     return status;
@@ -196,7 +202,6 @@ Status do_step(Instance *me, double t, double h) {
         if (status > STATUS_WARNING) return status;
     }
     s->input_event = 0;
-    const double begin = s->t;
     const long limit = step->steps + MAX_STEPS;
     const double close = 1e-280 + 4e-16 * fabs(target); /* do not integrate what is only rounding of the time */
     const double late = 1e-13 * fmax(1.0, fabs(target)); /* so much may a sum of sample times be off */
@@ -221,10 +226,9 @@ Status do_step(Instance *me, double t, double h) {
             return report(me, STATUS_ERROR, "t = %.9g: more than %ld integration steps", step->t1, MAX_STEPS);
     }
     if (!s->terminate) {
-        s->t = target;
+        move_to(s, target);
         dense_output(step, target, s->x);
     }
-    for (int i = 0; i < NU; i++) s->u[i] += s->du[i] * (s->t - begin);
     s->have_dx = s->have_v = 0;
     return check_assertions(me);
 }

@@ -83,3 +83,21 @@ def test_what_has_no_sensitivity_is_refused(fmu):
     late = fmu("pendulum").start()
     assert choose(late, ["m"]) == 3
     assert "before a co-simulation starts" in late.messages[-1]
+
+
+def test_parameters_that_move_together(fmu):
+    # one direction of two parameters is the weighted sum of their own
+    names, weights = ["J_R", "d_S", "tau_bf"], [[0.0, 2.0, -3.0], [1.0, 0.0, 0.0]]
+    single, joint = fmu("train"), fmu("train")
+    assert choose(single, names) == 0
+    vr = (ctypes.c_uint * 3)(*[joint.vr[n] for n in names])
+    flat = (ctypes.c_double * 6)(*np.ravel(weights))
+    n = ctypes.c_size_t
+    c = ctypes.c_void_p(joint.c.component)
+    assert joint.c.dll.fmuidSetSensitivityDirections(c, vr, n(3), flat, n(2)) == 0
+    for one in (single, joint):
+        one.start(1e-7, i_cmd=0.5).run(["tau_sensor"], 20, 1e-3)
+    each = sensitivities(single, ["tau_sensor", "b"], 3)
+    both = sensitivities(joint, ["tau_sensor", "b"], 2)
+    assert np.any(each[0] != 0.0)
+    np.testing.assert_allclose(both, each @ np.transpose(weights), rtol=1e-6, atol=1e-12)
