@@ -49,7 +49,7 @@ def coupling_of(table: CoupledTable, folder: Path, where: str) -> Coupling | Non
     """
     if bool(table.fmu) == bool(table.fmus):
         what = "names both 'fmu' and 'fmus'" if table.fmu else "has no 'fmu'"
-        raise CampaignError(what, where=where, fix='write fmu = "file" or fmus = { name = "file", ... }')
+        raise CampaignError(what, where=where, fix='write fmu = "file", or fmus = { name = "file", ... }')
     said = {name: getattr(table, name) for name in _MASTER if getattr(table, name) is not None}
     if table.connections and not table.fmus:
         raise CampaignError("has connections of one file", where=where, fix="name several FMUs in 'fmus'")
@@ -80,7 +80,7 @@ def _master(said: Mapping[str, Any], where: str) -> Master:
 
 
 def _connections(table: Mapping[str, Any], prefix: str, where: str) -> Iterator[tuple[str, tuple[str, Linear]]]:
-    """Yield input -> (output, transformation); ``plant.i = "..."`` without quotes is the input ``plant.i`` as well."""
+    """Yield input -> (output, transformation); ``plant.i = "..."`` without quotes is the input ``plant.i``."""
     for key, value in table.items():
         name = f"{prefix}{key}"
         if isinstance(value, str):
