@@ -7,7 +7,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import msgspec
 
@@ -88,7 +88,8 @@ def convert(table: Any, kind: type[_T], where: str) -> _T:
 
 def _choices(kind: type[Table], key: str) -> tuple[str, ...]:
     annotation = next((f.type for f in msgspec.structs.fields(kind) if f.encode_name == key), None)
-    return getattr(annotation, "__args__", ())
+    alternatives = (get_args(part) or (part,) for part in get_args(annotation))  # Literal[...], or that or None
+    return tuple(choice for part in alternatives for choice in part if isinstance(choice, str))
 
 
 def numbers(table: Mapping[str, Any], where: str, prefix: str = "") -> dict[str, float]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def simulate(
-    model: Annotated[Path, typer.Argument(metavar="FMU|CAMPAIGN", help="An .fmu file, or a campaign.")],
+    model: Annotated[Path, typer.Argument(metavar="FMU|SSP|CAMPAIGN", help="An .fmu or .ssp file, or campaign.")],
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="Set a parameter (repeat for more)."),
@@ -36,21 +36,33 @@ def simulate(
     interpolation: Annotated[
         Literal["hold", "linear"], typer.Option(help="Inputs between the samples of --input.")
     ] = "hold",
+    master: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="WORD=VALUE", help="How FMUs of an .ssp are stepped, in the words of campaign.toml: step=1e-3."
+        ),
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="CSV file for an FMU, folder for a campaign.")] = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate an FMU, or the runs of a campaign at its start values, and write the results as CSV.
+    """Simulate an FMU, coupled FMUs (SSP), or the runs of a campaign at its start values, and write CSV files.
+
+    Of an FMU, the inputs are written beside the outputs, so that the file can be a reference for fmuid compare.
+
+    Example: fmuid simulate FixedShaft.fmu --input step.csv --set d_S=2.66 --out result.csv
 
     Examples: fmuid simulate FixedShaft.fmu --input step.csv --set d_S=2.66 --out result.csv;
     fmuid simulate campaigns/force_feedback -e 'step_*' --set d_S=2.66
     """
     printer = Printer(quiet, json)
     values = numbers(set_ or [], "--set")
-    if model.suffix == ".fmu":
+    if master and model.suffix != ".ssp":
+        raise FmuidError("--master goes with an .ssp file", fix="write its words into campaign.toml")
+    if model.suffix in (".fmu", ".ssp"):
         if experiment:
             raise FmuidError("--experiment goes with a campaign", fix="leave it out for an FMU")
-        table = _simulate_fmu(model, values, input_, stop, step, output or [], interpolation)
+        table = _simulate_fmu(model, master or [], values, input_, stop, step, output or [], interpolation)
         target = out or Path(f"{model.stem}.csv")
         _write(table, target)
         printer.say(f"{target}: {table.time.size} samples of {', '.join(table.columns)}")
@@ -64,6 +76,7 @@ def simulate(
 
 
 def _simulate_fmu(
+    master: list[str],
     path: Path,
     values: dict[str, float],
     input_: Path | None,
@@ -73,14 +86,15 @@ def _simulate_fmu(
     interpolation: Literal["hold", "linear"],
 ) -> Table:
     import numpy as np
+    from fmuid.coupled.loading import load_model, load_system
+    from fmuid.coupled.table import master_of
 
     from fmuid.crosscheck_csv import Table, read_csv
-    from fmuid.fmu import load_fmu
     from fmuid.simulation import Task
     from fmuid.suggest import suggestion
     from fmuid.units import convert_factor
 
-    fmu = load_fmu(path)
+    fmu = load_system(path, master_of(master, "--master")) if path.suffix == ".ssp" else load_model(path)
     variables = fmu.variables
     for name in (*values, *outputs):
         if name not in variables:

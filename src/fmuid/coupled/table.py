@@ -67,6 +67,30 @@ def coupling_of(table: CoupledTable, folder: Path, where: str) -> Coupling | Non
 
 
 def _master(said: Mapping[str, Any], where: str) -> Master:
+def master_of(texts: Sequence[str], where: str) -> Master:
+    """Return how to step from texts such as ``step=1e-3`` and ``algorithm=jacobi``, with the words of a table.
+
+    Raises
+    ------
+    CampaignError
+        A word or a value is unknown.
+    """
+    words: dict[str, Any] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        if name not in _MASTER:
+            raise CampaignError(f"unknown word '{name}'", where=where, fix=suggestion(name, _MASTER))
+        try:
+            words[name] = json.loads(value)
+        except ValueError:
+            words[name] = value
+    return _master(_said(convert(words, CoupledTable, where)), where)
+
+
+def _said(table: CoupledTable) -> dict[str, Any]:
+    return {name: getattr(table, name) for name in _MASTER if getattr(table, name) is not None}
+
+
     for name in ("step", "loop_tolerance", "loop_iterations"):
         if name in said and not finite(name, said[name], where) > 0:
             raise CampaignError(f"'{name}' is {said[name]:g}", where=where, fix="write a positive number")
