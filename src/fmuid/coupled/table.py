@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -50,7 +51,7 @@ def coupling_of(table: CoupledTable, folder: Path, where: str) -> Coupling | Non
     if bool(table.fmu) == bool(table.fmus):
         what = "names both 'fmu' and 'fmus'" if table.fmu else "has no 'fmu'"
         raise CampaignError(what, where=where, fix='write fmu = "file", or fmus = { name = "file", ... }')
-    said = {name: getattr(table, name) for name in _MASTER if getattr(table, name) is not None}
+    said = _said(table)
     if table.connections and not table.fmus:
         raise CampaignError("has connections of one file", where=where, fix="name several FMUs in 'fmus'")
     if not table.fmus and Path(table.fmu).suffix != ".ssp":
@@ -66,7 +67,6 @@ def coupling_of(table: CoupledTable, folder: Path, where: str) -> Coupling | Non
     return Coupling(_master(said, where), {n: folder / f for n, f in table.fmus.items()}, connections)
 
 
-def _master(said: Mapping[str, Any], where: str) -> Master:
 def master_of(texts: Sequence[str], where: str) -> Master:
     """Return how to step from texts such as ``step=1e-3`` and ``algorithm=jacobi``, with the words of a table.
 
@@ -91,6 +91,7 @@ def _said(table: CoupledTable) -> dict[str, Any]:
     return {name: getattr(table, name) for name in _MASTER if getattr(table, name) is not None}
 
 
+def _master(said: Mapping[str, Any], where: str) -> Master:
     for name in ("step", "loop_tolerance", "loop_iterations"):
         if name in said and not finite(name, said[name], where) > 0:
             raise CampaignError(f"'{name}' is {said[name]:g}", where=where, fix="write a positive number")
