@@ -8,9 +8,9 @@ from typing import Any
 from fmu_build import algebra
 from fmu_build.aliases import Aliases
 from fmu_build.events import Events
-from fmu_build.graph import SX, key
+from fmu_build.graph import SX, is_number, key
 from fmu_build.index_reduction import Reduced
-from fmu_build.model import Causality, Initial, Location, Unit, Variable
+from fmu_build.model import Causality, DependencyKind, Initial, Location, Unit, Variable
 from fmu_build.point import Point
 from fmu_build.scope import ModelScope
 from fmu_build.sorting import Solution
@@ -152,7 +152,7 @@ class _Describer:
             case _:
                 place = self._continuous(declared, "output" if output else "local")
         if output:
-            place["depends_on"] = self._depends_on(declared)
+            place |= self._dependencies_of(declared)
         return Variable(**common, **place)
 
     def _constant(self, declared: Declared) -> algebra.Scalar:
@@ -225,25 +225,40 @@ class _Describer:
         unit = next(v.unit for v in variables if v.name == name)
         return Variable(
             f"der({name})", "Real", Location("dx", index), "local", "continuous", "calculated",
-            unit=_per_second(unit), derivative_of=name, depends_on=self._names(self.rates[index]),
+            unit=_per_second(unit), derivative_of=name, **self._dependencies(self.rates[index]),
         )  # fmt: skip
 
-    def _depends_on(self, declared: Declared) -> tuple[str, ...] | None:
+    def _dependencies_of(self, declared: Declared) -> dict[str, Any]:
         if declared.kind != "continuous":
-            return None
+            return {}
         representative, _ = self.aliases.of[declared.name]
-        return self._names(self.solution.expression(algebra.sx(representative.symbol)))
+        return self._dependencies(self.solution.expression(algebra.sx(representative.symbol)))
 
-    def _names(self, expression: SX) -> tuple[str, ...] | None:
-        """States and inputs that an expression depends on; None (any) if events decide, too."""
-        symbols = set(self.scope.graph.symbols(expression))
+    def _dependencies(self, expression: SX) -> dict[str, Any]:
+        """States and inputs that an expression depends on, and how; nothing said if events have a say."""
+        graph = self.scope.graph
+        symbols, loops = graph.symbols(expression), False
         if symbols & {key(y) for y in self.solution.iterates}:
+            loops = True
             for residual in self.solution.residuals:
-                symbols |= self.scope.graph.symbols(residual)
+                symbols |= graph.symbols(residual)
         if any(self.scope.is_event_symbol(k) for k in symbols):
-            return None
-        known = [*(s.symbol for s in self.states), *self.inputs]
-        return tuple(s.name() for s in known if key(s) in symbols)
+            return {}
+        stepped, gradient = graph.stepped(expression), graph.gradient(expression)
+
+        def kind(k: int) -> DependencyKind:
+            factor = gradient.get(k)
+            if loops or k in stepped or factor is None:
+                return "dependent"
+            if is_number(factor):
+                return "constant"
+            return "fixed" if all(map(self.scope.is_parameter, graph.symbols(factor))) else "dependent"
+
+        known = [s for s in (*(s.symbol for s in self.states), *self.inputs) if key(s) in symbols]
+        return {
+            "depends_on": tuple(s.name() for s in known),
+            "dependency_kinds": tuple(kind(key(s)) for s in known),
+        }
 
     def _nominal(self, symbol: SX) -> float:
         group = self.aliases.groups.get(key(symbol))

@@ -101,6 +101,7 @@ Type = Literal["Real", "Integer", "Boolean"]
 Causality = Literal["input", "output", "parameter", "calculatedParameter", "local", "independent"]
 Variability = Literal["constant", "fixed", "tunable", "discrete", "continuous"]
 Initial = Literal["exact", "approx", "calculated"]
+DependencyKind = Literal["constant", "fixed", "dependent"]
 Vector = Literal["t", "x", "dx", "u", "p", "d", "z", "y", "v", "constant"]
 
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
@@ -157,6 +158,9 @@ class Variable:
     depends_on
         For outputs and derivatives: names of the states and inputs it depends on; None elsewhere, and where events
         have a say (then it may depend on any).
+    dependency_kinds
+        How it depends on each of those names: linear with a number as factor (constant), with one that parameters
+        decide (fixed), or otherwise (dependent); None: nothing is said.
     enumeration
         Names of the literals if the type is an enumeration (``type`` is then "Integer"), else empty.
     """
@@ -177,6 +181,7 @@ class Variable:
     nominal: float | None = None
     derivative_of: str | None = None
     depends_on: tuple[str, ...] | None = None
+    dependency_kinds: tuple[DependencyKind, ...] | None = None
     enumeration: tuple[str, ...] = ()
 
 

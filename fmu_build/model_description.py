@@ -6,7 +6,7 @@ A variable's value reference is its position in ``CompiledModel.variables``, in 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 from xml.etree import ElementTree
 
@@ -114,6 +114,16 @@ def _units(root: ElementTree.Element, units: Sequence[Unit]) -> None:
             _element(element, "DisplayUnit", name=shown.name, factor=shown.factor, offset=shown.offset)
 
 
+def _dependencies(element: ElementTree.Element, v: Variable, number: Mapping[str, int]) -> None:
+    """Say what an unknown depends on, and how; nothing said means: on everything."""
+    if v.depends_on is None:
+        return
+    kinds = v.dependency_kinds or ("dependent",) * len(v.depends_on)
+    known = sorted(zip((number[name] for name in v.depends_on), kinds, strict=True))
+    element.set("dependencies", " ".join(str(n) for n, _ in known))
+    element.set("dependenciesKind", " ".join(kind for _, kind in known))
+
+
 def _type_names(model: CompiledModel) -> dict[tuple[str, ...], str]:
     kinds = dict.fromkeys(v.enumeration for v in model.variables if v.enumeration)
     return {literals: f"Enumeration{i}" for i, literals in enumerate(kinds, start=1)}
@@ -218,9 +228,8 @@ def _fmi2(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
         group = _element(structure, tag)
         for v in variables:
             element = _element(group, "Unknown", index=index[v.name])
-            if with_dependencies and v.depends_on is not None:
-                known = sorted(index[name] for name in v.depends_on)
-                element.set("dependencies", " ".join(map(str, known)))
+            if with_dependencies:
+                _dependencies(element, v, index)
 
     unknowns("Outputs", (v for v in model.variables if v.causality == "output"), True)
     unknowns("Derivatives", derivatives(model), True)
@@ -299,8 +308,8 @@ def _fmi3(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
 
     def unknown(tag: str, v: Variable, with_dependencies: bool) -> None:
         element = _element(structure, tag, valueReference=reference[v.name])
-        if with_dependencies and v.depends_on is not None:
-            element.set("dependencies", " ".join(map(str, sorted(reference[name] for name in v.depends_on))))
+        if with_dependencies:
+            _dependencies(element, v, reference)
 
     for v in model.variables:
         if v.causality == "output":

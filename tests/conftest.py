@@ -13,10 +13,10 @@ MODELICA = ROOT / "modelica"
 SETUPS = ("FixedShaft", "FreeShaft", "EccentricLoad", "LinearAxisOpenLoop", "LinearAxisClosedLoop")
 
 
-def _build(names: tuple[str, ...]) -> Mapping[str, Path]:
+def _build(names: tuple[str, ...], fmi: str = "2") -> Mapping[str, Path]:
     fmu_build = pytest.importorskip("fmu_build")
-    setups = MODELICA / "Drives" / "Setups"
-    return {name: fmu_build.build(setups / f"{name}.mo", f"Drives.Setups.{name}", FMUS) for name in names}
+    setups, out = MODELICA / "Drives" / "Setups", FMUS if fmi == "2" else FMUS / "fmi3"
+    return {name: fmu_build.build(setups / f"{name}.mo", f"Drives.Setups.{name}", out, fmi) for name in names}
 
 
 @pytest.fixture(scope="session")
@@ -29,3 +29,9 @@ def fmus() -> Mapping[str, Path]:
 def effect_fmus() -> Mapping[str, Path]:
     """The FMUs of the shipped setups with the effects of their catalogues, by name."""
     return _build(tuple(f"{name}WithEffects" for name in SETUPS))
+
+
+@pytest.fixture(scope="session")
+def fmi3_fmus() -> Mapping[str, Path]:
+    """One setup of each family for FMI 3.0."""
+    return _build(("EccentricLoad", "LinearAxisClosedLoop"), "3")
