@@ -121,18 +121,25 @@ def plant(
     seed: int = 0,
     delay: float = 0.0,
     gain: float = 1.0,
+    noise: float = 1.0,
+    experiments: tuple[str, ...] = (),
 ) -> Subject:
-    """Return the subject of a diagnosis: runs of a mass with `truth`, and the model without it."""
+    """Return the subject of a diagnosis: runs of a mass with `truth`, and the model without it.
+
+    `noise` is over the usual one, `experiments` names some of them.
+    """
     rng = np.random.default_rng(seed)
     mass, cases = Mass(), []
     for name, u in inputs().items():
+        if experiments and name not in experiments:
+            continue
         time = DT * np.arange(N)
         late = np.interp(time - delay, time, u) if delay else u
         plain = Task(time, {"u": u}, ("x", "v"))
         true = mass.simulate(replace(plain, inputs={"u": late}), truth) * np.array([[1.0], [gain]])
-        noise = SIGMA * np.array([[0.2], [1.0]]) * rng.standard_normal((repeats, 2, N))
+        white = SIGMA * np.array([[0.2], [1.0]]) * rng.standard_normal((repeats, 2, N))
         offset = 0.2 * SIGMA * rng.standard_normal((repeats, 2, 1))
-        runs = true + noise + offset
+        runs = true + noise * (white + offset)
         case = measured_case(name, mass, plain, {"x": runs[:, 0], "v": runs[:, 1]})
         cases.append(replace(case, setup="bench"))
     model = CampaignModel(tuple(cases))

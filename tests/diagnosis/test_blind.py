@@ -149,7 +149,7 @@ def test_the_labels_folder_is_closed_meanwhile_and_open_again_even_after_an_erro
     def look() -> None:
         with out_of_reach(tmp_path) as closed:
             assert stat.S_IMODE(tmp_path.stat().st_mode) == 0
-            assert closed == (os.geteuid() != 0)
+            assert closed  # a superuser's check diagnoses as a user without rights
             raise RuntimeError
 
     with pytest.raises(RuntimeError):

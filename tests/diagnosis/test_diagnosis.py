@@ -119,3 +119,23 @@ def test_a_nominal_model_that_cannot_be_simulated_says_why(monkeypatch):
     monkeypatch.setattr("plants.Mass.simulate", fail)
     with pytest.raises(SimulationError, match="stuck"):
         diagnose_subject(subject)
+
+
+def test_one_experiment_alone_is_not_enough_to_judge_on_data_left_out():
+    answer = check(diagnose_subject(plant({"a": 0.3}, experiments=("sine",))))
+    assert answer["verdict"] == {"kind": "insufficient", "effects": [], "port": None}
+
+
+def test_runs_in_which_no_plausible_effect_would_show_are_not_called_complete():
+    answer = check(diagnose_subject(plant({}, noise=1e4)))
+    assert answer["verdict"]["kind"] == "insufficient"
+    assert answer["smallest_seen"] == {}
+
+
+def test_a_complete_model_says_what_would_have_been_seen():
+    seen = diagnose_subject(plant({})).diagnosis.smallest_seen
+    assert 0.0 < seen["quadratic"]["square"] < 0.1
+    # Twice that is seen indeed, a fifth of it is not.
+    for factor, kind in ((2.0, "effect"), (0.2, "complete")):
+        answer = diagnose_subject(plant({"square": factor * seen["quadratic"]["square"]})).diagnosis
+        assert answer.verdict.kind == kind

@@ -8,11 +8,12 @@ from fmuid.diagnosis.noise import (
     RepeatedRuns,
     coefficient_frequencies,
     estimate_noise,
+    from_real_spectrum,
     noise_of_residuals,
     real_spectrum,
     whitener,
 )
-from fmuid.diagnosis.null import draw_null
+from fmuid.diagnosis.null import draw_noise
 from fmuid.diagnosis.observed import Observed, excess, gap
 from fmuid.errors import ProblemError
 
@@ -39,6 +40,7 @@ def test_coefficients_keep_the_sum_of_squares_and_know_their_frequency():
         wave = np.cos(2 * np.pi * 5 * time)
         spectrum = real_spectrum(wave)
         assert spectrum @ spectrum == pytest.approx(wave @ wave)
+        np.testing.assert_allclose(from_real_spectrum(real_spectrum(wave + time)), wave + time, atol=1e-12)
         assert coefficient_frequencies(n, 1 / n)[np.argmax(np.abs(spectrum))] == pytest.approx(5)
 
 
@@ -107,7 +109,7 @@ def test_false_alarms_are_as_rare_as_promised():
         observed = Observed.from_runs(runs)
         truth = np.sin(20 * TIME) * np.array([[1.0], [3.0]])
         residuals = observed.residuals([truth] * len(runs))
-        null = draw_null(observed, np.zeros((sum(r.size for r in residuals), 0)), [], draws=60, seed=seed)
+        null = draw_noise(observed, draws=60, seed=seed).null(np.zeros((sum(r.size for r in residuals), 0)), [])
         alarms += null.p_value(excess(residuals, observed)) < 0.05
         gaps.append(gap(residuals, observed))
     assert alarms <= 7  # 2 expected; 8 or more have a probability of 1e-3 at 5 %
@@ -120,7 +122,7 @@ def test_a_gap_as_large_as_the_noise_is_seen():
     observed = Observed.from_runs(runs)
     wrong = np.sin(20 * TIME) * np.array([[4.0], [3.0]]) + 3.0 * np.sin(200 * TIME)
     residuals = observed.residuals([wrong] * 4)
-    null = draw_null(observed, np.zeros((sum(r.size for r in residuals), 0)), [], draws=200)
+    null = draw_noise(observed, draws=200).null(np.zeros((sum(r.size for r in residuals), 0)), [])
     assert null.p_value(excess(residuals, observed)) < 1e-6
     assert gap(residuals, observed) > 0.25
 

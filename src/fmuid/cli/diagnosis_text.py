@@ -27,11 +27,17 @@ def print_diagnosis(diagnosis: Mapping[str, Any], printer: Printer) -> None:
             f"Next experiment: {following['setup']}, {following['description']}"
             f" ({following['separation_sigma']:.3g} standard deviations)"
         )
+    if diagnosis["verdict"]["kind"] == "complete" and diagnosis.get("smallest_seen"):
+        printer.say(f"Would have been seen, at least this large: {_smallest(diagnosis['smallest_seen'])}")
     for note in diagnosis.get("notes", ()):
         printer.say(f"Note: {note}")
     rows = [_row(e) for e in diagnosis["effects"][:_ROWS]]
     printer.say("")
     printer.table(["effect", "probability", "closure (held out)", "90 % interval", "parameters"], rows)
+
+
+def _smallest(seen: Mapping[str, Mapping[str, float]]) -> str:
+    return "; ".join(f"{e} ({', '.join(f'{n} = {v:.2g}' for n, v in own.items())})" for e, own in seen.items())
 
 
 def _row(effect: Mapping[str, Any]) -> list[object]:

@@ -147,6 +147,10 @@ def diagnose(
     ] = None,
     workers: Workers = None,
     seed: Annotated[int, typer.Option(help="Of the null distribution and the bootstrap.")] = 0,
+    calibrate: Annotated[
+        int,
+        typer.Option(help="Diagnose so many plants simulated from the fitted model and its noise first."),
+    ] = 0,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -171,6 +175,7 @@ def diagnose(
             workers=workers,
             say=lambda what, share: shown(share, what),
             seed=seed,
+            calibrate=calibrate,
         )
     answer = answer_of(found)
     print_diagnosis(answer, printer)

@@ -13,7 +13,7 @@ import numpy as np
 from fmuid.campaign import FloatArray
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.diagnose import Found
-from fmuid.diagnosis.null import draw_null
+from fmuid.diagnosis.null import draw_noise
 from fmuid.diagnosis.scores import stack
 from fmuid.errors import SimulationError
 
@@ -80,6 +80,6 @@ def _unprojected(found: Found) -> tuple[str, ...]:
         signatures.append(signature)
     if not drops:
         return ()
-    threshold = draw_null(observed, np.zeros((residual.size, 0)), signatures).threshold()
+    threshold = draw_noise(observed).null(np.zeros((residual.size, 0)), signatures).threshold()
     best = max(drops, key=lambda name: drops[name])
     return (best,) if drops[best] > threshold else ()

@@ -1,13 +1,14 @@
 """`python -m fmuid.diagnosis.blind_check`: make sealed campaigns, diagnose them blind, score, write the page.
 
 Everything goes on where it was interrupted. The diagnoses are made by another process, `blind_case`, that is told
-the campaigns' folder only; while it runs nobody but a superuser can open the folder of the labels, and their
-SHA-256 has been written beside the campaigns before.
+the campaigns' folder only and cannot open the folder of the labels, not even if it is a superuser's; their SHA-256
+has been written beside the campaigns before.
 """
 
 from __future__ import annotations
 
 import argparse
+import ctypes
 import hashlib
 import json
 import os
@@ -26,6 +27,9 @@ from fmuid.virtual_rig.blind import DIGEST, LABELS, kept_seed, make_blind_campai
 from fmuid.virtual_rig.blind_cases import plan_cases
 from fmuid.virtual_rig.blind_further import add_suggested_run
 from fmuid.workers import WorkerPool
+
+_DROP_FROM_BOUNDING_SET = 24  # of prctl(2)
+_PASS_OVER_MODES = (1, 2)  # CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH of capabilities(7)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +111,7 @@ class Check:
         command += ["--campaign", str(self.template), "--out", str(answers)]
         command += [] if self.workers is None else ["--workers", str(self.workers)]
         with out_of_reach(self.labels) as closed:
-            done = subprocess.run(command, env=_environment(self.labels), check=False)
+            done = subprocess.run(command, env=_environment(self.labels), check=False, preexec_fn=_keep_out)
         if done.returncode not in (0, 1):  # 1: some cases failed and have no answer
             raise FmuidError(
                 f"the diagnosing process ended with {done.returncode}", where=campaigns, fix="see above"
@@ -149,17 +153,22 @@ class Check:
         return {n: json.loads(p.read_text()) for n, p in found.items() if p.is_file()}
 
 
+def _keep_out() -> None:
+    """Give up a superuser's right to pass over file modes, for what this process becomes (Linux; else nothing)."""
+    if sys.platform == "linux" and os.geteuid() == 0:
+        prctl = ctypes.CDLL(None).prctl
+        for capability in _PASS_OVER_MODES:
+            prctl(_DROP_FROM_BOUNDING_SET, capability, 0, 0, 0)
+
+
 @contextmanager
 def out_of_reach(folder: Path) -> Iterator[bool]:
-    """Take every permission from `folder` for a while; yields whether that keeps this user out (no superuser)."""
+    """Take every permission from `folder` for a while; yields whether that keeps the diagnosing user out."""
     folder.chmod(0)
     try:
-        try:
-            next(folder.iterdir(), None)
-        except PermissionError:
-            yield True
-        else:
-            yield False
+        probe = [sys.executable, "-c", "import os, sys; os.listdir(sys.argv[1])", str(folder.resolve())]
+        opened = subprocess.run(probe, check=False, capture_output=True, preexec_fn=_keep_out)
+        yield opened.returncode != 0 and b"PermissionError" in opened.stderr
     finally:
         folder.chmod(0o700)
 

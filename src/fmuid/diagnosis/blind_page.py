@@ -38,8 +38,9 @@ A case is *sizeable* if the gap in the rig's own signals, after the nominal refi
 floors (gaps are set to within 5 %), *large* from {large:g}. Intervals hold 90 %.
 """
 _CLOSED = {
-    True: "Nobody but a superuser can open it then.",
-    False: "It was made by a superuser, whom that mode does not keep out: here the path alone is withheld.",
+    True: "A process with the same rights was tried first and could not open it (of a superuser's, the right to "
+    "pass over file modes is taken away).",
+    False: "The user who made it can open it all the same: here the path alone is withheld.",
 }
 _NOTES = f"""\
 - Top-1 and top-2: the true effect's place among the probabilities of all effects, *none* and *unknown*.

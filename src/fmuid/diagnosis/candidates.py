@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,24 +13,36 @@ from fmuid.diagnosis.held_out import HeldOut, leave_each_out
 from fmuid.diagnosis.observed import gap
 from fmuid.diagnosis.refit import Refit, refit
 from fmuid.diagnosis.result import Estimate
-from fmuid.diagnosis.scores import Score, score_effects, stack
+from fmuid.diagnosis.scores import Score, nominal_basis, project_off, score_effects, stack
 from fmuid.diagnosis.setting_up import Subject
 from fmuid.errors import SimulationError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """A model with the effects of some names added, refitted; none for the nominal model."""
+    """A model with effects added, refitted; none for the nominal model.
 
+    Attributes
+    ----------
+    effects
+        All of them.
+    names
+        Those that are named as causes; the others, which no signal tells from one of them, give it another shape.
+    plain
+        The model of the same names before an effect was added that is not one of them.
+    """
+
+    effects: tuple[str, ...]
     names: tuple[str, ...]
     fit: Refit
     held_out: HeldOut
     gap: float
+    plain: Fitted | None = None
 
     @property
     def id(self) -> str:
-        """Names joined, ``none`` for the nominal model."""
-        return "+".join(self.names) or "none"
+        """Effects joined, ``none`` for the nominal model."""
+        return "+".join(self.effects) or "none"
 
 
 def fit_effects(
@@ -58,18 +70,45 @@ def fit_effects(
         )
     except SimulationError:
         return None
+    ids = tuple(e.id for e in effects)
     return Fitted(
-        tuple(e.id for e in effects),
+        ids,
+        ids,
         fit,
         leave_each_out(fit, subject.observed),
         gap(fit.residuals, subject.observed),
     )
 
 
-def score_further(subject: Subject, fitted: Fitted, exclude: Sequence[str] = ()) -> tuple[Score, ...]:
-    """Score the effects that `fitted` does not have yet, at its estimate."""
-    others = [e for e in subject.effects if e.id not in fitted.names and e.id not in exclude]
+def score_further(
+    subject: Subject, fitted: Fitted, *, likely: Sequence[Score] = (), most: int | None = None
+) -> tuple[Score, ...]:
+    """Score the effects that `fitted` does not have yet, at its estimate.
+
+    With scores of a simpler model, only the `most` effects whose signatures there promise something here.
+    """
+    others = [e for e in subject.effects if e.id not in fitted.effects]
+    if likely and most is not None:
+        basis = nominal_basis(fitted.fit, subject.observed)
+        residual = stack(fitted.fit.residuals, subject.observed)
+        promised = {s.effect: _promise(s, basis, residual) for s in likely}
+        others = sorted(others, key=lambda e: -promised.get(e.id, 0.0))[:most]
     return score_effects(subject.model.predict, subject.observed, fitted.fit, others)
+
+
+def _promise(score: Score, basis: FloatArray, residual: FloatArray) -> float:
+    """Return the fall of the cost along the part of a signature that is new beside `basis`."""
+    if score.signature is None:
+        return 0.0
+    new = project_off(score.signature, basis)
+    length = float(np.linalg.norm(new))
+    return float(new @ residual / length) ** 2 if length > 1e-6 else 0.0
+
+
+def without(subject: Subject, fitted: Fitted, name: str) -> Fitted | None:
+    """Refit `fitted` without one of its effects."""
+    by_id = {e.id: e for e in subject.effects}
+    return fit_effects(subject, [by_id[n] for n in fitted.effects if n != name], fitted.fit.values)
 
 
 def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
@@ -79,14 +118,18 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
     # The signature says how large the effect should be, as far as it is linear in its size.
     factor = float(np.clip(score.scale, -3.0 if effect.two_sided else 0.03, 3.0))
     start = {**fitted.fit.values, **effect.scaled(score.trial, factor)}
-    return fit_effects(subject, [by_id[name] for name in fitted.names] + [effect], start, known=fitted.fit)
+    effects = [by_id[name] for name in fitted.effects] + [effect]
+    added = fit_effects(subject, effects, start, known=fitted.fit)
+    return None if added is None else replace(added, names=(*fitted.names, effect.id))
 
 
 def polish(subject: Subject, fitted: Fitted) -> Fitted:
     """Refit `fitted` once more with every sensitivity taken afresh."""
     by_id = {e.id: e for e in subject.effects}
-    exact = fit_effects(subject, [by_id[name] for name in fitted.names], fitted.fit.values)
-    return fitted if exact is None or exact.fit.cost > fitted.fit.cost else exact
+    exact = fit_effects(subject, [by_id[name] for name in fitted.effects], fitted.fit.values)
+    if exact is None or exact.fit.cost > fitted.fit.cost:
+        return fitted
+    return replace(exact, names=fitted.names, plain=fitted.plain)
 
 
 def estimates(fitted: Fitted, subject: Subject) -> dict[str, Estimate]:

@@ -18,6 +18,7 @@ SIGNIFICANCE = 0.01
 SCORE_MARGIN = 2.0  # the largest score must be this many times what noise reaches in one diagnosis of a hundred
 CLOSURE_THAT_PLACES = 0.1  # free functions at a port must close at least this much for the port to be named
 CLOSURE_THAT_NAMES = 0.5  # a named effect must close at least half of the gap on experiments left out
+CLOSURE_THAT_FINISHES = 1 / 3  # or this much of a weak gap, if then nothing is left that noise would not leave
 GAIN_OF_A_SECOND = 0.25  # a further effect must close at least a quarter of what is left
 DECOY_MARGIN = 0.5  # a decoy must leave less than half the gap of the best named effect
 CLOSURE_BEYOND_DECOYS = 0.85  # an effect that closes this much is not unknown: its law has another shape
@@ -53,10 +54,13 @@ def best_of(candidates: Sequence[Fitted]) -> Fitted:
 
 def indistinguishable(best: Fitted, candidates: Sequence[Fitted], observed: Observed) -> tuple[Fitted, ...]:
     """Return the candidates of the same number of effects that the data do not prefer `best` to, itself first."""
+    plain = best.plain or best
     others = [
         c
         for c in candidates
-        if c is not best and len(c.names) == len(best.names) and separation(best, c, observed) < SAME
+        if set(c.names) != set(best.names)
+        and len(c.names) == len(best.names)
+        and separation(plain, c, observed) < SAME
     ]
     return (best, *sorted(others, key=lambda c: c.fit.cost))
 
@@ -66,6 +70,23 @@ def worth_adding(before: Fitted, after: Fitted) -> bool:
     gained, error = advantage(after.held_out, before.held_out)
     left = 1.0 - after.gap / before.gap if before.gap > 0 else 0.0
     return gained > error and left >= GAIN_OF_A_SECOND and closure(before.held_out, after.held_out) > 0.0
+
+
+def names(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
+    """Return whether `best` closes enough of the gap for its effects to be named.
+
+    Of a weak gap much is chance, and where one experiment alone shows it, leaving that out leaves nothing to
+    learn from: there it is enough that with the effects the model is complete.
+    """
+    trained = 1.0 - best.gap / nominal.gap if nominal.gap > 0.0 else 0.0
+    held_out = closure(nominal.held_out, best.held_out)
+    return held_out >= CLOSURE_THAT_NAMES or (finished and trained >= CLOSURE_THAT_FINISHES)
+
+
+def beyond_doubt(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
+    """Return whether no free function could show that the gap is none of the effects of `best`."""
+    closed = closure(nominal.held_out, best.held_out)
+    return closed >= CLOSURE_BEYOND_DECOYS or (finished and names(nominal, best, finished=True))
 
 
 def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy]) -> Decoy | None:
@@ -112,7 +133,8 @@ def probabilities(
         for candidate in candidates:
             if len(candidate.names) != len(best.names):
                 continue
-            z = max(0.0, separation(best, candidate, observed))
+            same = set(candidate.names) == set(best.names)
+            z = 0.0 if same else max(0.0, separation(best.plain or best, candidate, observed))
             for name in candidate.names:
                 weight[name] = max(weight[name], share * float(np.exp(-0.5 * z**2)))
     else:

@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fmuid.campaign import FloatArray
 from fmuid.diagnosis import decide
-from fmuid.diagnosis.candidates import Fitted, add_effect, estimates, fit_effects, polish, score_further
+from fmuid.diagnosis.calibration import Calibration, shipped
+from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, score_further
 from fmuid.diagnosis.held_out import closure, closure_interval
 from fmuid.diagnosis.next_experiment import suggest
-from fmuid.diagnosis.null import draw_null
+from fmuid.diagnosis.null import draw_noise
 from fmuid.diagnosis.observed import excess, gap
 from fmuid.diagnosis.ports import Decoy, fit_decoys
-from fmuid.diagnosis.regimes import bases, trajectories
+from fmuid.diagnosis.power import smallest_seen
+from fmuid.diagnosis.regimes import bases, folded, trajectories
 from fmuid.diagnosis.result import Candidate, Diagnosis, Gap, Verdict
-from fmuid.diagnosis.scores import Score, alias_classes, nominal_basis, project_off, stack
+from fmuid.diagnosis.scores import Score, nominal_basis
+from fmuid.diagnosis.search import Say, aliases, finished, search
 from fmuid.diagnosis.setting_up import Subject
 from fmuid.diagnosis.where import ExcessMap, excess_map
 from fmuid.errors import SimulationError
-
-Say = Callable[[str, float], None]
-"""Hears what is being done, and the share of the work that is behind."""
-
-_SINGLES = 7  # effects refitted on their own
-_PAIRS = 4  # second effects tried beside the best
-_MOST = 3  # effects together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +45,9 @@ def _quiet(_: str, __: float) -> None:
     return None
 
 
-def diagnose_subject(subject: Subject, *, say: Say = _quiet, seed: int = 0) -> Found:
+def diagnose_subject(
+    subject: Subject, *, say: Say = _quiet, seed: int = 0, calibration: Calibration | None = None
+) -> Found:
     """Diagnose the gap between a model and measurements.
 
     Parameters
@@ -60,6 +58,8 @@ def diagnose_subject(subject: Subject, *, say: Say = _quiet, seed: int = 0) -> F
         Hears about progress.
     seed
         Of the null distribution and the bootstrap.
+    calibration
+        What turns weights into probabilities; that which comes with the package by default.
 
     Raises
     ------
@@ -80,12 +80,13 @@ def diagnose_subject(subject: Subject, *, say: Say = _quiet, seed: int = 0) -> F
     (prediction,) = model.predict([nominal.fit.values])
     if isinstance(prediction, SimulationError):
         raise prediction
-    energy = excess_map(observed, prediction, paths)
+    energy = excess_map(observed, prediction, folded(paths, subject.catalogue.regimes))
     say("scoring every effect", 0.1)
     scores = score_further(subject, nominal)
     basis = nominal_basis(nominal.fit, observed)
     signatures = {s.effect: s.signature for s in scores if s.signature is not None}
-    null = draw_null(observed, basis, list(signatures.values()), seed=seed)
+    noise = draw_noise(observed, seed=seed)
+    null = noise.null(basis, list(signatures.values()))
     surplus = excess(nominal.fit.residuals, observed)
     p_value = null.p_value(surplus)
     by_experiment = max(
@@ -95,56 +96,37 @@ def diagnose_subject(subject: Subject, *, say: Say = _quiet, seed: int = 0) -> F
     matters = nominal.gap > decide.GAP_THAT_MATTERS or by_experiment > 3 * decide.GAP_THAT_MATTERS
     largest = max((s.drop for s in scores), default=0.0)
     present = matters and (p_value < decide.SIGNIFICANCE or largest > decide.SCORE_MARGIN * null.threshold())
-    candidates, best = _search(subject, nominal, scores, say, present=present)
+    needed = decide.GAP_THAT_MATTERS**2 * sum(
+        n * r.size for n, r in zip(observed.repeats, nominal.fit.residuals, strict=True)
+    )
+    threshold = max(decide.SCORE_MARGIN * null.threshold(), needed)
+    seen = smallest_seen(scores, subject.effects, nominal.fit, observed, threshold=threshold)
+    powerless = len(observed.folds) < 2 or (largest <= null.threshold() if present else not seen)
+    candidates, best = search(subject, nominal, scores, noise, say, present=present)
+    done = present and best is not None and finished(subject, best, scores, noise)
     decoys: tuple[Decoy, ...] = ()
-    if present and (best is None or closure(nominal.held_out, best.held_out) < decide.CLOSURE_BEYOND_DECOYS):
+    if present and (best is None or not decide.beyond_doubt(nominal, best, finished=done)):
         say("free functions at every port", 0.75)
         families = bases(paths, subject.catalogue.regimes)
         decoys = fit_decoys(model, observed, nominal.fit, tuple(subject.catalogue.ports.values()), families)
     say("deciding", 0.95)
     return _conclude(
-        subject, begin, nominal, best, candidates, scores, decoys, energy, paths, present, p_value, signatures
+        subject,
+        begin,
+        nominal,
+        best,
+        candidates,
+        scores,
+        decoys,
+        energy,
+        paths,
+        present,
+        p_value,
+        seen,
+        powerless,
+        done,
+        shipped() if calibration is None else calibration,
     )
-
-
-def _search(
-    subject: Subject, nominal: Fitted, scores: Sequence[Score], say: Say, *, present: bool
-) -> tuple[list[Fitted], Fitted | None]:
-    """Refit the best-scored effects on their own, then in company as long as it is worth it."""
-    singles = [s for s in scores if s.signature is not None and s.drop > 0.0][: _SINGLES if present else 2]
-    candidates: list[Fitted] = []
-    for k, score in enumerate(singles):
-        say(f"refitting with {score.effect}", 0.15 + 0.35 * k / len(singles))
-        fitted = add_effect(subject, nominal, score)
-        if fitted is not None and fitted.fit.cost < nominal.fit.cost:
-            candidates.append(fitted)
-    if not candidates:
-        return [], None
-    best = _polished(subject, candidates)
-    while present and len(best.names) < _MOST and best.gap > decide.GAP_THAT_MATTERS:
-        say(f"what is missing beside {best.id}", 0.5 + 0.1 * len(best.names))
-        further = [s for s in score_further(subject, best) if s.signature is not None and s.drop > 0.0]
-        pairs = [f for f in (add_effect(subject, best, s) for s in further[:_PAIRS]) if f is not None]
-        pairs = [f for f in pairs if f.fit.cost < best.fit.cost]
-        if not pairs:
-            break
-        better = _polished(subject, pairs)
-        if not decide.worth_adding(best, better):
-            break
-        candidates += pairs
-        best = better
-    return candidates, best
-
-
-def _polished(subject: Subject, candidates: list[Fitted]) -> Fitted:
-    """Return the best candidate, refitted exactly as long as that makes another one best; replaces in place."""
-    done: set[str] = set()
-    while True:
-        best = decide.best_of(candidates)
-        if best.id in done:
-            return best
-        done.add(best.id)
-        candidates[candidates.index(best)] = polish(subject, best)
 
 
 def _conclude(
@@ -159,27 +141,30 @@ def _conclude(
     paths: Mapping[str, tuple[FloatArray, ...]],
     present: bool,
     p_value: float,
-    signatures: Mapping[str, FloatArray],
+    seen: Mapping[str, Mapping[str, float]],
+    powerless: bool,
+    done: bool,
+    calibration: Calibration,
 ) -> Found:
     observed = subject.observed
     ports = {e.id: e.port for e in subject.effects}
     decoy = decide.unexplained(nominal, best or nominal, decoys) if present else None
     alike = decide.indistinguishable(best, candidates, observed) if best is not None else ()
-    closed = closure(nominal.held_out, best.held_out) if best is not None else 0.0
-    unknown = present and (decoy is not None or closed < decide.CLOSURE_THAT_NAMES)
-    aliases = _aliases(subject, nominal, candidates, signatures)
-    if not present:
+    unknown = present and (decoy is not None or best is None or not decide.names(nominal, best, finished=done))
+    place = _strongest(nominal, decoys) if unknown else None
+    if powerless and (not present or place is None):
+        verdict, chosen = Verdict("insufficient"), nominal
+    elif not present:
         verdict, chosen = Verdict("complete"), nominal
     elif unknown or best is None:
-        port = _strongest(nominal, decoys)
-        verdict, chosen = Verdict("unknown", (), port), nominal
+        verdict, chosen = Verdict("unknown", (), place), nominal
     elif len(alike) > 1:
         names = tuple(dict.fromkeys(n for c in alike for n in c.names))
         places = {ports[n] for n in names}
         verdict, chosen = Verdict("ambiguous", names, places.pop() if len(places) == 1 else None), best
     else:
         verdict, chosen = Verdict("effect", best.names, ports[best.names[0]]), best
-    probability = decide.probabilities(
+    weights = decide.probabilities(
         nominal,
         candidates,
         best,
@@ -188,6 +173,7 @@ def _conclude(
         unknown=unknown,
         effect_ids=[e.id for e in subject.effects],
     )
+    probability = calibration.apply(verdict, weights)
     diagnosis = Diagnosis(
         verdict=verdict,
         gap=Gap(
@@ -201,10 +187,12 @@ def _conclude(
         ),
         where=energy.shares(),
         effects=_candidates(subject, nominal, best, candidates, scores, probability),
-        alias_classes=aliases,
+        alias_classes=aliases(subject, nominal, candidates, scores),
         model={**subject.model.expanded(chosen.fit.values)},
         next_experiment=suggest(subject, alike) if verdict.kind == "ambiguous" else None,
         ports=_port_shares(nominal, decoys),
+        smallest_seen=seen,
+        notes=(calibration.note,) if calibration.trials else (),
     )
     return Found(diagnosis, subject, nominal, best, tuple(candidates), tuple(scores), tuple(decoys), energy, paths)
 
@@ -218,7 +206,7 @@ def _candidates(
     probability: Mapping[str, float],
 ) -> tuple[Candidate, ...]:
     # An effect is credited with what it closes alone; those of the verdict with what they close together.
-    best_with = {fitted.names[0]: fitted for fitted in candidates if len(fitted.names) == 1}
+    best_with = {fitted.names[0]: fitted for fitted in candidates if len(fitted.effects) == 1}
     if best is not None:
         best_with |= dict.fromkeys(best.names, best)
     drops = {s.effect: s.drop for s in scores}
@@ -238,22 +226,6 @@ def _candidates(
             parameters = {n: e for n, e in estimates(fitted_with, subject).items() if n in own}
         found.append(Candidate(name, p, drops.get(name), closing, parameters))
     return tuple(sorted(found, key=lambda c: -c.probability))
-
-
-def _aliases(
-    subject: Subject, nominal: Fitted, candidates: Sequence[Fitted], signatures: Mapping[str, FloatArray]
-) -> tuple[tuple[str, ...], ...]:
-    """Alias classes from the refitted effects' signatures where there are some, from the trials' elsewhere."""
-    basis = nominal_basis(nominal.fit, subject.observed)
-    own = dict(signatures)
-    base = stack(nominal.fit.residuals, subject.observed)
-    for fitted in candidates:
-        if len(fitted.names) == 1:
-            moved = project_off(stack(fitted.fit.residuals, subject.observed) - base, basis)
-            length = float(np.linalg.norm(moved))
-            if length > 1.0:
-                own[fitted.names[0]] = moved / length
-    return alias_classes(own)
 
 
 def _strongest(nominal: Fitted, decoys: Sequence[Decoy]) -> str | None:

@@ -93,18 +93,14 @@ def closure_interval(
     """Return a bootstrap interval of the closure: runs are drawn within experiments, experiments among all."""
     rng = np.random.default_rng(seed)
     n = len(before.loss)
-    drawn = np.empty(draws)
-    for k in range(draws):
-        chosen = rng.integers(0, n, n)
-        b, a = np.empty(n), np.empty(n)
-        for i, e in enumerate(chosen):
-            runs = len(before.per_run[e])
-            pick = rng.integers(0, runs, runs)
-            b[i] = before.loss[e] + before.per_run[e][pick].mean() - before.per_run[e].mean()
-            a[i] = after.loss[e] + after.per_run[e][pick].mean() - after.per_run[e].mean()
-        size = before.size[chosen]
-        gap = gap_of(b, size)
-        drawn[k] = 1.0 - gap_of(a, size) / gap if gap > 0 else 0.0
+    b, a = np.empty((n, draws)), np.empty((n, draws))  # every fold's loss in every draw of its runs
+    for e, (own, other) in enumerate(zip(before.per_run, after.per_run, strict=True)):
+        pick = rng.integers(0, len(own), (draws, len(own)))
+        b[e] = before.loss[e] + own[pick].mean(axis=1) - own.mean()
+        a[e] = after.loss[e] + other[pick].mean(axis=1) - other.mean()
+    times = rng.multinomial(n, np.full(n, 1.0 / n), size=draws).T * before.size[:, None]
+    was, left = (np.sqrt(np.maximum(0.0, np.sum(times * x, axis=0) / np.sum(times, axis=0))) for x in (b, a))
+    drawn = np.where(was > 0, 1.0 - left / np.where(was > 0, was, 1.0), 0.0)
     low, high = np.quantile(drawn, [0.5 - level / 2, 0.5 + level / 2])
     return float(low), float(high)
 

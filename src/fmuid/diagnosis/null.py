@@ -16,7 +16,6 @@ from scipy.stats import norm
 
 from fmuid.campaign import FloatArray, read_only
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.scores import project_off
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,29 +36,37 @@ class Null:
         return float(np.quantile(self.largest_drop, quantile))
 
 
-def draw_null(
-    observed: Observed,
-    basis: FloatArray,
-    signatures: Sequence[FloatArray],
-    *,
-    draws: int = 400,
-    seed: int = 0,
-) -> Null:
-    """Draw residuals of a complete model.
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseDraws:
+    """(M, D) draws of the residual that noise alone would leave, of all experiments one after the other."""
 
-    Parameters
-    ----------
-    basis
-        Orthonormal (M, P) basis of the refitted parameters, weighted by the root of the repeats.
-    signatures
-        Projected signatures of unit length.
-    """
+    noise: FloatArray
+    weight: FloatArray
+
+    def null(self, basis: FloatArray, signatures: Sequence[FloatArray]) -> Null:
+        """Return the null distributions of a model whose refitted parameters span `basis`.
+
+        Parameters
+        ----------
+        basis
+            Orthonormal (M, P) basis of the refitted parameters, weighted by the root of the repeats.
+        signatures
+            Signatures of unit length, projected off that basis.
+        """
+        taken = basis.T @ self.noise
+        left = self.noise - basis @ taken
+        excess = (self.weight @ left**2 - self.weight.sum()) / len(self.weight)
+        drops = np.array([(s @ left) ** 2 for s in signatures]) if signatures else np.zeros((1, left.shape[1]))
+        return Null(read_only(excess), read_only(drops.max(axis=0)))
+
+
+def draw_noise(observed: Observed, *, draws: int = 400, seed: int = 0) -> NoiseDraws:
+    """Draw residuals of a complete model, before anything is refitted."""
     rng = np.random.default_rng(seed)
     contrasts = [
         _contrasts(run.values - run.mean, w) for run, w in zip(observed.runs, observed.whiteners, strict=True)
     ]
-    size = sum(w.size for w in observed.whiteners)
-    noise = np.empty((size, draws))
+    noise = np.empty((sum(w.size for w in observed.whiteners), draws))
     begin = 0
     for c, w in zip(contrasts, observed.whiteners, strict=True):
         if len(c):
@@ -68,13 +75,10 @@ def draw_null(
         else:
             noise[begin : begin + w.size] = rng.standard_normal((w.size, draws))
         begin += w.size
-    noise = project_off(noise, basis)
     weight = np.concatenate(
         [np.full(w.size, 1.0 / n) for w, n in zip(observed.whiteners, observed.repeats, strict=True)]
     )
-    excess = (weight @ noise**2 - weight.sum()) / size
-    drops = np.array([(s @ noise) ** 2 for s in signatures]) if signatures else np.zeros((1, draws))
-    return Null(read_only(excess), read_only(drops.max(axis=0)))
+    return NoiseDraws(read_only(noise), read_only(weight))
 
 
 def _contrasts(deviation: FloatArray, whiten: Callable[[FloatArray], FloatArray]) -> FloatArray:

@@ -10,8 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from fmuid.campaign import Campaign
-from fmuid.diagnosis.diagnose import Found, Say, diagnose_subject
-from fmuid.diagnosis.setting_up import subject_of
+from fmuid.diagnosis import calibration
+from fmuid.diagnosis.calibration import Calibration
+from fmuid.diagnosis.diagnose import Found, diagnose_subject
+from fmuid.diagnosis.result import Verdict
+from fmuid.diagnosis.search import Say
+from fmuid.diagnosis.setting_up import Subject, subject_of
 from fmuid.files import write_atomically
 from fmuid.runners import Runner, in_process
 
@@ -31,6 +35,7 @@ def diagnose(
     workers: int | None = None,
     say: Say | None = None,
     seed: int = 0,
+    calibrate: int = 0,
 ) -> Found:
     """Say where model and measurements part, which unmodelled effect causes it, and how far it shrinks with it.
 
@@ -51,6 +56,10 @@ def diagnose(
         Hears what is being done and the share of the work that is behind, 0 to 1.
     seed
         Of the null distribution and the bootstrap.
+    calibrate
+        Number of plants to simulate from the fitted model and its noise and to diagnose first, so that the
+        probabilities are those of this model and set-up. What comes of it is kept in the user's cache and used
+        again; without it they rest on the calibration that comes with the package.
 
     Returns
     -------
@@ -74,13 +83,38 @@ def diagnose(
         if say is not None:
             say("noise floor", 0.0)
         subject = subject_of(campaign, load_fmu, runner=runner, experiments=experiments)
-        found = diagnose_subject(subject, **({} if say is None else {"say": say}), seed=seed)
+        telling: dict[str, Any] = {} if say is None else {"say": say}
+        key = calibration.key_of(_files(campaign, subject), subject)
+        if calibrate and not subject.observed.modelled_noise:
+            calibration.keep(key, _calibrated(subject, calibrate, seed, telling))
+        found = diagnose_subject(subject, **telling, seed=seed, calibration=calibration.kept(key))
         if out is not None:
             if say is not None:
                 say("drawing", 0.97)
             _write(found, campaign, Path(out), seed)
     # The workers are gone: whoever simulates on does so in this process.
     return replace(found, subject=replace(subject, model=replace(subject.model, runner=in_process)))
+
+
+def _calibrated(subject: Subject, count: int, seed: int, telling: dict[str, Any]) -> Calibration:
+    unmapped = Calibration()
+    first = diagnose_subject(subject, seed=seed, calibration=unmapped)
+
+    def weights(plant: Subject) -> tuple[Verdict, dict[str, float]]:
+        found = diagnose_subject(plant, seed=seed, calibration=unmapped).diagnosis
+        return found.verdict, {c.id: c.probability for c in found.effects}
+
+    trials = calibration.calibrate(
+        subject, first.nominal.fit, first.paths, weights, count=count, seed=seed, **telling
+    )
+    return calibration.fit_curves(trials, "of this model, noise and set-up")
+
+
+def _files(campaign: Campaign, subject: Subject) -> list[Path]:
+    """Files that a diagnosis rests on: models, those that carry the effects, the catalogue."""
+    models = {m.fmu for m in campaign.models.values()}
+    models |= {m.with_name(f"{subject.catalogue.models.get(m.stem, m.stem)}.fmu") for m in models}
+    return [*sorted(models), *([] if campaign.effects is None else [campaign.effects.catalogue])]
 
 
 def answer_of(found: Found) -> dict[str, Any]:
@@ -99,11 +133,7 @@ def _write(found: Found, campaign: Campaign, out: Path, seed: int) -> None:
 
     answer = answer_of(found)
     write_atomically(out / FILE_NAME, json.dumps(answer, indent=2, allow_nan=False) + "\n")
-    models = {m.fmu for m in campaign.models.values()}
-    models |= {m.with_name(f"{found.subject.catalogue.models.get(m.stem, m.stem)}.fmu") for m in models}
-    files = [campaign.folder / "campaign.toml", *sorted(models)]
-    if campaign.effects is not None:
-        files.append(campaign.effects.catalogue)
+    files = [campaign.folder / "campaign.toml", *_files(campaign, found.subject)]
     write_diagnosis_report(
         answer,
         out,

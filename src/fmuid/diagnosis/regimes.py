@@ -47,6 +47,14 @@ def trajectories(
     return {**paths, "time": tuple(case.time for case in model.cases)}
 
 
+def folded(
+    paths: Mapping[str, tuple[FloatArray, ...]], regimes: Mapping[str, Regime]
+) -> dict[str, tuple[FloatArray, ...]]:
+    """Return `paths` with angles within one turn: laws repeat with it."""
+    angles = {r.name for r in regimes.values() if r.kind == "angle"}
+    return {n: tuple(p % (2 * np.pi) for p in path) if n in angles else path for n, path in paths.items()}
+
+
 def bases(
     paths: Mapping[str, tuple[FloatArray, ...]], regimes: Mapping[str, Regime], *, knots: int = 9
 ) -> dict[str, Basis]:

@@ -108,6 +108,7 @@ class Diagnosis:
     next_experiment: NextExperiment | None = None
     ports: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    smallest_seen: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object that `diagnosis.schema.json` describes."""
@@ -135,6 +136,7 @@ class Diagnosis:
             "next_experiment": None if self.next_experiment is None else _experiment(self.next_experiment),
             "ports": dict(self.ports),
             "notes": list(self.notes),
+            "smallest_seen": {effect: dict(values) for effect, values in self.smallest_seen.items()},
         }
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmuid.campaign import Campaign, EffectsSpec, ModelSpec, ParameterSpec
+from fmuid.campaign import Campaign, EffectsSpec, FloatArray, ModelSpec, ParameterSpec
 from fmuid.cases import experiments_of, from_campaign
 from fmuid.diagnosis.catalogue import Catalogue, Effect, load_catalogue
 from fmuid.diagnosis.model import CampaignModel
@@ -17,7 +17,7 @@ from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.signal_effects import NEUTRAL
 from fmuid.diagnosis.unrepeated import observe
-from fmuid.errors import CampaignError, FmuError
+from fmuid.errors import CampaignError, FmuError, SimulationError
 from fmuid.expressions import parse
 from fmuid.runners import Runner, in_process
 from fmuid.simulation import Simulator
@@ -25,6 +25,8 @@ from fmuid.suggest import suggestion
 
 # Looser than an FMU's default and still far below any noise floor: solver errors stay under 1 % of a noise sigma.
 _TOLERANCE = 1e-4
+_LOOSER = (3e-3, 1e-3)  # taken for an experiment whose whole prediction then moves by less than this many sigmas:
+_UNSEEN = 0.2
 _SLICE = re.compile(r"^(?P<name>.*)\[(?P<index>[\d:,\s]+)\]$")
 
 
@@ -77,7 +79,30 @@ def subject_of(
             fix=suggestion(missing[0], known) if missing else "name the FMUs that carry the effects in [models]",
         )
     nominal = _nominal(campaign, spec, cases_parameters={n for c in cases for n in c.setting})
-    return Subject(model, observe(model, nominal, effects), nominal, catalogue, effects)
+    observed = observe(model, nominal, effects)
+    return Subject(_loosened(model, observed, nominal), observed, nominal, catalogue, effects)
+
+
+def _loosened(model: CampaignModel, observed: Observed, nominal: Sequence[Unknown]) -> CampaignModel:
+    """Give every experiment the loosest solver tolerance whose error no measurement would show."""
+    start = {u.name: u.start for u in nominal}
+
+    def predicted(tolerance: float) -> Sequence[FloatArray] | SimulationError:
+        cases = tuple(replace(c, task=replace(c.task, tolerance=tolerance)) for c in model.cases)
+        return replace(model, cases=cases).predict([start])[0]
+
+    exact = predicted(0.1 * _TOLERANCE)
+    chosen = [_TOLERANCE] * len(model.cases)
+    for tolerance in reversed(_LOOSER):
+        coarse = predicted(tolerance)
+        if isinstance(exact, SimulationError) or isinstance(coarse, SimulationError):
+            break
+        errors = observed.whiten([a - b for a, b in zip(coarse, exact, strict=True)])
+        for k, (error, count) in enumerate(zip(errors, observed.repeats, strict=True)):
+            if chosen[k] > 0.05 * tolerance and np.sqrt(count) * np.linalg.norm(error) < _UNSEEN:
+                chosen[k] = tolerance
+    cases = tuple(replace(c, task=replace(c.task, tolerance=t)) for c, t in zip(model.cases, chosen, strict=True))
+    return replace(model, cases=cases)
 
 
 def model_of(

@@ -124,7 +124,7 @@ _CATALOGUE = (
     ),
     BlindEffect(
         "kinematic_error",
-        _FLEXSPLINE,
+        _FRICTION,  # the error works back on the Wave Generator: what signals show of it is its torque ripple
         1e-7,
         1e-3,
         _parameter("kinematic_error"),

@@ -1,0 +1,280 @@
+"""Probabilities that come true: how often verdicts are right on plants simulated from the model and its noise.
+
+Plants are the fitted nominal model with no effect, one, two, one whose law has another shape, or a free function
+at a port that no effect of the catalogue has; their noise is mixed, frequency by frequency, from what repeats
+differ by. Each is diagnosed as the measurements are, and for each kind of verdict a logistic curve (Platt 1999)
+maps the weight of what it says to how often that was true. No label of any real measurement is involved.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit, logit
+
+from fmuid.campaign import FloatArray
+from fmuid.diagnosis.catalogue import Effect
+from fmuid.diagnosis.model import Prediction
+from fmuid.diagnosis.noise import from_real_spectrum, real_spectrum
+from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.ports import Port
+from fmuid.diagnosis.refit import Refit
+from fmuid.diagnosis.regimes import bases
+from fmuid.diagnosis.result import Verdict
+from fmuid.diagnosis.scores import nominal_basis, project_off, stack
+from fmuid.diagnosis.setting_up import Subject
+from fmuid.errors import SimulationError
+from fmuid.files import write_atomically
+
+KINDS = ("none", "one", "shape", "two", "unknown")
+SHARES = (0.25, 0.25, 0.2, 0.15, 0.15)
+GAPS = (0.5, 1.0, 3.0, 10.0)  # floors
+_MISMATCH = 0.15  # of an effect's gap: what a law of another shape leaves
+_SPREAD = (1.5, 0.5)  # prior standard deviations of a curve's offset from 0 and of its slope from 1
+_EDGE = 1e-3  # probabilities are kept this far from 0 and 1
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What came of one simulated plant: the verdict's kind, the weight of what it says, and whether it is true."""
+
+    kind: str
+    weight: float
+    right: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """By kind of verdict, offset and slope of the curve that maps log odds of a weight to those of being right.
+
+    Attributes
+    ----------
+    curves
+        Kinds that are missing keep their weights.
+    trials
+        Plants that they were fitted to.
+    source
+        Where they are from, in words.
+    """
+
+    curves: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    trials: int = 0
+    source: str = "none"
+
+    @property
+    def note(self) -> str:
+        """What the probabilities rest on, in a sentence."""
+        return f"Probabilities are calibrated on {self.trials} simulated plants {self.source}."
+
+    def apply(self, verdict: Verdict, probability: Mapping[str, float]) -> dict[str, float]:
+        """Return the probabilities with what the verdict says scaled to how often such verdicts are right."""
+        head = says(verdict)
+        weight = sum(probability[name] for name in head)
+        if verdict.kind not in self.curves or not 0.0 < weight < 1.0:
+            return dict(probability)
+        offset, slope = self.curves[verdict.kind]
+        sure = float(np.clip(expit(offset + slope * logit(np.clip(weight, _EDGE, 1 - _EDGE))), _EDGE, 1 - _EDGE))
+        inside, outside = sure / weight, (1.0 - sure) / (1.0 - weight)
+        return {name: p * (inside if name in head else outside) for name, p in probability.items()}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return its JSON value."""
+        curves = {kind: list(curve) for kind, curve in self.curves.items()}
+        return {"format": "fmuid-calibration", "version": 1, "trials": self.trials, "curves": curves}
+
+
+def says(verdict: Verdict) -> frozenset[str]:
+    """Return the names among the probabilities that a verdict says are true, or one of which is."""
+    if verdict.effects:
+        return frozenset(verdict.effects)
+    return frozenset({"unknown" if verdict.kind == "unknown" else "none"})
+
+
+def fit_curves(trials: Sequence[Trial], source: str) -> Calibration:
+    """Fit the curve of each kind of verdict; few trials leave it near the identity."""
+    curves = {}
+    for kind in dict.fromkeys(t.kind for t in trials):
+        own = [t for t in trials if t.kind == kind]
+        x = logit(np.clip([t.weight for t in own], _EDGE, 1 - _EDGE))
+        right = np.array([t.right for t in own])
+
+        def loss(c: FloatArray, x: FloatArray = x, right: FloatArray = right) -> float:
+            odds = c[0] + c[1] * x
+            prior = (c[0] / _SPREAD[0]) ** 2 / 2 + ((c[1] - 1.0) / _SPREAD[1]) ** 2 / 2
+            return float(np.sum(np.logaddexp(0.0, np.where(right, -odds, odds))) + prior)
+
+        found = minimize(loss, np.array([0.0, 1.0]), method="Nelder-Mead").x
+        curves[kind] = (float(found[0]), float(max(found[1], 0.0)))
+    return Calibration(curves, len(trials), source)
+
+
+def simulated_plants(
+    subject: Subject, fit: Refit, paths: Mapping[str, tuple[FloatArray, ...]], count: int, *, seed: int = 0
+) -> Iterator[tuple[Subject, frozenset[str]]]:
+    """Make plants from the nominal model refitted, and say what is true of each.
+
+    Parameters
+    ----------
+    subject, fit
+        What was diagnosed, and its nominal refit.
+    paths
+        Samples of the regimes' variables along the nominal model's trajectory.
+    """
+    rng = np.random.default_rng(seed)
+    maker = _Maker(subject, fit, paths, rng)
+    kinds = [kind for kind, share in zip(KINDS, SHARES, strict=True) for _ in range(round(share * count))]
+    for kind in rng.permutation(kinds)[:count].tolist():
+        made = maker.plant(kind)
+        if made is not None:
+            yield made
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Maker:
+    subject: Subject
+    fit: Refit
+    paths: Mapping[str, tuple[FloatArray, ...]]
+    rng: np.random.Generator
+
+    def plant(self, kind: str) -> tuple[Subject, frozenset[str]] | None:
+        """Return a plant and the names that are true of it; None if it cannot be simulated."""
+        values, truth = dict(self.fit.values), frozenset({"none"})
+        drive: dict[str, list[FloatArray]] = {}
+        size = float(self.rng.choice(GAPS))
+        if kind in ("one", "shape", "two"):
+            effects = self.rng.choice(len(self.subject.effects), 2 if kind == "two" else 1, replace=False)
+            chosen = [self.subject.effects[k] for k in effects]
+            truth = frozenset(e.id for e in chosen)
+            for effect in chosen:
+                values |= self._sized(effect, size)
+        if kind in ("shape", "unknown"):
+            drive = self._function(_MISMATCH * size if kind == "shape" else size)
+            truth = truth if kind == "shape" else frozenset({"unknown"})
+        (prediction,) = self.subject.model.predict_driven(values, [drive])
+        return None if isinstance(prediction, SimulationError) else (self._measured(prediction), truth)
+
+    def _gap(self, prediction: Prediction) -> float:
+        observed = self.subject.observed
+        moved = stack(observed.residuals(prediction), observed) - stack(self.fit.residuals, observed)
+        left = project_off(moved, nominal_basis(self.fit, observed)) / np.sqrt(_weights(observed))
+        return float(np.sqrt(np.mean(left**2)))
+
+    def _sized(self, effect: Effect, size: float) -> dict[str, float]:
+        """Return the effect's values at which it leaves a gap of `size`, as far as its bounds allow."""
+        trial, factor = effect.trials[int(self.rng.integers(len(effect.trials)))], 1.0
+        for _ in range(3):
+            values = effect.scaled(trial, factor)
+            (prediction,) = self.subject.model.predict([{**self.fit.values, **values}])
+            if isinstance(prediction, SimulationError):
+                return effect.scaled(trial, 0.1)
+            factor *= float(np.clip(size / max(self._gap(prediction), 1e-6), 0.02, 50.0))
+        return effect.scaled(trial, factor)
+
+    def _function(self, size: float) -> dict[str, list[FloatArray]]:
+        """Return a random function of a regime at a port that leaves a gap of `size`."""
+        ports: list[Port] = [p for p in self.subject.catalogue.ports.values() if p.input is not None]
+        port = ports[int(self.rng.integers(len(ports)))]
+        families = list(bases(self.paths, self.subject.catalogue.regimes).values())
+        family = families[int(self.rng.integers(len(families)))]
+        weights = self.rng.standard_normal(len(family))
+        runs = range(len(self.subject.model.cases))
+        shape = [sum(w * b[e] for w, b in zip(weights, family, strict=True)) * port.magnitude for e in runs]
+        factor = 1.0
+        for _ in range(3):
+            drive = {str(port.input): [np.asarray(factor * f) for f in shape]}
+            (prediction,) = self.subject.model.predict_driven(self.fit.values, [drive])
+            if isinstance(prediction, SimulationError):
+                break
+            factor *= float(np.clip(size / max(self._gap(prediction), 1e-6), 0.02, 50.0))
+        return {str(port.input): [np.asarray(factor * f) for f in shape]}
+
+    def _measured(self, prediction: Prediction) -> Subject:
+        """Return the subject with the prediction, and noise like that of its repeats, in place of its runs."""
+        cases = []
+        for case, run, clean in zip(self.subject.model.cases, self.subject.observed.runs, prediction, strict=True):
+            repeats = run.n_repeats
+            deviation = real_spectrum(np.nan_to_num(run.values - run.mean))
+            # Mixed anew at every frequency: a few differences alone would make runs that are too much alike.
+            mix = self.rng.standard_normal((repeats, *deviation.shape[::2])) / np.sqrt(max(repeats - 1, 1))
+            values = clean + from_real_spectrum(np.einsum("rkn,kcn->rcn", mix, deviation))
+            channels = tuple(replace(c, repeats=values[:, k]) for k, c in enumerate(case.channels))
+            cases.append(replace(case, channels=channels))
+        model = replace(self.subject.model, cases=tuple(cases))
+        return replace(self.subject, model=model, observed=Observed.from_runs(model.runs))
+
+
+def _weights(observed: Observed) -> FloatArray:
+    return np.concatenate([np.full(w.size, n) for w, n in zip(observed.whiteners, observed.repeats, strict=True)])
+
+
+@cache
+def shipped() -> Calibration:
+    """Return the calibration that comes with the package, from plants of the actuator's FMU."""
+    return _read(
+        (files("fmuid.diagnosis") / "calibration.json").read_text(),
+        "of the Harmonic Drive actuator, the default (--calibrate 60 makes them from this model and its noise)",
+    )
+
+
+def kept(key: str) -> Calibration | None:
+    """Return the calibration that was kept under `key` in the user's cache, if there is one."""
+    file = _cache() / f"calibration-{key}.json"
+    return _read(file.read_text(), "of this model, noise and set-up") if file.is_file() else None
+
+
+def keep(key: str, calibration: Calibration) -> None:
+    """Keep a calibration in the user's cache."""
+    write_atomically(_cache() / f"calibration-{key}.json", json.dumps(calibration.to_dict(), indent=1) + "\n")
+
+
+def key_of(paths: Sequence[Path], subject: Subject) -> str:
+    """Return a hash of files, of the experiments with their sensors and repeats, and of the nominal parameters."""
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.read_bytes())
+    runs = [(r.id, r.setup, r.channels, r.n_repeats, len(r.time)) for r in subject.observed.runs]
+    digest.update(repr((runs, [u.name for u in subject.nominal])).encode())
+    return digest.hexdigest()[:16]
+
+
+def _cache() -> Path:
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "fmuid"
+
+
+def _read(text: str, source: str) -> Calibration:
+    value = json.loads(text)
+    curves = {kind: (float(a), float(b)) for kind, (a, b) in value["curves"].items()}
+    return Calibration(curves, int(value["trials"]), source)
+
+
+def calibrate(
+    subject: Subject,
+    fit: Refit,
+    paths: Mapping[str, tuple[FloatArray, ...]],
+    diagnose: Callable[[Subject], tuple[Verdict, Mapping[str, float]]],
+    *,
+    count: int,
+    seed: int = 0,
+    say: Callable[[str, float], None] = lambda _, __: None,
+) -> list[Trial]:
+    """Diagnose `count` simulated plants; `diagnose` returns a verdict and uncalibrated probabilities."""
+    trials = []
+    for k, (plant, truth) in enumerate(simulated_plants(subject, fit, paths, count, seed=seed)):
+        say(f"calibrating on simulated plant {k + 1} of {count}", k / count)
+        verdict, probability = diagnose(plant)
+        said = says(verdict)
+        right = bool(said & truth) if verdict.kind == "ambiguous" else said <= truth
+        weight = sum(probability[name] for name in said)
+        trials.append(Trial(verdict.kind, weight, right))
+    return trials

@@ -1,0 +1,99 @@
+"""Probabilities that come true: curves from trials with a known answer, plants of the size that was asked for."""
+
+import json
+
+import numpy as np
+import pytest
+from plants import EFFECTS, REGIMES, plant
+
+from fmuid.diagnosis.calibration import (
+    Calibration,
+    Trial,
+    calibrate,
+    fit_curves,
+    keep,
+    kept,
+    key_of,
+    shipped,
+    simulated_plants,
+)
+from fmuid.diagnosis.candidates import fit_effects
+from fmuid.diagnosis.diagnose import diagnose_subject
+from fmuid.diagnosis.observed import excess
+from fmuid.diagnosis.regimes import trajectories
+from fmuid.diagnosis.result import Verdict
+
+EFFECT = Verdict("effect", ("a",))
+WEIGHTS = {"a": 0.9, "b": 0.06, "none": 0.02, "unknown": 0.02}
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    """A complete rig, its model refitted, and the regimes' paths."""
+    subject = plant({})
+    nominal = fit_effects(subject, (), {})
+    return subject, nominal.fit, trajectories(subject.model, nominal.fit.values, REGIMES)
+
+
+def test_weights_become_the_share_of_trials_that_were_right():
+    half = [Trial("effect", 0.9, k % 2 == 0) for k in range(200)]
+    probability = fit_curves(half, "").apply(EFFECT, WEIGHTS)
+    assert probability["a"] == pytest.approx(0.5, abs=0.03)
+    assert sum(probability.values()) == pytest.approx(1.0)
+    assert probability["b"] / probability["none"] == pytest.approx(3.0)
+    # More weight is more probable; what was never tried stays as it is.
+    graded = [Trial("effect", w, r) for w, r in ((0.6, False), (0.95, True)) for _ in range(50)]
+    curve = fit_curves(graded, "")
+    low, high = (curve.apply(EFFECT, {"a": w, "b": 1 - w})["a"] for w in (0.6, 0.95))
+    assert low < 0.5 < high
+    assert curve.apply(Verdict("complete"), {"none": 0.9, "a": 0.1}) == {"none": 0.9, "a": 0.1}
+
+
+def test_a_few_trials_change_little():
+    probability = fit_curves([Trial("effect", 0.9, True)] * 3, "").apply(EFFECT, WEIGHTS)
+    assert 0.9 < probability["a"] < 0.98
+
+
+def test_plants_are_as_far_off_as_asked_and_as_noisy_as_what_was_measured(fitted):
+    subject, fit, paths = fitted
+    truths = []
+    for made, truth in simulated_plants(subject, fit, paths, 20, seed=1):
+        truths.append(truth)
+        assert truth <= {*EFFECTS, "none", "unknown"}
+        noise = made.observed.noise["bench"].sigma
+        assert noise["v"] == pytest.approx(subject.observed.noise["bench"].sigma["v"], rel=0.25)
+        if truth == {"none"}:
+            (nominal,) = made.model.predict([fit.values])
+            assert abs(excess(made.observed.residuals(nominal), made.observed)) < 0.1
+        elif len(truth) == 1:
+            nominal = fit_effects(made, (), fit.values)
+            assert nominal.gap > 0.25
+    assert sum(t == {"none"} for t in truths) == 5
+    assert any(len(t) == 2 for t in truths)
+
+
+def test_calibrating_diagnoses_every_plant_and_is_kept_under_its_key(fitted, tmp_path, monkeypatch):
+    subject, fit, paths = fitted
+
+    def diagnose(made):
+        found = diagnose_subject(made, calibration=Calibration()).diagnosis
+        return found.verdict, {c.id: c.probability for c in found.effects}
+
+    trials = calibrate(subject, fit, paths, diagnose, count=4)
+    assert len(trials) == 4
+    assert np.mean([t.right for t in trials]) > 0.5
+    assert all(0.0 < t.weight < 1.0 for t in trials)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    key = key_of([], subject)
+    assert kept(key) is None
+    found = fit_curves(trials, "here")
+    keep(key, found)
+    assert kept(key).curves == found.curves
+    assert key_of([], plant({}, repeats=4)) != key
+
+
+def test_the_calibration_that_comes_with_the_package_is_monotone():
+    calibration = shipped()
+    json.dumps(calibration.to_dict(), allow_nan=False)
+    for _, slope in calibration.curves.values():
+        assert slope >= 0.0
