@@ -184,7 +184,7 @@ def test_a_gear_that_comes_to_rest_under_load_finds_its_stuck_mode(side):
         )
 
 
-def _set_valued_gear(time, u, load):
+def set_valued_gear(time, u, load):
     """Lossy with a set-valued loss torque, by time stepping: angle, speed and loss energy on side a."""
     j_a, j_b, ratio, eta1, eta2, tau_bf = 0.01, 1.0, 5.0, 0.8, 0.7, 0.1
 
@@ -225,7 +225,7 @@ def test_a_lossy_gear_with_modes_runs_as_an_fmu(tmp_path):
     time = np.arange(0.0, 6.0, 5e-4)
     inputs = {"u": 0.6 * np.sin(2.0 * time), "load": 2.4 * np.sin(1.3 * time + 1.0)}
     w, energy = fmu.simulate(Task(time, inputs, ("w_a", "lossEnergy")), {})
-    expected_w, expected_energy = _set_valued_gear(time, inputs["u"], inputs["load"])
+    expected_w, expected_energy = set_valued_gear(time, inputs["u"], inputs["load"])
     assert np.ptp(expected_w) > 1.0
     assert np.count_nonzero(expected_w == 0.0) > 100  # it also sticks
     assert np.max(np.abs(w - expected_w)) < 5e-3 * np.ptp(expected_w)

@@ -1,6 +1,6 @@
 within Drives.Components;
 model HarmonicDrive "Harmonic Drive gear with a loss table for mesh and bearing friction"
-  extends PartialHarmonicDrive;
+  extends PartialEventFreeHarmonicDrive;
 equation
   losses_forward = losses;
   losses_backward = losses;

@@ -1,6 +1,6 @@
 within Drives.Effects;
 model HarmonicDrive "Harmonic Drive gear with friction beyond a constant, torque ripple and transmission error"
-  extends Components.PartialHarmonicDrive;
+  extends Components.PartialEventFreeHarmonicDrive;
   parameter Types.RotationalDampingConstant viscous(min = 0) = 0 "Bearing friction over speed";
   parameter Types.Torque stribeck = 0 "Bearing friction at standstill above that when sliding";
   parameter Types.AngularVelocity stribeck_speed(min = 0) = 10 "Speed at which the Stribeck part has fallen to 1/e";

@@ -32,7 +32,7 @@ partial model PartialActuator "Force-feedback actuator in its housing, from the 
   MotorModel motor(K_m = K_m) "Motor";
   Components.Inertia rotor(J = J_R, phi(fixed = true), w(fixed = true)) "Rotor with Wave Generator";
   Components.RelativeSpeedSensor encoder "Encoder between housing and rotor";
-  GearModel gear(n = n, lossTable = lossTable, phi_s = phi_s, bristle(t_s = t_s, z_e = z_e)) "Gear";
+  GearModel gear(n = n, lossTable = lossTable, phi_s = phi_s, t_s = t_s, z_e = z_e) "Gear";
   FlexsplineModel flexspline(c = c_G, d = d_G) "Compliance of the Flexspline";
 equation
   connect(sensor.flange_b, console.flange);
