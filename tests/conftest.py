@@ -13,7 +13,8 @@ MODELICA = ROOT / "modelica"
 SETUPS = ("FixedShaft", "FreeShaft", "EccentricLoad", "LinearAxisOpenLoop", "LinearAxisClosedLoop")
 
 
-def _build(names: tuple[str, ...], fmi: str = "2") -> Mapping[str, Path]:
+def build_setups(names: tuple[str, ...], fmi: str = "2") -> Mapping[str, Path]:
+    """FMUs of shipped setups by name, built from their Modelica sources unless they are up to date."""
     fmu_build = pytest.importorskip("fmu_build")
     setups, out = MODELICA / "Drives" / "Setups", FMUS if fmi == "2" else FMUS / "fmi3"
     return {name: fmu_build.build(setups / f"{name}.mo", f"Drives.Setups.{name}", out, fmi) for name in names}
@@ -22,16 +23,16 @@ def _build(names: tuple[str, ...], fmi: str = "2") -> Mapping[str, Path]:
 @pytest.fixture(scope="session")
 def fmus() -> Mapping[str, Path]:
     """The FMUs of the shipped setups by name, built from their Modelica sources unless they are up to date."""
-    return _build(SETUPS)
+    return build_setups(SETUPS)
 
 
 @pytest.fixture(scope="session")
 def effect_fmus() -> Mapping[str, Path]:
     """The FMUs of the shipped setups with the effects of their catalogues, by name."""
-    return _build(tuple(f"{name}WithEffects" for name in SETUPS))
+    return build_setups(tuple(f"{name}WithEffects" for name in SETUPS))
 
 
 @pytest.fixture(scope="session")
 def fmi3_fmus() -> Mapping[str, Path]:
     """One setup of each family for FMI 3.0."""
-    return _build(("EccentricLoad", "LinearAxisClosedLoop"), "3")
+    return build_setups(("EccentricLoad", "LinearAxisClosedLoop"), "3")

@@ -12,8 +12,14 @@ from fmuid.campaign import FloatArray
 from fmuid.simulation import Task
 
 
-def simulate_fmu(fmu: Path, task: Task, parameters: Mapping[str, float], tolerance: float = 1e-7) -> FloatArray:
-    """Return (n_outputs, N) predictions of co-simulation: inputs are set at ``task.time`` and held."""
+def simulate_fmu(
+    fmu: Path,
+    task: Task,
+    parameters: Mapping[str, float],
+    tolerance: float = 1e-7,
+    kind: str = "CoSimulation",
+) -> FloatArray:
+    """Return (n_outputs, N) predictions: inputs are set at ``task.time`` and, in co-simulation, held."""
     description = fmpy.read_model_description(str(fmu))
     # Every input gets samples: what is not driven stays zero.
     names = [v.name for v in description.modelVariables if v.causality == "input"]
@@ -28,7 +34,8 @@ def simulate_fmu(fmu: Path, task: Task, parameters: Mapping[str, float], toleran
         step_size=task.time[1] - task.time[0],
         output_interval=task.time[1] - task.time[0],
         relative_tolerance=tolerance,
-        fmi_type="CoSimulation",
+        fmi_type=kind,
+        record_events=False,
         start_values={**task.start_values, **parameters},
         input=table,
         output=list(task.outputs),

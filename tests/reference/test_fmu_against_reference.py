@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import fmpy
 import numpy as np
 import pytest
 
 from fmuid.reference import reference_fmu
+from fmuid.simulation import Task
+from tests.conftest import build_setups
 from tests.reference import experiments as e
 from tests.reference.plain_fmpy import simulate_fmu
 
@@ -24,16 +27,51 @@ CASES = {
 LIMIT = 1e-5
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_outputs_agree(fmus, case):
+@cache
+def expected(case: str):
     name, task, parameters = CASES[case]
-    task = replace(task, interpolation="hold")
-    expected = reference_fmu(name).simulate(task, parameters)
-    outputs = simulate_fmu(fmus[name], task, parameters)
+    return reference_fmu(name).simulate(replace(task, interpolation="hold"), parameters)
 
-    for variable, y, reference in zip(task.outputs, outputs, expected, strict=True):
+
+def check(fmu, case: str) -> None:
+    _, task, parameters = CASES[case]
+    outputs = simulate_fmu(fmu, task, parameters)
+    for variable, y, reference in zip(task.outputs, outputs, expected(case), strict=True):
         nrmse = np.sqrt(np.mean((y - reference) ** 2)) / np.ptp(reference)
         assert nrmse <= LIMIT, f"{variable}: NRMSE {nrmse:.2e}"
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_outputs_agree(fmus, case):
+    check(fmus[CASES[case][0]], case)
+
+
+@pytest.mark.parametrize("case", ["eccentric", "closed_loop"])
+def test_outputs_agree_in_fmi_3(fmi3_fmus, case):
+    check(fmi3_fmus[CASES[case][0]], case)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", ["", "WithEffects"])
+@pytest.mark.parametrize("case", CASES)
+def test_outputs_of_every_setup_agree_in_fmi_3(case, suffix):
+    name = f"{CASES[case][0]}{suffix}"
+    check(build_setups((name,), "3")[name], case)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["step", "free", "closed_loop"])
+@pytest.mark.parametrize("fmi", ["2", "3"])
+def test_model_exchange_agrees(case, fmi):
+    """Integrated by FMPy's CVODE, which smooth inputs let run; against the same FMU in co-simulation."""
+    name, task, parameters = CASES[case]
+    fmu = build_setups((name,), fmi)[name]
+    held = {n: np.full(201, u[0] or 0.01) for n, u in task.inputs.items()}
+    task = Task(np.linspace(0.0, 0.2, 201), held, task.outputs)
+    ours = simulate_fmu(fmu, task, parameters, 1e-9)
+    theirs = simulate_fmu(fmu, task, parameters, 1e-8, kind="ModelExchange")
+    for variable, y, reference in zip(task.outputs, theirs, ours, strict=True):
+        assert np.abs(y - reference).max() <= 1e-3 * np.ptp(reference), variable
 
 
 @pytest.mark.parametrize(
