@@ -11,7 +11,7 @@ import threading
 import time
 import weakref
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType, TracebackType
@@ -91,6 +91,7 @@ class Fmu:
         self._used = False  # the instance has simulated and needs a reset
         self._renewal: Literal["reset", "instantiate"] | None = None
         self._set_before: dict[str, None] = {}
+        self._differentiates: dict[frozenset[str], bool] = {}
         self._prepared: dict[tuple[int, tuple[str, ...]], PreparedTask] = {}
 
     @property
@@ -178,6 +179,26 @@ class Fmu:
     def renew(self, how: Literal["reset", "instantiate"]) -> None:
         """Keep simulations apart in this way from now on, as found out by simulating."""
         self._renewal = how
+
+    def differentiates(self, names: Collection[str]) -> bool:
+        """Whether runs can be differentiated by the parameters `names`: FMUs of ``fmuid build`` without events."""
+        with self._lock:
+            key = frozenset(names)
+            if key not in self._differentiates:
+                slots = [self._slots.get(name) for name in sorted(key)]
+                references = [s.reference for s in slots if s is not None and s.size == 1 and s.suffix]
+                self._differentiates[key] = len(references) == len(slots) and self._try_directions(references)
+            return self._differentiates[key]
+
+    def _try_directions(self, references: Sequence[int]) -> bool:
+        library = self._load()
+        if library.functions[FUNCTIONS.index("SET_DIRECTIONS")] is None:
+            return False
+        instance = library.instantiate(self.name, self.token, ((self._folder or Path()) / "resources").resolve())
+        try:
+            return library.takes_directions(instance, references)
+        finally:
+            library.free(instance)
 
     def close(self) -> None:
         """Free the instance and remove the extracted files; the next simulation extracts them again."""

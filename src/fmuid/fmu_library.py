@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from ctypes import CFUNCTYPE, c_bool, c_char_p, c_int, c_size_t, c_void_p
 from pathlib import Path
 from typing import Any
@@ -47,6 +47,10 @@ _NAMES_OF_VERSION = {
         "SET_FMU_STATE": "SetFMUState",
         "FREE_FMU_STATE": "FreeFMUState",
     },
+}
+_OWN = {  # what FMUs of fmu_build export beside the standard
+    "SET_DIRECTIONS": "fmuidSetSensitivityDirections",
+    "GET_SENSITIVITIES": "fmuidGetSensitivities",
 }
 _COMMON = ["ENTER_INITIALIZATION", "EXIT_INITIALIZATION"]
 _NEEDED = {  # without RESET an instance is made anew for every run
@@ -159,7 +163,10 @@ class FmuLibrary:
             ) from None
         names = _NAMES_OF_VERSION[version]
         self.functions = (c_void_p * len(stepper.FUNCTIONS))(
-            *(self.address(names[place]) if place in names else None for place in stepper.FUNCTIONS)
+            *(
+                self.address(names[place]) if place in names else self._symbol(_OWN.get(place))
+                for place in stepper.FUNCTIONS
+            )
         )
         missing = [
             self.function_name(place)
@@ -180,12 +187,15 @@ class FmuLibrary:
 
     def function_name(self, place: str) -> str:
         """Return the FMI name of the function at `place`."""
-        return f"fmi{self.version}{_NAMES_OF_VERSION[self.version].get(place, place)}"
+        return _OWN.get(place) or f"fmi{self.version}{_NAMES_OF_VERSION[self.version].get(place, place)}"
 
     def address(self, name: str) -> int | None:
         """Return the address of ``fmi2<name>`` or ``fmi3<name>``, None if the library lacks it."""
+        return self._symbol(f"fmi{self.version}{name}")
+
+    def _symbol(self, name: str | None) -> int | None:
         try:
-            return _address(getattr(self._dll, f"fmi{self.version}{name}"))
+            return _address(getattr(self._dll, name)) if name else None
         except AttributeError:
             return None
 
@@ -238,6 +248,16 @@ class FmuLibrary:
                 fix="can its tool or FMPy run it?",
             )
         return instance
+
+    def takes_directions(self, instance: int, references: Sequence[int]) -> bool:
+        """Whether a new instance differentiates its runs by these parameters."""
+        address = self._symbol(_OWN["SET_DIRECTIONS"])
+        if address is None or self.model_exchange:
+            return False
+        n = len(references)
+        moved, weights = (ctypes.c_uint32 * n)(*references), (ctypes.c_double * n)(*[1.0] * n)
+        function = CFUNCTYPE(c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_size_t)(address)
+        return int(function(instance, moved, n, weights, 1)) <= 1
 
     def free(self, instance: int) -> None:
         """Free an instance."""

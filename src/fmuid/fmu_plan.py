@@ -15,7 +15,7 @@ from fmuid.errors import FmuError
 from fmuid.fmu_library import FmuLibrary
 from fmuid.fmu_variables import Slot
 from fmuid.simulation import Task, Variable
-from fmuid.stepper import DTYPES, Group, Plan
+from fmuid.stepper import DTYPES, FUNCTIONS, Group, Plan
 from fmuid.suggest import suggestion
 
 _TOLERANCE = 1e-6  # of the integration of model-exchange FMUs that suggest none
@@ -119,6 +119,8 @@ class PreparedTask:
         plan.n_start_groups, plan.start_groups = self._groups([*back, *fixed, *names], "Set")
         plan.n_input_groups, plan.input_groups = self._groups(list(task.inputs), "Set")
         plan.n_output_groups, plan.output_groups = self._groups(list(task.outputs), "Get")
+        if task.along:
+            self._differentiate(task)
         if plan.linear:
             self._interpolate(variables, linear_inputs or library.model_exchange)
 
@@ -133,7 +135,7 @@ class PreparedTask:
     def outputs(self, n_times: int | None = None) -> FloatArray:
         """Return a new array for the predictions, of all or `n_times` samples, and point the plan at it."""
         self.plan.n_times = len(self.task.time) if n_times is None else n_times
-        array = np.empty((self.plan.n_outputs, self.plan.n_times))
+        array = np.empty((self.plan.n_outputs * (1 + self.plan.n_directions), self.plan.n_times))
         self.plan.outputs = array.__array_interface__["data"][0]
         return array
 
@@ -233,6 +235,26 @@ class PreparedTask:
         n, nz = plan.n_states, plan.n_indicators
         plan.work = self._pointer(np.zeros(15 * n + 2 * n * n + 2 * nz + n_inputs + 1))
         plan.pivots = self._pointer(np.zeros(n + 1, dtype=np.int32))
+
+    def _differentiate(self, task: Task) -> None:
+        """Provide for the outputs' derivatives along directions."""
+        plan, moved = self.plan, list(dict.fromkeys(name for along in task.along for name in along))
+        if self.library.model_exchange or not self.library.functions[FUNCTIONS.index("SET_DIRECTIONS")]:
+            raise FmuError(
+                "it cannot differentiate its runs", where=self._where, fix="use finite differences of runs"
+            )
+        for name in [*moved, *task.outputs]:
+            if self._slots[name].suffix not in ("Real", "Float64") or self._slots[name].size != 1:
+                raise FmuError(
+                    f"'{name}' is no real scalar: it has no derivatives", where=self._where, fix="leave it out"
+                )
+        plan.n_directions, plan.n_moved = len(task.along), len(moved)
+        plan.moved = self._pointer(np.array([self._slots[n].reference for n in moved], dtype=np.uint32))
+        plan.weights = self._pointer(np.array([[along.get(n, 0.0) for n in moved] for along in task.along]))
+        references = [self._slots[n].reference for n in task.outputs]
+        plan.output_references = self._pointer(np.array(references, dtype=np.uint32))
+        plan.sensitivities = self._pointer(np.zeros((len(task.outputs), len(task.along))))
+        self.size *= 1 + len(task.along)
 
     def _interpolate(self, variables: Mapping[str, Variable], linear_inputs: bool) -> None:
         columns = [j for j, name in enumerate(self.task.inputs) if variables[name].variability == "continuous"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
@@ -42,6 +42,10 @@ class Task:
         ``hold``: input sample k acts on [t_k, t_{k+1}); ``linear``: between the samples.
     tolerance
         Relative tolerance handed to the FMU, or None for its default.
+    along
+        Directions to differentiate along, each a weight by parameter: the prediction then has below the outputs
+        their derivatives, direction by direction, (1 + len(along)) * len(outputs) rows. Of simulators that
+        `differentiates` tells of.
     """
 
     time: FloatArray
@@ -50,11 +54,13 @@ class Task:
     start_values: Mapping[str, float] = field(default_factory=dict)
     interpolation: Interpolation = "hold"
     tolerance: float | None = None
+    along: tuple[Mapping[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", read_only(self.time))
         object.__setattr__(self, "inputs", frozen_mapping({k: read_only(v) for k, v in self.inputs.items()}))
         object.__setattr__(self, "start_values", frozen_mapping(self.start_values))
+        object.__setattr__(self, "along", tuple(frozen_mapping(d) for d in self.along))
 
 
 @runtime_checkable
@@ -79,3 +85,9 @@ class Simulator(Protocol):
             The run failed; there is no prediction for these parameters.
         """
         ...
+
+
+def differentiates(simulator: Simulator, names: Collection[str]) -> bool:
+    """Whether a simulator gives the exact derivatives of its runs by the parameters `names` (see `Task.along`)."""
+    method = getattr(simulator, "differentiates", None)
+    return method is not None and bool(method(names))

@@ -81,6 +81,24 @@ int32_t get_values(Plan *plan, double *row)
     return DONE;
 }
 
+static int32_t read_sensitivities(Plan *plan, size_t k)
+{
+    const size_t n = plan->n_outputs, directions = plan->n_directions;
+    CALL(GET_SENSITIVITIES, int32_t (*)(Instance, const uint32_t *, size_t, double *), plan->instance,
+         plan->output_references, n, plan->sensitivities);
+    for (size_t j = 0; j < n; j++)
+        for (size_t d = 0; d < directions; d++) {
+            const double value = plan->sensitivities[j * directions + d];
+            plan->outputs[((1 + d) * n + j) * plan->n_times + k] = value;
+            if (!isfinite(value)) {
+                plan->column = (int32_t)j;
+                plan->reached_time = plan->time[k];
+                return NOT_FINITE;
+            }
+        }
+    return DONE;
+}
+
 static int32_t read_outputs(Plan *plan, size_t k)
 {
     double *row = plan->row;
@@ -93,6 +111,7 @@ static int32_t read_outputs(Plan *plan, size_t k)
             return NOT_FINITE;
         }
     }
+    if (plan->n_directions > 0) TRY(read_sensitivities(plan, k));
     plan->reached = (int64_t)k;
     plan->reached_time = plan->time[k];
     return DONE;
@@ -107,6 +126,9 @@ int32_t enter_initialisation(Plan *plan)
     if (plan->fmi == 2)
         CALL(SETUP_EXPERIMENT, int32_t (*)(Instance, int, double, double, int, double), c, plan->tolerance_defined,
              plan->tolerance, plan->time[0], 1, plan->stop);
+    if (plan->n_directions > 0)
+        CALL(SET_DIRECTIONS, int32_t (*)(Instance, const uint32_t *, size_t, const double *, size_t), c, plan->moved,
+             plan->n_moved, plan->weights, plan->n_directions);
     TRY(set_values(plan, plan->start_groups, plan->n_start_groups, plan->starts));
     if (plan->fmi == 2)
         CALL(ENTER_INITIALIZATION, Plain, c);
@@ -174,7 +196,7 @@ static int32_t any_steps(Plan *plan, size_t k, size_t last)
 
 static bool all_real(const Plan *plan)
 {
-    return !plan->model_exchange && plan->n_slopes == 0 && plan->n_output_groups == 1 && plan->output_groups->direct
+    return !plan->model_exchange && plan->n_directions == 0 && plan->n_slopes == 0 && plan->n_output_groups == 1 && plan->output_groups->direct
         && (plan->n_input_groups == 0 || (plan->n_input_groups == 1 && plan->input_groups->direct));
 }
 

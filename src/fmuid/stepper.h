@@ -16,7 +16,7 @@ enum {
     RESET, SETUP_EXPERIMENT, ENTER_INITIALIZATION, EXIT_INITIALIZATION, TERMINATE, DO_STEP, SET_INPUT_DERIVATIVES,
     GET_BOOLEAN_STATUS, ENTER_EVENT_MODE, UPDATE_DISCRETE_STATES, ENTER_CONTINUOUS_TIME_MODE,
     COMPLETED_INTEGRATOR_STEP, SET_TIME, SET_STATES, GET_STATES, GET_DERIVATIVES, GET_INDICATORS, GET_NOMINALS,
-    GET_FMU_STATE, SET_FMU_STATE, FREE_FMU_STATE, SET_VALUES, GET_VALUES, N_FUNCTIONS
+    GET_FMU_STATE, SET_FMU_STATE, FREE_FMU_STATE, SET_DIRECTIONS, GET_SENSITIVITIES, SET_VALUES, GET_VALUES, N_FUNCTIONS
 };
 
 /* Why a run ended; mirrored in stepper.py. */
@@ -52,7 +52,7 @@ typedef struct {
     const double *time;     /* (n_times) */
     const double *inputs;   /* (n_times, n_inputs) */
     const double *starts;
-    double *outputs;        /* (n_outputs, n_times) */
+    double *outputs;        /* (n_outputs, n_times), with directions (1 + n_directions, n_outputs, n_times) */
     double *row;            /* scratch, max(n_inputs, n_outputs) */
     int32_t n_start_groups, n_input_groups, n_output_groups, n_slope_groups, n_slopes;
     const Group *start_groups, *input_groups, *output_groups;
@@ -61,6 +61,12 @@ typedef struct {
     const int32_t *slope_columns;
     const int32_t *slope_orders;      /* all one */
     double *slopes;
+    /* derivatives of the outputs along directions, by the functions that FMUs of fmu_build export */
+    size_t n_directions, n_moved;
+    const uint32_t *moved;             /* (n_moved) parameters */
+    const double *weights;             /* (n_directions, n_moved) */
+    const uint32_t *output_references; /* (n_outputs) */
+    double *sensitivities;             /* scratch, (n_outputs, n_directions) */
     /* model exchange: see model_exchange.c */
     double *work;
     int32_t *pivots;

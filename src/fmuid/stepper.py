@@ -1,8 +1,8 @@
 """The loop over communication points in compiled code, over any FMU's C functions.
 
 ``stepper.c``, ``model_exchange.c`` and ``coupled/master.c`` are compiled on first use and kept in the user's
-cache folder under the hash of their content. Without a C compiler ``stepper_python`` runs the same calls in the same order: slower,
-with identical results. Set the environment variable ``FMUID_STEPPER=python`` to ask for that.
+cache folder under the hash of their content. Without a C compiler ``stepper_python`` runs the same calls in the
+same order: slower, with identical results. Set the environment variable ``FMUID_STEPPER=python`` to ask for that.
 """
 
 from __future__ import annotations
@@ -46,6 +46,8 @@ FUNCTIONS = (
     "GET_FMU_STATE",
     "SET_FMU_STATE",
     "FREE_FMU_STATE",
+    "SET_DIRECTIONS",
+    "GET_SENSITIVITIES",
     "SET_VALUES",
     "GET_VALUES",
 )
@@ -126,6 +128,12 @@ class Plan(ctypes.Structure):
         ("slope_columns", c_void_p),
         ("slope_orders", c_void_p),
         ("slopes", c_void_p),
+        ("n_directions", c_size_t),
+        ("n_moved", c_size_t),
+        ("moved", c_void_p),
+        ("weights", c_void_p),
+        ("output_references", c_void_p),
+        ("sensitivities", c_void_p),
         ("work", c_void_p),
         ("pivots", c_void_p),
         ("step_size", c_double),

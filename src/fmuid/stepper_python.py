@@ -71,7 +71,8 @@ class Run:
         n = plan.n_times
         self.time = array_at(plan.time, n)
         self.inputs = array_at(plan.inputs, n * plan.n_inputs).reshape(n, -1)
-        self.predictions = array_at(plan.outputs, plan.n_outputs * n).reshape(-1, n)
+        rows = plan.n_outputs * (1 + plan.n_directions)
+        self.predictions = array_at(plan.outputs, rows * n).reshape(rows, n)
         self.integrator: Integrator | None = None
         self.row = np.empty(plan.n_outputs)
         self.set_starts = _Groups(self, plan.start_groups, plan.n_start_groups, "SET_VALUES")
@@ -120,6 +121,9 @@ class Run:
         ]
         if plan.fmi == 2:
             self.do("SETUP_EXPERIMENT", *experiment)
+        if plan.n_directions:
+            moved = [(c_void_p, plan.moved), (c_size_t, plan.n_moved)]
+            self.do("SET_DIRECTIONS", *moved, (c_void_p, plan.weights), (c_size_t, plan.n_directions))
         self.set_starts.set(array_at(plan.starts, plan.n_starts))
         self.do("ENTER_INITIALIZATION", *(experiment if plan.fmi == 3 else []))
 
@@ -138,7 +142,21 @@ class Run:
             if not np.isfinite(value):
                 plan.column, plan.reached_time = j, float(self.time[k])
                 raise RunEndedError(Outcome.NOT_FINITE)
+        if plan.n_directions:
+            self.read_sensitivities(k)
         plan.reached, plan.reached_time = k, float(self.time[k])
+
+    def read_sensitivities(self, k: int) -> None:
+        """Read the outputs' derivatives along the directions."""
+        plan, n = self.plan, self.plan.n_outputs
+        variables = [(c_void_p, plan.output_references), (c_size_t, n)]
+        self.do("GET_SENSITIVITIES", *variables, (c_void_p, plan.sensitivities))
+        values = array_at(plan.sensitivities, n * plan.n_directions).reshape(n, -1)
+        self.predictions[n:, k] = values.T.ravel()
+        if not np.isfinite(values).all():
+            plan.column = int(np.argmin(np.isfinite(values).all(axis=1)))
+            plan.reached_time = float(self.time[k])
+            raise RunEndedError(Outcome.NOT_FINITE)
 
     def do_step(self, k: int) -> None:
         """Step a co-simulation FMU from communication point k to the next."""
