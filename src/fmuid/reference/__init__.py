@@ -1,7 +1,7 @@
 """Reference FMUs in pure Python: equations written by hand, integrated by SciPy at tight tolerance.
 
-They have the variables of the FMUs built from ``modelica/Drives`` and stand in for them where there is no
-compiler; FMU outputs are compared with them point by point.
+They have the variables of the FMUs built from ``modelica/Drives`` and ``modelica/Pendulum`` and stand in for
+them where there is no compiler; FMU outputs are compared with them point by point.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from fmuid.errors import FmuError
 from fmuid.reference.actuator import eccentric_load, fixed_shaft, free_shaft
 from fmuid.reference.fmu import Equations, ReferenceFmu
 from fmuid.reference.linear_axis import linear_axis_closed_loop, linear_axis_open_loop
+from fmuid.reference.servo_pendulum import position_driven, torque_driven
 
 __all__ = ["MODELS", "ReferenceFmu", "reference_fmu"]
 
@@ -23,6 +24,8 @@ MODELS: Mapping[str, Callable[[], Equations]] = MappingProxyType(
         "EccentricLoad": eccentric_load,
         "LinearAxisOpenLoop": linear_axis_open_loop,
         "LinearAxisClosedLoop": linear_axis_closed_loop,
+        "PositionDriven": position_driven,
+        "TorqueDriven": torque_driven,
     }
 )
 

@@ -1,0 +1,11 @@
+within Pendulum.Components;
+partial model PartialMotor "Torque on the rotor; how it follows from the demanded one is left open"
+  import Drives.Types;
+  parameter Real gain(unit = "1") = 1 "Torque made over torque demanded";
+  parameter Types.Torque tau_max(min = 0) = 3.7 "Largest torque";
+  Drives.Interfaces.RealInput u(unit = "N.m") "Demanded torque";
+  Drives.Interfaces.Flange_b flange "Rotor";
+  Types.Torque tau "Torque on the rotor";
+equation
+  flange.tau = -tau;
+end PartialMotor;

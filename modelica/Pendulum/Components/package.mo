@@ -1,0 +1,3 @@
+within Pendulum;
+package Components "Motor, gear, encoder, controller and arm"
+end Components;

@@ -1,0 +1,3 @@
+within Pendulum;
+package Setups "What is exported as FMUs"
+end Setups;
