@@ -74,7 +74,8 @@ def test_what_no_effect_explains_is_called_unknown_at_its_port():
     assert answer["verdict"]["kind"] == "unknown"
     assert answer["verdict"]["effects"] == []
     assert answer["effects"][0]["id"] == "unknown"
-    assert answer["ports"].keys() == {"friction"}
+    assert answer["ports"].keys() == {"friction", "reading"}
+    assert answer["ports"]["friction"] >= answer["ports"]["reading"]
 
 
 def test_two_effects_that_no_experiment_tells_apart_are_both_named():

@@ -171,10 +171,27 @@ def test_a_free_function_of_position_finds_what_no_effect_explains():
     paths = trajectories(subject.model, nominal.fit.values, REGIMES)
     families = {**bases(paths, REGIMES), "position, fine": hats(paths["position"], np.linspace(-1.0, 1.0, 60))}
     decoys = fit_decoys(subject.model, subject.observed, nominal.fit, tuple(PORTS.values()), families)
-    assert {d.port for d in decoys} == {"friction"}
-    by_name = {d.over: d for d in decoys}
+    assert {d.port for d in decoys} == {"friction", "reading"}
+    by_name = {d.over: d for d in decoys if d.port == "friction"}
     assert by_name["position"].fit.cost < nominal.fit.cost
     assert closure(nominal.held_out, by_name["speed"].held_out) < 0.3
+
+
+def test_a_sensor_that_also_shows_another_signal_is_found_out():
+    subject = plant({})
+    cases = []
+    for case in subject.model.cases:
+        x, v = case.channels
+        cases.append(replace(case, channels=(x, replace(v, repeats=v.repeats + 0.05 * x.repeats))))
+    model = replace(subject.model, cases=tuple(cases))
+    subject = replace(subject, model=model, observed=Observed.from_runs(model.runs))
+    nominal = fit_effects(subject, (), {})
+    paths = trajectories(subject.model, nominal.fit.values, REGIMES)
+    families = {"speed": hats(paths["speed"], np.linspace(-2.0, 2.0, 5))}
+    decoys = fit_decoys(subject.model, subject.observed, nominal.fit, tuple(PORTS.values()), families)
+    best = min(decoys, key=lambda d: d.held_out.gap)
+    assert (best.port, best.over) == ("reading", "other signals")
+    assert closure(nominal.held_out, best.held_out) > 0.8
 
 
 def test_signal_parameters_are_told_from_the_model_s():

@@ -28,8 +28,6 @@ class Fitted:
         All of them.
     names
         Those that are named as causes; the others, which no signal tells from one of them, give it another shape.
-    plain
-        The model of the same names before an effect was added that is not one of them.
     """
 
     effects: tuple[str, ...]
@@ -37,7 +35,6 @@ class Fitted:
     fit: Refit
     held_out: HeldOut
     gap: float
-    plain: Fitted | None = None
 
     @property
     def id(self) -> str:
@@ -129,7 +126,17 @@ def polish(subject: Subject, fitted: Fitted) -> Fitted:
     exact = fit_effects(subject, [by_id[name] for name in fitted.effects], fitted.fit.values)
     if exact is None or exact.fit.cost > fitted.fit.cost:
         return fitted
-    return replace(exact, names=fitted.names, plain=fitted.plain)
+    return replace(exact, names=fitted.names)
+
+
+def contribution(subject: Subject, fitted: Fitted, name: str) -> float:
+    """Return by how many sigmas an effect of `fitted` moves the predictions, the others held where they are."""
+    neutral = next(e.neutral for e in subject.effects if e.id == name)
+    (outcome,) = subject.model.predict([{**fitted.fit.values, **neutral}])
+    if isinstance(outcome, SimulationError):
+        return 0.0
+    moved = stack(subject.observed.residuals(outcome), subject.observed)
+    return float(np.linalg.norm(moved - stack(fitted.fit.residuals, subject.observed)))
 
 
 def estimates(fitted: Fitted, subject: Subject) -> dict[str, Estimate]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.held_out import advantage, closure
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.ports import Decoy
+from fmuid.diagnosis.ports import OWN_PAST, Decoy
 from fmuid.diagnosis.scores import stack
 
 # Calibrated on the virtual rig (`make blind`), never on data whose answer is to be found.
@@ -20,7 +20,7 @@ CLOSURE_THAT_PLACES = 0.1  # free functions at a port must close at least this m
 CLOSURE_THAT_NAMES = 0.5  # a named effect must close at least half of the gap on experiments left out
 CLOSURE_THAT_FINISHES = 1 / 3  # or this much of a weak gap, if then nothing is left that noise would not leave
 GAIN_OF_A_SECOND = 0.25  # a further effect must close at least a quarter of what is left
-DECOY_MARGIN = 0.5  # a decoy must leave less than half the gap of the best named effect
+DECOY_MARGIN = 0.65  # a decoy must leave less than this share of the gap of the best named effect
 CLOSURE_BEYOND_DECOYS = 0.85  # an effect that closes this much is not unknown: its law has another shape
 SAME = 4.0  # models whose predictions differ by fewer standard deviations cannot be told apart
 _BLOCK = 20.0  # samples of model error that carry as much as one of noise
@@ -54,13 +54,12 @@ def best_of(candidates: Sequence[Fitted]) -> Fitted:
 
 def indistinguishable(best: Fitted, candidates: Sequence[Fitted], observed: Observed) -> tuple[Fitted, ...]:
     """Return the candidates of the same number of effects that the data do not prefer `best` to, itself first."""
-    plain = best.plain or best
     others = [
         c
         for c in candidates
         if set(c.names) != set(best.names)
         and len(c.names) == len(best.names)
-        and separation(plain, c, observed) < SAME
+        and separation(best, c, observed) < SAME
     ]
     return (best, *sorted(others, key=lambda c: c.fit.cost))
 
@@ -89,12 +88,14 @@ def beyond_doubt(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
     return closed >= CLOSURE_BEYOND_DECOYS or (finished and names(nominal, best, finished=True))
 
 
-def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy]) -> Decoy | None:
+def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy], ports: Collection[str]) -> Decoy | None:
     """Return the decoy that shows the gap to be none of the named effects, if one does.
 
     That is: it leaves much less of the gap on experiments left out than the best named effect does, and that
-    effect does not close nearly all of it.
+    effect does not close nearly all of it. Where an effect at one of `ports` is named, what a sensor there makes
+    of its own past is no evidence: any lag is that, of whatever order.
     """
+    decoys = [d for d in decoys if d.over != OWN_PAST or d.port not in ports]
     if not decoys or closure(nominal.held_out, best.held_out) >= CLOSURE_BEYOND_DECOYS:
         return None
     decoy = min(decoys, key=lambda d: float(np.average(d.held_out.loss, weights=d.held_out.size)))
@@ -134,7 +135,7 @@ def probabilities(
             if len(candidate.names) != len(best.names):
                 continue
             same = set(candidate.names) == set(best.names)
-            z = 0.0 if same else max(0.0, separation(best.plain or best, candidate, observed))
+            z = 0.0 if same else max(0.0, separation(best, candidate, observed))
             for name in candidate.names:
                 weight[name] = max(weight[name], share * float(np.exp(-0.5 * z**2)))
     else:

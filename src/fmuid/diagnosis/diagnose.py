@@ -148,7 +148,8 @@ def _conclude(
 ) -> Found:
     observed = subject.observed
     ports = {e.id: e.port for e in subject.effects}
-    decoy = decide.unexplained(nominal, best or nominal, decoys) if present else None
+    named = {ports[n] for n in best.names} if best is not None else set()
+    decoy = decide.unexplained(nominal, best or nominal, decoys, named) if present else None
     alike = decide.indistinguishable(best, candidates, observed) if best is not None else ()
     unknown = present and (decoy is not None or best is None or not decide.names(nominal, best, finished=done))
     place = _strongest(nominal, decoys) if unknown else None

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 from fmuid.campaign import FloatArray, read_only
 from fmuid.diagnosis.held_out import HeldOut, leave_each_out
@@ -20,6 +21,8 @@ from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Refit, Unknown
 from fmuid.errors import SimulationError
 
+OWN_PAST = "its own past"
+_MEMORY = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)  # s, time constants of a sensor's past
 _SAME_PORT = 0.99  # correlation of responses above which the sensors cannot tell two ports apart
 Basis = tuple[tuple[FloatArray, ...], ...]
 """Basis functions, each with (N,) samples for every experiment."""
@@ -112,9 +115,10 @@ def fit_decoys(
 ) -> tuple[Decoy, ...]:
     """Fit every basis at every port, linearly, beside the nominal parameters of `base`.
 
-    Ports whose responses cannot be simulated are left out.
+    Ports whose responses cannot be simulated are left out. A sensor may also misread by what other signals, or its
+    own past, are.
     """
-    decoys = []
+    decoys = _at_sensors(model, observed, base, ports, bases)
     for port in _distinct(model, observed, base, ports, bases):
         drives = [
             {port.input or "": [port.magnitude * b for b in one]} for basis in bases.values() for one in basis
@@ -130,6 +134,60 @@ def fit_decoys(
             moved = [observed.residuals(p) for p in good]
             decoys.append(_fit(port, over, base, observed, moved))
     return tuple(decoys)
+
+
+def _at_sensors(
+    model: CampaignModel, observed: Observed, base: Refit, ports: Sequence[Port], bases: Mapping[str, Basis]
+) -> list[Decoy]:
+    sensors = {p.output: p for p in ports if p.output is not None}
+    (prediction,) = model.predict([base.values])
+    if isinstance(prediction, SimulationError):
+        return []
+    decoys = []
+    for signal, port in sensors.items():
+        rows = [r.channels.index(signal) if signal in r.channels else None for r in observed.runs]
+        if all(row is None for row in rows):
+            continue
+        for over, basis in {**bases, **_of_signals(model, prediction, rows)}.items():
+            moved = []
+            for one in basis:
+                misread = [np.zeros_like(p) for p in prediction]
+                for m, row, b in zip(misread, rows, one, strict=True):
+                    if row is not None:
+                        m[row] = port.magnitude * b
+                whitened = observed.whiten(misread)
+                moved.append(tuple(r + w for r, w in zip(base.residuals, whitened, strict=True)))
+            decoys.append(_fit(port, over, base, observed, moved))
+    return decoys
+
+
+def _of_signals(
+    model: CampaignModel, prediction: Sequence[FloatArray], rows: Sequence[int | None]
+) -> dict[str, Basis]:
+    """Return functions that a sensor, row `rows` of each prediction, may add: other signals, and its own past."""
+    own = {case.channels[row].signal for case, row in zip(model.cases, rows, strict=True) if row is not None}
+    signals = [
+        {n: u[case.lead :] for n, u in case.task.inputs.items()}
+        | {c.signal: y for c, y in zip(case.channels, p, strict=True)}
+        for case, p in zip(model.cases, prediction, strict=True)
+    ]
+    others = []
+    for name in sorted({n for known in signals for n in known} - own):
+        series = [
+            known.get(name, np.zeros(len(case.time))) for case, known in zip(model.cases, signals, strict=True)
+        ]
+        size = max(float(np.abs(s).max()) for s in series)
+        others += [tuple(s / size for s in series)] if size > 0.0 else []
+    read = [p[row] if row is not None else np.zeros(p.shape[1]) for p, row in zip(prediction, rows, strict=True)]
+    size = max(max(float(np.abs(r).max()) for r in read), 1e-300)
+    past = []
+    for seconds in _MEMORY:
+        keeps = [float(np.exp(-np.mean(np.diff(case.time)) / seconds)) for case in model.cases]
+        slow = [lfilter([1.0 - k], [1.0, -k], r / size) for k, r in zip(keeps, read, strict=True)]
+        past.append(tuple(np.asarray(s) for s in slow))
+    return (
+        {"other signals": tuple(others), "its own past": tuple(past)} if others else {"its own past": tuple(past)}
+    )
 
 
 def _distinct(

@@ -9,7 +9,7 @@ import numpy as np
 
 from fmuid.campaign import FloatArray
 from fmuid.diagnosis import decide
-from fmuid.diagnosis.candidates import Fitted, add_effect, polish, score_further, without
+from fmuid.diagnosis.candidates import Fitted, add_effect, contribution, polish, score_further, without
 from fmuid.diagnosis.null import NoiseDraws
 from fmuid.diagnosis.observed import excess
 from fmuid.diagnosis.scores import Score, alias_classes, nominal_basis, project_off, similarity, stack
@@ -21,6 +21,7 @@ Say = Callable[[str, float], None]
 _SINGLES = 7  # effects refitted on their own
 _SHARE = 0.05  # of the best score that another one must have to be refitted
 _PAIRS = 4  # further effects tried beside the best
+_ABOUT_AS_MUCH = 1.5  # ratio of what two effects of the same shape move
 _SCORED = 8  # effects scored anew for that
 _SWAPS = 2  # effects tried in place of each
 _MOST = 3  # effects together
@@ -67,6 +68,9 @@ def search(
         better = _polished(subject, company)
         if not decide.worth_adding(best, better):
             break
+        first = _shaped(best, better, signatures)
+        if first is not None:
+            better, company = _renamed(subject, better, first, company)
         candidates += company
         best = better
         swapped = _swaps(subject, best, candidates, scores) if best.gap > decide.GAP_THAT_MATTERS else []
@@ -100,18 +104,34 @@ def _signatures(
     return {s.effect: s.signature for s in scores if s.signature is not None}, refitted
 
 
-def _as_shape(before: Fitted, after: Fitted, signatures: Sequence[Mapping[str, FloatArray]]) -> Fitted:
-    """Name the effect that is new in `after` only if it does not act as one does that is there already.
-
-    What acts alike, small or at the size that was found, tells of a law of another shape, not of a second cause.
-    """
+def _shaped(before: Fitted, after: Fitted, signatures: Sequence[Mapping[str, FloatArray]]) -> str | None:
+    """Return the name in `before` that the effect that is new in `after` acts like, small or at the size found."""
     new = after.effects[-1]
-    shape = any(
-        new in own and name in own and similarity(own[new], own[name]) > _ALIKE
-        for own in signatures
+    alike = {
+        name: max(
+            (similarity(own[new], own[name]) for own in signatures if {new, name} <= own.keys()), default=0.0
+        )
         for name in before.names
-    )
-    return replace(after, names=before.names, plain=before.plain or before) if shape else after
+    }
+    name = max(alike, key=lambda n: alike[n], default=None)
+    return name if name is not None and alike[name] > _ALIKE else None
+
+
+def _as_shape(before: Fitted, after: Fitted, signatures: Sequence[Mapping[str, FloatArray]]) -> Fitted:
+    """Name the new effect only if it acts like none before: else the law has another shape, not a second cause."""
+    return after if _shaped(before, after, signatures) is None else replace(after, names=before.names)
+
+
+def _renamed(subject: Subject, better: Fitted, first: str, company: list[Fitted]) -> tuple[Fitted, list[Fitted]]:
+    """Name, of the last effect and the `first` that it shapes, the one that does more; both if about as much."""
+    new = better.effects[-1]
+    named, shape = (contribution(subject, better, name) for name in (first, new))
+    swapped = replace(better, names=tuple(new if n == first else n for n in better.names))
+    if max(named, shape) < _ABOUT_AS_MUCH * min(named, shape):
+        return better, [*company, swapped]
+    if shape > named:
+        return swapped, [swapped if c is better else c for c in company]
+    return better, company
 
 
 def _promising(scores: Sequence[Score]) -> list[Score]:
