@@ -1,4 +1,4 @@
-"""Finite differences that know the simulator's noise floor.
+"""Jacobians: exact where the models differentiate their runs, else differences that know the noise floor.
 
 A co-simulation's output is only piecewise smooth in its parameters (adaptive steps, events), so textbook
 steps of 1e-8 measure noise. The noise is estimated from a sixth difference (Hamming; More and Wild, 2011)
@@ -16,6 +16,7 @@ import numpy as np
 
 from fmuid.campaign import FloatArray
 from fmuid.errors import SimulationError
+from fmuid.exact_derivatives import ExactDerivatives
 from fmuid.problem import Evaluation, Problem
 
 EvaluateMany = Callable[[Sequence[FloatArray]], list[Evaluation]]
@@ -94,7 +95,9 @@ def noise_floor(problem: Problem, x: FloatArray, *, evaluate: EvaluateMany | Non
 
 
 class Differences:
-    """Finite differences of a problem's residuals; remembers the step each parameter needs.
+    """Jacobians of a problem's residuals: exact if every model can tell, else finite differences.
+
+    Remembers the step each parameter needs.
 
     Parameters
     ----------
@@ -109,6 +112,7 @@ class Differences:
 
     def __init__(self, problem: Problem, floor: NoiseFloor, *, central: bool) -> None:
         self.floor, self.central = floor, central
+        self._exact = ExactDerivatives(problem)
         self._lower, self._upper = problem.space.lower, problem.space.upper
         self.steps = [floor.central_step if central else floor.forward_step] * len(problem.space)
 
@@ -128,6 +132,9 @@ class Differences:
         SimulationError
             A parameter can be moved to neither side.
         """
+        exact = self._exact.jacobian(here)
+        if exact is not None:
+            return exact
         columns: dict[int, FloatArray] = {}
         due = list(range(len(here.x)))
         while due:

@@ -8,10 +8,19 @@ import numpy as np
 import pytest
 
 from fmu_build import build as build_modelica
-from fmuid import stepper
+from fmuid import exact_derivatives, stepper
+from fmuid.campaign import CriterionSpec, ParameterSpec
+from fmuid.cases import measured_case
+from fmuid.derivatives import Differences, noise_floor
 from fmuid.errors import FmuError
+from fmuid.exact_derivatives import ExactDerivatives
+from fmuid.expressions import parse
 from fmuid.fmu import Fmu
+from fmuid.problem import Problem
+from fmuid.search_space import expanded
 from fmuid.simulation import Task, differentiates
+from fmuid.solvers.least_squares import TrustRegion
+from fmuid.solvers.search import Search, Status
 from fmuid.workers import WorkerPool
 
 MODEL = """
@@ -76,6 +85,69 @@ def test_steppers_and_workers_agree(slider, monkeypatch):
     slow = Fmu(slider).simulate(task, VALUES)
     stepper.library.cache_clear()
     assert np.array_equal(slow, fast)
+
+
+def _problem(path, *, start):
+    """A search on both scales, with a tie, a bound that is touched, a sensor and two criteria."""
+    fmu = Fmu(path)
+    truth = fmu.simulate(
+        replace(TASK, tolerance=1e-10), {"m": 1.0, "d": 0.3, "fc[1]": 0.35, "fc[2]": 0.35, "v": 0.0}
+    )
+    noise = np.random.default_rng(0).normal(0.0, [[1e-4], [1e-3]], truth.shape)
+    case = measured_case(
+        "run",
+        fmu,
+        replace(TASK, start_values={"v": 0.0}),
+        dict(zip(TASK.outputs, truth * [[1.0], [1.02]] + noise, strict=True)),
+        sigma={"x": 1e-4, "v": 1e-3},
+        criteria=(CriterionSpec("x"), CriterionSpec("v", weight=0.5)),
+        parameters={"forward": "fc[1]", "backward": "fc[2]"},
+    )
+    gain = {"gain": parse("scale", where="test")}
+    case = replace(case, channels=(case.channels[0], replace(case.channels[1], sensor=gain)))
+    specs = [
+        ParameterSpec("m", start["m"], 0.1, 10.0, scale="log"),
+        ParameterSpec("d", start["d"], 0.0, 5.0),
+        ParameterSpec("forward", start["f"], 0.0, 5.0),
+        ParameterSpec("backward", 0.4, 0.0, 5.0),
+        ParameterSpec("scale", 1.0, 0.5, 2.0),
+    ]
+    free = ["m", "d", "forward", "scale"]
+    return Problem([case], expanded(specs, free, {}, {"backward": "1.0 * forward"}, ["run"]))
+
+
+def test_the_jacobian_of_a_problem_is_that_of_differences(slider, monkeypatch):
+    problem = _problem(slider, start={"m": 0.8, "d": 0.0, "f": 0.4})
+    jobs = []
+    runner = problem.runner
+    problem.runner = lambda asked: jobs.extend(asked) or runner(asked)
+    here = problem.evaluate(problem.space.start)
+    exact = Differences(problem, noise_floor(problem, here.x), central=True).jacobian(problem.evaluate_many, here)
+    jobs.clear()
+    ExactDerivatives(problem).jacobian(here)
+    assert len(jobs) == 1
+    monkeypatch.setattr(exact_derivatives, "differentiates", lambda *_: False)
+    finite = Differences(problem, noise_floor(problem, here.x), central=True).jacobian(problem.evaluate_many, here)
+    assert len(jobs) > 5
+    error = np.linalg.norm(exact - finite, axis=0) / np.linalg.norm(finite, axis=0)
+    assert np.all(error < [2e-3, 2e-2, 2e-3, 1e-6])  # d is at its bound: a one-sided difference
+
+
+def test_a_search_ends_at_the_same_optimum_with_either_jacobian(slider, monkeypatch):
+    ends = []
+    for exact in (True, False):
+        if not exact:
+            monkeypatch.setattr(exact_derivatives, "differentiates", lambda *_: False)
+        search = Search(_problem(slider, start={"m": 0.8, "d": 0.5, "f": 0.4}))
+        assert TrustRegion().solve(search, search.problem.space.start).status is Status.CONVERGED
+        ends.append((search.best, search.evaluations))
+    (a, fewer), (b, more) = ends
+    assert a.parameters == pytest.approx(
+        {**a.parameters, "m": 1.0, "d": 0.3, "forward": 0.35, "scale": 1.02}, rel=2e-2
+    )
+    assert a.cost == pytest.approx(b.cost, rel=1e-4)
+    assert a.x == pytest.approx(b.x, rel=1e-3)
+    assert fewer < 0.6 * more
 
 
 def test_other_fmus_have_none(build):
