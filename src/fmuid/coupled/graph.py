@@ -27,7 +27,7 @@ def find_loop(connections: Iterable[Connection], feedthrough: Feedthrough) -> tu
         sorter.prepare()
     except CycleError as error:
         cycle: list[Place] = error.args[1][:-1]
-        first = next((i for i, p in enumerate(cycle) if p.variable in feedthrough[p.component]), 0)
+        first = cycle.index(min(p for p in cycle if p.variable in feedthrough[p.component]))
         return (*cycle[first:], *cycle[:first], cycle[first])
     return ()
 

@@ -235,7 +235,7 @@ class Layout:
         for i, p in enumerate(prepared):
             p.plan.time, p.plan.stop = self.system.window, self._stop
             p.plan.rewinds = _together(self._loops, i, i)
-        self._plans = plans
+        self._plans = plans, [p.outputs() for p in prepared]  # which the master does not write to
         self.system.plans = ctypes.cast(plans, POINTER(POINTER(Plan)))
 
     def outputs(self, n_times: int | None = None) -> FloatArray:

@@ -5,6 +5,7 @@
  */
 #include "../stepper.h"
 
+#include <float.h>
 #include <math.h>
 #include <string.h>
 #include <time.h>
@@ -147,8 +148,9 @@ static int32_t initialise_one(System *s, int32_t c, bool iterating)
 
 /* ---- Loops: the connected inputs z of which each is what the outputs make of it, by Broyden's method. ---- */
 
-/* What each unknown of components first to last should be, less what it is; true if that is next to nothing. */
-static bool miss(System *s, int32_t first, int32_t last)
+/* What each unknown of components first to last should be, less what it is; true if that is next to nothing. What it
+ * is compared with does not grow while the iteration runs away. */
+static bool miss(System *s, int32_t first, int32_t last, bool begins)
 {
     bool solved = true;
     for (const Link *l = s->links; l < s->links + s->n_links; l++) {
@@ -156,8 +158,9 @@ static bool miss(System *s, int32_t first, int32_t last)
         if (i < 0 || l->component < first || l->component >= last) continue;
         double value = l->factor * s->next[l->source] + l->offset;
         s->residual[i] = value - s->unknowns[i];
-        s->scale[i] = fmax(s->scale[i], fabs(value));
-        solved &= fabs(s->residual[i]) <= s->tolerance * s->scale[i];
+        if (begins) s->scale[i] = fmax(s->scale[i], fabs(value));
+        double allowed = s->tolerance * s->scale[i]; /* a value whose rounding exceeds it proves nothing */
+        solved &= fabs(s->residual[i]) <= allowed && DBL_EPSILON * fabs(value) <= allowed;
     }
     return solved;
 }
@@ -224,7 +227,7 @@ static int32_t solve_loop(System *s, int32_t first, int32_t last, bool initialis
         if (iteration > 0 && !initialising) TRY(go_back(s, first, last));
         for (int32_t c = first; c < last; c++) TRY(initialising ? initialise_one(s, c, true) : step_one(s, c, true));
         memcpy(s->last, s->residual, (size_t)n * sizeof(double));
-        if (miss(s, first, last)) return DONE;
+        if (miss(s, first, last, iteration == 0)) return DONE;
         if (iteration > 0) learn(s, m);
         for (int32_t a = 0; a < m; a++) {
             s->change[i[a]] = 0;

@@ -17,6 +17,8 @@ from fmuid.model_exchange_python import Integrator
 from fmuid.stepper import Outcome
 from fmuid.stepper_python import Run, RunEndedError, array_at
 
+_EPSILON = float(np.finfo(float).eps)
+
 
 class _Component:
     """One FMU: its run, the window of its inputs (2, n), its place among all outputs, what its inputs follow."""
@@ -116,14 +118,15 @@ class _Master:
             k for k in self.system.links[: self.system.n_links] if k.unknown >= 0 and first <= k.component < last
         )
 
-    def _solved(self, first: int, last: int) -> bool:
+    def _solved(self, first: int, last: int, begins: bool) -> bool:
         solved = True
         for k in self._links_of_loop(first, last):
             i, value = k.unknown, k.factor * self.next[k.source] + k.offset
             self.residual[i] = value - self.unknowns[i]
-            if not math.isnan(value):
+            if begins and not math.isnan(value):
                 self.scale[i] = max(self.scale[i], abs(value))
-            solved &= bool(abs(self.residual[i]) <= self.system.tolerance * self.scale[i])
+            allowed = self.system.tolerance * self.scale[i]  # a value whose rounding exceeds it proves nothing
+            solved &= bool(abs(self.residual[i]) <= allowed and _EPSILON * abs(value) <= allowed)
         return solved
 
     def _learn(self, members: list[int], last: NDArray[np.float64]) -> None:
@@ -162,7 +165,7 @@ class _Master:
             for c in range(first, last):
                 (self._initialise_one if initialising else self._step_one)(c, True)
             before = self.residual.copy()
-            if self._solved(first, last):
+            if self._solved(first, last, iteration == 0):
                 return
             if iteration > 0:
                 self._learn(members, before)

@@ -358,7 +358,7 @@ class CoupledModel:
         when = "in initialisation" if initialising else f"at t = {at:.9g} s"
         after = f"after {self.master.loop_iterations} iterations {when}"
         if loop:
-            return SimulationError(f"the loop {loop_text(loop)} has no solution {after}", where=self.path.name)
+            return SimulationError(f"the loop {loop_text(loop)} is not solved {after}", where=self.path.name)
         return SimulationError(f"connected outputs do not settle {after}", where=self.path.name)
 
     def _located(self, error: FmuError | SimulationError, component: str) -> Any:
