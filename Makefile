@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 EMPS ?= ../shared/data/emps
+GO1 ?= ../shared/data/go1
 SEALED ?= ../shared/data/sealed
 # The blind check: cases in the grid, and a folder outside this one for what the diagnosis must not see.
 COUNT ?= 200
@@ -13,7 +14,8 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constr
 
 ACTUATOR := FixedShaft FreeShaft EccentricLoad
 SETUPS := $(foreach setup,$(ACTUATOR) LinearAxisOpenLoop LinearAxisClosedLoop,$(setup) $(setup)WithEffects)
-FMUS := $(SETUPS:%=build/fmus/%.fmu)
+PENDULUM := $(foreach setup,TorqueDriven PositionDriven,build/fmus/$(setup).fmu build/fmus/$(setup)WithEffects.fmu)
+FMUS := $(SETUPS:%=build/fmus/%.fmu) $(PENDULUM)
 MODELICA := $(shell find modelica -name '*.mo')
 EXPORT := $(shell find fmu_build -name '*.py' -o -name '*.[ch]')
 RIG := $(shell find src/fmuid/virtual_rig -type f -name '*.[pc]*')
@@ -22,7 +24,7 @@ FORCE_FEEDBACK := campaigns/force_feedback
 LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 FRICTION := --stage bearing $(foreach row,10 15 20 30,--stage row_$(row)_equal --stage row_$(row)) --stage standstill
 
-.PHONY: all setup fmus test test-all lint identify identify-linear identify-friction identify-emps diagnose diagnose-emps sealed blind bench clean
+.PHONY: all setup fmus test test-all lint identify identify-linear identify-friction identify-emps identify-go1 diagnose diagnose-emps diagnose-go1 sealed blind bench docs clean
 all: identify
 
 setup: $(READY)
@@ -39,11 +41,18 @@ build/fmus/%.fmu: $(MODELICA) $(EXPORT) | $(READY)
 	$(BIN)/fmuid build modelica/Drives/Setups/$*.mo Drives.Setups.$* --out $(@D)
 	@touch $@
 
+$(PENDULUM): build/fmus/%.fmu: $(MODELICA) $(EXPORT) | $(READY)
+	$(BIN)/fmuid build modelica/Pendulum/Setups/$*.mo Pendulum.Setups.$* --root modelica --out $(@D)
+	@touch $@
+
 $(FORCE_FEEDBACK)/measurements.h5: $(FORCE_FEEDBACK)/rig.toml $(RIG) | $(READY)
 	$(BIN)/python -m fmuid.virtual_rig $(FORCE_FEEDBACK)
 
 campaigns/emps/measurements.h5: | $(READY)
 	FMUID_EMPS=$(EMPS) $(BIN)/python -m fmuid.emps campaigns/emps
+
+campaigns/go1/measurements.h5: | $(READY)
+	FMUID_GO1=$(GO1) $(BIN)/python -m fmuid.go1 campaigns/go1
 
 identify: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/fmuid identify $(FORCE_FEEDBACK) --out runs/force_feedback
@@ -57,11 +66,19 @@ identify-friction: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 identify-emps: $(FMUS) campaigns/emps/measurements.h5
 	$(BIN)/fmuid identify campaigns/emps --out runs/emps
 
+# Then the friction laws beside each other, on the runs used and on those kept back.
+identify-go1: $(PENDULUM) campaigns/go1/measurements.h5
+	$(BIN)/fmuid identify campaigns/go1 --out runs/go1
+	$(BIN)/python -m fmuid.rival_stages runs/go1 q
+
 diagnose: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/fmuid diagnose $(FORCE_FEEDBACK) --out runs/diagnosis
 
 diagnose-emps: $(FMUS) campaigns/emps/measurements.h5
 	$(BIN)/fmuid diagnose campaigns/emps --out runs/emps-diagnosis
+
+diagnose-go1: $(PENDULUM) campaigns/go1/measurements.h5
+	$(BIN)/fmuid diagnose campaigns/go1 --out runs/go1-diagnosis
 
 sealed: $(FMUS)
 	$(BIN)/python -m fmuid.diagnosis.sealed $(SEALED) --out sealed --page docs/sealed.md
@@ -85,6 +102,11 @@ test-all: lint
 
 bench: $(READY) $(FMUS)
 	for script in benchmarks/*.py; do $(BIN)/python $$script || exit 1; done
+
+# Pages in build/site; a warning is an error.
+docs: $(READY)
+	$(PIP) --editable ".[docs]"
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:
 	rm -rf build runs $(VENV)
