@@ -23,8 +23,8 @@ static int allowed(Instance *me, int phases, const char *function) {
     return 0;
 }
 
-static void log_message(const Instance *me, Status status, const char *message) {
-    const fmi2CallbackLogger logger = (fmi2CallbackLogger)me->callback;
+static void log_message(void (*callback)(void), void *environment, const char *name, Status status, const char *message) {
+    const fmi2CallbackLogger logger = (fmi2CallbackLogger)callback;
     if (!logger) return;
     const char *category = status >= STATUS_ERROR ? "logStatusError" : "logStatusWarning";
     /* The message is itself the format: importers that cannot read variadic arguments get it whole. */
@@ -35,7 +35,7 @@ static void log_message(const Instance *me, Status status, const char *message) 
         format[n++] = *message;
     }
     format[n] = '\0';
-    logger(me->environment, me->name, (fmi2Status)status, category, format);
+    logger(environment, name, (fmi2Status)status, category, format);
 }
 
 /* A failed step or evaluation leaves the instance readable; only reset, terminate and free make sense after it. */
@@ -51,9 +51,12 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
                               fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions,
                               fmi2Boolean visible, fmi2Boolean loggingOn) {
     (void)visible;
-    Instance *me = new_instance(instanceName, fmuGUID, fmuResourceLocation, log_message,
-                                functions ? (void (*)(void))functions->logger : NULL,
-                                functions ? functions->componentEnvironment : NULL, fmuType == fmi2CoSimulation);
+    Listener listener = {.log = log_message};
+    if (functions) {
+        listener.callback = (void (*)(void))functions->logger;
+        listener.environment = functions->componentEnvironment;
+    }
+    Instance *me = new_instance(instanceName, fmuGUID, fmuResourceLocation, listener, fmuType == fmi2CoSimulation);
     if (me) me->logging = loggingOn;
     return me;
 }
@@ -325,37 +328,36 @@ fmi2Status fmi2CancelStep(fmi2Component c) {
     return (fmi2Status)report(me, STATUS_ERROR, "steps are not asynchronous: there is nothing to cancel");
 }
 
-fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
-    (void)kind;
+static fmi2Status no_status(fmi2Component c, fmi2StatusKind kind) {
     IN(ANY);
-    *value = fmi2OK;
-    return fmi2Discard;
+    return (fmi2Status)report(me, STATUS_DISCARD, "there is no status of kind %d: no step is pending", (int)kind);
+}
+
+fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
+    (void)value;
+    return no_status(c, kind);
 }
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
     IN(ANY);
-    if (kind != fmi2LastSuccessfulTime) return fmi2Discard;
+    if (kind != fmi2LastSuccessfulTime) return no_status(c, kind);
     *value = me->s.t;
     return fmi2OK;
 }
 
 fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value) {
-    (void)c;
-    (void)kind;
     (void)value;
-    return fmi2Discard;
+    return no_status(c, kind);
 }
 
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
     IN(ANY);
-    if (kind != fmi2Terminated) return fmi2Discard;
+    if (kind != fmi2Terminated) return no_status(c, kind);
     *value = me->s.terminate;
     return fmi2OK;
 }
 
 fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value) {
-    (void)c;
-    (void)kind;
     (void)value;
-    return fmi2Discard;
+    return no_status(c, kind);
 }

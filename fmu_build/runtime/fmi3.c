@@ -23,10 +23,17 @@ static int allowed(Instance *me, int phases, const char *function) {
     return 0;
 }
 
-static void log_message(const Instance *me, Status status, const char *message) {
-    const fmi3LogMessageCallback log = (fmi3LogMessageCallback)me->callback;
+static void log_message(void (*callback)(void), void *environment, const char *name, Status status, const char *message) {
+    (void)name; /* the environment tells instances apart */
+    const fmi3LogMessageCallback log = (fmi3LogMessageCallback)callback;
     if (!log) return;
-    log(me->environment, (fmi3Status)status, status >= STATUS_ERROR ? "logStatusError" : "logStatusWarning", message);
+    log(environment, (fmi3Status)status, status >= STATUS_ERROR ? "logStatusError" : "logStatusWarning", message);
+}
+
+/* What an instantiation that cannot be served says. */
+static fmi3Instance decline(fmi3InstanceEnvironment environment, fmi3LogMessageCallback log, const char *what) {
+    log_message((void (*)(void))log, environment, NULL, STATUS_ERROR, what);
+    return NULL;
 }
 
 /* A failed step or evaluation leaves the instance readable; only reset, terminate and free make sense after it. */
@@ -45,7 +52,8 @@ const char *fmi3GetVersion(void) { return fmi3Version; }
 static fmi3Instance instantiate(fmi3String name, fmi3String token, fmi3String resources,
                                 fmi3InstanceEnvironment environment, fmi3LogMessageCallback log, int logging,
                                 int is_co_simulation) {
-    Instance *me = new_instance(name, token, resources, log_message, (void (*)(void))log, environment, is_co_simulation);
+    const Listener listener = {log_message, (void (*)(void))log, environment};
+    Instance *me = new_instance(name, token, resources, listener, is_co_simulation);
     if (me) me->logging = logging;
     return me;
 }
@@ -67,11 +75,13 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
                                          fmi3LogMessageCallback logMessage,
                                          fmi3IntermediateUpdateCallback intermediateUpdate) {
     (void)visible;
-    (void)eventModeUsed; /* hasEventMode is not set: events are handled inside the step */
     (void)earlyReturnAllowed;
     (void)requiredIntermediateVariables;
-    (void)nRequiredIntermediateVariables;
     (void)intermediateUpdate;
+    if (eventModeUsed)
+        return decline(instanceEnvironment, logMessage, "there is no event mode: events are handled inside the steps");
+    if (nRequiredIntermediateVariables > 0)
+        return decline(instanceEnvironment, logMessage, "intermediate values of variables are not provided");
     return instantiate(instanceName, instantiationToken, resourcePath, instanceEnvironment, logMessage, loggingOn, 1);
 }
 
@@ -89,9 +99,7 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String instanceName, fmi3Stri
     (void)clockUpdate;
     (void)lockPreemption;
     (void)unlockPreemption;
-    if (logMessage)
-        logMessage(instanceEnvironment, fmi3Error, "logStatusError", "scheduled execution is not supported");
-    return NULL;
+    return decline(instanceEnvironment, logMessage, "scheduled execution is not supported");
 }
 
 void fmi3FreeInstance(fmi3Instance instance) { free_instance(instance); }

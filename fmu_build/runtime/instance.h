@@ -62,7 +62,13 @@ typedef struct {
 } State;
 
 typedef struct Instance Instance;
-typedef void (*LogFunction)(const Instance *me, Status status, const char *message);
+
+/* Where messages go: the importer's callback, of a type that only `log` knows. */
+typedef struct {
+    void (*log)(void (*callback)(void), void *environment, const char *name, Status status, const char *message);
+    void (*callback)(void);
+    void *environment;
+} Listener;
 
 struct Instance {
     State s;
@@ -82,10 +88,7 @@ struct Instance {
     double dfdy[LENGTH(NX) * LENGTH(NY)], drdy[LENGTH(NY) * LENGTH(NY)], drdx[LENGTH(NY) * LENGTH(NX)];
     double drdt[LENGTH(NY)];
     int y_pivot[LENGTH(NY)];
-    /* who to tell */
-    LogFunction log;
-    void (*callback)(void); /* the importer's logger, of a type that only log knows */
-    void *environment;
+    Listener listener;
     char *name;
     int logging;
     struct Sensitivity *sensitivity; /* NULL: none asked for */
@@ -156,8 +159,7 @@ Status advance_sensitivities(Instance *me, double t);
 void free_sensitivities(Instance *me);
 
 /* lifecycle.c: memory, the complete state, arrays of model exchange */
-Instance *new_instance(const char *name, const char *guid, const char *resources, LogFunction log, void (*callback)(void),
-                       void *environment, int is_co_simulation);
+Instance *new_instance(const char *name, const char *guid, const char *resources, Listener listener, int is_co_simulation);
 void free_instance(Instance *me);
 Status copy_state(const Instance *me, void **copy);
 Status restore_state(Instance *me, const void *copy);

@@ -28,7 +28,7 @@ static void predict(const Instance *me, const double *second, int from_step, dou
 double first_kink(Instance *me, double h, int again) {
     enum { SAMPLES = 4, BISECTIONS = 14 };
     Step *step = &me->s.step;
-    double start[LENGTH(MODEL_NSWITCH)], now[LENGTH(MODEL_NSWITCH)], at_end[LENGTH(MODEL_NSWITCH)];
+    double start[LENGTH(MODEL_NSWITCH)], now[LENGTH(MODEL_NSWITCH)], at_end[LENGTH(MODEL_NSWITCH)] = {0};
     double x[LENGTH(NX)], second[LENGTH(NX)], part = 1.0;
     if (MODEL_NSWITCH == 0 || switches_at(me, step->t0, step->x0, start)) return 1.0;
     for (int i = 0; i < NX; i++)

@@ -5,17 +5,18 @@
 
 #include "instance.h"
 
-/* NULL, with a message, if the GUID is another model's or the start values cannot be read. */
-Instance *new_instance(const char *name, const char *guid, const char *resources, LogFunction log,
-                       void (*callback)(void), void *environment, int is_co_simulation) {
+/* NULL, with a message, if there is no memory, the GUID is another model's or the start values cannot be read. */
+Instance *new_instance(const char *name, const char *guid, const char *resources, Listener listener, int is_co_simulation) {
     Instance *me = calloc(1, sizeof *me);
-    if (!me) return NULL;
     if (!name) name = MODEL_IDENTIFIER;
-    me->name = malloc(strlen(name) + 1);
-    if (me->name) strcpy(me->name, name);
-    me->log = log;
-    me->callback = callback;
-    me->environment = environment;
+    if (me) me->name = malloc(strlen(name) + 1);
+    if (!me || !me->name) {
+        listener.log(listener.callback, listener.environment, name, STATUS_ERROR, "no memory for an instance");
+        free(me);
+        return NULL;
+    }
+    strcpy(me->name, name);
+    me->listener = listener;
     if (!guid || strcmp(guid, MODEL_GUID) != 0) {
         report(me, STATUS_ERROR, "the GUID %s is not the one of this FMU, %s: modelDescription.xml and binary differ",
                guid ? guid : "(none)", MODEL_GUID);
@@ -82,14 +83,14 @@ static Status check_length(const Instance *me, size_t n, size_t expected, const 
 Status set_states(Instance *me, const double *x, size_t n) {
     const Status status = check_length(me, n, NX, "continuous states");
     if (status != STATUS_OK) return status;
-    memcpy(me->s.x, x, n * sizeof *x);
+    if (n > 0) memcpy(me->s.x, x, n * sizeof *x);
     me->s.have_dx = me->s.have_v = 0;
     return STATUS_OK;
 }
 
 Status get_states(const Instance *me, double *x, size_t n) {
     const Status status = check_length(me, n, NX, "continuous states");
-    if (status == STATUS_OK) memcpy(x, me->s.x, n * sizeof *x);
+    if (status == STATUS_OK && n > 0) memcpy(x, me->s.x, n * sizeof *x);
     return status;
 }
 
@@ -100,7 +101,7 @@ Status get_derivatives(Instance *me, double *dx, size_t n) {
     if (status != STATUS_OK) return status;
     if (evaluate_derivatives(me))
         return report(me, STATUS_DISCARD, "t = %.9g: an algebraic loop has no solution", me->s.t);
-    memcpy(dx, me->s.dx, n * sizeof *dx);
+    if (n > 0) memcpy(dx, me->s.dx, n * sizeof *dx);
     for (size_t i = 0; i < n; i++)
         if (!isfinite(dx[i]))
             return report(me, STATUS_DISCARD, "t = %.9g: the derivative of %s is not finite", me->s.t, name[i]);

@@ -202,7 +202,7 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
 
 int fmuidSetSensitivityParameters(void *instance, const unsigned *parameters, size_t n) {
     double *unit = calloc(LENGTH(n * n), sizeof *unit);
-    if (!unit) return STATUS_ERROR;
+    if (!unit) return instance ? report(instance, STATUS_ERROR, "no memory for sensitivities") : STATUS_ERROR;
     for (size_t i = 0; i < n; i++) unit[i * n + i] = 1.0;
     const int status = fmuidSetSensitivityDirections(instance, parameters, n, unit, n);
     free(unit);

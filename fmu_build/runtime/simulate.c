@@ -17,7 +17,7 @@ Status report(const Instance *me, Status status, const char *format, ...) {
     va_start(list, format);
     vsnprintf(message, sizeof message, format, list);
     va_end(list);
-    if (me->log) me->log(me, status, message);
+    me->listener.log(me->listener.callback, me->listener.environment, me->name, status, message);
     return status;
 }
 
