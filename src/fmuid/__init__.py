@@ -14,11 +14,13 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from fmuid.campaign import AnalysisSpec as AnalysisSpec
     from fmuid.campaign import Campaign as Campaign
     from fmuid.campaign import CriterionSpec as CriterionSpec
     from fmuid.campaign import Experiment as Experiment
     from fmuid.campaign import Measurements as Measurements
     from fmuid.campaign import ParameterSpec as ParameterSpec
+    from fmuid.campaign import ParetoSpec as ParetoSpec
     from fmuid.campaign import Signal as Signal
     from fmuid.campaign import StageSpec as StageSpec
     from fmuid.campaign_toml import load_campaign as load_campaign
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
     from fmuid.measurements import write_measurements as write_measurements
     from fmuid.observer import Observer as Observer
     from fmuid.problem import Problem as Problem
-    from fmuid.profiles import profile_interval as profile_interval
+    from fmuid.profiles import profile_of as profile_of
     from fmuid.progress import TerminalProgress as TerminalProgress
     from fmuid.propagation import propagate as propagate
     from fmuid.result import Result as Result
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
 # Public name -> module, loaded on first use: `import fmuid` stays quick. No module has the name of a function.
 
 _PUBLIC = {
+    "AnalysisSpec": "campaign",
     "Campaign": "campaign",
     "CriterionSpec": "campaign",
     "Experiment": "campaign",
@@ -56,6 +59,7 @@ _PUBLIC = {
     "Measurements": "campaign",
     "Observer": "observer",
     "ParameterSpec": "campaign",
+    "ParetoSpec": "campaign",
     "Problem": "problem",
     "Result": "result",
     "Signal": "campaign",
@@ -72,7 +76,7 @@ _PUBLIC = {
     "load_campaign": "campaign_toml",
     "load_fmu": "fmu",
     "measured_case": "cases",
-    "profile_interval": "profiles",
+    "profile_of": "profiles",
     "propagate": "propagation",
     "read_history": "history",
     "read_measurements": "measurements",

@@ -204,6 +204,44 @@ class CriterionSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class ParetoSpec:
+    """A Pareto front that is asked for.
+
+    Parameters
+    ----------
+    objectives
+        Labels of criteria, or globs: each is one objective. Every label is, where none is given.
+    points
+        On each edge of the front, its ends included.
+    """
+
+    objectives: tuple[str, ...] = ()
+    points: int = 11
+
+
+@dataclass(frozen=True, slots=True)
+class AnalysisSpec:
+    """What a stage is asked when its search is over.
+
+    Parameters
+    ----------
+    uncertainty
+        Standard errors, correlation, and what is not determined: 2 n + 6 evaluations for n parameters.
+    profiles
+        Profile likelihood of every parameter: some tens of evaluations each.
+    monte_carlo
+        Number of draws of the parameters from their distribution, for the criteria over it; 0 for none.
+    pareto
+        The front of trade-offs, or None.
+    """
+
+    uncertainty: bool = True
+    profiles: bool = False
+    monte_carlo: int = 0
+    pareto: ParetoSpec | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class StageSpec:
     """One step of the identification: which experiments, which parameters, judged how, solved by what."""
 
@@ -219,6 +257,7 @@ class StageSpec:
     max_evaluations: int | None = None
     max_seconds: float | None = None
     constraints: tuple[Mapping[str, Any], ...] = ()
+    analyses: AnalysisSpec = AnalysisSpec()
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,18 +15,20 @@ from typing import Any, Literal
 import msgspec
 
 from fmuid.campaign import (
+    AnalysisSpec,
     Campaign,
     CriterionSpec,
     EffectsSpec,
     Measurements,
     ModelSpec,
     ParameterSpec,
+    ParetoSpec,
     StageSpec,
     frozen_mapping,
 )
+from fmuid.coupled.table import CoupledTable, coupling_of
 from fmuid.errors import CampaignError, ProblemError
 from fmuid.expressions import parse
-from fmuid.coupled.table import CoupledTable, coupling_of
 from fmuid.measurements import read_measurements
 from fmuid.suggest import suggestion
 from fmuid.toml_tables import Table, convert, finite, numbers, read_toml
@@ -85,6 +87,14 @@ class _StageTable(Table):
     solver: str | dict[str, Any] = "auto"
     budget: dict[str, Any] = {}
     constraints: list[dict[str, Any]] = []
+    profiles: bool = False
+    monte_carlo: int = 0
+    pareto: dict[str, Any] | None = None
+
+
+class _ParetoTable(Table):
+    objectives: list[str] = []
+    points: int = 11
 
 
 class _RolesTable(Table):
@@ -195,6 +205,7 @@ def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
         map=frozen_mapping(table.map),
         initial=frozen_mapping(numbers(table.initial, f"{where} initial")),
         interpolation=table.interpolation,
+        coupling=coupling_of(table, folder, where),
     )
 
 
@@ -205,7 +216,6 @@ def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
     table = convert(raw, _ParameterTable, where)
     finite("start", table.start, where)
     if math.isnan(table.lower) or math.isnan(table.upper):
-        coupling=coupling_of(table, folder, where),
         raise CampaignError("a bound is nan", where=where, fix="write a number, or leave the bound out")
     if table.lower >= table.upper:
         raise CampaignError(
@@ -361,6 +371,11 @@ def _stage(
     _check_ties(table.tie, free, parameters, f"{where} tie")
     solver, options = _solver(table.solver, where)
     budget = convert(table.budget, _BudgetTable, f"{where} budget")
+    pareto = None if table.pareto is None else convert(table.pareto, _ParetoTable, f"{where} pareto")
+    if pareto is not None and pareto.points < 2:
+        raise CampaignError(f"pareto points is {pareto.points}", where=where, fix="write 2 or more")
+    if table.monte_carlo < 0:
+        raise CampaignError(f"monte_carlo is {table.monte_carlo}", where=where, fix="write a number of draws")
     for key in ("evaluations", "seconds"):
         limit = getattr(budget, key)
         if limit is not None and not limit > 0:
@@ -381,6 +396,11 @@ def _stage(
         max_evaluations=budget.evaluations,
         max_seconds=budget.seconds,
         constraints=tuple(frozen_mapping(c) for c in table.constraints),
+        analyses=AnalysisSpec(
+            profiles=table.profiles,
+            monte_carlo=table.monte_carlo,
+            pareto=None if pareto is None else ParetoSpec(tuple(pareto.objectives), pareto.points),
+        ),
     )
 
 

@@ -112,7 +112,7 @@ class Constraint:
                     f"constraint '{self.text}' names unknown parameter '{missing[0]}'",
                     fix=f"known: {', '.join(parameters)}",
                 )
-        elif not self._matching(labels):
+        elif not matching(labels, self.criterion or ""):
             raise ProblemError(f"no criterion matches '{self.text}'", fix=f"there are: {', '.join(labels)}")
 
     def violation(self, labels: Sequence[str], criteria: FloatArray, parameters: Mapping[str, float]) -> float:
@@ -120,17 +120,18 @@ class Constraint:
         if self.expression is not None:
             number = self.expression(parameters)
         else:
-            number = float(np.max(criteria[self._matching(labels)]))
+            number = float(np.max(criteria[matching(labels, self.criterion or "")]))
         if self.maximum is not None:
             return number - self.maximum
         if self.minimum is not None:
             return self.minimum - number
         return number - float(self.equal or 0.0)
 
-    def _matching(self, labels: Sequence[str]) -> list[int]:
-        pattern = self.criterion or ""
-        return [
-            i
-            for i, label in enumerate(labels)
-            if fnmatch.fnmatchcase(label, pattern) or fnmatch.fnmatchcase(label.partition(": ")[2], pattern)
-        ]
+
+def matching(labels: Sequence[str], pattern: str) -> list[int]:
+    """Return which of the criteria's labels (``case: name``) a glob names, with the case or without."""
+    return [
+        i
+        for i, label in enumerate(labels)
+        if fnmatch.fnmatchcase(label, pattern) or fnmatch.fnmatchcase(label.partition(": ")[2], pattern)
+    ]

@@ -17,7 +17,7 @@ simulated a second time, so the run goes on exactly where it stopped.
 ``constraints``   (n, n_constraints)
 ``cost``          (n,)                NaN if failed
 ``failure``       (n,)                text, empty if it did not fail
-``purpose``       (n,)                search, derivative or uncertainty
+``purpose``       (n,)                search, derivative, uncertainty or pareto
 ``seconds``       (n,)                wall time
 ``improved``      (n,)                whether it was the best so far
 ================  ==================  ===================================================================
@@ -99,6 +99,7 @@ class StageHistory:
     signals: tuple[tuple[str, ...], ...]
     rows: list[Row] = field(default_factory=list)
     result: bytes | None = None
+    asked: str = ""  # what was to be found about the result
 
     @property
     def costs(self) -> FloatArray:
@@ -182,7 +183,6 @@ class History:
 
     def record(self, stage: str, evaluation: Evaluation, purpose: str, improved: bool, *, residuals: bool) -> None:
         """Append one evaluation; with `residuals` if the solver will ask for them when it resumes."""
-        self._known.pop(stage, None)
         row = Row(
             evaluation.x,
             evaluation.parameters,
@@ -197,6 +197,8 @@ class History:
             evaluation.predictions if improved else (),
         )
         self.stages[stage].rows.append(row)
+        if stage in self._known:
+            self._known[stage][row.search.tobytes()] = row
         self._append("row", {"stage": stage, **_packed(row)})
 
     def recall(self, stage: str, x: FloatArray, residuals: bool) -> Evaluation | None:
@@ -208,10 +210,10 @@ class History:
             return None
         return row.evaluation()
 
-    def finish(self, stage: str, result: bytes) -> None:
-        """Record that a stage is done, with its result."""
-        self.stages[stage].result = result
-        self._append("result", {"stage": stage, "result": result})
+    def finish(self, stage: str, result: bytes, asked: str) -> None:
+        """Record that a stage is done, with its result and what was to be found about it."""
+        self._take(("result", {"stage": stage, "result": result, "asked": asked}))
+        self._append("result", {"stage": stage, "result": result, "asked": asked})
         for row_number, row in enumerate(self.stages[stage].rows):
             if row.residuals is not None:  # nobody asks for them again
                 object.__setattr__(self.stages[stage].rows[row_number], "residuals", None)
@@ -253,7 +255,7 @@ class History:
         elif kind == "row":
             self.stages[name].rows.append(_unpacked(content))
         else:
-            self.stages[name].result = content["result"]
+            self.stages[name].result, self.stages[name].asked = content["result"], content["asked"]
         return self.stages[name]
 
 

@@ -2,33 +2,33 @@
 
 from __future__ import annotations
 
-import hashlib
 import time as clock
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
-import numpy as np
 
-from fmuid.campaign import Campaign, ParameterSpec, StageSpec
-from fmuid.derivatives import NoiseFloor
+from fmuid.analyses import Findings, analyse
+from fmuid.campaign import AnalysisSpec, Campaign, ParameterSpec, StageSpec
 from fmuid.errors import ProblemError, SimulationError
 from fmuid.history import History
 from fmuid.observer import Observer, Progress
 from fmuid.problem import Evaluation, Problem
+from fmuid.provenance import fingerprint, hashes_of, versions
 from fmuid.result import FILE, CriterionValue, Estimate, Result, StageResult, at_bound, finite
 from fmuid.runners import Runner, in_process
 from fmuid.search_space import SEPARATOR
 from fmuid.simulation import Simulator
 from fmuid.solvers import Outcome, Search, Solver, Status, StopRules, StopSearch, make
-from fmuid.uncertainty import Uncertainty, uncertainty_of, without_intervals
+from fmuid.solvers.pareto import Objectives
+from fmuid.uncertainty import Uncertainty
 
 _ALIKE = 0.99
+_INTERRUPTED = Outcome(Status.INTERRUPTED, "stopped by the user")
 _LIBRARIES = ("fmuid", "numpy", "scipy", "nlopt", "fmpy")
 
 
@@ -39,8 +39,18 @@ class _Run:
     history: History
     observer: Observer
     seed: int
-    with_uncertainty: bool
     specs: Mapping[str, ParameterSpec]
+
+
+@dataclass(frozen=True, slots=True)
+class _Posed:
+    """One stage, ready to be solved."""
+
+    problem: Problem
+    solver: str = "auto"
+    options: Mapping[str, Any] = field(default_factory=dict)
+    stop: StopRules = field(default_factory=StopRules)
+    analyses: AnalysisSpec = field(default_factory=AnalysisSpec)
 
 
 def identify(
@@ -60,6 +70,7 @@ def identify(
     simulators: Mapping[str, Simulator] | None = None,
     seed: int = 0,
     with_uncertainty: bool = True,
+    analyses: AnalysisSpec | None = None,
 ) -> Result:
     """Estimate the free parameters of a campaign, stage by stage, or of a single problem.
 
@@ -91,7 +102,9 @@ def identify(
     seed
         Of random solvers and starts.
     with_uncertainty
-        Whether each stage ends with its uncertainty analysis (2 n + 6 evaluations for n parameters).
+        Whether each stage ends with its uncertainty analysis.
+    analyses
+        What every stage ends with, whatever the campaign asks for.
 
     Returns
     -------
@@ -114,23 +127,31 @@ def identify(
         plan = list(_chosen(campaign, stages))
         specs = dict(campaign.parameters)
         simulators = simulators or _models(campaign)
+
+    def posed(step: StageSpec | Problem, best: Mapping[str, float], runner: Runner) -> _Posed:
+        found = _posed(step, campaign, simulators or {}, best, runner)
+        if solver is not None:
+            found = replace(found, solver=solver, options={})
+        wanted = analyses or found.analyses
+        return replace(
+            found,
+            options=dict(found.options if options is None else options),
+            stop=stop or found.stop,
+            analyses=replace(wanted, uncertainty=wanted.uncertainty and with_uncertainty),
+        )
+
     for step in plan:  # what cannot be posed or solved is said before anything is written
-        problem, asked, settings, _ = _posed(step, campaign, simulators or {}, {}, in_process)
-        make(solver or asked, options if options is not None else {} if solver else settings, problem)
+        asked = posed(step, {}, in_process)
+        make(asked.solver, asked.options, asked.problem)
+        if asked.analyses.pareto is not None:
+            Objectives.of(asked.problem, asked.analyses.pareto.objectives)
     limits = {"time_limit": time_limit, "memory_limit": memory_limit}
     results: list[StageResult] = []
     best: dict[str, float] = {}
     with _runner(executor, workers, limits) as runner, History(folder, resume=resume) as history:
-        run = _Run(history, observer or Observer(), seed, with_uncertainty, specs)
+        run = _Run(history, observer or Observer(), seed, specs)
         for step in plan:
-            problem, asked, settings, rules = _posed(step, campaign, simulators or {}, best, runner)
-            result = _stage(
-                run,
-                problem,
-                solver or asked,
-                dict(options if options is not None else {} if solver else settings),
-                stop or rules,
-            )
+            result = _stage(run, posed(step, best, runner))
             results.append(result)
             best = dict(result.parameters)
             if result.status is Status.INTERRUPTED:
@@ -142,8 +163,8 @@ def identify(
             stages=tuple(results),
             parameters=best,
             seconds=clock.perf_counter() - begin,
-            versions=_versions(),
-            inputs=_inputs(campaign) if campaign else {},
+            versions=versions(_LIBRARIES),
+            inputs=hashes_of(campaign) if campaign else {},
             folder=None if folder is None else str(folder),
         )
         history.close(complete=summary.status is not Status.INTERRUPTED)
@@ -152,13 +173,14 @@ def identify(
     return summary
 
 
-def _stage(run: _Run, problem: Problem, name: str, options: dict[str, Any], stop: StopRules) -> StageResult:
+def _stage(run: _Run, asked: _Posed) -> StageResult:
     """Run one stage, or take its result from the history."""
-    solver, why = make(name, options, problem)
-    seed = int(options.get("seed", run.seed))
-    done = run.history.begin(problem, _fingerprint(problem, solver, options, seed)).result
-    if done is not None:
-        result = msgspec.json.decode(done, type=StageResult)
+    problem, stop = asked.problem, asked.stop
+    solver, why = make(asked.solver, asked.options, problem)
+    seed = int(asked.options.get("seed", run.seed))
+    recorded = run.history.begin(problem, fingerprint(problem, solver, asked.options, seed))
+    if recorded.result is not None and recorded.asked == repr(asked.analyses):
+        result = msgspec.json.decode(recorded.result, type=StageResult)
         run.observer.finished(result)
         return result
     run.observer.started(problem, solver.name, why, stop)
@@ -198,40 +220,24 @@ def _stage(run: _Run, problem: Problem, name: str, options: dict[str, Any], stop
     except StopSearch as stopped:
         outcome = stopped.outcome
     except KeyboardInterrupt:
-        outcome = Outcome(Status.INTERRUPTED, "stopped by the user")
+        outcome = _INTERRUPTED
     except SimulationError as error:
         outcome = Outcome(Status.FAILED, str(error))
-    found, complaint = None, None
-    if search.best is not None and run.with_uncertainty and outcome.status is not Status.INTERRUPTED:
+    found = Findings()
+    if outcome is not _INTERRUPTED:
         try:
-            found = _uncertainty(run, problem, search.best, search.noise_floor)
+            found = analyse(
+                search,
+                asked.analyses,
+                lambda e, why: run.history.record(problem.name, e, why, False, residuals=False),
+            )
         except KeyboardInterrupt:
-            outcome = Outcome(Status.INTERRUPTED, "stopped by the user")
-        except SimulationError as error:
-            complaint = f"no uncertainty: {error}"
+            outcome = _INTERRUPTED
     result = _result(run, problem, search, first, outcome, solver, why, found, clock.perf_counter() - begin)
-    if complaint is not None:
-        result = replace(result, warnings=(*result.warnings, complaint))
-    if outcome.status is not Status.INTERRUPTED:
-        run.history.finish(problem.name, msgspec.json.encode(result))
+    if outcome is not _INTERRUPTED:
+        run.history.finish(problem.name, msgspec.json.encode(result), repr(asked.analyses))
     run.observer.finished(result)
     return result
-
-
-def _uncertainty(run: _Run, problem: Problem, best: Evaluation, floor: NoiseFloor | None) -> Uncertainty:
-    def evaluate(points: Sequence[Any]) -> list[Evaluation]:
-        evaluations = problem.evaluate_many(points)
-        for evaluation in evaluations:
-            run.history.record(problem.name, evaluation, "uncertainty", False, residuals=False)
-        return evaluations
-
-    found = uncertainty_of(problem, best, evaluate=evaluate, floor=floor)
-    bounds = [
-        spec.name
-        for spec in problem.space.free
-        if at_bound(best.parameters[spec.name], spec.lower, spec.upper) is not None
-    ]
-    return without_intervals(found, bounds)
 
 
 def _result(
@@ -242,10 +248,10 @@ def _result(
     outcome: Outcome,
     solver: Solver,
     why: str,
-    found: Uncertainty | None,
+    findings: Findings,
     seconds: float,
 ) -> StageResult:
-    best = search.best
+    best, found = search.best, findings.uncertainty
     values = problem.space.to_model(problem.space.start) if best is None else dict(best.parameters)
     estimates = []
     for i, free in enumerate(problem.space.free):
@@ -298,9 +304,12 @@ def _result(
         seconds=seconds,
         starts=tuple(search.starts),
         uncertainty=found,
-        warnings=_warnings(search, estimates, found),
+        warnings=(*_warnings(search, estimates, found), *findings.warnings),
         ties={name: expression.text for name, expression in problem.space.ties.items()},
         parameters=values,
+        profiles=findings.profiles,
+        spread=findings.spread,
+        front=findings.front,
     )
 
 
@@ -328,14 +337,15 @@ def _posed(
     simulators: Mapping[str, Simulator],
     best: Mapping[str, float],
     runner: Runner,
-) -> tuple[Problem, str, Mapping[str, Any], StopRules]:
+) -> _Posed:
     if isinstance(step, Problem):
         if runner is not in_process:
             step.runner = runner
-        return step, "auto", {}, StopRules()
+        return _Posed(step)
     assert campaign is not None
     problem = Problem.of_stage(campaign, step, simulators, best=best, runner=runner)
-    return problem, step.solver, step.solver_options, StopRules(step.max_evaluations, step.max_seconds)
+    stop = StopRules(step.max_evaluations, step.max_seconds)
+    return _Posed(problem, step.solver, step.solver_options, stop, step.analyses)
 
 
 @contextmanager
@@ -382,46 +392,3 @@ def _chosen(campaign: Campaign, names: Iterable[str] | None) -> list[StageSpec]:
         if name not in campaign.stages:
             raise ProblemError(f"no stage '{name}'", fix=f"the campaign has: {', '.join(campaign.stages)}")
     return [stage for name, stage in campaign.stages.items() if name in wanted]
-
-
-def _fingerprint(problem: Problem, solver: Solver, options: Mapping[str, Any], seed: int) -> str:
-    """Return a hash of all that decides the course of a stage; a resumed run may get a larger budget."""
-    digest = hashlib.sha256()
-    space = problem.space
-    ties = {name: expression.text for name, expression in space.ties.items()}
-    posed = (problem.labels, problem.combination, problem.constraints, space.free, dict(space.fixed), ties)
-    digest.update(repr((solver.name, sorted(options.items()), seed, *posed)).encode())
-    for case in problem.cases:
-        simulator = case.simulator
-        digest.update(str(getattr(simulator, "token", type(simulator).__qualname__)).encode())
-        task = case.task
-        digest.update(repr((case.id, task.outputs, dict(task.start_values), task.interpolation)).encode())
-        for array in (task.time, *task.inputs.values(), *(c.repeats for c in case.channels)):
-            digest.update(np.ascontiguousarray(array).tobytes())
-        for _, criterion in [pair for pair in problem.criteria if pair[0] is case]:
-            digest.update(repr((criterion.kind, criterion.demand, criterion.weight)).encode())
-    return digest.hexdigest()
-
-
-def _versions() -> dict[str, str]:
-    found = {}
-    for name in _LIBRARIES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found
-
-
-def _inputs(campaign: Campaign) -> dict[str, str]:
-    """Return SHA-256 hashes of what was measured and of the FMUs."""
-    digest = hashlib.sha256()
-    for experiment in campaign.measurements:
-        digest.update(experiment.id.encode() + experiment.time.tobytes())
-        for name, signal in experiment.signals.items():
-            digest.update(name.encode() + signal.values.tobytes())
-    hashes = {"measurements": digest.hexdigest()}
-    for model in campaign.models.values():
-        if model.fmu.is_file():
-            hashes[model.fmu.name] = hashlib.sha256(model.fmu.read_bytes()).hexdigest()
-    return hashes

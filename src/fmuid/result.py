@@ -15,6 +15,9 @@ import msgspec
 
 from fmuid.errors import FmuidError
 from fmuid.files import write_atomically
+from fmuid.profiles import Profile
+from fmuid.propagation import CriterionSpread
+from fmuid.solvers.pareto import Front
 from fmuid.solvers.search import Start, Status
 from fmuid.uncertainty import Uncertainty
 
@@ -86,13 +89,17 @@ class StageResult:
     warnings: tuple[str, ...] = ()
     ties: dict[str, str] = field(default_factory=dict)
     parameters: dict[str, float] = field(default_factory=dict)
+    profiles: tuple[Profile, ...] = ()
+    spread: tuple[CriterionSpread, ...] = ()
+    front: Front | None = None
 
     def __getitem__(self, name: str) -> Estimate:
         return _find(self.estimates, name)
 
     def __str__(self) -> str:
         """Return the stage as text: one line on how it went, a table, warnings."""
-        return "\n".join([self.summary, *_table(self.estimates), *(f"! {w}" for w in self.warnings)])
+        front = [] if self.front is None else [str(self.front)]
+        return "\n".join([self.summary, *_table(self.estimates), *front, *(f"! {w}" for w in self.warnings)])
 
     @property
     def summary(self) -> str:
@@ -212,7 +219,7 @@ def _cells(estimates: Sequence[Estimate]) -> list[list[str]]:
     header = ["parameter", "value", "unit", "standard error", "95 % interval", "start"]
     rows = [header + (["truth", "deviation"] if with_truth else [])]
     for e in estimates:
-        error = f"at its {e.at_bound} bound" if e.at_bound else "not determined"
+        error = f"at its {e.at_bound} bound" if e.at_bound else "–"  # the warnings say why
         row = [
             e.name,
             f"{e.value:.6g}",

@@ -72,7 +72,8 @@ def uncertainty_of(
 
     evaluate = evaluate or problem.evaluate_many
     floor = floor or noise_floor(problem, best.x, evaluate=evaluate)
-    here = best if best.predictions else evaluate([best.x])[0]
+    # A resumed run does not remember everything of an evaluation.
+    here = best if best.predictions and best.residuals.size else evaluate([best.x])[0]
     j = Differences(problem, floor, central=True).jacobian(evaluate, here)
     tolerance = max(1e-6, 5.0 * floor.central_step**2)
     first = identifiability(problem, best.x, j, tolerance=tolerance)
@@ -89,9 +90,12 @@ def uncertainty_of(
     degrees = max(effective - n, 1.0)
     t = float(stdtrit(degrees, 0.5 + 0.5 * LEVEL))
     slope = problem.space.slope(best.x)
-    spread = np.sqrt(np.diag(covariance))
+    variance = np.diag(covariance)
+    spread = np.sqrt(np.maximum(variance, 0.0))
     low, high = (problem.space.to_model(best.x + sign * t * spread) for sign in (-1.0, 1.0))
-    known = [name not in found.undetermined for name in problem.space.names]
+    # A kernel estimate can come out indefinite: a variance below zero is none.
+    sound = variance > -1e-9 * np.max(np.abs(variance))
+    known = [n not in found.undetermined and bool(s) for n, s in zip(problem.space.names, sound, strict=True)]
     naive = np.sqrt(np.diag(bread) * float(here.residuals @ here.residuals) / max(m - n, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / np.outer(spread, spread)

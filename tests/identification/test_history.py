@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid import Observer, Result, Status, StopRules, identify, read_history
+from fmuid import AnalysisSpec, Observer, Result, Status, StopRules, identify, read_history
 from fmuid.history import JOURNAL, HistoryError
 
 # A run that identifies the mass-spring-damper with a slow model, to be killed from outside.
@@ -162,3 +162,21 @@ def test_a_foreign_file_is_no_history(tmp_path):
     (tmp_path / "history.h5").write_bytes(b"no")
     with pytest.raises(HistoryError, match="cannot be read"):
         read_history(tmp_path)
+
+
+def test_a_resumed_run_may_be_asked_more_and_simulates_no_search_again(tmp_path, msd):
+    class Second(Observer):
+        """Presses Ctrl-C when the stage is done, before the run is."""
+
+        def finished(self, result):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        identify(msd(), solver="bobyqa", out=tmp_path, observer=Second(), with_uncertainty=False)
+    problem = msd()
+    asked = AnalysisSpec(profiles=True, monte_carlo=20)
+    stage = identify(problem, solver="bobyqa", out=tmp_path, resume=True, analyses=asked).stages[0]
+    assert len(stage.profiles) == 3
+    assert len(stage.spread) == 1
+    history = read_history(tmp_path)["msd"]
+    assert [r.purpose for r in history.rows].count("search") == stage.evaluations

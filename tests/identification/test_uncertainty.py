@@ -1,7 +1,18 @@
 import numpy as np
 import pytest
 
-from fmuid import ParameterSpec, Problem, Task, identify, measured_case, profile_interval, propagate
+from fmuid import (
+    AnalysisSpec,
+    CriterionSpec,
+    ParameterSpec,
+    Problem,
+    Task,
+    identify,
+    measured_case,
+    profile_of,
+    propagate,
+)
+from fmuid.propagation import worst_points
 
 TIME = np.linspace(0.0, 10.0, 201)
 
@@ -126,7 +137,7 @@ def test_a_parameter_at_its_bound_gets_no_interval(analytic):
 def test_profile_interval_equals_the_linear_one_of_a_linear_model(analytic):
     noise = 0.1 * np.random.default_rng(0).standard_normal(TIME.size)
     problem, stage = fitted(analytic, line, ["a", "b"], 2 + 0.5 * TIME + noise)
-    assert profile_interval(problem, stage.uncertainty, "b") == pytest.approx(stage["b"].interval, rel=1e-3)
+    assert profile_of(problem, stage.uncertainty, "b").interval == pytest.approx(stage["b"].interval, rel=1e-3)
 
 
 def test_profile_interval_is_open_where_the_data_end(analytic):
@@ -135,9 +146,9 @@ def test_profile_interval_is_open_where_the_data_end(analytic):
     noise = 0.05 * np.random.default_rng(3).standard_normal(TIME.size)
     specs = [ParameterSpec("tau", 50.0, 1.0)]
     problem, stage = fitted(analytic, decay, ["tau"], np.exp(-TIME / 400) + noise, sigma=0.05, specs=specs)
-    low, high = profile_interval(problem, stage.uncertainty, "tau")
+    low, high = profile_of(problem, stage.uncertainty, "tau").interval
     assert 50.0 < low < 400.0
-    assert high > 1000.0 or high == np.inf
+    assert high is None or high > 1000.0
 
 
 def test_propagated_band_covers_the_prediction_and_widens_outwards(analytic):
@@ -149,3 +160,74 @@ def test_propagated_band_covers_the_prediction_and_widens_outwards(analytic):
     middle, end = 0.1 * np.sqrt(1 / TIME.size), 0.1 * np.sqrt(4 / TIME.size)
     assert width[100] == pytest.approx(2 * 1.96 * middle, rel=0.25)
     assert width[-1] == pytest.approx(2 * 1.96 * end, rel=0.25)
+
+
+def test_worst_case_over_the_uncertainty_is_the_farthest_point_of_the_region(analytic):
+    # Only a counts, with standard error s: the 95 % region of one parameter reaches 1.96 s.
+    level = lambda time, inputs, p: {"y": p["a"]}  # noqa: E731
+    noise = 0.1 * np.random.default_rng(0).standard_normal(TIME.size)
+    case = measured_case(
+        "run",
+        analytic(level, ["a"]),
+        Task(TIME, {}, ("y",)),
+        {"y": 2 + noise},
+        sigma={"y": 0.1},
+        criteria=[CriterionSpec("y"), CriterionSpec("y", "steady_state", demand=0.01, weight=0.0)],
+    )
+    problem = Problem([case], [ParameterSpec("a", 1.0, 0.0, 5.0)])
+    stage = identify(problem, analyses=AnalysisSpec(monte_carlo=400)).stages[0]
+    squares, steady = stage.spread
+    error = stage["a"].standard_error
+    corners = [problem.space.to_model(x)["a"] - stage["a"].value for x in worst_points(problem, stage.uncertainty)]
+    assert np.abs(corners) == pytest.approx(1.96 * error, rel=1e-3)
+    assert np.sign(corners[1]) == np.sign(stage["a"].value - 2 - np.mean(noise[-21:]))
+    assert squares.worst >= np.sqrt(squares.value**2 + (1.96 * error / 0.1) ** 2) * 0.999
+    assert squares.value == pytest.approx(np.std(noise) / 0.1, rel=1e-3)
+    end = abs(stage["a"].value - 2 - np.mean(noise[-21:])) / 0.01
+    assert steady.value == pytest.approx(end, rel=0.05)
+    assert steady.worst >= end + 1.9 * error / 0.01
+    assert squares.median < squares.high < squares.worst
+
+
+def test_what_is_not_determined_has_no_profile_and_no_monte_carlo(analytic):
+    spin = lambda time, inputs, p: {"y": 100 * np.exp(-p["c"] / p["J"] * time) + p["b"]}  # noqa: E731
+    y = spin(TIME, {}, {"c": 0.02, "J": 0.1, "b": 1.0})["y"] + 0.1 * np.random.default_rng(0).standard_normal(
+        TIME.size
+    )
+    specs = [ParameterSpec("c", 0.05, 1e-3, 1), ParameterSpec("J", 0.1, 1e-2, 1), ParameterSpec("b", 0.5)]
+    case = measured_case(
+        "run", analytic(spin, ["c", "J", "b"]), Task(TIME, {}, ("y",)), {"y": y}, sigma={"y": 0.1}
+    )
+    stage = identify(Problem([case], specs), analyses=AnalysisSpec(profiles=True, monte_carlo=20)).stages[0]
+    assert [p.name for p in stage.profiles] == ["b"]
+    assert stage.spread == ()
+    assert any(
+        w.startswith("no Monte Carlo: c, J are not separately identifiable; only c/J") for w in stage.warnings
+    )
+
+
+def test_a_profile_is_skew_where_the_model_is(analytic):
+    decay = lambda time, inputs, p: {"y": np.exp(-time / p["tau"])}  # noqa: E731
+    noise = 0.05 * np.random.default_rng(3).standard_normal(TIME.size)
+    specs = [ParameterSpec("tau", 50.0, 1.0)]
+    problem, stage = fitted(analytic, decay, ["tau"], np.exp(-TIME / 100) + noise, sigma=0.05, specs=specs)
+    profile = profile_of(problem, stage.uncertainty, "tau")
+    low, high = profile.interval
+    # Where the rise is 1, by the model itself.
+    cost = lambda tau: np.sum((np.exp(-TIME / tau) - np.exp(-TIME / 100) - noise) ** 2) / 0.05**2  # noqa: E731
+    rises = [cost(end) - cost(stage["tau"].value) for end in (low, high)]
+    assert rises[0] == pytest.approx(rises[1], rel=0.02)
+    assert high - stage["tau"].value > 1.1 * (stage["tau"].value - low)
+    assert list(profile.values) == sorted(profile.values)
+    assert min(profile.rise) == 0.0
+
+
+def test_a_worst_criterion_has_no_standard_errors(analytic):
+    from fmuid.combine import Combination
+
+    case = measured_case("run", analytic(line, ["a", "b"]), Task(TIME, {}, ("y",)), {"y": 2 + 0.5 * TIME**1.1})
+    stage = identify(
+        Problem([case], [ParameterSpec(n, 1.0) for n in "ab"], combination=Combination("min_max"))
+    ).stages[0]
+    assert stage["a"].standard_error is None
+    assert any("no standard errors: a min_max" in w for w in stage.warnings)

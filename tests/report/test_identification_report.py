@@ -1,17 +1,20 @@
 import csv
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from report_page import Page
 
 from fmuid.campaign import (
+    AnalysisSpec,
     Campaign,
     CriterionSpec,
     Experiment,
     Measurements,
     ModelSpec,
     ParameterSpec,
+    ParetoSpec,
     Signal,
     StageSpec,
 )
@@ -67,7 +70,13 @@ def campaign(tmp_path_factory):
         settings={},
         stages={
             "gain": StageSpec("gain", ("low",), ("K",)),
-            "both": StageSpec("both", ("low*", "high"), ("K", "T"), criteria=(CriterionSpec("y", demand=0.02),)),
+            "both": StageSpec(
+                "both",
+                ("low*", "high"),
+                ("K", "T"),
+                criteria=(CriterionSpec("y", demand=0.02),),
+                analyses=AnalysisSpec(profiles=True, monte_carlo=30, pareto=ParetoSpec(("low:*", "high:*"), 4)),
+            ),
         },
         identification=("low", "low_2", "high"),
         validation=("check",),
@@ -130,6 +139,22 @@ def test_fit_of_every_run_is_given_with_its_noise_floor(written):
     assert float(values["RMSE"]) == pytest.approx(0.01, rel=0.2)
     assert float(values["noise floor"]) == pytest.approx(0.01)
     assert float(values["NRMSE, %"]) < 1.5
+
+
+def test_what_was_found_about_the_estimate_is_shown(written):
+    names = {p.stem for p in (written.parent / "figures").iterdir()}
+    assert {"profiles-both", "front-both"} <= names
+    data = written.parent / "data"
+    gain = next(row for row in read(data / "profiles-both-intervals.csv") if row["parameter"] == "K")
+    assert 1.99 < float(gain["profile from"]) < 2.0 < float(gain["to"]) < 2.01
+    assert float(gain["profile from"]) == pytest.approx(float(gain["standard error from"]), abs=1e-3)
+    front = read(data / "front-both-points.csv")
+    assert len(front) >= 3
+    for earlier, later in pairwise(front):
+        assert float(earlier["low:*"]) < float(later["low:*"])
+        assert float(earlier["high:*"]) > float(later["high:*"])
+    for row in read(data / "spread-both.csv"):
+        assert float(row["estimate"]) < float(row["95 % below"]) <= float(row["worst"])
 
 
 def test_page_says_how_it_went_and_what_it_rests_on(written):

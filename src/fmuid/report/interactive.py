@@ -76,9 +76,10 @@ def _lines(figure: LineFigure) -> tuple[list[Spec], Spec]:
     columns = min(figure.columns, n)
     rows = -(-n // columns)
     height = 380 if columns == 1 else 265
+    labelled = any(text for panel in figure.panels for _, text in panel.marks)
     layout: Spec = {
-        "height": 60 + height * rows + (80 if any(p.marks for p in figure.panels) else 0),
-        "margin": {"l": 64, "r": 16, "t": 130 if any(p.marks for p in figure.panels) else 48, "b": 44},
+        "height": 60 + height * rows + (80 if labelled else 0),
+        "margin": {"l": 64, "r": 16, "t": 130 if labelled else 48, "b": 44},
         "hovermode": "x unified",
         "annotations": [],
         "shapes": [],

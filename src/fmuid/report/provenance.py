@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Iterable, Mapping
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 
+from fmuid import provenance
 from fmuid.plots.data import Table
 
 _PACKAGES = ("fmuid", "numpy", "scipy", "nlopt", "fmpy", "h5py", "casadi", "rumoca")
@@ -15,13 +16,7 @@ _PACKAGES = ("fmuid", "numpy", "scipy", "nlopt", "fmpy", "h5py", "casadi", "rumo
 
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the packages that numbers depend on."""
-    found = {"python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
+    return {"python": platform.python_version(), **provenance.versions(_PACKAGES)}
 
 
 def file_hash(path: Path) -> str:

@@ -11,8 +11,9 @@ import numpy as np
 from fmuid import cases as case_building
 from fmuid.campaign import Campaign, FloatArray
 from fmuid.history import StageHistory as Recorded
-from fmuid.plots.data import Axis, Figure, LineFigure, Panel, Role, Series, Table, slug
+from fmuid.plots.data import Figure, Role, Table, slug
 from fmuid.report import figures
+from fmuid.report.analyses import front_items, profile_items, spread_table, starts_figure, whiteness_table
 from fmuid.report.document import Section
 from fmuid.report.figures import Overlay, StageHistory
 from fmuid.report.predicted import overlays
@@ -41,8 +42,10 @@ def stage_section(
         specs = {} if campaign is None else campaign.parameters
         truths = {e.name: e.truth for e in result.estimates if e.truth is not None}
         details.append(figures.parallel_figure(history, specs, truths))
-    details += [_waterfall(result), _correlation(result), _criteria(result), _whiteness(result)]
-    text = f"{result.summary}. {result.why.capitalize().rstrip('.')}."
+    details += [starts_figure(result), _correlation(result), _criteria(result), whiteness_table(result)]
+    items += [*front_items(result), *profile_items(result)]
+    details.append(spread_table(result))
+    text = ". ".join(s[:1].upper() + s[1:] for s in (result.summary.partition(": ")[2], result.why)) + "."
     text += "".join(f" Warning: {w}." for w in result.warnings)
     return Section(f"Stage {result.name}", _present(items), text, _present(details), _DETAILS)
 
@@ -52,8 +55,8 @@ def _present(items: Sequence[Figure | Table | None]) -> tuple[Figure | Table, ..
 
 
 def search_history(result: StageResult, recorded: Recorded) -> StageHistory:
-    """Return what the search evaluated, without the evaluations of the uncertainty analysis."""
-    rows = [r for r in recorded.rows if r.purpose != "uncertainty"]
+    """Return what the search evaluated, without what was asked about its result."""
+    rows = [r for r in recorded.rows if r.purpose in ("search", "derivative")]
     names = tuple(e.name for e in result.estimates if e.name not in result.ties)
     values = np.array([[r.parameters[n] for n in names] for r in rows]).reshape(len(rows), len(names))
     return StageHistory(result.name, names, values, np.array([r.cost for r in rows], dtype=np.float64))
@@ -114,20 +117,6 @@ def _residual_figure(name: str, shown: Sequence[Overlay]) -> Figure | None:
     return figures.residual_figure(f"history-residual-{slug(name)}", title, ends, caption)
 
 
-def _waterfall(result: StageResult) -> Figure | None:
-    if len(result.starts) < 2:
-        return None
-    cost = np.sort([s.cost for s in result.starts])
-    number = np.arange(1, cost.size + 1, dtype=np.float64)
-    positive = bool(np.nanmin(cost) > 0)
-    series = (Series("final cost of a start", number, cost, "final", points=True),)
-    panel = Panel(result.name, Axis("start, sorted"), Axis("cost", log=positive), series)
-    caption = "Starts that end at the same lowest cost make a global minimum likely."
-    return LineFigure(
-        f"starts-{slug(result.name)}", f"Agreement of the starts: {result.name}", (panel,), caption, 1
-    )
-
-
 def _correlation(result: StageResult) -> Figure | None:
     found = result.uncertainty
     if found is None or len(found.names) < 2:
@@ -146,22 +135,4 @@ def _criteria(result: StageResult) -> Table | None:
         "Criteria over their demands",
         "Each criterion is divided by its demand value: at most 1 means satisfied.",
         (5, 5, 3, 3, 5),
-    )
-
-
-def _whiteness(result: StageResult) -> Table | None:
-    if result.uncertainty is None or not result.uncertainty.whiteness:
-        return None
-    rows = tuple(
-        (w.case, w.signal, w.variance, w.lag_one, w.p_value, w.samples, w.effective)
-        for w in result.uncertainty.whiteness
-    )
-    header = ("case", "signal", "variance in σ²", "lag-one correlation", "p", "samples", "independent")
-    return Table(
-        header,
-        rows,
-        f"whiteness-{slug(result.name)}",
-        "Are the residuals noise?",
-        "Ljung and Box's test on 20 lags; standard errors allow for residuals that are not white.",
-        (5, 5, 3, 3, 2, 6, 3),
     )

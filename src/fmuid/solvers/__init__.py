@@ -69,12 +69,13 @@ def make(name: str, options: Mapping[str, Any], problem: Problem) -> tuple[Solve
 def choose(problem: Problem) -> tuple[str, str]:
     """Return the name of the solver for the problem's structure, and the reason in words."""
     n = len(problem.space)
+    free = f"{n} parameter{'s' if n > 1 else ''}"
     if problem.smooth:
-        return "trf", f"smooth sum of squares over {n} parameters: least squares uses its structure"
+        return "trf", f"smooth sum of squares over {free}: least squares uses its structure"
     if problem.constraints or problem.combination.kind in ("min_max", "lexicographic"):
         return "cobyla", "constraints or a minimum of the worst criterion: COBYLA models each of them"
     if all(criterion.smooth for _, criterion in problem.criteria) and n > 1:
-        return "bobyqa", f"smooth cost of {n} parameters that is no sum of squares: quadratic models"
+        return "bobyqa", f"smooth cost of {free} that is no sum of squares: quadratic models"
     return "sbplx", "criteria with kinks: a simplex search needs no smoothness"
 
 

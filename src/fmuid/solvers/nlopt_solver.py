@@ -45,6 +45,7 @@ ALGORITHMS: Mapping[str, _Algorithm] = {
 }
 _ALIASES = {"neldermead": "nelder_mead", "newuoa": "newuoa_bound", "direct-l": "direct_l", "sqp": "slsqp"}
 _OPTIONS = ("initial_step", "tolerance", "cost_tolerance", "population", "local", "evaluations")
+_LOWEST_LEVEL = 1e-6  # to which the largest goal is taken: its step follows from it
 _GLOBAL_EVALUATIONS = 200  # a parameter, for global solvers without any stop rule: they never converge
 
 
@@ -104,7 +105,7 @@ class NloptSolver:
     ) -> Outcome:
         import nlopt
 
-        epigraph = search.problem.combination.kind == "min_max" and algorithm.constraints
+        epigraph = search.goals_of is not None and algorithm.constraints
         constrained = bool(search.problem.constraints) or len(search.limits_of(first)) > 0
         n = len(search) + epigraph
         opt = nlopt.opt(getattr(nlopt, algorithm.nlopt), n)
@@ -117,7 +118,7 @@ class NloptSolver:
         step = np.minimum(float(self.options.get("initial_step", 0.1)), 0.4 * (upper - lower))
         if epigraph:
             evaluation = search.evaluate(x)
-            level = evaluation.cost if evaluation.ok else 1.0
+            level = max(search.cost_of(evaluation), _LOWEST_LEVEL) if evaluation.ok else 1.0
             lower, upper = np.append(lower, 0.0), np.append(upper, 10.0 * level)
             here, step = np.append(x, level), np.append(step, 0.1 * level + 1e-12)
         random = algorithm.random or algorithm.subsidiary
@@ -126,7 +127,9 @@ class NloptSolver:
         for each in {id(opt): opt, id(inner): inner}.values():
             each.set_lower_bounds(lower)
             each.set_upper_bounds(upper)
-            each.set_xtol_rel(float(self.options.get("tolerance", 1e-7)))
+            tolerance = float(self.options.get("tolerance", 1e-7))
+            each.set_xtol_rel(tolerance)
+            each.set_xtol_abs(0.1 * tolerance)  # search coordinates are of order one, but may be 0
             each.set_ftol_rel(float(self.options.get("cost_tolerance", 1e-12)))
             if not algorithm.finite_bounds:
                 each.set_initial_step(step)
@@ -222,9 +225,10 @@ class _Functions:
                 n = len(self.search)
                 gradient[:, :n] = self._slopes(x, lambda e: self._vector(e, equality, level))
                 if self.epigraph:
-                    scaled = 0 if equality else len(self.search.problem.criteria)
                     gradient[:, n:] = 0.0
-                    gradient[len(result) - scaled :, n:] = -1.0
+                    if not equality:
+                        own = len(self.search.violations(self._evaluate(x), equality=False))
+                        gradient[own:, n:] = -1.0
             return 0.0
 
         if self._guarded(fill, float("nan")) != 0.0:
@@ -232,10 +236,9 @@ class _Functions:
 
     def _vector(self, evaluation: Evaluation, equality: bool, level: float) -> FloatArray:
         own = self.search.violations(evaluation, equality=equality)
-        if not self.epigraph or equality:
+        if self.search.goals_of is None or not self.epigraph or equality:
             return own
-        weights = self.search.problem.root_weights**2
-        return np.concatenate([own, weights * evaluation.criteria - level])
+        return np.concatenate([own, self.search.goals_of(evaluation) - level])
 
     def _cost(self, evaluation: Evaluation) -> float:
         return self.scale * self.search.cost_of(evaluation)

@@ -67,6 +67,8 @@ Record = Callable[[Evaluation, str, bool], None]
 """Told of every evaluation: the evaluation, its purpose, whether it is the best so far."""
 Recall = Callable[[FloatArray, bool], Evaluation | None]
 """Gives an evaluation back that an earlier, interrupted run made; the flag asks for residuals too."""
+Goals = Callable[[Evaluation], FloatArray]
+"""(k,) numbers of an evaluation."""
 
 
 class Search:
@@ -97,9 +99,13 @@ class Search:
         self.reached: Evaluation | None = None  # best since `restart`
         self.starts: list[Start] = []
         self.cost_of: Callable[[Evaluation], float] = lambda evaluation: evaluation.cost
-        self.limits_of: Callable[[Evaluation], FloatArray] = lambda _: np.zeros(0)
+        self.limits_of: Goals = lambda _: np.zeros(0)
+        # What the cost is the largest of, if it is: solvers that take constraints then have a smooth problem.
+        self.goals_of: Goals | None = None
+        if problem.combination.kind == "min_max":
+            self.goals_of = lambda evaluation: problem.root_weights**2 * evaluation.criteria
         self.noise_floor: NoiseFloor | None = None  # a solver that measured it leaves it here
-        self._record, self._recall = record, recall
+        self._record, self.recall = record, recall
         self._recent: OrderedDict[bytes, Evaluation] = OrderedDict()
 
     def __len__(self) -> int:
@@ -109,14 +115,17 @@ class Search:
         """Forget what was reached (not what is best), as a new start does."""
         self.reached = None
 
-    def refocus(
-        self, cost_of: Callable[[Evaluation], float], limits_of: Callable[[Evaluation], FloatArray]
-    ) -> None:
+    def refocus(self, cost_of: Callable[[Evaluation], float], limits_of: Goals) -> None:
         """Minimise something else from now on, subject to further limits (each at most 0)."""
-        self.cost_of, self.limits_of = cost_of, limits_of
+        self.cost_of, self.limits_of, self.goals_of = cost_of, limits_of, None
         self.reached = None
         if self.best is not None:
             self._compare(self.best)
+
+    def aim(self, goals_of: Goals, limits_of: Goals | None = None) -> None:
+        """Minimise the largest of some goals from now on, subject to limits (each at most 0)."""
+        self.refocus(lambda evaluation: float(np.max(goals_of(evaluation))), limits_of or (lambda _: np.zeros(0)))
+        self.goals_of = goals_of
 
     def evaluate(self, x: FloatArray, purpose: str = "search") -> Evaluation:
         """Evaluate one search point."""
@@ -137,7 +146,7 @@ class Search:
         recalled = set()
         for x in points:
             key = x.tobytes()
-            if key not in found and (old := self._recall(x, self.needs_residuals)) is not None:
+            if key not in found and (old := self.recall(x, self.needs_residuals)) is not None:
                 found[key] = old
                 recalled.add(key)
         new = {x.tobytes(): x for x in points if x.tobytes() not in found}

@@ -1,0 +1,97 @@
+"""What a stage is asked when its search is over: how far to trust the estimate, and what else there is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from fmuid.campaign import AnalysisSpec, FloatArray, ParetoSpec
+from fmuid.errors import FmuidError
+from fmuid.problem import Evaluation
+from fmuid.profiles import Profile, profile_of
+from fmuid.propagation import CriterionSpread, criteria_spread
+from fmuid.result import at_bound
+from fmuid.solvers import Search
+from fmuid.solvers.nlopt_solver import NloptSolver
+from fmuid.solvers.pareto import Front, trace
+from fmuid.uncertainty import Uncertainty, uncertainty_of, without_intervals
+
+_EVALUATIONS = 40  # a parameter, for one point of a front
+
+Record = Callable[[Evaluation, str], None]
+"""Told of every evaluation and its purpose."""
+
+
+@dataclass(slots=True)
+class Findings:
+    """What was found, as far as it went."""
+
+    uncertainty: Uncertainty | None = None
+    profiles: tuple[Profile, ...] = ()
+    spread: tuple[CriterionSpread, ...] = ()
+    front: Front | None = None
+    warnings: list[str] = field(default_factory=list)
+
+
+def analyse(search: Search, spec: AnalysisSpec, record: Record) -> Findings:
+    """Return what `spec` asks about the estimate that `search` ended with.
+
+    What cannot be found is a warning; the estimate stands.
+    """
+    found = Findings()
+    best, problem = search.best, search.problem
+    if best is None:
+        return found
+
+    def evaluate(points: Sequence[FloatArray]) -> list[Evaluation]:
+        evaluations = problem.evaluate_many(points)
+        for evaluation in evaluations:
+            record(evaluation, "uncertainty")
+        return evaluations
+
+    floor = search.noise_floor
+    if spec.uncertainty:
+        with _noted(found, "no uncertainty"):
+            free = uncertainty_of(problem, best, evaluate=evaluate, floor=floor)
+            held = [s.name for s in problem.space.free if at_bound(best.parameters[s.name], s.lower, s.upper)]
+            if problem.combination.kind != "weighted_sum":
+                held = list(problem.space.names)
+                found.warnings.append(f"no standard errors: a {problem.combination.kind} is no sum of squares")
+            found.uncertainty = without_intervals(free, held)
+    estimate = found.uncertainty
+    if estimate is not None and spec.profiles:
+        # Of what is determined and not at a bound: the warnings name the rest.
+        for name in [n for n, e in zip(estimate.names, estimate.standard_errors, strict=True) if e is not None]:
+            with _noted(found, f"no profile of {name}"):
+                found.profiles += (profile_of(problem, estimate, name, evaluate=evaluate, floor=floor),)
+    if estimate is not None and spec.monte_carlo:
+        with _noted(found, "no Monte Carlo"):
+            found.spread = criteria_spread(
+                problem, estimate, draws=spec.monte_carlo, seed=search.seed, evaluate=evaluate, floor=floor
+            )
+    if spec.pareto is not None:
+        found.front = _front(search, spec.pareto, best, record)
+    return found
+
+
+@contextmanager
+def _noted(found: Findings, what: str) -> Iterator[None]:
+    try:
+        yield
+    except FmuidError as error:
+        found.warnings.append(f"{what}: {error}")
+
+
+def _front(search: Search, spec: ParetoSpec, best: Evaluation, record: Record) -> Front:
+    """Trace the front in a search of its own; the stage's stop rules hold for it once more."""
+    own = Search(
+        search.problem,
+        search.stop,
+        record=lambda evaluation, _, __: record(evaluation, "pareto"),
+        recall=search.recall,
+        seed=search.seed,
+        needs_residuals=False,
+    )
+    each = {"tolerance": 1e-4, "cost_tolerance": 1e-4, "evaluations": _EVALUATIONS * (len(search) + 2)}
+    return trace(own, spec, NloptSolver("cobyla", each), best)
