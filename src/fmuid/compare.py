@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmuid.campaign import FloatArray
 from fmuid.crosscheck_csv import Table
@@ -28,6 +29,9 @@ class Comparison:
         Largest absolute error in the variable's unit, and when (s).
     outside
         Fraction of the result's samples that are outside the funnel; None if no funnel was asked for.
+    spans
+        From when to when (s) the result is outside: of the funnel or, without one, further from the reference
+        than three times the tolerance, if it is out of tolerance.
     within
         Whether the variable is within tolerance.
     """
@@ -38,6 +42,7 @@ class Comparison:
     max_error_time: float
     outside: float | None
     within: bool
+    spans: tuple[tuple[float, float], ...] = ()
 
 
 def compare_tables(
@@ -97,16 +102,36 @@ def _compare(
         raise FmuidError(f"the reference of '{name}' has no samples", fix="leave the column out")
     values = result.columns[name]
     error = np.interp(time, result.time, values) - expected
-    scale = float(np.ptp(expected)) or float(np.max(np.abs(expected))) or 1.0
+    scale = _scale(expected)
     nrmse = float(np.sqrt(np.mean(error**2))) / scale
     worst = int(np.argmax(np.abs(np.nan_to_num(error, nan=np.inf))))
-    outside = None
-    if funnel is not None:
-        covered = (result.time >= time[0]) & (result.time <= time[-1])
-        lower, upper = _funnel(result.time[covered], time, expected, funnel[0] * scale, funnel[1])
-        outside = 1.0 - float(np.mean((values[covered] >= lower) & (values[covered] <= upper)))
-    within = nrmse <= tolerance if outside is None else outside == 0.0
-    return Comparison(name, nrmse, float(np.abs(error[worst])), float(time[worst]), outside, within)
+    largest, at = float(np.abs(error[worst])), float(time[worst])
+    if funnel is None:
+        within = nrmse <= tolerance
+        spans = () if within else _spans(time, ~(np.abs(error) <= 3.0 * tolerance * scale))
+        return Comparison(name, nrmse, largest, at, None, within, spans)
+    covered = (result.time >= time[0]) & (result.time <= time[-1])
+    lower, upper = _funnel(result.time[covered], time, expected, funnel[0] * scale, funnel[1])
+    left = ~((values[covered] >= lower) & (values[covered] <= upper))
+    spans = _spans(result.time[covered], left)
+    return Comparison(name, nrmse, largest, at, float(np.mean(left)), not left.any(), spans)
+
+
+def funnel_around(reference: Table, name: str, funnel: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+    """Return the lower and upper edge of the funnel around a variable, at its samples that are not missing."""
+    known = np.isfinite(reference.columns[name])
+    time, values = reference.time[known], reference.columns[name][known]
+    return _funnel(time, time, values, funnel[0] * _scale(values), funnel[1])
+
+
+def _scale(values: FloatArray) -> float:
+    return float(np.ptp(values)) or float(np.max(np.abs(values))) or 1.0
+
+
+def _spans(time: FloatArray, outside: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
+    """Return first and last time of each run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], outside, [False]]).astype(np.int8)))
+    return tuple((float(time[a]), float(time[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True))
 
 
 def _funnel(

@@ -403,6 +403,9 @@ def load_fmu(path: str | Path, interface: Interface | None = None) -> Fmu:
     return _loaded(file, interface, state.st_mtime_ns, state.st_size)
 
 
+MAX_EXTRACTED = 4e9  # bytes
+
+
 @functools.lru_cache(maxsize=64)
 def _loaded(file: Path, interface: Interface | None, _mtime: int, _size: int) -> Fmu:
     return Fmu(file, interface)
@@ -425,8 +428,11 @@ def _read_description(path: Path) -> Any:
 
 
 def _check_members(path: Path) -> None:
-    """Refuse an archive that would write outside the folder it is extracted to."""
+    """Refuse an archive that would write outside the folder it is extracted to, or fill the disk."""
     with zipfile.ZipFile(path) as archive:
+        size = sum(member.file_size for member in archive.infolist())
+        if size > MAX_EXTRACTED:
+            raise FmuError(f"is {size / 1e9:.3g} GB unpacked", where=path, fix="do not use it")
         for member in archive.infolist():
             name = member.filename
             climbs = name.startswith("/") or "\\" in name or ":" in name or ".." in PurePosixPath(name).parts

@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from fmuid import hdf5
+from fmuid.apart import read_apart
 from fmuid.campaign import Causality, Experiment, FloatArray, Measurements, Signal
 from fmuid.errors import MeasurementsError
 from fmuid.suggest import did_you_mean
@@ -38,7 +39,17 @@ def read_measurements(path: str | Path, *, fix_missing: str | None = None) -> Me
         signal and sample.
     """
     path = Path(path)
-    with hdf5.reading(path, fix=fix_missing) as file:
+    if fix_missing is not None and not path.exists():
+        raise _Error("no such file", where=path, fix=fix_missing)
+    found = read_apart(_read, path)
+    for experiment in found:
+        for values in (experiment.time, *(s.values for s in experiment.signals.values())):
+            values.flags.writeable = False  # which pickle does not keep
+    return found
+
+
+def _read(path: Path) -> Measurements:
+    with hdf5.reading(path) as file:
         _check_header(file, path)
         group = hdf5.member(file, "experiments", "group", _Error, str(path))
         experiments = {name: _read_experiment(group, name, path) for name in group.keys()}  # noqa: SIM118

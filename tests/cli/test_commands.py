@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -125,8 +126,9 @@ def test_compare_within(results: Path, fmuid: Command) -> None:
     assert lines[-1] == "all within NRMSE 0.001"
     found = json.loads(Path("c.json").read_text())
     assert found["within"] is True
-    assert [v["name"] for v in found["variables"]] == ["x", "y"]
-    assert 0 < found["variables"][0]["nrmse"] < 1e-3
+    (only,) = found["references"]
+    assert [v["name"] for v in only["variables"]] == ["x", "y"]
+    assert 0 < only["variables"][0]["nrmse"] < 1e-3
 
 
 def test_compare_out_of_tolerance(results: Path, fmuid: Command) -> None:
@@ -137,7 +139,7 @@ def test_compare_out_of_tolerance(results: Path, fmuid: Command) -> None:
         Path("table.csv").read_text().startswith('"variable","NRMSE","max error","at s","outside","within"\n"x",')
     )
     time = np.linspace(0.0, 1.0, 101)
-    x, y = json.loads(Path("c.json").read_text())["variables"]
+    x, y = json.loads(Path("c.json").read_text())["references"][0]["variables"]
     expected = np.sqrt(np.mean((np.sin(9 * np.maximum(time - 0.01, 0)) - np.sin(9 * time)) ** 2)) / np.ptp(
         np.sin(9 * time)
     )
@@ -164,6 +166,41 @@ def test_compare_what_cannot_be_compared(results: Path, fmuid: Command) -> None:
     )
 
 
+def test_an_fmu_that_drifts_from_its_references(
+    folder: Path, oscillator: Path, measurements: Measurements, fmuid: Command
+) -> None:
+    Path("references").mkdir()
+    for run in measurements:
+        write_csv(Table(run.time, {"u": run.inputs["u"].values / 1e3}, {"u": "kN"}), "u.csv")
+        assert fmuid("simulate", oscillator, "--input", "u.csv", "--out", f"references/{run.id}.csv")[0] == 0
+    funnel = ["--funnel", "0.01", "--funnel-time", "0.002"]
+    code, out, err = fmuid("compare", oscillator, "references", *funnel)
+    assert (code, err) == (0, "")
+    assert out.splitlines()[0].split()[:2] == ["reference", "variable"]
+    assert out.splitlines()[-1] == "all within funnel 0.01 of the range, 0.002 s"
+
+    # The pulse is over at 0.1 s: a model with more damping leaves its funnel after that, not before.
+    code, out, _ = fmuid(
+        "compare", oscillator, "references", *funnel, "--set", "d=0.7", "--out", "drift", "--json", "c.json"
+    )
+    assert code == 1
+    pulse = json.loads(Path("c.json").read_text())["references"][0]
+    assert (pulse["name"], pulse["within"]) == ("pulse", False)
+    x = pulse["variables"][0]
+    assert 0.1 < x["spans"][0][0] < x["spans"][0][1] < x["max_error_time"] <= 1.0
+    report = Path("drift/report.md").read_text()
+    assert f"Outside: {x['spans'][0][0]:g} to {x['spans'][0][1]:g} s" in report
+    for name in re.findall(r"\(figures/(.*?)\.png\)", report):
+        assert {p.suffix for p in Path("drift/figures").glob(f"{name}.*")} == {".png", ".svg", ".pdf"}
+    data = next(Path("drift/data").glob("pulse-x-01*.csv")).read_text()
+    assert all(f"\n{line}," in data for line in ("reference", "result", "funnel"))
+
+    write_csv(Table(np.array([0.0, 1.0]), {"u": np.zeros(2), "z": np.zeros(2)}, {}), "other.csv")
+    assert fmuid("compare", oscillator, "other.csv")[2] == (
+        f"fmuid: {oscillator} against other.csv: the FMU has no variable 'z'; known: m, d, c, gain, spare, mode, u, wind, x, y, v, der(x) and 1 more\n"
+    )
+
+
 # ---- simulate
 
 
@@ -172,9 +209,9 @@ def test_simulate_an_fmu(folder: Path, oscillator: Path, measurements: Measureme
     write_csv(Table(step.time, {"u": step.inputs["u"].values}, {"u": "N"}), "u.csv")
     arguments = ["--set", "m=1.2", "--set", "d=0.8", "--set", "c=90", "--output", "x"]
     code, out, err = fmuid("simulate", oscillator, "--input", "u.csv", *arguments, "--out", "r.csv")
-    assert (code, out, err) == (0, "r.csv: 201 samples of x\n", "")
+    assert (code, out, err) == (0, "r.csv: 201 samples of u, x\n", "")
     result = read_csv("r.csv")
-    assert result.units == {"x": "m"}
+    assert result.units == {"u": "N", "x": "m"}
     np.testing.assert_allclose(result.columns["x"], 1e-3 * step.signals["position"].values, atol=6e-4)
 
 

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from fmuid.cli.output import Json, Printer, Quiet
+from fmuid.cli.output import Json, Printer, Quiet, numbers
 from fmuid.errors import FmuidError
+
+if TYPE_CHECKING:
+    from fmuid.drift import Drift
+
+_HEADER = ("variable", "NRMSE", "max error", "at s", "outside", "within")
 
 
 def compare(
-    result: Annotated[Path, typer.Argument(help="CSV file to judge, `time` first.")],
-    reference: Annotated[Path, typer.Argument(help="CSV file with the reference result.")],
+    result: Annotated[Path, typer.Argument(help="What to judge: an FMU, a CSV file, or a folder of them.")],
+    reference: Annotated[
+        Path,
+        typer.Argument(
+            help="CSV file with the reference, `time` first, or a folder; for an FMU, with its inputs."
+        ),
+    ],
     variables: Annotated[
         list[str] | None, typer.Option("--variable", "-v", help="Compare this one only (repeat for more).")
     ] = None,
@@ -23,49 +34,62 @@ def compare(
         typer.Option(min=0.0, help="Judge by a funnel of this half-width, as a fraction of the range."),
     ] = None,
     funnel_time: Annotated[float, typer.Option(min=0.0, help="Half-width of the funnel in time, s.")] = 0.0,
-    out: Annotated[Path | None, typer.Option(help="Write the table as CSV.")] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Set a parameter of the FMU (repeat).")
+    ] = None,
+    interpolation: Annotated[
+        Literal["hold", "linear"], typer.Option(help="Inputs of the FMU between the reference's samples.")
+    ] = "hold",
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Write the table as CSV; into a folder: a report with a figure of all that is out."),
+    ] = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> int:
     """Compare a RESULT with a REFERENCE, variable by variable; exit code 1 if one is out of tolerance.
 
-    NRMSE is the root mean square error at the reference's times over the reference's range.
+    NRMSE is the root mean square error at the reference's times over the reference's range. An FMU is simulated
+    with the inputs of each reference.
 
     Example: fmuid compare FixedShaft.csv references/FixedShaft.csv --tolerance 1e-4
+
+    Example: fmuid compare Drive.fmu references --funnel 0.01 --funnel-time 0.002 --out drift
     """
-    from fmuid.compare import compare_tables
-    from fmuid.crosscheck_csv import read_csv
+    from fmuid.drift import drift_of, write_drift_report
     from fmuid.files import write_atomically
 
     if funnel_time and funnel is None:
         raise FmuidError("--funnel-time without --funnel", fix="give the funnel's half-width too: --funnel 0.01")
-    try:
-        found = compare_tables(
-            read_csv(result),
-            read_csv(reference),
+    printer = Printer(quiet, json)
+    with printer.working(f"comparing {result}"):
+        drifts = drift_of(
+            result,
+            reference,
             tolerance=tolerance,
             funnel=None if funnel is None else (funnel, funnel_time),
             names=variables or (),
+            parameters=numbers(set_ or [], "--set"),
+            interpolation=interpolation,
         )
-    except FmuidError as error:
-        if error.where is not None:
-            raise
-        raise type(error)(error.what, where=f"{result} against {reference}", fix=error.fix) from None
-    header = ("variable", "NRMSE", "max error", "at s", "outside", "within")
-    rows = [
-        (c.name, c.nrmse, c.max_error, c.max_error_time, c.outside, "yes" if c.within else "NO") for c in found
-    ]
-    printer = Printer(quiet, json)
+    several = len(drifts) > 1
+    header = ("reference", *_HEADER) if several else _HEADER
+    rows = _rows(drifts, several)
     printer.table(header, rows)
-    bad = [c.name for c in found if not c.within]
+    bad = [(d, c) for d in drifts for c in d.comparisons if not c.within]
     limit = f"NRMSE {tolerance:g}" if funnel is None else f"funnel {funnel:g} of the range, {funnel_time:g} s"
-    printer.say(f"{len(bad)} of {len(found)} out of tolerance ({limit})" if bad else f"all within {limit}")
-    if out is not None:
+    for drift, c in bad:
+        spans = ", ".join(f"{a:g} to {b:g} s" for a, b in c.spans[:4]) + (" ..." if len(c.spans) > 4 else "")
+        printer.say(f"{drift.name}: {c.name} is outside from {spans}")
+    printer.say(f"{len(bad)} of {len(rows)} out of tolerance ({limit})" if bad else f"all within {limit}")
+    if out is not None and out.suffix == ".csv":
         lines = [",".join(f'"{h}"' for h in header)]
         lines += [
             ",".join("" if v is None else f'"{v}"' if isinstance(v, str) else repr(v) for v in r) for r in rows
         ]
         write_atomically(out, "\n".join(lines) + "\n")
+    elif out is not None:
+        printer.say(f"report: {write_drift_report(drifts, out, f'{result.name} against {reference}, {limit}')}")
     printer.write(
         {
             "result": result,
@@ -73,17 +97,23 @@ def compare(
             "tolerance": tolerance,
             "funnel": None if funnel is None else {"value": funnel, "time": funnel_time},
             "within": not bad,
-            "variables": [
-                {
-                    "name": c.name,
-                    "nrmse": c.nrmse,
-                    "max_error": c.max_error,
-                    "max_error_time": c.max_error_time,
-                    "outside": c.outside,
-                    "within": c.within,
-                }
-                for c in found
-            ],
+            "references": [d.to_dict() for d in drifts],
         }
     )
     return 1 if bad else 0
+
+
+def _rows(drifts: Sequence[Drift], several: bool) -> list[tuple[object, ...]]:
+    return [
+        (
+            *([d.name] if several else []),
+            c.name,
+            c.nrmse,
+            c.max_error,
+            c.max_error_time,
+            c.outside,
+            "yes" if c.within else "NO",
+        )
+        for d in drifts
+        for c in d.comparisons
+    ]

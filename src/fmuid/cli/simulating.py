@@ -52,8 +52,7 @@ def simulate(
 
     Example: fmuid simulate FixedShaft.fmu --input step.csv --set d_S=2.66 --out result.csv
 
-    Examples: fmuid simulate FixedShaft.fmu --input step.csv --set d_S=2.66 --out result.csv;
-    fmuid simulate campaigns/force_feedback -e 'step_*' --set d_S=2.66
+    Example: fmuid simulate campaigns/force_feedback -e 'step_*' --set d_S=2.66
     """
     printer = Printer(quiet, json)
     values = numbers(set_ or [], "--set")
@@ -76,8 +75,8 @@ def simulate(
 
 
 def _simulate_fmu(
-    master: list[str],
     path: Path,
+    master: list[str],
     values: dict[str, float],
     input_: Path | None,
     stop: float | None,
@@ -86,9 +85,9 @@ def _simulate_fmu(
     interpolation: Literal["hold", "linear"],
 ) -> Table:
     import numpy as np
+
     from fmuid.coupled.loading import load_model, load_system
     from fmuid.coupled.table import master_of
-
     from fmuid.crosscheck_csv import Table, read_csv
     from fmuid.simulation import Task
     from fmuid.suggest import suggestion
@@ -101,12 +100,14 @@ def _simulate_fmu(
             raise FmuError(f"{path.name} has no variable '{name}'", fix=suggestion(name, variables))
     outputs = outputs or [n for n, v in variables.items() if v.causality == "output"]
     inputs: dict[str, FloatArray] = {}
+    recorded: dict[str, FloatArray] = {}  # inputs as they are in the file
+    units: dict[str, str] = {}
     time: FloatArray
     if input_ is not None:
         table = read_csv(input_)
         if stop is not None or step is not None:
             raise FmuidError("--input brings its own times", fix="leave out --stop and --step")
-        time = table.time
+        time, recorded, units = table.time, dict(table.columns), dict(table.units)
         for name, samples in table.columns.items():
             if name not in variables or variables[name].causality != "input":
                 known = [n for n, v in variables.items() if v.causality == "input"]
@@ -127,8 +128,8 @@ def _simulate_fmu(
         time = np.asarray(begin + step * np.arange(round((end - begin) / step) + 1), dtype=np.float64)
     task = Task(time, inputs, tuple(outputs), values, interpolation)
     predictions = fmu.simulate(task, {})
-    units = {n: variables[n].unit or "" for n in outputs if variables[n].unit}
-    return Table(time, dict(zip(outputs, predictions, strict=True)), units)
+    units |= {n: variables[n].unit or "" for n in outputs if variables[n].unit}
+    return Table(time, recorded | dict(zip(outputs, predictions, strict=True)), units)
 
 
 def _simulate_campaign(

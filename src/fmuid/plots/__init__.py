@@ -57,7 +57,7 @@ def save_figures(figures: Sequence[Figure], folder: Path, formats: Sequence[Form
     """
     helpers = min(os.cpu_count() or 1, 4, len(figures) // _WORTH_A_PROCESS + 1) - 1
     # Processes of their own, not `multiprocessing`: that would run the caller's script again.
-    command = [sys.executable, "-m", "fmuid.plots", str(folder), *formats]
+    command = [sys.executable, "-P", "-m", "fmuid.plots", str(folder), *formats]
     started = [subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) for _ in range(helpers)]
     with ExitStack() as stack:
         for k, helper in enumerate(started, start=1):

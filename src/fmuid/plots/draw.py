@@ -107,27 +107,29 @@ def _lines(figure: LineFigure) -> Canvas:
     # A grid has margins of its own: measuring every text of a large one takes longer than drawing it.
     canvas = _canvas(_WIDTH, 0.35 + (3.5 if n == 1 else 2.1) * rows, constrained=n == 1)
     if n > 1:
-        canvas.subplots_adjust(**_margins(canvas, rows, columns))
+        wrapped = any("\n" in panel.y.wrapped("\n") for panel in figure.panels)
+        canvas.subplots_adjust(**_margins(canvas, rows, columns, 0.15 if wrapped else 0.0))
     grid = canvas.subplots(rows, columns, squeeze=False)
     handles: dict[str, Any] = {}
     for k, axes in enumerate(grid.flat):
         if k >= len(figure.panels):
             axes.set_axis_off()
             continue
-        _panel(axes, figure.panels[k], handles, titled=n > 1)
+        _panel(axes, figure.panels[k], handles)
         if n > 1:
-            place = axes.get_position()
-            axes.yaxis.set_label_coords(-0.58 / (place.width * _WIDTH), 0.5)
+            width = axes.get_position().width * _WIDTH
+            axes.yaxis.set_label_coords(-0.54 / width, 0.5)
+            _fit_title(axes, figure.panels[k].title, width)
     if handles:
         where: Any = "outside upper center" if n == 1 else "upper center"
         canvas.legend(list(handles.values()), list(handles), loc=where, ncols=min(len(handles), 5))
     return canvas
 
 
-def _margins(canvas: Canvas, rows: int, columns: int) -> dict[str, float]:
+def _margins(canvas: Canvas, rows: int, columns: int, second_line: float) -> dict[str, float]:
     """Return the margins of a grid: 0.75 inches for a vertical axis, 0.65 for a horizontal one and a title."""
     width, height = canvas.get_size_inches()
-    left, right, top, bottom, across, down = 0.75, 0.08, 0.58, 0.42, 0.8, 0.68
+    left, right, top, bottom, across, down = 0.75 + second_line, 0.12, 0.58, 0.42, 0.85 + second_line, 0.68
     panel_width = (width - left - right - across * (columns - 1)) / columns
     panel_height = (height - top - bottom - down * (rows - 1)) / rows
     return {
@@ -140,7 +142,15 @@ def _margins(canvas: Canvas, rows: int, columns: int) -> dict[str, float]:
     }
 
 
-def _panel(axes: Axes, panel: Panel, handles: dict[str, Any], *, titled: bool) -> None:
+def _fit_title(axes: Axes, title: str, width: float) -> None:
+    """Write a title no wider than its panel (inches): smaller first, then cut."""
+    fits = width / 0.058  # characters of the usual size
+    share = max(0.75, min(1.0, fits / max(len(title), 1)))
+    room = int(fits / share)
+    axes.set_title(title if len(title) <= room else f"{title[: room - 1]}…", fontsize=8.5 * share)
+
+
+def _panel(axes: Axes, panel: Panel, handles: dict[str, Any]) -> None:
     for series in panel.series:
         handle = _series(axes, series)
         handles.setdefault(style.legend(series), handle)
@@ -158,10 +168,9 @@ def _panel(axes: Axes, panel: Panel, handles: dict[str, Any], *, titled: bool) -
             color=style.INK,
             rotation=90,
         )
-    if titled:
-        axes.set_title(panel.title)
     _label(axes, panel.x, panel.y)
     if not panel.x.log and panel.series:
+        axes.locator_params(axis="x", nbins=7)
         spans = [s.x[np.isfinite(s.x)] for s in panel.series]
         if all(not s.points for s in panel.series) and any(x.size for x in spans):
             axes.set_xlim(min(x.min() for x in spans if x.size), max(x.max() for x in spans if x.size))

@@ -10,6 +10,7 @@ import importlib
 from collections.abc import Collection
 from pathlib import Path
 
+from fmuid.apart import read_apart
 from fmuid.crosscheck_csv import read_csv
 from fmuid.errors import MeasurementsError
 from fmuid.recordings.recording import Recording
@@ -56,7 +57,7 @@ def read_recording(path: str | Path, names: Collection[str] = ()) -> Recording:
         table = read_csv(path)
         found = Recording((table,), notes=table.notes)
     else:
-        found = importlib.import_module(f"fmuid.recordings.{module}").read(path)
+        found = read_apart(importlib.import_module(f"fmuid.recordings.{module}").read, path)
     for name in names:
         if name not in found.columns:
             raise MeasurementsError(f"has no signal '{name}'", where=path, fix=suggestion(name, found.columns))

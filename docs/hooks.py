@@ -1,0 +1,53 @@
+"""What the site has beyond the pages in this folder: the commands as Typer describes them, the names of `fmuid`."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from typing import Any
+
+from mkdocs.structure.files import File, Files
+
+_TOPICS = {
+    "Campaigns and measurements": ("campaign_toml", "campaign", "measurements"),
+    "Simulation": ("fmu", "simulation", "cases", "coupled", "workers"),
+    "Identification": ("identification", "result", "problem", "solvers", "observer", "progress", "history"),
+    "How far to trust it": ("validation", "uncertainty", "profiles", "propagation", "sensitivity"),
+    "Diagnosis": ("diagnosis",),
+}
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add the two pages."""
+    files.append(File.generated(config, "reference/cli.md", content=_commands()))
+    files.append(File.generated(config, "reference/python.md", content=_names()))
+    return files
+
+
+def _commands() -> str:
+    import typer
+    from typer.cli import get_docs_for_click
+    from typer.main import get_command
+
+    from fmuid.cli.app import app
+
+    command = get_command(app)
+    with contextlib.redirect_stdout(io.StringIO()):
+        text = get_docs_for_click(obj=command, ctx=typer.Context(command), name="fmuid", title="Command line")
+    return text.replace("\n# `fmuid`", "\n# Command line", 1)
+
+
+def _names() -> str:
+    import fmuid
+
+    left = dict(fmuid._PUBLIC)
+    lines = [
+        "# Python",
+        "",
+        "What is public is in `fmuid`; its types are shipped (`py.typed`). Nothing heavy is loaded before it is used.",
+    ]
+    for topic, modules in (*_TOPICS.items(), ("More", ("",))):
+        names = [n for m in modules for n, place in left.items() if not m or place.split(".")[0] == m]
+        if names:
+            lines += ["", f"## {topic}", ""] + [f"::: fmuid.{left.pop(n)}.{n}" for n in names]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,78 @@
+"""What a file does to the process that reads it does not reach the one that asked."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmuid.apart import read_apart
+from fmuid.campaign import Measurements
+from fmuid.errors import MeasurementsError
+from fmuid.measurements import read_measurements
+
+
+def hang(path: Path) -> None:
+    time.sleep(60)
+
+
+def crash(path: Path) -> None:
+    os.abort()
+
+
+def refuse(path: Path) -> None:
+    raise MeasurementsError("is odd", where=path, fix="even it")
+
+
+def whose(path: Path) -> int:
+    return os.getpid()
+
+
+@pytest.fixture(autouse=True)
+def importable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The reading process finds the functions above by this module's name."""
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    for function in (hang, crash, refuse, whose):
+        monkeypatch.setattr(function, "__module__", "test_apart")
+    monkeypatch.setitem(__import__("sys").modules, "test_apart", __import__("sys").modules[__name__])
+    from fmuid import apart
+
+    apart._end()  # one that knows the path
+
+
+def test_a_file_that_hangs_or_crashes_is_one_line() -> None:
+    with pytest.raises(MeasurementsError) as error:
+        read_apart(hang, Path("m.h5"), limit=0.5)
+    assert str(error.value) == "m.h5: cannot be read in 0 s; write it again: it may be damaged"
+    with pytest.raises(MeasurementsError) as error:
+        read_apart(crash, Path("m.h5"))
+    assert str(error.value) == "m.h5: crashes the library that reads it; write it again: it may be damaged"
+    with pytest.raises(MeasurementsError) as error:
+        read_apart(refuse, Path("m.h5"))
+    assert str(error.value) == "m.h5: is odd; even it"
+
+
+def test_one_process_serves_all() -> None:
+    first = read_apart(whose, Path("m.h5"))
+    assert first != os.getpid()
+    assert read_apart(whose, Path("n.h5")) == first
+
+
+def test_values_stay_read_only(folder: Path, measurements: Measurements) -> None:
+    found = read_measurements(folder / "measurements.h5")
+    for run in found:
+        assert not run.time.flags.writeable
+        assert not any(s.values.flags.writeable for s in run.signals.values())
+        np.testing.assert_array_equal(run.time, measurements[run.id].time)
+
+
+def test_a_module_in_the_current_folder_is_not_taken_for_a_library(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    monkeypatch.delenv("PYTHONPATH")
+    Path("h5py.py").write_text("raise SystemExit('taken')")
+    assert len(read_measurements("measurements.h5")) > 0
