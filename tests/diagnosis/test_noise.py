@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fmuid.diagnosis.noise import (
+from fmuid.diagnosis.null import draw_noise
+from fmuid.diagnosis.observed import Observed, excess, gap
+from fmuid.errors import ProblemError
+from fmuid.noise_spectrum import (
     RepeatedRuns,
     coefficient_frequencies,
     estimate_noise,
@@ -13,9 +16,6 @@ from fmuid.diagnosis.noise import (
     real_spectrum,
     whitener,
 )
-from fmuid.diagnosis.null import draw_noise
-from fmuid.diagnosis.observed import Observed, excess, gap
-from fmuid.errors import ProblemError
 
 DT = 1e-3
 TIME = DT * np.arange(600)

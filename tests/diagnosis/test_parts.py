@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 from plants import EFFECTS, NOMINAL, PORTS, REGIMES, TWIN, plant
 
-from fmuid.diagnosis.candidates import fit_effects, score_further
+from fmuid.diagnosis.candidates import Fitted, fit_effects, score_further
+from fmuid.diagnosis.catalogue import Effect
+from fmuid.diagnosis.decide import strained
 from fmuid.diagnosis.held_out import HeldOut, advantage, closure, closure_interval, leave_each_out
-from fmuid.diagnosis.noise import RepeatedRuns
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import fit_decoys, harmonics, hats, quantile_knots
-from fmuid.diagnosis.refit import Unknown, refit
+from fmuid.diagnosis.refit import Refit, Unknown, refit
 from fmuid.diagnosis.regimes import bases, trajectories
 from fmuid.diagnosis.scores import alias_classes, nominal_basis, project_off, stack
 from fmuid.diagnosis.signal_effects import disturb_input, disturb_output, split_signal_parameters
+from fmuid.noise_spectrum import RepeatedRuns
 from fmuid.runners import in_process
 
 TIME = np.linspace(0.0, 1.0, 501)
@@ -192,6 +194,25 @@ def test_a_sensor_that_also_shows_another_signal_is_found_out():
     best = min(decoys, key=lambda d: d.held_out.gap)
     assert (best.port, best.over) == ("reading", "other signals")
     assert closure(nominal.held_out, best.held_out) > 0.8
+
+
+def test_a_shape_at_a_bound_that_nobody_thought_plausible_is_strained():
+    size = Unknown("size", 0.0, 0.0, 1.0, 1e-3)
+    shape = Unknown("shape", 1.0, 0.1, 4.0, 1e-2)
+    effect = Effect(
+        "e",
+        "",
+        "p",
+        (size, shape),
+        {"size": 0.0, "shape": 1.0},
+        ({"size": 0.1, "shape": 0.1},),
+        shapes=frozenset({"shape"}),
+    )
+    for value, strain in ((2.0, False), (4.0, True), (0.1, False)):  # a trial has the lower bound
+        values = {"size": 1.0, "shape": value}
+        fit = Refit((size, shape), values, (), (), 0.0, 0, True)
+        fitted = Fitted(("e",), ("e",), fit, lost(1.0), 1.0)
+        assert strained(fitted, [effect]) is strain
 
 
 def test_signal_parameters_are_told_from_the_model_s():

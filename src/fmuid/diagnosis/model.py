@@ -11,10 +11,10 @@ import numpy as np
 
 from fmuid.campaign import FloatArray, read_only
 from fmuid.cases import Case
-from fmuid.diagnosis.noise import RepeatedRuns
 from fmuid.diagnosis.signal_effects import disturb_input, disturb_output, split_signal_parameters
 from fmuid.errors import SimulationError
 from fmuid.expressions import Expression
+from fmuid.noise_spectrum import RepeatedRuns
 from fmuid.runners import Job, Outcome, Runner, in_process
 
 Prediction = tuple[FloatArray, ...]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.campaign import FloatArray
-from fmuid.diagnosis.noise import (
+from fmuid.noise_spectrum import (
     PiecewiseWhitener,
     RepeatedRuns,
     SetupNoise,

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from fmuid.campaign import Campaign, FloatArray
-from fmuid.diagnosis.noise import RepeatedRuns
 from fmuid.diagnosis.observed import Observed, gap
 from fmuid.diagnosis.setting_up import model_of
 from fmuid.errors import FmuidError, SimulationError
+from fmuid.noise_spectrum import RepeatedRuns
 from fmuid.runners import Runner, in_process
 
 
