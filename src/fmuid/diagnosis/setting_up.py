@@ -57,6 +57,8 @@ def subject_of(
     experiments
         Ids or globs, instead of the campaign's own choice.
 
+    An effect of which a parameter is nominal is none: it is refitted always.
+
     Raises
     ------
     CampaignError
@@ -70,7 +72,12 @@ def subject_of(
     cases = model.cases
     signals = {c.signal for case in cases for c in case.channels} | {n for case in cases for n in case.task.inputs}
     known |= {f"{signal}.{name}" for signal in signals for name in NEUTRAL}
-    effects = tuple(e for e in catalogue.effects.values() if any(u.name in known for u in e.unknowns))
+    given = {m.variable(name) for name in spec.nominal for m in campaign.models.values()}
+    effects = tuple(
+        e
+        for e in catalogue.effects.values()
+        if any(u.name in known for u in e.unknowns) and not any(u.name in given for u in e.unknowns)
+    )
     missing = [u.name for e in effects for u in e.unknowns if u.name not in known]
     if missing or not effects:
         raise FmuError(
