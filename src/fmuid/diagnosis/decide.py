@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from fmuid.diagnosis.candidates import Fitted
+from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.held_out import advantage, closure
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import OWN_PAST, Decoy
@@ -88,17 +89,35 @@ def beyond_doubt(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
     return closed >= CLOSURE_BEYOND_DECOYS or (finished and names(nominal, best, finished=True))
 
 
-def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy], ports: Collection[str]) -> Decoy | None:
+def strained(fitted: Fitted, effects: Sequence[Effect]) -> bool:
+    """Return whether a named effect's shape ended at a bound that neither its start nor a trial has.
+
+    The law is then used for something else than what its effect is.
+    """
+    for effect in (e for e in effects if e.id in fitted.names):
+        for u in (u for u in effect.unknowns if u.name in effect.shapes):
+            plausible = {effect.neutral[u.name], *(t[u.name] for t in effect.trials if u.name in t)}
+            value, near = fitted.fit.values[u.name], 0.01 * u.step
+            for bound in {u.lower, u.upper} - plausible:
+                if abs(value - bound) <= near:
+                    return True
+    return False
+
+
+def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy], ports: Sequence[str]) -> Decoy | None:
     """Return the decoy that shows the gap to be none of the named effects, if one does.
 
     That is: it leaves much less of the gap on experiments left out than the best named effect does, and that
     effect does not close nearly all of it. Where an effect at one of `ports` is named, what a sensor there makes
     of its own past is no evidence: any lag is that, of whatever order.
     """
-    decoys = [d for d in decoys if d.over != OWN_PAST or d.port not in ports]
-    if not decoys or closure(nominal.held_out, best.held_out) >= CLOSURE_BEYOND_DECOYS:
+    lumped = len(best.names) > 1 and len(set(ports)) == 1
+    decoys = [d for d in decoys if (d.port in ports if lumped else d.over != OWN_PAST or d.port not in ports)]
+    if not decoys or (closure(nominal.held_out, best.held_out) >= CLOSURE_BEYOND_DECOYS and not lumped):
         return None
     decoy = min(decoys, key=lambda d: float(np.average(d.held_out.loss, weights=d.held_out.size)))
+    if lumped:  # one law of one variable that nobody has named, in place of two that have been
+        return decoy if decoy.held_out.gap <= best.held_out.gap else None
     gained, error = advantage(decoy.held_out, best.held_out)
     if gained > error and decoy.held_out.gap < DECOY_MARGIN * best.held_out.gap:
         return decoy

@@ -105,7 +105,15 @@ def diagnose_subject(
     candidates, best = search(subject, nominal, scores, noise, say, present=present)
     done = present and best is not None and finished(subject, best, scores, noise)
     decoys: tuple[Decoy, ...] = ()
-    if present and (best is None or not decide.beyond_doubt(nominal, best, finished=done)):
+    places = {e.port for e in subject.effects if best is not None and e.id in best.names}
+    doubtful = best is None or not decide.beyond_doubt(nominal, best, finished=done)
+    if (
+        present
+        and best is not None
+        and (decide.strained(best, subject.effects) or len(best.names) > len(places) == 1)
+    ):
+        doubtful = True  # a law beyond its shape, or two where one may do
+    if present and doubtful:
         say("free functions at every port", 0.75)
         families = bases(paths, subject.catalogue.regimes)
         decoys = fit_decoys(model, observed, nominal.fit, tuple(subject.catalogue.ports.values()), families)
@@ -148,11 +156,16 @@ def _conclude(
 ) -> Found:
     observed = subject.observed
     ports = {e.id: e.port for e in subject.effects}
-    named = {ports[n] for n in best.names} if best is not None else set()
+    named = [ports[n] for n in best.names] if best is not None else []
     decoy = decide.unexplained(nominal, best or nominal, decoys, named) if present else None
     alike = decide.indistinguishable(best, candidates, observed) if best is not None else ()
-    unknown = present and (decoy is not None or best is None or not decide.names(nominal, best, finished=done))
-    place = _strongest(nominal, decoys) if unknown else None
+    unknown = present and (
+        decoy is not None
+        or best is None
+        or decide.strained(best, subject.effects)
+        or not decide.names(nominal, best, finished=done)
+    )
+    place = _strongest(nominal, best, named, decoys) if unknown else None
     if powerless and (not present or place is None):
         verdict, chosen = Verdict("insufficient"), nominal
     elif not present:
@@ -229,9 +242,11 @@ def _candidates(
     return tuple(sorted(found, key=lambda c: -c.probability))
 
 
-def _strongest(nominal: Fitted, decoys: Sequence[Decoy]) -> str | None:
-    """Return the port whose free functions close most of the held-out gap; None if none closes much."""
+def _strongest(nominal: Fitted, best: Fitted | None, named: Sequence[str], decoys: Sequence[Decoy]) -> str | None:
+    """Return the port where free functions, or effects, close most of the held-out gap; None if none do."""
     shares = _port_shares(nominal, decoys)
+    if best is not None and len(set(named)) == 1:
+        shares[named[0]] = max(shares.get(named[0], 0.0), closure(nominal.held_out, best.held_out))
     port = max(shares, key=lambda p: shares[p], default=None)
     return port if port is not None and shares[port] >= decide.CLOSURE_THAT_PLACES else None
 

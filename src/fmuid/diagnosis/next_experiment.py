@@ -21,7 +21,10 @@ _SCALES = (-1.0, 0.25, 0.5, 1.25, 1.5)
 
 
 def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
-    """Return the variation of an experiment that separates the first two of `alike` best; None if none does."""
+    """Return the variation of an experiment that separates the first two of `alike` best; None if none does.
+
+    It is taken to be repeated as often as the experiment that it varies.
+    """
     if len(alike) < 2:
         return None
     a, b = alike[0], alike[1]
@@ -47,7 +50,7 @@ def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
             if (norms > 0).any():
                 q, _ = np.linalg.qr(moves[:, norms > 0] / norms[norms > 0])
                 difference = project_off(difference, q)
-            sigma = float(np.linalg.norm(difference))
+            sigma = float(np.sqrt(subject.observed.repeats[k]) * np.linalg.norm(difference))
             if best is None or sigma > best.separation_sigma:
                 best = NextExperiment(
                     case.setup, f"as {case.id}, with its input times {scale:g}", sigma, (a.id, b.id)
