@@ -126,6 +126,8 @@ class PreparedTask:
 
     def set_parameters(self, parameters: Mapping[str, float]) -> None:
         """Take the values of `names`, in their order, for the next run."""
+        if not self.names:
+            return
         self.values[:] = list(parameters.values())
         fine = all(map(math.isfinite, parameters.values()))
         if not fine or (self._any_whole and np.any((self.values % 1 != 0) & self._whole)):
@@ -136,7 +138,8 @@ class PreparedTask:
         """Return a new array for the predictions, of all or `n_times` samples, and point the plan at it."""
         self.plan.n_times = len(self.task.time) if n_times is None else n_times
         array = np.empty((self.plan.n_outputs * (1 + self.plan.n_directions), self.plan.n_times))
-        self.plan.outputs = array.__array_interface__["data"][0]
+        if array.size:
+            self.plan.outputs = ctypes.addressof(ctypes.c_char.from_buffer(array))  # the quickest way there
         return array
 
     def _slot(self, name: str) -> Slot:
