@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from fmuid.campaign import StageSpec as StageSpec
     from fmuid.campaign_toml import load_campaign as load_campaign
     from fmuid.cases import measured_case as measured_case
+    from fmuid.coupled.loading import couple as couple
+    from fmuid.coupled.loading import load_model as load_model
+    from fmuid.coupled.structure import Master as Master
     from fmuid.diagnosis.of_campaign import diagnose as diagnose
     from fmuid.errors import FmuidError as FmuidError
     from fmuid.fmu import load_fmu as load_fmu
@@ -56,6 +59,7 @@ _PUBLIC = {
     "CriterionSpec": "campaign",
     "Experiment": "campaign",
     "FmuidError": "errors",
+    "Master": "coupled.structure",
     "Measurements": "campaign",
     "Observer": "observer",
     "ParameterSpec": "campaign",
@@ -71,10 +75,12 @@ _PUBLIC = {
     "TerminalProgress": "progress",
     "Variable": "simulation",
     "WorkerPool": "workers",
+    "couple": "coupled.loading",
     "diagnose": "diagnosis.of_campaign",
     "identify": "identification",
     "load_campaign": "campaign_toml",
     "load_fmu": "fmu",
+    "load_model": "coupled.loading",
     "measured_case": "cases",
     "profile_of": "profiles",
     "propagate": "propagation",

@@ -8,19 +8,22 @@ from pathlib import Path
 
 from fmuid.campaign import Campaign
 from fmuid.channel_noise import conversion_at
+from fmuid.coupled.model import CoupledModel
+from fmuid.coupled.ssp_writing import write_system
 from fmuid.errors import ProblemError
 from fmuid.files import write_atomically
-from fmuid.fmu import Fmu, load_fmu
+from fmuid.fmu import Fmu
 from fmuid.fmu_copy import copy_with_starts, takes_effect
 from fmuid.model_check import load_models
 from fmuid.result import Result
+from fmuid.simulation import Simulator
 from fmuid.solvers import Status
 from fmuid.ssv import parameter_set
 
 
 @dataclass(frozen=True, slots=True)
 class Identified:
-    """What was written: FMUs by setup, the parameter set, and what the user should know."""
+    """What was written: FMUs (or SSP files) by setup, the parameter set, and what the user should know."""
 
     fmus: Mapping[str, Path]
     parameters: Path
@@ -28,7 +31,7 @@ class Identified:
 
 
 def write_identified(result: Result, campaign: Campaign, folder: str | Path) -> Identified:
-    """Write ``<model>.fmu``, one for each FMU of the campaign, and ``parameters.ssv``.
+    """Write ``<model>.fmu``, one for each FMU of the campaign, and ``parameters.ssv``; coupled FMUs as ``.ssp``.
 
     Start values of a copy are what all runs of its setup have in common: the result's parameters, the
     campaign's settings and initial values; not the settings of a run, nor parameters that each run has its own
@@ -50,35 +53,39 @@ def write_identified(result: Result, campaign: Campaign, folder: str | Path) -> 
         raise ProblemError(f"the identification is {result.status.value}", fix="finish it first")
     folder = Path(folder)
     values: dict[str, dict[str, float]] = {}
-    fmus: dict[str, Fmu] = {}
-    for setup in load_models(campaign):
-        fmus[setup] = load_fmu(campaign.models[setup].fmu)
-        values[setup] = _start_values(result, campaign, setup, fmus[setup])
+    models: dict[str, Fmu | CoupledModel] = {}
+    for setup, model in load_models(campaign).items():
+        assert isinstance(model, Fmu | CoupledModel)
+        models[setup] = model
+        values[setup] = _start_values(result, campaign, setup, model)
     written: dict[str, Path] = {}
     warnings = []
-    for setup, fmu in fmus.items():
-        same = [s for s in written if fmus[s] is fmu and values[s] == values[setup]]
+    for setup, model in models.items():
+        same = [s for s in written if models[s] is model and values[s] == values[setup]]
         if same:
             written[setup] = written[same[0]]
             continue
-        stem = fmu.path.stem
-        target = folder / f"{stem}.fmu"
+        stem, suffix = model.path.stem, ".ssp" if isinstance(model, CoupledModel) else ".fmu"
+        target = folder / f"{stem}{suffix}"
         if target in written.values():
-            target = folder / f"{stem}_{setup}.fmu"
-        copy_with_starts(fmu, values[setup], target)
+            target = folder / f"{stem}_{setup}{suffix}"
         written[setup] = target
-        if not takes_effect(fmu, values[setup], target):
+        if isinstance(model, CoupledModel):
+            write_system(model, parameter_set(campaign.name, {setup: values[setup]}, models), target)
+            continue
+        copy_with_starts(model, values[setup], target)
+        if not takes_effect(model, values[setup], target):
             warnings.append(
-                f"{target.name}: {fmu.tool} lets its FMU start with other values than its description says; "
+                f"{target.name}: {model.tool} lets its FMU start with other values than its description says; "
                 "set those of parameters.ssv"
             )
     parameters = folder / "parameters.ssv"
-    write_atomically(parameters, parameter_set(campaign.name, values, fmus))
+    write_atomically(parameters, parameter_set(campaign.name, values, models))
     return Identified(written, parameters, tuple(warnings))
 
 
-def _start_values(result: Result, campaign: Campaign, setup: str, fmu: Fmu) -> dict[str, float]:
-    model, variables = campaign.models[setup], fmu.variables
+def _start_values(result: Result, campaign: Campaign, setup: str, simulator: Simulator) -> dict[str, float]:
+    model, variables = campaign.models[setup], simulator.variables
     settings = {model.variable(n): v for n, v in campaign.settings.items()}
     found = {n: v for n, v in settings.items() if n in variables} | dict(model.initial)
     for spec in campaign.parameters.values():

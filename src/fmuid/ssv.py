@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
+from fmuid.coupled.model import CoupledModel
 from fmuid.fmu import Fmu
 from fmuid.fmu_copy import DESCRIPTION, as_bytes, as_text
 
@@ -18,7 +20,9 @@ _TAGS = {"Boolean": "Boolean", "Enumeration": "Enumeration"} | dict.fromkeys(
 )
 
 
-def parameter_set(name: str, values: Mapping[str, Mapping[str, float]], fmus: Mapping[str, Fmu]) -> bytes:
+def parameter_set(
+    name: str, values: Mapping[str, Mapping[str, float]], models: Mapping[str, Fmu | CoupledModel]
+) -> bytes:
     """Return a parameter set as XML.
 
     Parameters
@@ -26,8 +30,8 @@ def parameter_set(name: str, values: Mapping[str, Mapping[str, float]], fmus: Ma
     name
         Of the set.
     values
-        By setup and FMU variable; a variable that setups disagree about is listed as ``setup.variable``.
-    fmus
+        By setup and variable; a variable that setups disagree about is listed as ``setup.variable``.
+    models
         By setup.
     """
     ElementTree.register_namespace("ssv", _SSV)
@@ -37,22 +41,22 @@ def parameter_set(name: str, values: Mapping[str, Mapping[str, float]], fmus: Ma
     units: dict[str, dict[str, str]] = {}
     listed: set[str] = set()
     for setup, own in values.items():
-        description = _description(fmus[setup].path)
-        defined = _units(description)
         for variable, value in own.items():
             alike = all(other.get(variable, value) == value for other in values.values())
             shown = variable if alike else f"{setup}.{variable}"
             if shown in listed:
                 continue
             listed.add(shown)
-            described = fmus[setup].variables[variable]
+            model = models[setup]
+            fmu, inside = model.home(variable) if isinstance(model, CoupledModel) else (model, variable)
+            described = fmu.variables[inside]
             text = as_text(described, value)
             if described.type == "Enumeration":
-                text = _literal(description, variable, text)
+                text = next((name for name, v in fmu.literals(inside).items() if v == int(value)), text)
             tag = _TAGS.get(described.type, "Integer")
             parameter = ElementTree.SubElement(parameters, f"{{{_SSV}}}Parameter", {"name": shown})
             entry = ElementTree.SubElement(parameter, f"{{{_SSV}}}{tag}", {"value": text})
-            unit = described.unit
+            unit, defined = model.variables[variable].unit, _units(fmu.path)
             if tag == "Real" and unit is not None and unit in defined:
                 entry.set("unit", unit)
                 units[unit] = defined[unit]
@@ -65,25 +69,12 @@ def parameter_set(name: str, values: Mapping[str, Mapping[str, float]], fmus: Ma
     return as_bytes(root)
 
 
-def _description(path: Path) -> ElementTree.Element:
+@functools.lru_cache(maxsize=16)
+def _units(path: Path) -> dict[str, dict[str, str]]:
     with zipfile.ZipFile(path) as archive:
-        return ElementTree.fromstring(archive.read(DESCRIPTION))
-
-
-def _units(description: ElementTree.Element) -> dict[str, dict[str, str]]:
+        description = ElementTree.fromstring(archive.read(DESCRIPTION))
     return {
         unit.get("name", ""): {k: v for k, v in base.attrib.items() if k in _BASE_UNIT}
         for unit in description.iterfind("UnitDefinitions/Unit")
         if (base := unit.find("BaseUnit")) is not None
     }
-
-
-def _literal(description: ElementTree.Element, variable: str, ordinal: str) -> str:
-    """Return the name of an enumeration's literal, by which SSP knows it."""
-    (declared,) = (v for v in description.iterfind("ModelVariables/*") if v.get("name") == variable)
-    kind = declared.get("declaredType") or declared[0].get("declaredType")
-    for type_ in description.iterfind("TypeDefinitions/*"):
-        for item in type_.iter("Item"):
-            if type_.get("name") == kind and item.get("value") == ordinal:
-                return item.get("name", ordinal)
-    return ordinal

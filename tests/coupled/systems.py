@@ -9,7 +9,7 @@ from typing import Any
 
 from fmuid.coupled.loading import couple
 from fmuid.coupled.model import CoupledModel
-from fmuid.coupled.structure import Coupling, Linear, Master
+from fmuid.coupled.structure import Master
 
 NAMESPACES = " ".join(
     f'xmlns:{short}="http://ssp-standard.org/SSP1/SystemStructure{name}"'
@@ -21,11 +21,7 @@ NAMESPACES = " ".join(
 
 def coupled(components: Mapping[str, Path], connections: Mapping[str, Any], **master: Any) -> CoupledModel:
     """Couple FMUs by input -> output, or by input -> (output, factor, offset)."""
-    plain = {
-        target: (source, Linear()) if isinstance(source, str) else (source[0], Linear(*source[1:]))
-        for target, source in connections.items()
-    }
-    return couple(Coupling(Master(**master), components, plain), Path("bench"))
+    return couple(components, connections, Master(**master))
 
 
 def split(drive: Mapping[str, Path], **master: Any) -> CoupledModel:

@@ -48,7 +48,9 @@ def test_loops_that_cross_are_solved_together(made):
 
 def test_a_loop_without_a_solution_fails(made):
     model = coupled({"a": made("Gain"), "b": made("Gain")}, RING, loops="iterate", loop_iterations=20)
-    message = "bench: the loop a.y -> b.u -> b.y -> a.u -> a.y is not solved after 20 iterations in initialisation"
+    message = (
+        "system: the loop a.y -> b.u -> b.y -> a.u -> a.y is not solved after 20 iterations in initialisation"
+    )
     with pytest.raises(SimulationError, match=message):
         model.simulate(RING_TASK, {"a.k": 2.0, "b.k": 0.5, "a.b": 1.0})
     assert model.simulate(RING_TASK, {"a.b": 1.0, "b.k": 0.5})[0, 0] == pytest.approx(2.0)

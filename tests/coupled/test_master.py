@@ -108,7 +108,7 @@ def test_a_controller_of_another_tool(drive, single, python_pi):
     finer = np.linspace(0, 1, 2001)
     task = Task(finer, {"controller.w_ref": 30 * np.sin(2 * np.pi * finer)}, SIGNALS, {}, "hold", 1e-8)
     assert error(model.simulate(task, {})[:, ::20], single)[:3].max() < 1e-2
-    with pytest.raises(FmuError, match=r"bench, component 'controller': it cannot interpolate its inputs"):
+    with pytest.raises(FmuError, match=r"system, component 'controller': it cannot interpolate its inputs"):
         model.simulate(TASK, {})
     linear_plant = split({**drive, "controller": python_pi}, step=5e-4, extrapolation={"plant": "linear"})
     assert error(linear_plant.simulate(task, {})[:, ::20], single)[0] < 6e-3
@@ -187,7 +187,7 @@ def test_a_communication_step_never_steps_over_a_sample(made):
 
 def test_what_goes_wrong_in_a_component_is_said_of_it(drive):
     model = split(drive, step=1e-3)
-    with pytest.raises(SimulationError, match=r"bench, component 'plant': .*J_R = 0"):
+    with pytest.raises(SimulationError, match=r"system, component 'plant': .*J_R = 0"):
         model.simulate(TASK, {"plant.J_R": 0.0})
     assert np.isfinite(model.simulate(TASK, {})).all()
 

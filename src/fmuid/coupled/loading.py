@@ -5,15 +5,15 @@ from __future__ import annotations
 import os
 import shutil
 import weakref
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from pathlib import Path
 
 from fmuid.campaign import ModelSpec
-from fmuid.coupled.checks import unit_conversion, variable_at
+from fmuid.coupled.checks import check_connections, unit_conversion, variable_at
 from fmuid.coupled.model import CoupledModel
 from fmuid.coupled.ssp import read_system
-from fmuid.coupled.structure import Connection, Coupling, Master, Place
-from fmuid.errors import FmuError
+from fmuid.coupled.structure import Connection, Coupling, Linear, Master, Place
+from fmuid.errors import FmuError, FmuidError
 from fmuid.fmu import Fmu, extract, load_fmu
 from fmuid.suggest import suggestion
 
@@ -34,7 +34,12 @@ def load_model(model: ModelSpec | str | Path) -> Fmu | CoupledModel:
     if not isinstance(model, ModelSpec):
         model = ModelSpec("", Path(model))
     if model.coupling is not None and model.coupling.components:
-        return couple(model.coupling, model.fmu)
+        try:
+            return load_coupling(model.coupling, model.fmu)
+        except FmuidError as error:
+            if error.where != str(model.fmu):
+                raise
+            raise type(error)(error.what, where=f"[models.{model.setup}]", fix=error.fix) from None
     if model.fmu.suffix == SUFFIX:
         return load_system(model.fmu, model.coupling.master if model.coupling else None)
     return load_fmu(model.fmu)
@@ -73,7 +78,35 @@ def load_system(path: str | Path, master: Master | None = None) -> CoupledModel:
     return _once((file, repr(master), _state(file)), make)
 
 
-def couple(coupling: Coupling, path: str | Path = "system") -> CoupledModel:
+def couple(
+    components: Mapping[str, str | Path],
+    connections: Mapping[str, str | tuple[str, float, float]],
+    master: Master | None = None,
+) -> CoupledModel:
+    """Return FMUs coupled by connections.
+
+    Parameters
+    ----------
+    components
+        FMU files by the names of the components.
+    connections
+        ``component.input`` -> ``component.output`` that it follows, or (output, factor, offset): the input is
+        ``factor * output + offset``, the output being in the input's unit.
+    master
+        How to step them.
+
+    Raises
+    ------
+    FmuError
+        A file is missing, or the components do not fit together.
+    UnitError
+        Connected variables have units that do not fit.
+    """
+    wires = {i: (o, Linear()) if isinstance(o, str) else (o[0], Linear(*o[1:])) for i, o in connections.items()}
+    return load_coupling(Coupling(master or Master(), {n: Path(f) for n, f in components.items()}, wires))
+
+
+def load_coupling(coupling: Coupling, path: str | Path = "system") -> CoupledModel:
     """Return FMUs coupled by a table of connections, in one process the same object; `path` names it in errors.
 
     Raises
@@ -87,14 +120,14 @@ def couple(coupling: Coupling, path: str | Path = "system") -> CoupledModel:
 
     def make() -> CoupledModel:
         components = {name: Fmu(file) for name, file in files.items()}
-        connections = []
-        for target, (source, linear) in coupling.connections.items():
-            begin, end = (_place(where, components, name) for name in (source, target))
-            units = [variable_at(where, components, p).unit for p in (begin, end)]
-            convert = unit_conversion(where, source, units[0], target, units[1])
-            connections.append(Connection(begin, end, convert.then(linear)))
+        plain = [
+            Connection(_place(where, components, source), _place(where, components, target), linear)
+            for target, (source, linear) in coupling.connections.items()
+        ]
+        check_connections(where, components, plain)
+        connections = [_converting(where, components, k) for k in plain]
         return CoupledModel(
-            where, components, connections, master=coupling.master, reload=(couple, (resolved, where))
+            where, components, connections, master=coupling.master, reload=(load_coupling, (resolved, where))
         )
 
     return _once((where, repr(resolved), *map(_state, files.values())), make)
@@ -109,6 +142,12 @@ def _place(where: Path, components: dict[str, Fmu], name: str) -> Place:
             fix=f"write it as component.variable; {suggestion(name, components)}",
         )
     return Place(component, variable)
+
+
+def _converting(where: Path, components: dict[str, Fmu], k: Connection) -> Connection:
+    units = [variable_at(where, components, place).unit for place in (k.source, k.target)]
+    convert = unit_conversion(where, str(k.source), units[0], str(k.target), units[1])
+    return Connection(k.source, k.target, convert.then(k.linear))
 
 
 def _once(key: Hashable, make: Callable[[], CoupledModel]) -> CoupledModel:

@@ -104,6 +104,12 @@ class CoupledModel:
         """Every variable by name; connected inputs are local."""
         return self._view
 
+    def home(self, name: str) -> tuple[Fmu, str]:
+        """Return the FMU that has a variable, or the first one that a port leads to, and its name there."""
+        self._known(name)
+        place = self._ports[name].ends[0][0] if name in self._ports else self._places[name]
+        return self.components[place.component], place.variable
+
     @property
     def name(self) -> str:
         """The model's name."""
