@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
-from fmuid.reference import reference_fmu
 from fmuid.reference.friction import loss_table, sliding_torque
 from fmuid.simulation import Task
 from tests.reference.experiments import CONSTANT_FRICTION, fixed_shaft
@@ -45,8 +46,8 @@ def test_loss_table_between_and_outside_rows():
     assert losses(99.0) == losses(20.0) == (0.8, 0.7, 0.3, 0.2)
 
 
-def test_held_at_90_percent_of_break_away_does_not_creep():
-    fmu = reference_fmu("FixedShaft")
+def test_held_at_90_percent_of_break_away_does_not_creep(model):
+    fmu = model("FixedShaft")
     task = Task(
         np.linspace(0, 60, 601), {"i_cmd": np.full(601, 0.9 * FRICTION / 0.7)}, ("rotor.phi", "housing.phi")
     )
@@ -59,8 +60,8 @@ def test_held_at_90_percent_of_break_away_does_not_creep():
     assert abs(deflection[-1] - deflection[10]) < 1e-6 * presliding
 
 
-def test_stuck_under_vibration_does_not_ratchet():
-    fmu = reference_fmu("FixedShaft")
+def test_stuck_under_vibration_does_not_ratchet(model):
+    fmu = model("FixedShaft")
     time = np.linspace(0, 2, 2001)
     current = (0.6 + 0.25 * np.sin(2 * np.pi * 30 * time)) * FRICTION / 0.7
     (rotor,) = fmu.simulate(Task(time, {"i_cmd": current}, ("rotor.phi",)), CONSTANT_FRICTION)
@@ -68,8 +69,10 @@ def test_stuck_under_vibration_does_not_ratchet():
     assert np.abs(rotor).max() <= fmu.variables["phi_s"].start
 
 
-def set_valued_coulomb(current: np.ndarray, hold: float, step: float) -> np.ndarray:
+@cache
+def set_valued_coulomb(step: float) -> np.ndarray:
     """Sensor torque by time stepping: the friction torque is whatever stops the sliding, up to its limit."""
+    current, hold = fixed_shaft("prbs").inputs["i_cmd"], 1e-3
     n, k_m, j_r, j_s, c_s, d_s, c_g, d_g = 50, 0.7, 2e-4, 0.003, 130000.0, 0.6, 25500.0, 50.0
     phi_c = w_c = phi_w = w_w = 0.0
     record = [0.0]
@@ -86,12 +89,10 @@ def set_valued_coulomb(current: np.ndarray, hold: float, step: float) -> np.ndar
     return np.array(record)
 
 
-def test_close_to_a_set_valued_coulomb_law():
+def test_close_to_a_set_valued_coulomb_law(model):
     task = fixed_shaft("prbs")
-    current = task.inputs["i_cmd"]
-    coarse = set_valued_coulomb(current, 1e-3, 4e-6)
-    fine = set_valued_coulomb(current, 1e-3, 2e-6)
-    tau_sensor, _ = reference_fmu("FixedShaft").simulate(task, CONSTANT_FRICTION)
+    coarse, fine = set_valued_coulomb(4e-6), set_valued_coulomb(2e-6)
+    tau_sensor, _ = model("FixedShaft").simulate(task, CONSTANT_FRICTION)
 
     difference = tau_sensor - (2 * fine - coarse)
     assert np.sqrt(np.mean(difference**2)) < 0.05
