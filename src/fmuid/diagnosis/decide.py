@@ -22,6 +22,7 @@ CLOSURE_THAT_NAMES = 0.5  # a named effect must close at least half of the gap o
 CLOSURE_THAT_FINISHES = 1 / 3  # or this much of a weak gap, if then nothing is left that noise would not leave
 GAIN_OF_A_SECOND = 0.25  # a further effect must close at least a quarter of what is left
 DECOY_MARGIN = 0.65  # a decoy must leave less than this share of the gap of the best named effect
+ABOUT_AS_WELL = 1.5  # ratio of gaps left: a free function is one linear step, effects are refitted to the end
 CLOSURE_BEYOND_DECOYS = 0.85  # an effect that closes this much is not unknown: its law has another shape
 SAME = 4.0  # models whose predictions differ by fewer standard deviations cannot be told apart
 _BLOCK = 20.0  # samples of model error that carry as much as one of noise
@@ -117,7 +118,7 @@ def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy], ports: S
         return None
     decoy = min(decoys, key=lambda d: float(np.average(d.held_out.loss, weights=d.held_out.size)))
     if lumped:  # one law of one variable that nobody has named, in place of two that have been
-        return decoy if decoy.held_out.gap <= best.held_out.gap else None
+        return decoy if decoy.held_out.gap <= ABOUT_AS_WELL * best.held_out.gap else None
     gained, error = advantage(decoy.held_out, best.held_out)
     if gained > error and decoy.held_out.gap < DECOY_MARGIN * best.held_out.gap:
         return decoy

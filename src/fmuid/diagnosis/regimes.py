@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from fmuid.campaign import FloatArray
+from fmuid.campaign import FloatArray, read_only
 from fmuid.diagnosis.model import CampaignModel
 from fmuid.diagnosis.ports import Basis, harmonics, hats, quantile_knots, times
 
@@ -55,6 +55,12 @@ def folded(
     return {n: tuple(p % (2 * np.pi) for p in path) if n in angles else path for n, path in paths.items()}
 
 
+def _powers(path: Sequence[FloatArray]) -> Basis:
+    """Return first to third power of a variable, signed as it is."""
+    size = max(float(np.abs(p).max()) for p in path) or 1.0
+    return tuple(tuple(read_only(np.sign(p) * np.abs(p / size) ** k) for p in path) for k in (1, 2, 3))
+
+
 def bases(
     paths: Mapping[str, tuple[FloatArray, ...]], regimes: Mapping[str, Regime], *, knots: int = 9
 ) -> dict[str, Basis]:
@@ -77,6 +83,8 @@ def bases(
                 found[f"{regime.name} and direction"] = times(harmonics(path, regime.orders), both)
         else:
             found[regime.name] = hats(path, quantile_knots(path, knots))
+        if regime.kind == "speed":  # knots say nothing of speeds that one experiment alone reaches
+            found[f"{regime.name}, smooth"] = _powers(path)
     if direction is not None:
         time = paths["time"]
         longest = max(float(t[-1] - t[0]) for t in time)
