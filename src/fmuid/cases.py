@@ -19,10 +19,11 @@ from fmuid.campaign import (
     frozen_mapping,
     read_only,
 )
-from fmuid.channel_noise import conversion_at, noise_elsewhere, noise_level
-from fmuid.criteria import Criterion, Target, prepare
+from fmuid.channel_noise import conversion_at, noise_elsewhere, noise_level, repeated_runs
+from fmuid.criteria import Criterion, Target, prepare, whitened
 from fmuid.errors import FmuError, ProblemError
 from fmuid.expressions import Expression, parse
+from fmuid.noise_spectrum import RepeatedRuns
 from fmuid.search_space import SEPARATOR
 from fmuid.simulation import Simulator, Task
 from fmuid.suggest import suggestion
@@ -214,10 +215,12 @@ def measured_case(
     setting = {n: (n, same) for n, v in simulator.variables.items() if v.causality == "parameter"}
     setting |= {n: (v, same) for n, v in (parameters or {}).items()}
     specs = criteria or [CriterionSpec(c.signal) for c in channels]
-    prepared = tuple(
-        prepare(spec, _target(task.time, _find(channels, spec.signal, id), task.inputs)) for spec in specs
-    )
-    return Case(id, simulator, task, tuple(channels), prepared, frozen_mapping(setting))
+    prepared = []
+    for spec in specs:
+        channel = _find(channels, spec.signal, id)
+        runs = (RepeatedRuns(id, id, task.time, (channel.signal,), channel.repeats[:, None]),)
+        prepared.append(prepare(spec, _target(task.time, channel, task.inputs, runs if whitened(spec) else ())))
+    return Case(id, simulator, task, tuple(channels), tuple(prepared), frozen_mapping(setting))
 
 
 def _same_simulation(a: Experiment, b: Experiment) -> bool:
@@ -292,15 +295,17 @@ def _case(
             convert = conversion_at(spec.unit, variables[variable].unit, f"parameter '{spec.name}'")
             setting[spec.name] = (variable, convert)
     known_inputs = {n: u[: len(first.time)] for n, u in inputs.items()} | raw_inputs
-    prepared = tuple(
-        prepare(s, _target(first.time, _find(channels, s.signal, where), known_inputs)) for s in specs
-    )
+    prepared = []
+    for criterion in specs:
+        channel = _find(channels, criterion.signal, where)
+        runs = repeated_runs(campaign, first, criterion.signal, channel.unit) if whitened(criterion) else ()
+        prepared.append(prepare(criterion, _target(first.time, channel, known_inputs, runs)))
     return Case(
         first.origin if all(e.origin == first.origin for e in group) and len(group) > 1 else first.id,
         simulator,
         task,
         tuple(channels),
-        prepared,
+        tuple(prepared),
         frozen_mapping(setting),
         tuple(e.id for e in group),
         first.setup,
@@ -375,5 +380,7 @@ def _find(channels: Sequence[Channel], signal: str, where: str) -> Channel:
     )
 
 
-def _target(time: FloatArray, channel: Channel, inputs: Mapping[str, FloatArray]) -> Target:
-    return Target(channel.signal, time, channel.mean, channel.count, channel.sigma, inputs)
+def _target(
+    time: FloatArray, channel: Channel, inputs: Mapping[str, FloatArray], repeated: tuple[RepeatedRuns, ...]
+) -> Target:
+    return Target(channel.signal, time, channel.mean, channel.count, channel.sigma, inputs, repeated)

@@ -8,6 +8,7 @@ import numpy as np
 
 from fmuid.campaign import Campaign, Experiment, FloatArray
 from fmuid.errors import UnitError
+from fmuid.noise_spectrum import RepeatedRuns
 from fmuid.units import Conversion, conversion
 
 
@@ -41,6 +42,24 @@ def noise_elsewhere(
     if not found:
         return otherwise, "unknown"
     return np.full(len(otherwise), float(np.sqrt(np.mean(np.square(found))))), "repeats"
+
+
+def repeated_runs(campaign: Campaign, run: Experiment, signal: str, unit: str | None) -> tuple[RepeatedRuns, ...]:
+    """Return the runs of the same setup and sampling interval that have the signal, each with its repeats."""
+    found = []
+    for other in campaign.measurements:
+        if other.setup != run.setup or other.repeat_of is not None or signal not in other.outputs:
+            continue
+        if not np.isclose(np.mean(np.diff(other.time)), np.mean(np.diff(run.time)), rtol=1e-6):
+            continue
+        convert = conversion_at(other.outputs[signal].unit, unit, f"signal '{signal}' of experiment '{other.id}'")
+        same = [
+            convert(e.outputs[signal].values)
+            for e in campaign.measurements.repeats(other.id)
+            if signal in e.outputs and np.array_equal(e.time, other.time)
+        ]
+        found.append(RepeatedRuns(other.id, other.setup, other.time, (signal,), np.array(same)[:, None]))
+    return tuple(found)
 
 
 def noise_level(repeats: FloatArray, given: Sequence[float | None]) -> tuple[FloatArray, str]:

@@ -4,7 +4,9 @@ Every criterion gives a vector of residuals, already divided by its demand value
 mean square, so at most 1 means "satisfied". Which one to use when:
 
 ========================  ============================================================================
-`least_squares`           the default: (prediction - measurement) / sigma, statistically efficient
+`least_squares`           the default: (prediction - measurement) / sigma, efficient for white noise; with the
+                          option `whiten = "repeats"` whitened by the colour of what repeated runs differ by,
+                          efficient for coloured noise
 `error_vector`            the plain error, in the signal's unit, sample by sample
 `maximum`                 the largest error; with `combine = "min_max"` a guaranteed bound
 `quantile`                the q-quantile of the error's size (option `q`, default 0.95): outliers allowed
@@ -32,6 +34,8 @@ from numpy.typing import NDArray
 from fmuid import features
 from fmuid.campaign import CriterionSpec, FloatArray
 from fmuid.errors import ProblemError
+from fmuid.noise_colour import estimate_colour
+from fmuid.noise_spectrum import RepeatedRuns
 
 Rows = NDArray[np.intp]
 Residuals = Callable[[FloatArray], FloatArray]
@@ -43,7 +47,8 @@ class Target:
     """The measurement of one signal, as a criterion sees it; all arrays (N,), in the model's unit.
 
     `mean` is the mean over the repeats (NaN where no repeat has a sample), `count` how many repeats have one,
-    `sigma` the standard deviation of a single sample.
+    `sigma` the standard deviation of a single sample. `repeated` are the runs that the noise's spectrum is
+    estimated from, for criteria that ask for it.
     """
 
     signal: str
@@ -52,6 +57,7 @@ class Target:
     count: FloatArray
     sigma: FloatArray
     inputs: Mapping[str, FloatArray]
+    repeated: tuple[RepeatedRuns, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,6 +136,11 @@ def _residuals(kind: str, target: Target, rows: Rows, options: dict[str, Any], w
     time, measured = target.time[rows], target.mean[rows]
     match kind:
         case "least_squares":
+            whiten = options.pop("whiten", "sigma")
+            if whiten not in ("sigma", "repeats"):
+                raise ProblemError(f"unknown whiten '{whiten}'", where=where, fix="known: sigma, repeats")
+            if whiten == "repeats":
+                return _whitened(target, rows, where)
             if "sigma" in options:
                 sigma = np.full(len(rows), _positive(options.pop("sigma"), "sigma", where))
             else:
@@ -159,6 +170,30 @@ def _residuals(kind: str, target: Target, rows: Rows, options: dict[str, Any], w
     known = ["least_squares", "error_vector", "maximum", "quantile", "integral_absolute", "integral_squared"]
     known += ["integral_time_absolute", *features.FEATURES, "magnitude", "phase", "user", *_registered]
     raise ProblemError("unknown kind of criterion", where=where, fix=f"known: {', '.join(known)}")
+
+
+def whitened(spec: CriterionSpec) -> bool:
+    """Whether `spec` asks for the spectrum of the noise between repeats."""
+    return spec.options.get("whiten") == "repeats"
+
+
+def _whitened(target: Target, rows: Rows, where: str) -> Residuals:
+    """Return the errors as independent residuals of unit variance under the noise between repeats."""
+    count = np.max(target.count[rows])
+    # Of a sample that some repeats lack, the mean has another variance: it counts as missing.
+    known = np.flatnonzero(target.count[rows] == count)
+    try:
+        colour = estimate_colour(target.repeated)
+    except ProblemError as error:
+        raise ProblemError(error.what, where=where, fix=error.fix) from None
+    measured = target.mean[rows]
+
+    def residuals(p: FloatArray) -> FloatArray:
+        error = np.zeros(len(rows))
+        error[known] = p[rows][known] - measured[known]
+        return np.asarray(np.sqrt(count) * colour.whitened(error))
+
+    return residuals
 
 
 def _integral(kind: str, time: FloatArray, rows: Rows, measured: FloatArray) -> Residuals:

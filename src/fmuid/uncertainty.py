@@ -86,7 +86,11 @@ def uncertainty_of(
         covariance = _widened(problem, evaluate, here, j, covariance)
     found = identifiability(problem, best.x, j, tolerance=tolerance, covariance=covariance)
     found = found if first.complete else first
-    effective = sum(w.effective for w in whiteness) or float(m)
+    # Residuals that are no samples (whitened ones, features) count one by one.
+    others = sum(
+        r.stop - r.start for (_, c), r in zip(problem.criteria, problem.slices, strict=True) if c.rows is None
+    )
+    effective = sum(w.effective for w in whiteness) + others
     degrees = max(effective - n, 1.0)
     t = float(stdtrit(degrees, 0.5 + 0.5 * LEVEL))
     slope = problem.space.slope(best.x)

@@ -66,3 +66,16 @@ def msd():
 @pytest.fixture
 def msd_truth():
     return dict(MSD_TRUTH)
+
+
+@pytest.fixture
+def coloured():
+    def noise(generator, runs, n=400, colour=0.95, shift=0.0):
+        """(runs, n) first-order autoregressions of unit innovations, each run shifted as a whole."""
+        white = generator.standard_normal((runs, n + 100))
+        noise = np.zeros_like(white)
+        for k in range(1, white.shape[1]):
+            noise[:, k] = colour * noise[:, k - 1] + white[:, k]
+        return noise[:, 100:] + shift * generator.standard_normal((runs, 1))
+
+    return noise

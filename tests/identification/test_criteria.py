@@ -5,6 +5,7 @@ from fmuid import criteria
 from fmuid.campaign import CriterionSpec
 from fmuid.criteria import Target, prepare
 from fmuid.errors import ProblemError
+from fmuid.noise_spectrum import RepeatedRuns
 
 TIME = np.linspace(0.0, 2.0, 401)
 
@@ -105,3 +106,31 @@ def test_user_functions_by_name_and_by_registration():
 def test_criteria_that_cannot_be_are_refused(spec, message):
     with pytest.raises(ProblemError, match=message):
         prepare(spec, target(np.zeros(401)))
+
+
+def test_whitened_by_the_repeats_the_noise_is_white_and_its_size_is_known(coloured):
+    time = np.arange(400) * 0.01
+    runs = coloured(np.random.default_rng(0), 60, shift=2.0)
+    repeated = (RepeatedRuns("run", "bench", time, ("y",), runs[:20, None]),)
+    aim = Target("y", time, np.zeros(400), np.full(400, 4.0), np.ones(400), {}, repeated)
+    criterion = prepare(CriterionSpec("y", options={"whiten": "repeats"}), aim)
+    assert criterion.smooth
+    means = runs[20:].reshape(10, 4, 400).mean(axis=1)  # of four repeats, as the target counts
+    white = np.array([criterion.residuals(mean) for mean in means])
+    assert np.mean(white**2) == pytest.approx(1.0, abs=0.1)
+    assert np.mean(white[:, :3] ** 2) == pytest.approx(1.0, abs=0.6)  # the first samples too
+    assert np.mean(white[:, 1:] * white[:, :-1]) == pytest.approx(0.0, abs=0.06)
+    # Of all that is slow, the shift included, as much is left as of everything else.
+    assert np.mean(white.sum(axis=1) ** 2 / 400) == pytest.approx(1.0, abs=0.9)
+    window = prepare(CriterionSpec("y", start_time=1.0, stop_time=2.0, options={"whiten": "repeats"}), aim)
+    assert np.mean(window.residuals(means[0][:]) ** 2) == pytest.approx(1.0, abs=0.5)
+    assert len(window.residuals(means[0])) == 101
+
+
+def test_what_cannot_be_whitened_is_said():
+    once = (RepeatedRuns("run", "bench", TIME, ("y",), np.zeros((1, 1, 401))),)
+    aim = Target("y", TIME, np.zeros(401), np.ones(401), np.ones(401), {}, once)
+    with pytest.raises(ProblemError, match=r"'least_squares' on 'y': no experiment of setup .* repeated"):
+        prepare(CriterionSpec("y", options={"whiten": "repeats"}), aim)
+    with pytest.raises(ProblemError, match="unknown whiten 'spectrum'; known: sigma, repeats"):
+        prepare(CriterionSpec("y", options={"whiten": "spectrum"}), target(np.zeros(401)))

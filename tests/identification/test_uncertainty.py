@@ -78,6 +78,38 @@ def test_intervals_of_a_nonlinear_model_cover(msd, msd_truth):
     assert np.all(hits <= 0.98 * 200)
 
 
+def of_coloured_noise(analytic, y, whiten):
+    rise = lambda time, inputs, p: {"y": p["a"] * (1 - np.exp(-time / p["tau"]))}  # noqa: E731
+    task, criteria = Task(np.arange(400) * 0.01, {}, ("y",)), [CriterionSpec("y", options={"whiten": whiten})]
+    y = y + rise(task.time, {}, {"a": 50.0, "tau": 0.6})["y"]
+    case = measured_case("run", analytic(rise, ["a", "tau"]), task, {"y": y}, criteria=criteria)
+    specs = [ParameterSpec("a", 50.0, 1.0, 500.0), ParameterSpec("tau", 0.6, 0.01, 10.0)]
+    return identify(Problem([case], specs)).stages[0]
+
+
+def test_whitening_by_the_repeats_takes_the_colour_off_the_residuals(analytic, coloured):
+    noise = coloured(np.random.default_rng(0), 10, shift=1.0)
+    plain, white = (of_coloured_noise(analytic, noise, w) for w in ("sigma", "repeats"))
+    assert plain.uncertainty.whiteness[0].p_value < 1e-6
+    assert white.uncertainty.whiteness[0].p_value > 0.01
+    assert white.uncertainty.whiteness[0].variance == pytest.approx(1.0, abs=0.2)
+    # The textbook's errors hold for what is white, and are far too small for what is not.
+    for name, textbook in zip(("a", "tau"), white.uncertainty.naive_errors, strict=True):
+        assert white[name].standard_error == pytest.approx(textbook, rel=0.5)
+    assert plain["tau"].standard_error > 3 * plain.uncertainty.naive_errors[1]
+
+
+@pytest.mark.slow
+def test_intervals_cover_where_residuals_are_whitened(analytic, coloured):
+    generator, hits = np.random.default_rng(1), np.zeros(2)
+    for _ in range(200):
+        stage = of_coloured_noise(analytic, coloured(generator, 10, shift=0.5), "repeats")
+        for i, (name, truth) in enumerate((("a", 50.0), ("tau", 0.6))):
+            hits[i] += stage[name].interval[0] < truth < stage[name].interval[1]
+    assert np.all(hits >= 0.90 * 200)
+    assert np.all(hits <= 0.98 * 200)
+
+
 def test_two_resistors_and_a_capacitor_are_not_separately_identifiable(analytic):
     # A divider R1, R2 loaded by C: gain R2/(R1+R2), time constant C R1 R2/(R1+R2).
     def divider(time, inputs, p):
