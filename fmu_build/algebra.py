@@ -96,10 +96,10 @@ def scalars(value: Value) -> tuple[Scalar, ...]:
 
 
 class UnknownSizeError(Exception):
-    """A whole number that must be known at translation depends on symbols."""
+    """What must be known at translation (a size, a range, which String) depends on symbols."""
 
     def __init__(self, value: SX) -> None:
-        super().__init__("a size or loop range that is not known at translation")
+        super().__init__("a size, a range or a choice that is not known at translation")
         self.value = value
         self.span: Any = None
 
@@ -172,7 +172,7 @@ def choose(condition: Scalar, then: Value, otherwise: Value) -> Value:
     if isinstance(then, tuple) and isinstance(otherwise, tuple):
         return tuple(choose(condition, a, b) for a, b in zip(then, otherwise, strict=True))
     if isinstance(then, str) or isinstance(otherwise, str):
-        raise TypeError("a String that depends on a condition")
+        raise UnknownSizeError(condition)  # there are no Strings at run time
 
     def pick(a: Scalar, b: Scalar) -> Scalar:
         if not isinstance(a, SX) and not isinstance(b, SX) and a == b:

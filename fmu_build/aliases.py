@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from fmu_build import algebra
 from fmu_build.equations import Equation
@@ -65,7 +65,10 @@ def eliminate(scope: ModelScope, equations: list[Equation]) -> Aliases:
         before = len(equations)
         equations = _merge(scope, equations, candidates, union)
         substitute = _substitution(scope, candidates, union)
-        equations = [Equation(substitute(e.residual), e.span) for e in equations]
+        equations = [
+            replace(e, residual=substitute(e.residual), branches=tuple(map(substitute, e.branches)))
+            for e in equations
+        ]
         if len(equations) == before:
             break
     groups: dict[int, Group] = {}

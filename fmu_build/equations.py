@@ -17,11 +17,17 @@ from fmu_build.scope import ModelScope
 
 @dataclass(frozen=True)
 class Equation:
-    """``residual = 0``; `sides` are kept for equations between discrete variables."""
+    """``residual = 0``; `sides` are kept for equations between discrete variables.
+
+    An if-equation whose branches are of different form has the residual of each in `branches`, and in `choice`
+    what equations of one if-equation share.
+    """
 
     residual: SX
     span: Any
     sides: tuple[SX, SX] | None = None
+    branches: tuple[SX, ...] = ()
+    choice: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -187,7 +193,34 @@ def _scalar_equations(scope: ModelScope, node: Node, span: Any) -> list[Equation
         else:
             pairs = _pairs(scope, left, right, span)
         return [Equation(algebra.sx(a) - algebra.sx(b), span, (algebra.sx(a), algebra.sx(b))) for a, b in pairs]
-    return [Equation(algebra.sx(item), span) for item in algebra.scalars(scope.evaluate(node))]
+    residuals = algebra.scalars(scope.evaluate(node))
+    conditions, leaves = _leaves(scope, node) if tag == "If" else ((), [])
+    branches = [algebra.scalars(scope.evaluate(leaf)) for leaf in leaves]
+    return [
+        Equation(algebra.sx(r), span, branches=tuple(algebra.sx(b[i]) for b in branches), choice=conditions)
+        for i, r in enumerate(residuals)
+    ]
+
+
+def _leaves(scope: ModelScope, node: Node) -> tuple[tuple[int, ...], list[Node]]:
+    """Conditions and residuals of an if-equation, nested ones included, without what is never chosen."""
+    ((tag, content),) = node.items()
+    if tag != "If":
+        return (), [node]
+    conditions: list[int] = []
+    leaves: list[Node] = []
+    for condition, branch in [*content["branches"], ({"Literal": None}, content["else_branch"])]:
+        truth = True if branch is content["else_branch"] else scope.evaluate.scalar(condition)
+        if isinstance(truth, SX):
+            conditions.append(scope.graph.same(truth))
+        elif not truth:
+            continue
+        inner = _leaves(scope, branch)
+        conditions += inner[0]
+        leaves += inner[1]
+        if not isinstance(truth, SX):
+            break
+    return tuple(conditions), leaves
 
 
 def _pairs(scope: ModelScope, left: Value, right: Value, span: Any) -> list[tuple[Scalar, Scalar]]:

@@ -216,6 +216,8 @@ class Evaluator:
     def _binary(self, node: Node) -> Value:
         op = node["op"]
         a, b = self(node["lhs"]), self(node["rhs"])
+        if op in ("Eq", "Neq") and isinstance(a, str) and isinstance(b, str):
+            return bool((a == b) == (op == "Eq"))
         if op in _RELATIONS:
             return algebra.elementwise(lambda x, y: self._relation(op, x, y), a, b)
         if isinstance(a, tuple) and isinstance(b, tuple) and op == "Sub":

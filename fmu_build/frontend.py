@@ -13,10 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from fmu_build import source_checks
+from fmu_build.places import locate
 from fmu_build.sources import source_files, source_root
 from fmuid.errors import ModelicaError
 
 Node = Mapping[str, Any]
+_LONG = 400  # of a message: what follows are its consequences
 _ENOUGH = 40  # names to tell a source file by
 
 # What rumoca's flat result consists of. A part not listed is something this translator does not know: refused.
@@ -73,7 +75,8 @@ class Flat:
 
     def error(self, what: str, span: Any, fix: str | None = None) -> ModelicaError:
         """Make the error for a construct at a span."""
-        return ModelicaError(what, where=self.where(span) or self.class_name, fix=fix)
+        where = self.where(span) or locate(what, self.class_name, self.files)
+        return ModelicaError(what, where=where or self.class_name, fix=fix)
 
     def is_outer(self, variable: Node) -> bool:
         """Whether a variable is an ``outer`` declaration: the front end keeps it, but nothing refers to it."""
@@ -165,16 +168,19 @@ def load(file: Path, class_name: str, roots: Sequence[Path] = ()) -> Flat:
     run = subprocess.run(
         [sys.executable, "-m", "fmu_build.frontend"], input=json.dumps(request), capture_output=True, text=True
     )
+    files = source_files(file, roots)
     if run.returncode != 0:
-        raise ModelicaError("the front end crashed on this class", where=f"{file.name}, {class_name}")
+        source_checks.check([file], files)
+        what = "the front end crashed on this class"
+        raise ModelicaError(what, where=locate("", class_name, files) or f"{file.name}, {class_name}")
     answer = json.loads(run.stdout)
     if "panic" in answer:
-        raise _panic(answer["panic"], file if root is None else None, class_name)
+        raise _panic(answer["panic"], file if root is None else None, class_name, files)
     if "error" in answer:
-        raise _front_end_error(answer["error"], answer["places"], file, file.name if root is None else class_name)
-    flat = Flat(class_name, answer["flat"], source_files(file, roots))
+        raise _front_end_error(answer["error"], answer["places"], file, class_name, files)
+    flat = Flat(class_name, answer["flat"], files)
     _check_parts(flat)
-    source_checks.check([file, *flat.used_files()])
+    source_checks.check([file, *flat.used_files()], files)
     return flat
 
 
@@ -200,38 +206,42 @@ def _flatten(request: Mapping[str, Any]) -> dict[str, Any]:
         return {"panic": str(error)}
 
 
-def _front_end_error(error: str, places: list[str], file: Path, where: str) -> ModelicaError:
+def _front_end_error(
+    error: str, places: list[str], file: Path, class_name: str, files: Sequence[Path]
+) -> ModelicaError:
     for message in places:
         place = re.search(r"×\s*(.*?)\n.*?\[[^\]]*?:(\d+):\d+\]", message, re.DOTALL)
         if place:
             return ModelicaError(place.group(1), where=f"{file.name}:{place.group(2)}")
     message = error.split("\nRelated failures")[0].replace(f"{file.resolve().parent}/", "")
-    message = re.sub(r"^todae failed: \S+ failed in ToDae: ", "", message)
-    return ModelicaError(message, where=where)
+    message = re.sub(r"^\w+ failed: (?:\S+ failed in \w+: )?", "", " ".join(message.split()))
+    own = re.search(r"\s*\[(\w+\.mo:\d+):\d+\]$", message)
+    where = own.group(1) if own else locate(message, class_name, files) or f"{file.name}, {class_name}"
+    message = message[: own.start()] if own else message
+    return ModelicaError(message if len(message) <= _LONG else f"{message[:_LONG]} ...", where=where)
 
 
-def _panic(text: str, file: Path | None, class_name: str) -> ModelicaError:
+def _panic(text: str, file: Path | None, class_name: str, files: Sequence[Path]) -> ModelicaError:
     """Make a message of a failure inside rumoca; it names the byte where it gave up."""
     detail = re.search(r'detail: "(.*?)"', text)
     place = re.search(r"BytePos\((\d+)\)", text)
-    where = class_name
+    what = f"the front end cannot translate this: {detail.group(1) if detail else text}"
+    where = locate(what, class_name, files) or class_name
     if file is not None and place is not None:
         line = file.read_bytes()[: int(place.group(1))].count(b"\n") + 1
         where = f"{file.name}:{line}"
-    return ModelicaError(
-        f"the front end cannot translate this: {detail.group(1) if detail else text}", where=where
-    )
+    return ModelicaError(what, where=where)
 
 
 def _check_parts(flat: Flat) -> None:
     for name, value in flat.parts.items():
         if name in _REFUSED and value:
             span = value[0].get("span") if isinstance(value, list) and isinstance(value[0], dict) else None
-            raise flat.error(f"{_REFUSED[name]} is not supported", span)
+            raise flat.error(f"'{_REFUSED[name]}' is not supported", span)
         if name not in _READ | _BOOKKEEPING | set(_REFUSED) and value:
-            raise ModelicaError(f"the front end gave '{name}', which is not translated", where=flat.class_name)
+            raise flat.error(f"the front end gave '{name}', which is not translated", None)
     if flat.parts.get("is_partial"):
-        raise ModelicaError("the class is partial", where=flat.class_name, fix="translate a class that extends it")
+        raise flat.error("the class is partial", None, "translate a class that extends it")
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from fmu_build.algebra import Array, Scalar, Value, whole
 from fmu_build.expressions import Evaluator, Scope, span_of
 from fmu_build.frontend import Flat, Node
 from fmu_build.graph import SX
+from fmu_build.tables import EXTERNAL
 
 _MAX_ROUNDS = 100_000  # of a while loop with a condition known at translation
 
@@ -92,8 +93,6 @@ class Functions:
         function = function or self._by_name.get(call["name"]["name"])
         if function is None:
             raise ValueError(f"function '{call['name']['name']}' is not supported")
-        if function.get("external"):
-            raise ValueError(f"external function '{function['name']}' is not supported")
         if not function.get("pure", True):
             raise ValueError(f"impure function '{function['name']}' is not supported")
         return self._vectorised(function, arguments)
@@ -127,6 +126,11 @@ class Functions:
                     frame.variables[formal["name"]] = evaluator(formal["default"])
                 else:
                     raise ValueError(f"function '{function['name']}' lacks its argument '{formal['name']}'")
+            external = function.get("external")
+            if external:
+                if external["function_name"] not in EXTERNAL:
+                    raise ValueError(f"external function '{function['name']}' is not supported")
+                return EXTERNAL[external["function_name"]](*map(evaluator, external["args"]))
             for variable in [*function["outputs"], *function["locals"]]:
                 frame.variables[variable["name"]] = self._initial(variable, evaluator)
             if function["is_constructor"]:

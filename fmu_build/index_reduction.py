@@ -18,7 +18,6 @@ from fmu_build.equations import Equation
 from fmu_build.graph import SX, key
 from fmu_build.matching import augment
 from fmu_build.scope import ModelScope
-from fmuid.errors import ModelicaError
 
 _UNNAMED = (2, False, False)  # preference of a derivative that the model has no name for
 _DEFAULT, _ALWAYS = 3, 5
@@ -92,7 +91,8 @@ class _System:
         old = self.equations[equation]
         residual = algebra.sx(self.scope.derivative(old.residual))
         self._meet(residual)
-        self.equations.append(Equation(residual, old.span))
+        branches = tuple(algebra.sx(self.scope.derivative(b)) for b in old.branches)
+        self.equations.append(Equation(residual, old.span, branches=branches, choice=old.choice))
         self.origin.append(self.origin[equation])
         self.next[equation] = len(self.equations) - 1
         return self.next[equation]
@@ -133,6 +133,7 @@ def reduce(scope: ModelScope, aliases: Aliases, point: Callable[[list[SX]], np.n
     unknowns = [s for chain in system.chains for s in chain if key(s) not in state_keys]
     if len(unknowns) != len(system.equations):
         raise AssertionError("index reduction lost the balance of equations and unknowns")
+    _check_branches(system, unknowns)
     return Reduced(system.equations, unknowns, states)
 
 
@@ -172,9 +173,8 @@ def _check_structure(system: _System) -> None:
             _singular(system, involved, [system.chains[c][0] for c in sorted(seen)])
     missing = [system.chains[c][0].name() for c in range(len(system.chains)) if c not in matched]
     if missing:
-        raise ModelicaError(
-            f"{len(rows)} equations for {len(system.chains)} unknowns: nothing determines {_some(missing)}",
-            where=system.scope.flat.class_name,
+        raise system.scope.flat.error(
+            f"{len(rows)} equations for {len(system.chains)} unknowns: nothing determines {_some(missing)}", None
         )
 
 
@@ -190,6 +190,26 @@ def _singular(system: _System, equations: list[int], unknowns: list[SX]) -> None
 def _some(names: list[str], most: int = 6) -> str:
     shown = ", ".join(names[:most])
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+def _check_branches(system: _System, unknowns: list[SX]) -> None:
+    """Refuse an if-equation with a branch that leaves an unknown without an equation: its index is another one."""
+    column = {key(s): i for i, s in enumerate(unknowns)}
+
+    def incidence(residual: SX) -> list[int]:
+        return sorted(column[k] for k in system.graph.symbols(residual) if k in column)
+
+    choices = {e.choice: e for e in system.equations if len(e.branches) > 1}
+    for choice, equation in choices.items():
+        for branch in range(len(equation.branches)):
+            rows = [incidence(e.branches[branch] if e.choice == choice else e.residual) for e in system.equations]
+            matched: dict[int, int] = {}
+            if not all(augment(row, rows.__getitem__, matched, set()) for row in range(len(rows))):
+                raise system.scope.flat.error(
+                    "the branches of this if-equation do not determine the same unknowns (their index differs)",
+                    equation.span,
+                    "let one variable follow a curve in a path parameter, as Drives.Signals.StickSlip does",
+                )
 
 
 def _select(system: _System, n: int, point: Callable[[list[SX]], np.ndarray[Any, Any]]) -> list[State]:

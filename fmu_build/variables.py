@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import casadi as ca
+
 from fmu_build import algebra
 from fmu_build.algebra import Array, Scalar, Value
 from fmu_build.frontend import Flat, Node, references
@@ -107,8 +109,9 @@ class Declarations:
         kind = self._kind(name, node, type_name, discrete)
         if type_name is None:
             if kind not in ("parameter", "constant"):
-                raise self.flat.error(f"String variable '{name}' is not supported", node["source_span"])
-            return  # a String parameter matters only where an expression uses it
+                what = f"'{name}': Strings and external objects that are no parameters are not supported"
+                raise self.flat.error(what, node["source_span"])
+            return  # a String or an external object matters only where an expression uses it
         items: list[Scalar] = []
         for position, scalar in enumerate(names(name, node["dims"])):
             symbol = SX.sym(scalar)
@@ -131,6 +134,9 @@ class Declarations:
             found = {n: o for n, o in ordinals if n.startswith(prefix) and "'" not in n}
             ordered = sorted(found, key=lambda n: int(found[n]))
             return "Integer", tuple(n.removeprefix(prefix) for n in ordered)
+        constructor = ((node["binding"] or {}).get("FunctionCall") or {}).get("name", {}).get("name")
+        if (self.flat["functions"] or {}).get(constructor, {}).get("external"):
+            return None, ()
         raise self.flat.error(f"'{name}' has a type that is not supported", node["source_span"])
 
     def _kind(self, name: str, node: Node, type_name: Type | None, discrete: set[str]) -> Kind:
@@ -227,7 +233,7 @@ class Parameters:
         if node["binding"] is None:
             self.warnings.append(f"parameter '{name}' has no value, its start value is taken")
         bound = evaluate(node["binding"] if node["binding"] is not None else node["start"])
-        if isinstance(bound, str):
+        if isinstance(bound, str | dict):
             return bound
         shape = tuple(node["dims"])
         if not isinstance(bound, Array) and shape:
@@ -246,6 +252,12 @@ class Parameters:
         if isinstance(value, SX):
             value = algebra.fold(value)
         if isinstance(value, SX):
+            for symbol in ca.symvar(value):
+                source = self._declarations.by_symbol.get(key(symbol))
+                if source is None or source.kind != "parameter":
+                    what = f"parameter '{declared.name}' depends on '{symbol.name()}', which is no parameter"
+                    uses = dict(references(declared.node["binding"]))
+                    raise self._flat.error(what, uses.get(symbol.name(), declared.span))
             if declared.kind == "constant":
                 what = f"'{declared.name}' decides the structure and must not depend on settable parameters"
                 raise self._flat.error(what, declared.span)

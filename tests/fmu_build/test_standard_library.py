@@ -1,0 +1,86 @@
+"""Models that use the Standard Library's interfaces: connectors, friction with modes, tables."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmu_build import build, compile_modelica
+from fmu_build.model import CompiledModel
+from fmuid.errors import ModelicaError
+from fmuid.fmu import Fmu
+from fmuid.simulation import Task
+from tests.conftest import MODELICA
+from tests.fmu_build.simulate import Instance, find, values
+
+HERE = Path(__file__).parent
+MODELS, ROOTS = HERE / "models" / "Standard.mo", [HERE / "standard", MODELICA]
+NOTHING = np.zeros(0)
+
+
+@cache
+def compiled(name: str) -> CompiledModel:
+    return compile_modelica(MODELS, f"Standard.{name}", ROOTS)
+
+
+def test_flanges_of_both_libraries_connect():
+    instance = Instance.of(compiled("Coupled"))
+    times = np.linspace(0, 1, 11)
+    twist = [instance.get("twist", t, x) for t, x in zip(times, instance.simulate(times), strict=True)]
+    np.testing.assert_allclose(twist, -0.1 * np.cos(np.sqrt(300 * 1.5) * times), atol=1e-6)
+
+
+def test_friction_element_in_the_standard_librarys_manner(tmp_path):
+    fmu = Fmu(build(MODELS, "Standard.Bearing", tmp_path, roots=ROOTS))
+    time = np.arange(0, 4, 1e-3)
+    torque = 2.5 * np.sin(2 * time)
+    w, mode = fmu.simulate(Task(time, {"u": torque}, ("w", "mode")), {})
+
+    speed, expected, step = 0.0, [0.0], 2e-5
+    for u in torque[:-1]:
+        for _ in range(50):
+            friction = np.sign(speed) * (1 + 0.05 * abs(speed)) if speed else np.sign(u)
+            new = speed if speed == 0.0 and abs(u) <= 1.2 else speed + step * (u - friction) / 0.1
+            speed = 0.0 if new * speed < 0 else new
+        expected.append(speed)
+    np.testing.assert_allclose(w, expected, atol=1e-4 * np.ptp(expected))
+    assert set(mode) == {-1, 0, 1}
+
+
+LINES = {  # u, linear with the last two points, held, steps: of the first column
+    -1.0: (-1.0, 1.0, 1.0), 0.5: (2.0, 2.0, 1.0), 1.0: (3.0, 3.0, 3.0), 2.0: (3.5, 3.5, 3.0), 5.0: (5.0, 4.0, 4.0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("u", LINES)
+@pytest.mark.parametrize(("name", "which"), [("Table", 0), ("Held", 1), ("Steps", 2)])
+def test_tables(name, which, u):
+    instance = Instance.of(compiled(name))
+    assert instance.get("y[1]", 0.0, NOTHING, [u]) == pytest.approx(LINES[u][which])
+    assert instance.get("last", 0.0, NOTHING, [u]) == 3.0
+    second = {-1.0: (0.0, 10.0, 10.0), 0.5: (15.0, 15.0, 10.0), 2.0: (30.0, 30.0, 20.0), 5.0: (60.0, 40.0, 40.0)}
+    if u in second:
+        assert instance.get("y[2]", 0.0, NOTHING, [u]) == pytest.approx(second[u][which])
+
+
+def test_derivatives_of_a_table_by_its_entries_and_abscissa():
+    instance = Instance.of(compiled("Table"))
+    seed = np.zeros(instance.model.n_p)
+    seed[find(instance.model, "table[2,2]").location.index] = 1.0
+    place = find(instance.model, "y[1]").location.index
+    partials = instance.model.functions["variable_partials"]
+    env = instance.env(0.0, NOTHING, [2.0])
+    assert values(partials(*env, [], [1.0], 0 * seed, [], []))[place] == pytest.approx(0.5)
+    assert values(partials(*env, [], [0.0], seed, [], []))[place] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("Akima", "LinearSegments"), ("Periodic", "HoldLastPoint"), ("FromFile", "a table read from a file")],
+)
+def test_tables_that_are_not_supported_are_refused_with_their_line(name, message):
+    with pytest.raises(ModelicaError, match=rf"Standard\.mo:\d+: .*{message}"):
+        compile_modelica(MODELS, f"Standard.{name}", ROOTS)
