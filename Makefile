@@ -69,7 +69,8 @@ identify-emps: $(FMUS) campaigns/emps/measurements.h5
 # Then the friction laws beside each other, on the runs used and on those kept back.
 identify-go1: $(PENDULUM) campaigns/go1/measurements.h5
 	$(BIN)/fmuid identify campaigns/go1 --out runs/go1
-	$(BIN)/python -m fmuid.rival_stages runs/go1 q
+	$(BIN)/python -m fmuid.rival_stages runs/go1 q "M?"
+	$(BIN)/python -m fmuid.rival_stages runs/go1 q "M?_absolute"
 
 diagnose: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/fmuid diagnose $(FORCE_FEEDBACK) --out runs/diagnosis

@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
@@ -69,13 +70,15 @@ class Rival:
         return float(np.mean([*self.kept.values()]))
 
 
-def rivals_of(result: Result, campaign: Campaign, signal: str, *, seed: int = 0) -> tuple[Rival, ...]:
-    """Return one rival a stage of `result`, judged on `signal`.
+def rivals_of(
+    result: Result, campaign: Campaign, signal: str, stages: Sequence[str] = ("*",), *, seed: int = 0
+) -> tuple[Rival, ...]:
+    """Return one rival for each stage of `result` that the names or globs `stages` choose, judged on `signal`.
 
     Raises
     ------
     CampaignError
-        No run is kept for validation, or a run does not measure the signal.
+        There is no such stage, no run is kept for validation, or a run does not measure the signal.
     SimulationError
         A stage's model cannot be simulated.
     """
@@ -83,7 +86,11 @@ def rivals_of(result: Result, campaign: Campaign, signal: str, *, seed: int = 0)
     rng = np.random.default_rng(seed)
     rivals: list[Rival] = []
     first: Mapping[str, FloatArray] = {}
-    for stage in result.stages:
+    chosen = [s for s in result.stages if any(fnmatchcase(s.name, pattern) for pattern in stages)]
+    if not chosen:
+        what = f"the run has no stage '{' '.join(stages)}'"
+        raise CampaignError(what, fix=f"it has {', '.join(s.name for s in result.stages)}")
+    for stage in chosen:
         kept = validate(stage.parameters, campaign, simulators=simulators)
         used = validate(stage.parameters, campaign, experiments=campaign.identification, simulators=simulators)
         errors = _absolute_errors(kept, signal)
@@ -169,15 +176,15 @@ def write_rivals(rivals: Sequence[Rival], signal: str, out: Path) -> tuple[Path,
 
 
 def main(arguments: Sequence[str]) -> int:
-    """`python -m fmuid.rival_stages RUN SIGNAL`: print the table, write it with figures; return the exit code."""
-    if len(arguments) != 2 or arguments[0].startswith("-"):
-        print("usage: python -m fmuid.rival_stages RUN SIGNAL", file=sys.stderr)
+    """`python -m fmuid.rival_stages RUN SIGNAL [STAGE ...]`: print a table; write it and figures there."""
+    if len(arguments) < 2 or arguments[0].startswith("-"):
+        print("usage: python -m fmuid.rival_stages RUN SIGNAL [STAGE ...]", file=sys.stderr)
         return 2
-    run, signal = Path(arguments[0]), arguments[1]
+    run, signal, stages = Path(arguments[0]), arguments[1], arguments[2:] or ["*"]
     try:
         result = Result.from_json(run)
-        rivals = rivals_of(result, load_campaign(result.source), signal)
-        written = write_rivals(rivals, signal, run / "rivals")
+        rivals = rivals_of(result, load_campaign(result.source), signal, stages)
+        written = write_rivals(rivals, signal, run / f"rivals-{rivals[0].stage}")
     except FmuidError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

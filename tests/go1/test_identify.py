@@ -72,10 +72,16 @@ def test_stages_are_compared_from_the_command_line(tmp_path, pendulum_fmus, caps
     assert compare_stages([str(out), "q"]) == 0
     printed = capsys.readouterr().out
     assert [line.split()[0] for line in printed.splitlines()[1:3]] == ["M1", "M3"]
-    table = np.genfromtxt(out / "rivals" / "rivals.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    table = np.genfromtxt(
+        out / "rivals-M1" / "rivals.csv", delimiter=",", names=True, dtype=None, encoding="utf-8"
+    )
     assert table["parameters"].tolist() == [6, 7]
     for name in ("rivals.png", "rivals-errors.png"):
-        assert (out / "rivals" / name).stat().st_size > 10_000
+        assert (out / "rivals-M1" / name).stat().st_size > 10_000
+    assert compare_stages([str(out), "q", "M3"]) == 0
+    assert len(capsys.readouterr().out.splitlines()[1].split()) == len(table.dtype.names)
+    assert compare_stages([str(out), "q", "M9"]) == 2
+    assert "no stage 'M9'; it has M1, M3" in capsys.readouterr().err
     assert compare_stages([str(out), "torque"]) == 2
     assert "does not measure 'torque'" in capsys.readouterr().err
     assert compare_stages([str(tmp_path / "nowhere"), "q"]) == 2

@@ -175,10 +175,26 @@ def test_every_effect_moves_an_output(pendulum_fmus, effect):
     assert moved > 1e-4
 
 
-def test_lost_motion_of_the_gear_is_read_before_the_arm(pendulum_fmus):
+def test_play_is_read_before_the_arm(pendulum_fmus):
     fmu = pendulum_fmus["TorqueDrivenWithEffects"]
     time = np.arange(126) * 0.016
     task = Task(time, {"tau_ref": np.full(126, 0.2)}, ("q", "arm.phi", "arm.tau_e"), {"q_start": 0.5})
-    q, phi, load = simulate_fmu(fmu, task, {"encoder.compliance": 2e-3, "encoder.backlash": 0.01})
+    q, phi, load = simulate_fmu(fmu, task, {"encoder.backlash": 0.01})
 
-    assert q - phi == pytest.approx(-2e-3 * load - 5e-3 * np.tanh(load / 0.05), abs=1e-9)
+    assert q - phi == pytest.approx(-5e-3 * np.tanh(load / 0.05), abs=1e-9)
+
+
+def test_a_compliant_arm_sags_by_its_weight_and_rings_at_its_frequency(pendulum_fmus):
+    fmu = pendulum_fmus["TorqueDrivenWithEffects"]
+    time = np.arange(1001) * 2e-3
+    task = Task(time, {"tau_ref": np.zeros(1001)}, ("arm.phi_rel", "arm.tau_e", "q"), {"q_start": 0.5})
+    held = {"friction.K_c": 50.0, "arm.compliance": 4e-3}
+    sag, load, q = simulate_fmu(fmu, task, {**held, "arm.damping": 0.5})
+    assert np.ptp(q) < 1e-3
+    assert sag[-1] == pytest.approx(4e-3 * load[-1], rel=1e-3)
+
+    sag, load, _ = simulate_fmu(fmu, task, {**held, "arm.damping": 0.0})
+    spectrum = np.abs(np.fft.rfft((sag - sag.mean()) * np.hanning(time.size), 16 * time.size))
+    peak = np.fft.rfftfreq(16 * time.size, 2e-3)[spectrum.argmax()]
+    inertia = 1.026 * 0.15**2
+    assert peak == pytest.approx(np.sqrt(1 / (4e-3 * inertia)) / (2 * np.pi), rel=0.02)
