@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import re
 import shutil
 import stat
 import tempfile
@@ -11,6 +12,7 @@ import threading
 import time
 import weakref
 import zipfile
+import zlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
@@ -404,6 +406,7 @@ def load_fmu(path: str | Path, interface: Interface | None = None) -> Fmu:
 
 
 MAX_EXTRACTED = 4e9  # bytes
+_VERSION = re.compile(rb"""fmiVersion\s*=\s*["']([^"']*)""")
 
 
 @functools.lru_cache(maxsize=64)
@@ -414,16 +417,14 @@ def _loaded(file: Path, interface: Interface | None, _mtime: int, _size: int) ->
 def _read_description(path: Path) -> Any:
     try:
         _check_members(path)
-        description = fmpy.read_model_description(str(path), validate=False)
+        _check_version(path)
+        with path.open("rb") as file:  # FMPy leaves a file open whose XML it cannot parse
+            description = fmpy.read_model_description(file, validate=False)
     except FmuError:
         raise
     except Exception as error:  # FMPy raises whatever its parsers raise
         reason = getattr(error, "strerror", None) or error
         raise FmuError(f"is no readable FMU ({reason})", where=path, fix="check the file") from None
-    if str(description.fmiVersion).split(".")[0] not in {"2", "3"}:
-        raise FmuError(
-            f"is of FMI {description.fmiVersion}; 2.0 and 3.0 are supported", where=path, fix="export it anew"
-        )
     return description
 
 
@@ -440,6 +441,14 @@ def _check_members(path: Path) -> None:
                 raise FmuError(
                     f"holds the file name '{name}', which leads out of it", where=path, fix="do not use it"
                 )
+
+
+def _check_version(path: Path) -> None:
+    with zipfile.ZipFile(path) as archive, archive.open("modelDescription.xml") as file:
+        version = _VERSION.search(file.read(10_000))
+    if version and version[1][:1] not in b"23":
+        words = version[1].decode(errors="replace")
+        raise FmuError(f"is of FMI {words}; 2.0 and 3.0 are supported", where=path, fix="export it anew")
 
 
 def _remove(folder: Path, process: int) -> None:
@@ -460,7 +469,9 @@ def extract(path: Path) -> Path:
         _check_members(path)  # the file may have changed since
         with zipfile.ZipFile(path) as archive:
             archive.extractall(folder)
-    except (OSError, zipfile.BadZipFile) as error:
+    except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)
-        raise FmuError(f"cannot be extracted ({error})", where=path, fix="check the file") from None
+        if isinstance(error, OSError | zipfile.BadZipFile | zlib.error | RuntimeError):  # the last: encrypted
+            raise FmuError(f"cannot be extracted ({error})", where=path, fix="check the file") from None
+        raise
     return folder

@@ -24,9 +24,11 @@ def read_toml(file: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(file.read_bytes().decode())
     except FileNotFoundError:
-        raise CampaignError(
-            "no such file", where=file, fix="name a folder with a campaign.toml, or make one with: fmuid init"
-        ) from None
+        campaign = "campaign" in file.name or not file.suffix
+        fix = (
+            "name a folder with a campaign.toml, or make one with: fmuid init" if campaign else "correct its path"
+        )
+        raise CampaignError("no such file", where=file, fix=fix) from None
     except UnicodeDecodeError:
         raise CampaignError("is not UTF-8 text", where=file, fix="save it as UTF-8") from None
     except OSError as error:

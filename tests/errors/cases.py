@@ -1,0 +1,227 @@
+"""Wrong inputs of every kind, and the command that meets them. `docs/errors.md` has the line each one gives."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from scipy.io import savemat
+
+CAMPAIGN = Path("bench/campaign.toml")
+MEASUREMENTS = Path("bench/measurements.h5")
+CHECK = "check bench"
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is wrong, how it comes about in a folder with a campaign that is right, and who notices."""
+
+    group: str
+    what: str
+    make: Callable[[], object]
+    command: str
+
+
+def nothing() -> None:
+    """The command alone is wrong."""
+
+
+def toml(old: str, new: str) -> Callable[[], object]:
+    def edit() -> None:
+        text = CAMPAIGN.read_text()
+        assert old in text, old
+        CAMPAIGN.write_text(text.replace(old, new))
+
+    return edit
+
+
+def stage(line: str) -> Callable[[], object]:
+    return toml("[stages.all]\n", f"[stages.all]\n{line}\n")
+
+
+def write(name: str, content: str | bytes) -> Callable[[], object]:
+    return lambda: Path(name).write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def hdf5(edit: Callable[[h5py.File], object]) -> Callable[[], object]:
+    def change() -> None:
+        with h5py.File(MEASUREMENTS, "r+") as file:
+            edit(file)
+
+    return change
+
+
+def sample(place: str, index: int, value: float) -> Callable[[], object]:
+    return hdf5(lambda file: file[f"experiments/step/{place}"].__setitem__(index, value))
+
+
+def attribute(place: str, name: str, value: object) -> Callable[[], object]:
+    return hdf5(lambda file: file[place].attrs.__setitem__(name, value))
+
+
+def instead(place: str, **what: object) -> Callable[[], object]:
+    def change(file: h5py.File) -> None:
+        del file[place]
+        if "link" in what:
+            file[place] = what["link"]
+        else:
+            dataset = file.create_dataset(place, **what)
+            dataset.attrs.update(unit="mm", causality="output")
+
+    return hdf5(change)
+
+
+def two_rates() -> None:
+    with h5py.File("run.h5", "w") as file:
+        for group, rate in (("drive", 1000), ("oil", 10)):
+            file[f"{group}/time"] = np.arange(0, 1, 1 / rate)
+            file[f"{group}/x"] = np.arange(0, 1, 1 / rate)
+
+
+def archive(*members: tuple[str, str]) -> Callable[[], object]:
+    def make() -> None:
+        with zipfile.ZipFile("Oscillator.fmu", "w") as file:
+            for name, content in members:
+                file.writestr(name, content)
+
+    return make
+
+
+def bomb() -> None:
+    archive(("modelDescription.xml", "x"))()
+    content = bytearray(Path("Oscillator.fmu").read_bytes())
+    place = content.rindex(b"PK\x01\x02") + 24
+    content[place : place + 4] = (0xFFFFFFF0).to_bytes(4, "little")  # the size that it claims
+    Path("Oscillator.fmu").write_bytes(content)
+
+
+def without_binary() -> None:
+    with zipfile.ZipFile("Oscillator.fmu") as old:
+        members = [(n, old.read(n)) for n in old.namelist() if not n.startswith(("binaries", "sources"))]
+    with zipfile.ZipFile("Oscillator.fmu", "w") as new:
+        for name, content in members:
+            new.writestr(name, content)
+
+
+def modelica(body: str) -> Callable[[], object]:
+    return write("M.mo", f"model M\n  {body}\nend M;\n")
+
+
+def csv(rows: str, header: str = "time,u [N],x [m]") -> Callable[[], object]:
+    return write("run.csv", f"{header}\n{rows}")
+
+
+GOOD = "0,1,2\n1,2,3\n"
+IMPORT = "import run.csv --setup oscillator --input u --out new.h5"
+BUILD = "build M.mo M --out ."
+DESCRIPTION = '<fmiModelDescription fmiVersion="{}" modelName="M" guid="1"><ModelVariables/></fmiModelDescription>'
+
+CASES = [
+    Case(*row)
+    for row in [
+        ("Files", "a campaign that is not there", nothing, "check nowhere"),
+        ("Files", "a folder without a `campaign.toml`", lambda: Path("empty").mkdir(), "check empty"),
+        ("Files", "measurements that are not there", MEASUREMENTS.unlink, CHECK),
+        ("Files", "a folder that is no run", nothing, "validate bench"),
+        ("Files", "a damaged `result.json`", write("bench/result.json", '{"campaign": '), "report bench"),
+        ("Files", "an output that cannot be written", write("taken", ""), "export bench/measurements.h5 --out taken"),
+        ("Files", "an import over a file that is there", csv(GOOD), "import run.csv --setup a --input u --out bench/measurements.h5"),
+        ("Files", "a run whose name is taken", write("step.csv", "time,u [N]\n0,1\n1,2\n"), "import step.csv --setup a --input u --out bench/measurements.h5 --append"),
+        ("Files", "a campaign started where one is", write("run.csv", "time,u,x\n" + GOOD), "init run.csv --fmu Oscillator.fmu --out bench"),
+        ("campaign.toml", "text that is no TOML", toml("[settings]", "[settings"), CHECK),
+        ("campaign.toml", "a file in another encoding", lambda: CAMPAIGN.write_bytes("# Prüfstand\n".encode("latin-1")), CHECK),
+        ("campaign.toml", "a key that is misspelt", toml("start = 1.0", "strat = 1.0"), CHECK),
+        ("campaign.toml", "a table that is misspelt", toml("[roles]", "[rolls]"), CHECK),
+        ("campaign.toml", "text for a number", toml("lower = 0.5", 'lower = "half"'), CHECK),
+        ("campaign.toml", "a start value outside its bounds", toml("start = 1.0", "start = 3.0"), CHECK),
+        ("campaign.toml", "bounds the wrong way round", toml("lower = 0.5", "lower = 5"), CHECK),
+        ("campaign.toml", "a logarithmic scale down to 0", toml("lower = 0.5", 'lower = 0\nscale = "log"'), CHECK),
+        ("campaign.toml", "a run that is not in the measurements", toml('"sine"', '"sin"'), CHECK),
+        ("campaign.toml", "a run to identify and to validate", toml('validation = ["pulse"]', 'validation = ["step"]'), CHECK),
+        ("campaign.toml", "a setup without a model", toml("[models.oscillator]", "[models.pendulum]"), CHECK),
+        ("campaign.toml", "a stage that frees no parameter of the campaign", stage('free = ["mass"]'), CHECK),
+        ("campaign.toml", "a `tie` to a name that is none", stage('tie = { d = "2*k" }'), CHECK),
+        ("campaign.toml", "a `tie` that calls something", stage("tie = { d = \"__import__('os')\" }"), CHECK),
+        ("campaign.toml", "a solver that is none", stage('solver = "bobiqa"'), "identify bench --out new"),
+        ("campaign.toml", "a criterion that is none", stage('criteria = [{ signal = "position", kind = "least_square" }]'), CHECK),
+        ("campaign.toml", "a criterion on a signal that is none", stage('criteria = [{ signal = "force" }]'), CHECK),
+        ("campaign.toml", "a budget of nothing", toml("evaluations = 100", "evaluations = 0"), CHECK),
+        ("campaign.toml", "a diagnosis without effects", nothing, "diagnose bench"),
+        ("campaign.toml", "a catalogue that is not there", toml("[settings]", '[effects]\ncatalogue = "effects.toml"\nnominal = ["m"]\n[settings]'), "diagnose bench"),
+        ("measurements.h5", "a file that is no HDF5", write("bench/measurements.h5", "time,x\n0,1\n"), CHECK),
+        ("measurements.h5", "HDF5 of another kind", attribute("/", "format", "other"), CHECK),
+        ("measurements.h5", "a version of the future", attribute("/", "version", 2), CHECK),
+        ("measurements.h5", "no runs", hdf5(lambda f: [f["experiments"].__delitem__(n) for n in list(f["experiments"])]), CHECK),
+        ("measurements.h5", "times that do not grow", sample("time", 4, 0.0), CHECK),
+        ("measurements.h5", "a time that is missing", sample("time", 4, np.nan), CHECK),
+        ("measurements.h5", "a missing sample of an input", sample("signals/u", 7, np.nan), CHECK),
+        ("measurements.h5", "an infinite sample", sample("signals/position", 7, np.inf), CHECK),
+        ("measurements.h5", "a signal of another length", instead("experiments/step/signals/position", data=np.zeros(10)), CHECK),
+        ("measurements.h5", "integers", instead("experiments/step/signals/position", data=np.zeros(201, int)), CHECK),
+        ("measurements.h5", "a size that no memory holds", instead("experiments/step/signals/position", shape=(10**12,), dtype="f8", chunks=(1000,)), CHECK),
+        ("measurements.h5", "a causality that is none", attribute("experiments/step/signals/u", "causality", "in"), CHECK),
+        ("measurements.h5", "a noise of 0", attribute("experiments/step/signals/position", "sigma", 0.0), CHECK),
+        ("measurements.h5", "a repeat of a run that is not there", attribute("experiments/step", "repeat_of", "stp"), CHECK),
+        ("measurements.h5", "a repeat with other inputs", attribute("experiments/step", "repeat_of", "sine"), CHECK),
+        ("measurements.h5", "a link to another file", instead("experiments/step/signals/position", link=h5py.ExternalLink("/etc/passwd", "/")), CHECK),
+        ("measurements.h5", "a link within the file", instead("experiments/step/signals/position", link=h5py.SoftLink("/experiments/sine/time")), CHECK),
+        ("measurements.h5", "data kept in another file", instead("experiments/step/signals/position", shape=(201,), dtype="f8", external="/etc/passwd"), CHECK),
+        ("Recorded runs", "a first column that is not time", csv(GOOD, "x,u [N],t"), IMPORT),
+        ("Recorded runs", "a column without a unit", csv(GOOD, "time,u [N],x"), IMPORT),
+        ("Recorded runs", "a column twice", csv(GOOD, "time,u [N],u [N]"), IMPORT),
+        ("Recorded runs", "a cell that is no number", csv("0,1,2\n1,n/a,3\n"), IMPORT),
+        ("Recorded runs", "decimal commas where commas separate", csv("0,1,2\n0,5,2,5,3\n"), IMPORT),
+        ("Recorded runs", "time that goes back", csv("0,1,2\n2,2,3\n1,2,3\n"), IMPORT),
+        ("Recorded runs", "time in newtons", csv(GOOD, "time [N],u [N],x [m]"), IMPORT),
+        ("Recorded runs", "a header and nothing else", csv(""), IMPORT),
+        ("Recorded runs", "an input that is no column", csv(GOOD, "time,i [A],x [m]"), IMPORT),
+        ("Recorded runs", "several time bases", two_rates, "import run.h5 --setup a --input oil.x"),
+        ("Recorded runs", "MATLAB data without time", lambda: savemat("run.mat", {"x": np.zeros(3)}), "import run.mat --setup a --input x"),
+        ("Recorded runs", "a file that is no MF4", write("run.mf4", "time,x\n"), "import run.mf4 --setup a --input x"),
+        ("Recorded runs", "columns that fit no variable of the FMU", csv(GOOD, "time,a,b"), "init run.csv --fmu Oscillator.fmu"),
+        ("Units", "a unit that is none", csv(GOOD, "time,u [Nwt],x [m]"), IMPORT),
+        ("Units", "a signal in a unit of something else", attribute("experiments/step/signals/position", "unit", "N.m"), CHECK),
+        ("Units", "a parameter in a unit of something else", toml('unit = "kg"', 'unit = "N"'), CHECK),
+        ("Units", "hertz for rad/s", csv("0,0\n1,1\n", "time,turns [Hz]"), "simulate Turning.fmu --input run.csv"),
+        ("FMUs", "an FMU that is not there", toml("Oscillator.fmu", "Oscilator.fmu"), CHECK),
+        ("FMUs", "a file that is no archive", write("Oscillator.fmu", "MZ"), CHECK),
+        ("FMUs", "an archive without a description", archive(("readme.txt", "")), CHECK),
+        ("FMUs", "a description that is no XML", archive(("modelDescription.xml", "<fmi")), CHECK),
+        ("FMUs", "FMI 1.0", archive(("modelDescription.xml", DESCRIPTION.format("1.0"))), CHECK),
+        ("FMUs", "an archive that climbs out of its folder", archive(("../../.bashrc", "true")), CHECK),
+        ("FMUs", "an archive that would fill the disk", bomb, CHECK),
+        ("FMUs", "no binary for this machine", without_binary, "simulate Oscillator.fmu"),
+        ("FMUs", "a parameter that it does not have", toml("[parameters.d]", "[parameters.D]"), CHECK),
+        ("FMUs", "an output that it does not have", toml('position = "x"', 'position = "xx"'), CHECK),
+        ("FMUs", "a measured input that is its output", toml("map = {", 'map = { u = "y",'), CHECK),
+        ("FMUs", "a setting of what cannot be set", toml("c = 90", "y = 90"), CHECK),
+        ("Modelica", "a source that is not there", nothing, "build Nowhere.mo Nowhere"),
+        ("Modelica", "text that is no Modelica", modelica("Real x; equation x = ;"), BUILD),
+        ("Modelica", "a class that is not in it", modelica("Real x = 1;"), "build M.mo N --out ."),
+        ("Modelica", "a name that is not known", modelica("Real x = y;"), BUILD),
+        ("Modelica", "too few equations", modelica("Real x; Real y; equation x = y;"), BUILD),
+        ("Modelica", "equations that say the same", modelica("Real x; Real y; equation x + y = time; 2*x + 2*y = 1;"), BUILD),
+        ("Modelica", "C code", modelica('function f input Real u; output Real y; external "C" y = g(u); end f; Real x = f(time);'), BUILD),
+        ("Modelica", "what the subset does not have", modelica("Real x = delay(time, 1.0);"), BUILD),
+        ("Comparison", "a result without a variable of the reference", lambda: (write("a.csv", "time,x\n0,1\n1,2\n")(), write("b.csv", "time,y\n0,1\n1,2\n")()), "compare a.csv b.csv"),
+        ("Comparison", "a result that ends too early", lambda: (write("a.csv", "time,x\n0,1\n1,2\n")(), write("b.csv", "time,x\n0,1\n2,2\n")()), "compare a.csv b.csv"),
+        ("Comparison", "a folder without references", lambda: Path("references").mkdir(), "compare Oscillator.fmu references"),
+        ("Comparison", "a reference of another model", write("b.csv", "time,z\n0,1\n1,2\n"), "compare Oscillator.fmu b.csv"),
+        ("Options", "a command that is none", nothing, "chek bench"),
+        ("Options", "an option that is none", nothing, "identify bench --worker 2"),
+        ("Options", "an argument that is missing", nothing, "check"),
+        ("Options", "a value of the wrong kind", nothing, "identify bench --evaluations many"),
+        ("Options", "a setting without a value", nothing, "simulate bench --set m"),
+        ("Options", "a stage that is none", nothing, "identify bench --stage al"),
+        ("Options", "a run that is none", nothing, "simulate bench -e stp"),
+        ("Options", "options that belong to something else", nothing, "simulate bench --stop 1"),
+        ("Options", "half of a funnel", nothing, "compare a.csv b.csv --funnel-time 1"),
+        ("Options", "a picture format that is none", nothing, "report bench --format gif"),
+        ("Options", "two time bases", nothing, "import run.csv --setup a --input u --out new.h5 --resample 10 --align u"),
+        ("Options", "a resampling method that is none", nothing, "import run.csv --setup a --input u --out new.h5 --resample 10 --method spline"),
+    ]
+]  # fmt: skip
