@@ -239,7 +239,15 @@ class Fmu:
                 where=self.path,
                 fix="export it for co-simulation",
             )
-        return asked or offered[0]
+        chosen = asked or offered[0]
+        clocks = [v.name for v in self._description.modelVariables if v.type == "Clock" and v.causality == "input"]
+        if chosen == "model exchange" and clocks:
+            raise FmuError(
+                f"has the input clock '{clocks[0]}', and clocks are not supported in model exchange",
+                where=self.path,
+                fix="export it for co-simulation",
+            )
+        return chosen
 
     def _load(self) -> FmuLibrary:
         if self._library is None:

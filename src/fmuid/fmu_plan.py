@@ -64,6 +64,10 @@ class PreparedTask:
                     where=self._where,
                     fix=suggestion(name, known),
                 )
+            if slots[name].suffix is None:
+                raise FmuError(
+                    f"'{name}' is a {variables[name].type}, not a number", where=self._where, fix="leave it out"
+                )
             if values.shape != (n,) or not np.isfinite(values).all():
                 raise FmuError(
                     f"input '{name}' must have {n} finite samples, one for each time",

@@ -43,7 +43,9 @@ FAULTS = {
 }  # fmt: skip
 
 
-def _description(fmi: int, interfaces: tuple[str, ...], once: bool, even_steps: bool, interpolates: bool) -> str:
+def _description(
+    fmi: int, interfaces: tuple[str, ...], once: bool, even_steps: bool, interpolates: bool, clock: bool
+) -> str:
     index = {"x": 7, "v": 8} if fmi == 2 else {"x": 6, "v": 7}
     lines = []
     for name, vr, type2, type3, outer, inner in _VARIABLES:
@@ -61,6 +63,11 @@ def _description(fmi: int, interfaces: tuple[str, ...], once: bool, even_steps: 
             '<Float64 name="table" valueReference="18" causality="parameter" variability="fixed" start="0 1 2 3 4 5">'
             '<Dimension start="2"/><Dimension start="3"/></Float64>'
         )
+    if clock:
+        lines.append(
+            '<Clock name="tick" valueReference="30" causality="input" intervalVariability="constant" intervalDecimal="0.1"/>'
+        )
+        lines.append('<Binary name="picture" valueReference="31" causality="output" variability="discrete"/>')
     flags = f'canBeInstantiatedOnlyOncePerProcess="{str(once).lower()}"'
     steps = f'canHandleVariableCommunicationStepSize="{str(not even_steps).lower()}"'
     if fmi == 2:
@@ -101,10 +108,14 @@ def make_oscillator(
     *,
     even_steps: bool = False,
     interpolates: bool = False,
+    clock: bool = False,
 ) -> Path:
     """Compile and pack the test FMU; `defines` are the macros of oscillator.c."""
     name = "-".join(["oscillator", str(fmi), *(i[:2] for i in interfaces), *defines]).replace("=", "")
-    path = folder / f"{name}{'-even' if even_steps else ''}{'-interpolates' if interpolates else ''}.fmu"
+    path = (
+        folder
+        / f"{name}{'-even' if even_steps else ''}{'-interpolates' if interpolates else ''}{'-clock' if clock else ''}.fmu"
+    )
     compiler = shutil.which("cc") or shutil.which("gcc")
     assert compiler, "the tests need a C compiler"
     library = path.with_suffix(".so")
@@ -112,7 +123,7 @@ def make_oscillator(
     command += [*(f"-D{d}" for d in defines), f"-I{HEADERS}", "-o", str(library), str(SOURCE), "-lm"]
     subprocess.run(command, check=True, capture_output=True, text=True)
     place = fmpy.platform if fmi == 2 else fmpy.platform_tuple
-    description = _description(fmi, interfaces, "ONCE" in defines, even_steps, interpolates)
+    description = _description(fmi, interfaces, "ONCE" in defines, even_steps, interpolates, clock)
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", description)
         archive.writestr("resources/readme.txt", "nothing")

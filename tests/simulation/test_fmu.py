@@ -257,6 +257,32 @@ def test_files_that_are_no_fmu(tmp_path, build):
         Fmu(build(2), "model exchange")
 
 
+def test_clocks_and_binaries_of_fmi_3(build):
+    """What is no number is left alone; clocks, which co-simulation ticks itself, are refused in model exchange."""
+    path = build(3, ("CoSimulation", "ModelExchange"), clock=True)
+    y = Fmu(path).simulate(task(), {"m": 2.0})
+    np.testing.assert_allclose(y, oscillator(U, m=2), rtol=1e-12, atol=1e-15)
+    with pytest.raises(FmuError, match="'picture' is a Binary, not a number"):
+        Fmu(path).simulate(task(outputs=("picture",)), {})
+    with pytest.raises(
+        FmuError, match="has the input clock 'tick', and clocks are not supported in model exchange"
+    ):
+        Fmu(path, "model exchange")
+    with pytest.raises(FmuError, match="'tick' is a Clock, not a number"):
+        Fmu(path).simulate(task(inputs={"tick": U}), {})
+
+
+def test_fmi_1_is_refused(tmp_path):
+    with zipfile.ZipFile(tmp_path / "old.fmu", "w") as archive:
+        archive.writestr(
+            "modelDescription.xml",
+            '<fmiModelDescription fmiVersion="1.0" modelName="Old" modelIdentifier="Old" guid="0" '
+            'numberOfContinuousStates="0" numberOfEventIndicators="0"><ModelVariables/></fmiModelDescription>',
+        )
+    with pytest.raises(FmuError, match=r"old\.fmu: is of FMI 1\.0; 2\.0 and 3\.0 are supported"):
+        Fmu(tmp_path / "old.fmu")
+
+
 def test_tasks_are_laid_out_once_and_forgotten_when_they_are_too_many(build, monkeypatch):
     monkeypatch.setattr(fmu_module, "_MAX_PREPARED", 100_000)
     fmu = Fmu(build(2))
