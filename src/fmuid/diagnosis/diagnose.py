@@ -11,9 +11,9 @@ from fmuid.campaign import FloatArray
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.calibration import Calibration, shipped
 from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, score_further
-from fmuid.diagnosis.held_out import closure, closure_interval
+from fmuid.diagnosis.held_out import closure, closure_interval, in_sample
 from fmuid.diagnosis.next_experiment import suggest
-from fmuid.diagnosis.null import draw_noise
+from fmuid.diagnosis.null import Null, draw_noise
 from fmuid.diagnosis.observed import excess, gap
 from fmuid.diagnosis.ports import Decoy, fit_decoys
 from fmuid.diagnosis.power import smallest_seen
@@ -134,6 +134,7 @@ def diagnose_subject(
         powerless,
         done,
         shipped() if calibration is None else calibration,
+        null,
     )
 
 
@@ -153,6 +154,7 @@ def _conclude(
     powerless: bool,
     done: bool,
     calibration: Calibration,
+    null: Null,
 ) -> Found:
     observed = subject.observed
     ports = {e.id: e.port for e in subject.effects}
@@ -200,7 +202,7 @@ def _conclude(
             calibrated=all(n.calibrated for n in observed.noise.values()),
         ),
         where=energy.shares(),
-        effects=_candidates(subject, nominal, best, candidates, scores, probability),
+        effects=_candidates(subject, nominal, best, candidates, scores, probability, null),
         alias_classes=aliases(subject, nominal, candidates, scores),
         model={**subject.model.expanded(chosen.fit.values)},
         next_experiment=suggest(subject, alike) if verdict.kind == "ambiguous" else None,
@@ -218,6 +220,7 @@ def _candidates(
     candidates: Sequence[Fitted],
     scores: Sequence[Score],
     probability: Mapping[str, float],
+    null: Null,
 ) -> tuple[Candidate, ...]:
     # An effect is credited with what it closes alone; those of the verdict with what they close together.
     best_with = {fitted.names[0]: fitted for fitted in candidates if len(fitted.effects) == 1}
@@ -234,12 +237,23 @@ def _candidates(
             closing = (
                 train,
                 closure(nominal.held_out, fitted_with.held_out),
-                closure_interval(nominal.held_out, fitted_with.held_out),
+                _interval(subject, nominal, fitted_with, null),
             )
             own = {u.name for e in subject.effects if e.id == name for u in e.unknowns}
             parameters = {n: e for n, e in estimates(fitted_with, subject).items() if n in own}
         found.append(Candidate(name, p, drops.get(name), closing, parameters))
     return tuple(sorted(found, key=lambda c: -c.probability))
+
+
+def _interval(subject: Subject, nominal: Fitted, fitted: Fitted, null: Null) -> tuple[float, float]:
+    """Return from where to where the closure on new runs is to be expected.
+
+    Predicting an experiment from the others alone is harder than new runs are for a model that has seen all, and
+    those are harder than the runs it was fitted to: the lower end is of the first, the upper of the last.
+    """
+    low, high = closure_interval(nominal.held_out, fitted.held_out, noise=null.excess)
+    seen = [in_sample(model.fit, subject.observed) for model in (nominal, fitted)]
+    return low, max(high, closure_interval(seen[0], seen[1], noise=null.excess)[1])
 
 
 def _strongest(nominal: Fitted, best: Fitted | None, named: Sequence[str], decoys: Sequence[Decoy]) -> str | None:

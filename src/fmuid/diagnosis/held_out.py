@@ -69,6 +69,11 @@ def leave_each_out(fit: Refit, observed: Observed) -> HeldOut:
     return losses(predicted, observed)
 
 
+def in_sample(fit: Refit, observed: Observed) -> HeldOut:
+    """Return the losses of `fit` on the experiments that it was fitted to, fold by fold."""
+    return losses([fit.residuals[e][rows] for e, rows in observed.folds], observed)
+
+
 def losses(residuals: Sequence[FloatArray], observed: Observed) -> HeldOut:
     """Return the losses of given whitened residuals (of the mean runs), one a fold."""
     per_run, loss = [], []
@@ -88,9 +93,19 @@ def closure(before: HeldOut, after: HeldOut) -> float:
 
 
 def closure_interval(
-    before: HeldOut, after: HeldOut, *, level: float = 0.9, draws: int = 2000, seed: int = 0
+    before: HeldOut,
+    after: HeldOut,
+    *,
+    noise: FloatArray | None = None,
+    level: float = 0.9,
+    draws: int = 2000,
+    seed: int = 0,
 ) -> tuple[float, float]:
-    """Return a bootstrap interval of the closure: runs are drawn within experiments, experiments among all."""
+    """Return a bootstrap interval of the closure: runs are drawn within experiments, experiments among all.
+
+    With `noise`, draws of the excess that noise alone leaves (`Null.excess`), it is that of new runs: what is
+    left of a gap cannot be measured better than that.
+    """
     rng = np.random.default_rng(seed)
     n = len(before.loss)
     b, a = np.empty((n, draws)), np.empty((n, draws))  # every fold's loss in every draw of its runs
@@ -99,7 +114,10 @@ def closure_interval(
         b[e] = before.loss[e] + own[pick].mean(axis=1) - own.mean()
         a[e] = after.loss[e] + other[pick].mean(axis=1) - other.mean()
     times = rng.multinomial(n, np.full(n, 1.0 / n), size=draws).T * before.size[:, None]
-    was, left = (np.sqrt(np.maximum(0.0, np.sum(times * x, axis=0) / np.sum(times, axis=0))) for x in (b, a))
+    further = 0.0 if noise is None else rng.choice(noise - noise.mean(), draws)
+    was, left = (
+        np.sqrt(np.maximum(0.0, np.sum(times * x, axis=0) / np.sum(times, axis=0) + further)) for x in (b, a)
+    )
     drawn = np.where(was > 0, 1.0 - left / np.where(was > 0, was, 1.0), 0.0)
     low, high = np.quantile(drawn, [0.5 - level / 2, 0.5 + level / 2])
     return float(low), float(high)
