@@ -1,7 +1,7 @@
 within Pendulum.Setups;
 model PositionDriven "Servo pendulum under its position controller"
   import Drives.Types;
-  extends PartialPendulum;
+  extends PartialServo;
   parameter Types.RotationalSpringConstant kp = 10 "Gain of the position error, at the joint";
   parameter Types.RotationalDampingConstant kd = 0.3 "Gain of the speed, at the joint";
   input Types.Angle q_ref "Reference angle of the joint";

@@ -1,7 +1,7 @@
 within Pendulum.Setups;
 model TorqueDriven "Servo pendulum under a given torque"
   import Drives.Types;
-  extends PartialPendulum;
+  extends PartialServo;
   input Types.Torque tau_ref "Demanded torque, motor side";
 equation
   motor.u = tau_ref;

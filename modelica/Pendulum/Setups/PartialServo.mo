@@ -1,5 +1,5 @@
 within Pendulum.Setups;
-partial model PartialPendulum "Servo that turns an arm with a payload; how it is driven is left open"
+partial model PartialServo "Servo that turns an arm with a payload; how it is driven is left open"
   import Drives.Types;
   parameter Real n(unit = "1") = 6.33 "Gear ratio";
   parameter Types.Inertia J_R = 1.25e-4 "Inertia of the rotor";
@@ -41,4 +41,4 @@ equation
   q = encoder.q;
   w = arm.w;
   tau_motor = reading_gain*motor.u + reading_offset;
-end PartialPendulum;
+end PartialServo;
