@@ -43,12 +43,12 @@ def parameter_set(
     for setup, own in values.items():
         for variable, value in own.items():
             alike = all(other.get(variable, value) == value for other in values.values())
-            shown = variable if alike else f"{setup}.{variable}"
+            model = models[setup]
+            fmu, inside, name_inside = _home(model, variable)
+            shown = name_inside if alike else f"{setup}.{name_inside}"
             if shown in listed:
                 continue
             listed.add(shown)
-            model = models[setup]
-            fmu, inside = model.home(variable) if isinstance(model, CoupledModel) else (model, variable)
             described = fmu.variables[inside]
             text = as_text(described, value)
             if described.type == "Enumeration":
@@ -67,6 +67,15 @@ def parameter_set(
             ElementTree.SubElement(element, f"{{{_SSC}}}BaseUnit", exponents)
     ElementTree.indent(root)
     return as_bytes(root)
+
+
+def _home(model: Fmu | CoupledModel, variable: str) -> tuple[Fmu, str, str]:
+    """Return the FMU that a variable is of, its name there, and in a parameter set."""
+    if isinstance(model, Fmu):
+        return model, variable, variable
+    place = model.home(variable)
+    ports = {port.name for port in model.ports}
+    return model.components[place.component], place.variable, variable if variable in ports else str(place)
 
 
 @functools.lru_cache(maxsize=16)

@@ -143,6 +143,8 @@ def test_check_finds_what_is_wrong_and_what_moves(campaign_folder, capsys):
         ('fmu = "a.ssp"\nalgorithm = "jacobian"', "'algorithm' is 'jacobian'; did you mean 'jacobi'?"),
         ('fmu = "a.ssp"\nextrapolation = { a = "cubic" }', "'extrapolation' is 'cubic'; known: constant, linear"),
         ('fmu = "a.ssp"\nloops = "iterated"', "'loops' is 'iterated'; did you mean 'iterate'?"),
+        ('fmu = "a.fmu"\nmain = "a"', "'main' goes with coupled FMUs"),
+        ('fmus = { plant = "PLANT" }\nmain = "plnt"', "[models.bench]: no component 'plnt' to be the main one; did you mean 'plant'?"),
         ('fmu = "a.ssp"\nloop_iterations = 0', "'loop_iterations' is 0; write a positive number"),
         ('fmus = { a = "a.fmu" }\nconnections = { "a.u" = 1 }', "connections: 'a.u' is no output"),
         ('fmus = { a = "a.fmu" }\nconnections = { "a.u" = { from = "b.y", gain = 1 } }', "unknown key 'gain'"),

@@ -219,3 +219,21 @@ def test_inputs_that_nothing_drives_hold_what_they_start_with(made):
     assert (model.simulate(task, {"a.u": 2.0, "a.k": 3.0}) == 6.0).all()
     assert (model.simulate(task, {}) == 0.0).all()
     assert math.isclose(model.simulate(task, {"a.b": 0.5})[0, -1], 0.5)
+
+
+def test_variables_of_the_main_component_go_by_their_own_names(drive):
+    from fmuid.coupled.loading import load_coupling
+    from fmuid.coupled.structure import Coupling, Linear, Master
+
+    files = {name: drive[name] for name in ("plant", "controller")}
+    wires = {"plant.i": ("controller.i", Linear()), "controller.w": ("plant.w_motor", Linear())}
+    model = load_coupling(Coupling(Master(1e-3), files, wires, main="plant"))
+    task = Task(TIME, {"controller.w_ref": SPEED}, ("w_motor", "controller.i"))
+    expected = split(drive, step=1e-3).simulate(
+        Task(TIME, {"controller.w_ref": SPEED}, ("plant.w_motor", "controller.i")), {"plant.mgr": 20.0}
+    )
+    assert np.array_equal(model.simulate(task, {"mgr": 20.0}), expected)
+    with pytest.raises(FmuError, match=r"no variable 'plant.mgr'; did you mean 'mgr'"):
+        model.simulate(task, {"plant.mgr": 20.0})
+    with pytest.raises(FmuError, match=r"'i' follows 'controller.i'"):
+        model.simulate(task, {"i": 1.0})

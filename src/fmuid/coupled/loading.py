@@ -6,6 +6,7 @@ import os
 import shutil
 import weakref
 from collections.abc import Callable, Hashable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from fmuid.campaign import ModelSpec
@@ -41,12 +42,15 @@ def load_model(model: ModelSpec | str | Path) -> Fmu | CoupledModel:
                 raise
             raise type(error)(error.what, where=f"[models.{model.setup}]", fix=error.fix) from None
     if model.fmu.suffix == SUFFIX:
-        return load_system(model.fmu, model.coupling.master if model.coupling else None)
+        coupling = model.coupling or Coupling()
+        return load_system(model.fmu, coupling.master, coupling.main)
     return load_fmu(model.fmu)
 
 
-def load_system(path: str | Path, master: Master | None = None) -> CoupledModel:
+def load_system(path: str | Path, master: Master | None = None, main: str = "") -> CoupledModel:
     """Return the system that an SSP file describes: in one process the same object as long as it does not change.
+
+    Variables of the component `main` go by their own names.
 
     Raises
     ------
@@ -67,7 +71,8 @@ def load_system(path: str | Path, master: Master | None = None) -> CoupledModel:
                 master=master,
                 starts=found.starts,
                 experiment=found.experiment,
-                reload=(load_system, (file, master)),
+                main=main,
+                reload=(load_system, (file, master, main)),
             )
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
@@ -75,7 +80,7 @@ def load_system(path: str | Path, master: Master | None = None) -> CoupledModel:
         weakref.finalize(model, _remove, folder, os.getpid())
         return model
 
-    return _once((file, repr(master), _state(file)), make)
+    return _once((file, repr(master), main, _state(file)), make)
 
 
 def couple(
@@ -116,7 +121,7 @@ def load_coupling(coupling: Coupling, path: str | Path = "system") -> CoupledMod
     """
     where = Path(path)
     files = {name: file.resolve() for name, file in coupling.components.items()}
-    resolved = Coupling(coupling.master, files, coupling.connections)
+    resolved = replace(coupling, components=files)
 
     def make() -> CoupledModel:
         components = {name: Fmu(file) for name, file in files.items()}
@@ -127,7 +132,12 @@ def load_coupling(coupling: Coupling, path: str | Path = "system") -> CoupledMod
         check_connections(where, components, plain)
         connections = [_converting(where, components, k) for k in plain]
         return CoupledModel(
-            where, components, connections, master=coupling.master, reload=(load_coupling, (resolved, where))
+            where,
+            components,
+            connections,
+            master=coupling.master,
+            main=coupling.main,
+            reload=(load_coupling, (resolved, where)),
         )
 
     return _once((where, repr(resolved), *map(_state, files.values())), make)

@@ -55,6 +55,8 @@ class CoupledModel:
         Start values by component and variable other than the FMUs' own.
     experiment
         Suggested ``start`` and ``stop`` time, s, that the FMUs' own give way to.
+    main
+        The component whose variables go by their own names; none where empty.
     reload
         A function and arguments that make the same model in another process.
 
@@ -77,17 +79,26 @@ class CoupledModel:
         master: Master | None = None,
         starts: Mapping[str, Mapping[str, float]] | None = None,
         experiment: Mapping[str, float] | None = None,
+        main: str = "",
         reload: tuple[Callable[..., CoupledModel], tuple[Any, ...]] | None = None,
     ) -> None:
         self.path, self.master = path, master or Master()
         self.connections, self.ports = tuple(connections), tuple(ports)
         check_connections(path, components, connections)
         check_ports(path, components, connections, ports)
+        self._main = main
         self._reload, self._experiment = reload, experiment or {}
         self._starts = {name: dict(own) for name, own in (starts or {}).items()}
         self._wiring = self._wire(components)
         self._ports = {port.name: port for port in ports}
-        self._places = {str(p): p for n, fmu in components.items() for p in (Place(n, v) for v in fmu.variables)}
+        if main and main not in components:
+            raise FmuError(
+                f"no component '{main}' to be the main one", where=path, fix=suggestion(main, components)
+            )
+        self._places: dict[str, Place] = {}
+        for place in (Place(name, v) for name, fmu in components.items() for v in fmu.variables):
+            if self._places.setdefault(place.variable if place.component == main else str(place), place) != place:
+                raise FmuError(f"two variables are called '{place}'", where=path, fix="rename a component")
         self._variables = self._describe()
         self._view = MappingProxyType(self._variables)
         self._lock = threading.RLock()
@@ -104,11 +115,10 @@ class CoupledModel:
         """Every variable by name; connected inputs are local."""
         return self._view
 
-    def home(self, name: str) -> tuple[Fmu, str]:
-        """Return the FMU that has a variable, or the first one that a port leads to, and its name there."""
+    def home(self, name: str) -> Place:
+        """Return where a variable is, or the first one that a port leads to."""
         self._known(name)
-        place = self._ports[name].ends[0][0] if name in self._ports else self._places[name]
-        return self.components[place.component], place.variable
+        return self._ports[name].ends[0][0] if name in self._ports else self._places[name]
 
     @property
     def name(self) -> str:
@@ -119,7 +129,7 @@ class CoupledModel:
     def token(self) -> str:
         """A hash of the FMUs' tokens, of their coupling and of how they are stepped."""
         tokens = {name: fmu.token for name, fmu in self.components.items()}
-        coupling = (tokens, self.connections, self.ports, sorted(self._starts.items()), self.master)
+        coupling = (tokens, self._main, self.connections, self.ports, sorted(self._starts.items()), self.master)
         return hashlib.sha256(repr(coupling).encode()).hexdigest()
 
     @property
@@ -228,7 +238,7 @@ class CoupledModel:
             inputs = {name: self._driven_by(name) for name in task.inputs}
             for name, ends in inputs.items():
                 for start in (*task.start_values, *parameters):
-                    if start == name or any(str(p) == start for p, _ in ends):
+                    if start == name or any(p == self._places.get(start) for p, _ in ends):
                         raise FmuError(
                             f"'{start}' has both a signal and a start value",
                             where=self.path,
@@ -299,9 +309,8 @@ class CoupledModel:
         try:
             return self._variables[name]
         except KeyError:
-            raise FmuError(
-                f"no variable '{name}'", where=self.path, fix=suggestion(name, self._variables)
-            ) from None
+            near = suggestion(name.removeprefix(f"{self._main}."), self._variables)
+            raise FmuError(f"no variable '{name}'", where=self.path, fix=near) from None
 
     def _first(self, layout: Layout, values: Mapping[str, Mapping[str, float]]) -> FloatArray:
         """Simulate, and see whether a reset brings the FMUs back to where they began."""

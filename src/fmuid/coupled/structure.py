@@ -116,11 +116,14 @@ class Coupling:
         FMU files by name; empty for an SSP file, which has its own.
     connections
         Input -> output it follows and the transformation on the way, by ``component.variable``.
+    main
+        The component whose variables go by their own names, without its name before them; none where empty.
     """
 
     master: Master = field(default_factory=Master)
     components: Mapping[str, Path] = field(default_factory=dict)
     connections: Mapping[str, tuple[str, Linear]] = field(default_factory=dict)
+    main: str = ""
 
     def __post_init__(self) -> None:
         for name in ("components", "connections"):

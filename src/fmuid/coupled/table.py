@@ -32,6 +32,7 @@ class CoupledTable(Table):
     loops: Literal["refuse", "delay", "iterate"] | None = None
     loop_tolerance: float | None = None
     loop_iterations: int | None = None
+    main: str = ""
 
 
 class _ConnectionTable(Table):
@@ -55,16 +56,17 @@ def coupling_of(table: CoupledTable, folder: Path, where: str) -> Coupling | Non
     if table.connections and not table.fmus:
         raise CampaignError("has connections of one file", where=where, fix="name several FMUs in 'fmus'")
     if not table.fmus and Path(table.fmu).suffix != ".ssp":
-        if said:
+        if said or table.main:
             raise CampaignError(
-                f"'{next(iter(said))}' goes with coupled FMUs", where=where, fix="leave it out for one FMU"
+                f"'{next(iter(said), 'main')}' goes with coupled FMUs", where=where, fix="leave it out for one FMU"
             )
         return None
     for name in table.fmus:
         if not name or "." in name:
             raise CampaignError(f"fmus: '{name}' is no name", where=where, fix="use a name without dots")
     connections = dict(_connections(table.connections, "", f"{where} connections"))
-    return Coupling(_master(said, where), {n: folder / f for n, f in table.fmus.items()}, connections)
+    files = {name: folder / file for name, file in table.fmus.items()}
+    return Coupling(_master(said, where), files, connections, table.main)
 
 
 def master_of(texts: Sequence[str], where: str) -> Master:

@@ -15,7 +15,7 @@ from fmuid.diagnosis.calibration import Calibration
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.result import Verdict
 from fmuid.diagnosis.search import Say
-from fmuid.diagnosis.setting_up import Subject, subject_of
+from fmuid.diagnosis.setting_up import Subject, carrier, subject_of
 from fmuid.files import write_atomically
 from fmuid.runners import Runner, in_process
 
@@ -77,12 +77,12 @@ def diagnose(
         from fmuid.campaign_toml import load_campaign
 
         campaign = load_campaign(campaign)
-    from fmuid.fmu import load_fmu
+    from fmuid.coupled.loading import load_model
 
     with _runner(workers) as runner:
         if say is not None:
             say("noise floor", 0.0)
-        subject = subject_of(campaign, load_fmu, runner=runner, experiments=experiments)
+        subject = subject_of(campaign, load_model, runner=runner, experiments=experiments)
         telling: dict[str, Any] = {} if say is None else {"say": say}
         key = calibration.key_of(_files(campaign, subject), subject)
         if calibrate and not subject.observed.modelled_noise:
@@ -112,8 +112,8 @@ def _calibrated(subject: Subject, count: int, seed: int, telling: dict[str, Any]
 
 def _files(campaign: Campaign, subject: Subject) -> list[Path]:
     """Files that a diagnosis rests on: models, those that carry the effects, the catalogue."""
-    models = {m.fmu for m in campaign.models.values()}
-    models |= {m.with_name(f"{subject.catalogue.models.get(m.stem, m.stem)}.fmu") for m in models}
+    models = {file for model in campaign.models.values() for file in model.files}
+    models |= {carrier(file, subject.catalogue) for file in models}
     return [*sorted(models), *([] if campaign.effects is None else [campaign.effects.catalogue])]
 
 

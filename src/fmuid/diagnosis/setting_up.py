@@ -43,7 +43,7 @@ class Subject:
 
 def subject_of(
     campaign: Campaign,
-    load: Callable[[Path], Simulator],
+    load: Callable[[ModelSpec], Simulator],
     *,
     runner: Runner = in_process,
     experiments: Sequence[str] = (),
@@ -53,7 +53,7 @@ def subject_of(
     Parameters
     ----------
     load
-        Loads an FMU by its path.
+        Loads the model of a setup.
     experiments
         Ids or globs, instead of the campaign's own choice.
 
@@ -114,7 +114,7 @@ def _loosened(model: CampaignModel, observed: Observed, nominal: Sequence[Unknow
 
 def model_of(
     campaign: Campaign,
-    load: Callable[[Path], Simulator],
+    load: Callable[[ModelSpec], Simulator],
     *,
     runner: Runner = in_process,
     experiments: Sequence[str] = (),
@@ -135,7 +135,7 @@ def model_of(
     setups = list(dict.fromkeys(e.setup for e in chosen))
     models = {s: _with_effects(campaign, s, catalogue) for s in setups}
     campaign = replace(campaign, models={**campaign.models, **models})
-    simulators = {s: load(models[s].fmu) for s in setups}
+    simulators = {s: load(models[s]) for s in setups}
     cases = tuple(
         replace(c, task=replace(c.task, tolerance=_TOLERANCE))
         for c in from_campaign(campaign, chosen, (), simulators)
@@ -185,8 +185,16 @@ def _range(part: str) -> tuple[float, float]:
 
 def _with_effects(campaign: Campaign, setup: str, catalogue: Catalogue) -> ModelSpec:
     model = campaign.models[setup]
-    stem = catalogue.models.get(model.fmu.stem)
-    return model if stem is None else replace(model, fmu=model.fmu.with_name(f"{stem}.fmu"))
+    coupling = model.coupling
+    if coupling is not None:
+        components = {name: carrier(file, catalogue) for name, file in coupling.components.items()}
+        coupling = replace(coupling, components=components)
+    return replace(model, fmu=carrier(model.fmu, catalogue), coupling=coupling)
+
+
+def carrier(file: Path, catalogue: Catalogue) -> Path:
+    """Return the file that carries the effects in place of a plain one."""
+    return file.with_name(f"{catalogue.models.get(file.stem, file.stem)}{file.suffix}")
 
 
 def _nominal(campaign: Campaign, spec: EffectsSpec, *, cases_parameters: set[str]) -> tuple[Unknown, ...]:

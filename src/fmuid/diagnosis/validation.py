@@ -105,12 +105,12 @@ def validate_diagnosis(
     SimulationError
         A run cannot be simulated.
     """
-    from fmuid.fmu import load_fmu
+    from fmuid.coupled.loading import load_model
 
     if "nominal" not in answer:
         raise FmuidError("the diagnosis has no nominal model", where="nominal", fix="diagnose again")
     chosen = experiments or campaign.validation or tuple(campaign.measurements.experiments)
-    model, _, _ = model_of(campaign, load_fmu, runner=runner, experiments=chosen)
+    model, _, _ = model_of(campaign, load_model, runner=runner, experiments=chosen)
     outcomes = model.predict([answer["nominal"]["parameters"], answer["model"]["parameters"]])
     predictions = []
     for outcome in outcomes:
