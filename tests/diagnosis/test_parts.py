@@ -142,6 +142,12 @@ def test_closure_is_the_share_of_the_gap_that_is_gone():
     low, high = closure_interval(before, lost(0.0, 1.0, 4.0))
     assert low <= closure(before, lost(0.0, 1.0, 4.0)) <= high
     assert high - low > 0.3
+    # New runs have noise of their own: a gap that is gone is measured as one within it.
+    gone = lost(0.0, 0.0, 0.0)
+    assert closure_interval(before, gone) == pytest.approx((1.0, 1.0))
+    low, high = closure_interval(before, gone, noise=np.linspace(-0.2, 0.2, 401))
+    assert low == pytest.approx(1.0 - np.sqrt(0.18 / 4.18), abs=0.02)
+    assert high == pytest.approx(1.0)
 
 
 def test_an_advantage_that_the_runs_do_not_agree_on_is_within_its_error():
