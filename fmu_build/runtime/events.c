@@ -109,36 +109,56 @@ Status event_iteration(Instance *me, int initial) {
     return report(me, STATUS_ERROR, "t = %.9g: the event iteration does not end", s->t);
 }
 
-/* Does some relation differ from m at time t of the last step? */
-static int changed_at(Instance *me, double t) {
+/* Indicators at time t of the last step, each turned so that it is positive while its relation stays as it is in m.
+ * Is one of them beyond its change? */
+static int changed_at(Instance *me, double t, double *g) {
     State *s = &me->s;
-    double x[LENGTH(NX)], g[LENGTH(NM)] = {0};
+    double x[LENGTH(NX)];
+    int changed = 0;
     dense_output(&s->step, t, x);
     input_at(me, t);
+    memset(g, 0, NM * sizeof *g);
     if (indicators_at(me, t, x, me->ut, g)) return 0;
-    for (int i = 0; i < NM; i++)
-        if (s->m[i] != 0.0 ? g[i] < -HYSTERESIS : g[i] > HYSTERESIS) return 1;
-    return 0;
+    for (int i = 0; i < NM; i++) {
+        if (s->m[i] == 0.0) g[i] = -g[i];
+        changed |= g[i] < -HYSTERESIS;
+    }
+    return changed;
 }
 
-/* Ends the last step at the first state event in it, just past the change. */
-void find_event(Instance *me) {
-    enum { SAMPLES = 4 };
+/* Between three samples at equal distances, none of which has changed, a relation may change and change back: looks
+ * where the parabola through them comes close to that. The time of a change found, or NAN. */
+static double between_samples(Instance *me, double middle, double distance, double g[3][LENGTH(NM)]) {
+    double unused[LENGTH(NM)];
+    for (int i = 0; i < NM; i++) {
+        const double slope = 0.5 * (g[2][i] - g[0][i]), bend = 0.5 * (g[2][i] + g[0][i]) - g[1][i];
+        if (!(fabs(slope) < 2.0 * bend)) continue; /* no minimum inside */
+        const double lowest = g[1][i] - 0.25 * slope * slope / bend, t = middle - 0.5 * slope / bend * distance;
+        if (lowest < 0.25 * g[1][i] && changed_at(me, t, unused)) return t;
+    }
+    return NAN;
+}
+
+/* Ends the last step at the first state event that `samples` samples of (from, to] see, just past the change. */
+void find_event(Instance *me, double from, double to, int samples) {
     Step *step = &me->s.step;
     if (NM == 0) return;
-    const double start = step->t0, end = step->t1;
-    double before = start, after = start;
-    int found = 0;
-    for (int i = 1; i <= SAMPLES && !found; i++) {
-        before = after;
-        after = i == SAMPLES ? end : start + (end - start) * i / SAMPLES;
-        found = changed_at(me, after);
+    double g[3][LENGTH(NM)], before = from, after = NAN;
+    const double distance = (to - from) / samples;
+    if (samples > 1) changed_at(me, from, g[2]);
+    for (int i = 1; i <= samples && isnan(after); i++) {
+        const double t = i == samples ? to : from + i * distance;
+        memcpy(g[0], g[1], sizeof g[0]);
+        memcpy(g[1], g[2], sizeof g[0]);
+        if (changed_at(me, t, g[2])) after = t;
+        else if (i >= 2) after = between_samples(me, t - distance, distance, g);
+        if (isnan(after) && i >= 2) before = t - distance;
     }
-    if (!found) return;
+    if (isnan(after)) return;
     for (;;) {
         const double middle = before + 0.5 * (after - before);
         if (middle <= before || middle >= after) break;
-        if (changed_at(me, middle)) after = middle;
+        if (changed_at(me, middle, g[0])) after = middle;
         else before = middle;
     }
     step->t1 = after;

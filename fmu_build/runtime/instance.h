@@ -129,7 +129,7 @@ void relations(Instance *me, double t, const double *x, const double *u, double 
 int relations_for_input(Instance *me, double *kept);
 int event_indicators(Instance *me, double *g);
 Status event_iteration(Instance *me, int initial);
-void find_event(Instance *me);
+void find_event(Instance *me, double from, double to, int samples);
 
 /* kinks.c */
 double first_kink(Instance *me, double h, int again);

@@ -218,10 +218,15 @@ Status do_step(Instance *me, double t, double h) {
                 return report(me, STATUS_ERROR, "t = %.9g: %d events without progress in time (chattering)", s->t, events);
             continue;
         }
-        if (step->t1 >= target - close) break;
+        if (step->t1 >= target - close) {
+            /* A long step may have run over what only shows at the communication points. */
+            if (step->t1 > target + close) find_event(me, fmax(s->t, step->t0), target, 1);
+            if (!step->event || step->t1 > target + close) break;
+            continue;
+        }
         const Status status = integrate_step(me, target, restart);
         if (status > STATUS_WARNING) return status;
-        if (MODEL_HAS_EVENTS) find_event(me);
+        if (step->t1 > step->t0) find_event(me, step->t0, step->t1, 4);
         if (step->steps > limit)
             return report(me, STATUS_ERROR, "t = %.9g: more than %ld integration steps", step->t1, MAX_STEPS);
     }

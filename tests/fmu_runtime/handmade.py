@@ -385,6 +385,18 @@ def clock() -> CompiledModel:
     )
 
 
+def pulses() -> CompiledModel:
+    """x' = 1 while sin(50 t) > 0.9: nothing else shortens the integrator's steps."""
+    return compile_by_hand(
+        "Pulses",
+        states={"x": 0.0},
+        rhs=lambda e: [ca.if_else(e.relation[0], 1, 0)],
+        relations=lambda e: [ca.sin(50 * e.time) - 0.9],
+        update=lambda e, init: {},
+        outputs={"on": lambda e: e.relation[0]},
+    )
+
+
 def stick_slip() -> CompiledModel:
     """Mass dragged by a spring over Coulomb friction with the modes forward, stuck and backward.
 

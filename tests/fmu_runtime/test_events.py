@@ -70,6 +70,16 @@ def test_time_events_on_output_points_in_model_exchange(built, fmi, interval):
     assert result["held"][-1] == pytest.approx(0.95)
 
 
+@pytest.mark.parametrize("h", [0.002, 0.01, 0.018])
+def test_long_steps_do_not_run_over_events_that_communication_points_show(fmu, h):
+    x = fmu("pulses").start(1e-6).run(["x"], int(2 / h), h)[:, 0]
+    t = np.arange(int(2 / h) + 1) * h
+    whole, phase = np.divmod(50 * t, 2 * np.pi)
+    width = np.pi - 2 * np.arcsin(0.9)
+    exact = (whole * width + np.clip(phase - np.arcsin(0.9), 0, width)) / 50
+    np.testing.assert_allclose(x, exact, atol=1e-9)
+
+
 def test_relation_of_an_input(fmu):
     one = fmu("relay").start()
     assert one.get("direction") == -1
