@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from fmu_build import algebra, algorithms, codegen, events, start
+from fmu_build import algebra, algorithms, codegen, events, start, unit_check
 from fmu_build.aliases import Aliases, eliminate
 from fmu_build.annotations import experiment
 from fmu_build.equations import Equations, collect, when_targets
@@ -193,7 +193,7 @@ def _generate(
         c_source=codegen.c_source(functions),
         c_header=header,
         content_hash="",
-        warnings=tuple(scope.parameters.warnings),
+        warnings=(*scope.parameters.warnings, *unit_check.check(flat)),
         functions=functions,
     )  # fmt: skip
     what = repr(replace(model, c_source="", c_header="")) + model.c_source + model.c_header

@@ -95,14 +95,14 @@ class Flat:
 
     @cached_property
     def _sources(self) -> dict[int, Path]:
-        # rumoca numbers its sources without naming them: the file is the one whose text has the declared names
-        # where the spans say.
+        # rumoca numbers its sources without naming them: the file is the one whose text has the names where the
+        # spans say.
         spans: dict[int, list[tuple[int, int, bytes]]] = {}
 
         def note(span: Node, name: str) -> None:
             known = spans.setdefault(span["source"], [])
             if len(known) < _ENOUGH:
-                known.append((span["start"], span["end"], name.rpartition(".")[2].partition("[")[0].encode()))
+                known.append((span["start"], span["end"], re.sub(r"\[[^\]]*\]", "", name).encode()))
 
         for name, variable in self.parts["variables"].items():
             note(variable["source_span"], name)
@@ -117,11 +117,22 @@ class Flat:
         out = {}
         for source, known in spans.items():
             polls = {
-                path: sum(ident in text[start:end] for start, end, ident in known)
+                path: sum(_names(text[start:end], name) for start, end, name in known)
                 for path, text in self._texts.items()
             }
             out[source] = max(polls, key=lambda path: polls[path])
         return out
+
+
+def _names(text: bytes, name: bytes) -> int:
+    """How well a piece of source fits a variable's name: 2 if it refers to it, 1 if it may declare it."""
+    last = name.rpartition(b".")[2]
+    if last not in text:
+        return 0
+    reference = re.sub(rb"\s|\[[^\]]*\]", b"", text)
+    if re.fullmatch(rb"[\w.]+", reference) and (b"." + name).endswith(b"." + reference):
+        return 2
+    return int(re.search(rb"(?<!\w)" + re.escape(last) + rb"(?!\w)", text) is not None)
 
 
 def references(tree: Any) -> Iterator[tuple[str, Node]]:

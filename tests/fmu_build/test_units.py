@@ -1,0 +1,102 @@
+"""Units of a model's equations: what differs is told with its line, what cannot be known is not."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from fmu_build import compile_modelica
+from fmu_build.frontend import load
+from fmu_build.unit_check import check
+from tests.conftest import MODELICA
+
+SETUPS = sorted(p for p in MODELICA.glob("*/Setups/*.mo") if not p.stem.startswith(("Partial", "package")))
+DECLARED = """model M
+  parameter Real m(unit = "kg") = 2;
+  parameter Real c(unit = "N/m") = 3;
+  parameter Real J(unit = "kg.m2") = 1;
+  parameter Real tau(unit = "N.m") = 1;
+  parameter Real plain = 1;
+  parameter Real n(unit = "1") = 5;
+  Real s(unit = "m", start = 1, fixed = true);
+  Real v(unit = "m/s", start = 0, fixed = true);
+  Real w(unit = "rad/s", start = 0, fixed = true);
+  Real F(unit = "N") = -c*s;
+"""
+GOOD = [
+    "m*der(v) = F;",
+    "m*der(v) = -c*s*plain;",
+    "m*der(v) = noEvent(if s > 0 then F else 2*F);",
+    "m*der(v) = if v > 1e-3 then F*sin(w*time) else sqrt(F^2);",
+    "m*v*der(v)/2 = 9.81*F + max(0, F*v*3);",
+]
+BAD = {
+    "m*der(v) = c*v;": ("kg.m/s2", "kg.m/s3"),
+    "m*der(v) = F + s;": ("N", "m"),
+    "m*der(v) = if s > v then F else 0;": ("m", "m/s"),
+    "m*der(v) = F*sin(s);": ("1", "m"),
+    "der(v) = F;": ("m/s2", "N"),
+    "m*der(v) = noEvent(max(F, s));": ("N", "m"),
+    "m*der(v) = if s > 1 then F else c;": ("N", "N/m"),
+    "m*der(v) = sqrt(F);": ("kg.m/s2", "kg1/2.m1/2/s"),
+}
+
+
+def findings(tmp_path, equation: str, more: str = "") -> tuple[str, ...]:
+    file = tmp_path / "M.mo"
+    file.write_text(f"{DECLARED}{more}equation\n  der(s) = v;\n  J*der(w) = tau;\n  {equation}\nend M;\n")
+    return tuple(w for w in compile_modelica(file, "M").warnings if "units differ" in w)
+
+
+@pytest.mark.parametrize("equation", GOOD)
+def test_consistent_units_are_not_mentioned(tmp_path, equation):
+    assert findings(tmp_path, equation) == ()
+
+
+@pytest.mark.parametrize("equation", BAD)
+def test_units_that_differ_are_told_with_their_line(tmp_path, equation):
+    line = DECLARED.count("\n") + 4
+    assert findings(tmp_path, equation) == (f"M.mo:{line}: the units differ: {' and '.join(BAD[equation])}",)
+
+
+@pytest.mark.parametrize(
+    ("more", "units"),
+    [
+        ('  Real angle(unit = "deg") = w*time;\n', ("deg", "1")),
+        ('  Real speed(unit = "rpm") = w;\n', ("rpm", "rad/s")),
+        ('  parameter Real k(unit = "N") = tau;\n', ("N", "N.m")),
+        ('  Real y(unit = "m", start = m) = s;\n', ("m", "kg")),
+        ('  discrete Real d(unit = "m");\nequation\n  when v > 1 then\n    d = v;\n  end when;\n', ("m", "m/s")),
+    ],
+)
+def test_declarations_and_when_clauses_are_looked_at(tmp_path, more, units):
+    (found,) = findings(tmp_path, "m*der(v) = F;", more)
+    assert found.endswith(f"the units differ: {' and '.join(units)}")
+
+
+def test_connected_signals_have_one_unit(tmp_path):
+    file = tmp_path / "M.mo"
+    file.write_text(
+        "model M\n  Drives.Signals.SpeedController controller(w_ref = 1);\n"
+        "  Drives.Components.Torque torque;\n  Drives.Components.Inertia inertia;\n"
+        "equation\n  controller.w = inertia.w;\n  connect(torque.flange, inertia.flange_a);\n"
+        "  connect(controller.i, torque.tau);\nend M;\n"
+    )
+    (found,) = (w for w in compile_modelica(file, "M", [MODELICA]).warnings if "units differ" in w)
+    assert found.startswith("M.mo:8: ")
+    assert set(found.rpartition(": ")[2].split(" and ")) == {"A", "N.m"}
+
+
+@pytest.mark.parametrize("setup", SETUPS, ids=lambda p: p.stem)
+def test_shipped_models_have_consistent_units(setup):
+    assert check(load(setup, f"{setup.parents[1].name}.Setups.{setup.stem}", [MODELICA])) == []
+
+
+def test_a_wrong_unit_in_the_library_is_found(tmp_path):
+    shutil.copytree(MODELICA / "Drives", tmp_path / "Drives")
+    types = tmp_path / "Drives" / "Types.mo"
+    types.write_text(types.read_text().replace('final unit = "N.m/A"', 'final unit = "N.m/rad"'))
+    setup = tmp_path / "Drives" / "Setups" / "FixedShaft.mo"
+    (found,) = check(load(setup, "Drives.Setups.FixedShaft"))
+    assert found.startswith("Motor.mo:5: the units differ: N.m and ")
