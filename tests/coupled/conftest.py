@@ -15,9 +15,8 @@ import fmu_build
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-ROOT = Path(__file__).parents[2]
-BUILT = ROOT / "build" / "fmus"
-DRIVES = ROOT / "modelica" / "Drives"
+from systems import BUILT, DRIVES
+
 MODELS = Path(__file__).parent / "models"
 PI = """
     from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real

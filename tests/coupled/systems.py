@@ -11,6 +11,9 @@ from fmuid.coupled.loading import couple
 from fmuid.coupled.model import CoupledModel
 from fmuid.coupled.structure import Master
 
+ROOT = Path(__file__).parents[2]
+BUILT = ROOT / "build" / "fmus"
+DRIVES = ROOT / "modelica" / "Drives"
 NAMESPACES = " ".join(
     f'xmlns:{short}="http://ssp-standard.org/SSP1/SystemStructure{name}"'
     for short, name in {

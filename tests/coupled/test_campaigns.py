@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,9 +12,10 @@ import fmpy
 import numpy as np
 import pytest
 from lxml import etree
-from systems import component, connection, connections, elements, write_ssp
+from systems import BUILT, DRIVES, ROOT, component, connection, connections, elements, write_ssp
 
-from fmuid import identify, load_campaign, validate
+import fmu_build
+from fmuid import diagnose, identify, load_campaign, validate
 from fmuid.campaign import Experiment, Measurements, Signal
 from fmuid.cli.app import run
 from fmuid.coupled.loading import load_system
@@ -188,3 +190,63 @@ def test_what_was_identified_is_written_back_as_an_ssp(campaign_folder, tmp_path
     with zipfile.ZipFile(written.fmus["bench"]) as archive:
         description = etree.fromstring(archive.read("SystemStructure.ssd"))
     etree.XMLSchema(etree.parse(schemas / "SystemStructureDescription.xsd")).assertValid(description)
+
+
+EFFECTS = ("viscous", "sensor_gain", "hardening")
+DIAGNOSED = """
+map = {{ w_ref = "controller.w_ref", w = "w_motor", tau = "tau_sensor" }}
+interpolation = "linear"
+
+[parameters.mgr]
+start = 25
+lower = 5
+upper = 60
+
+[effects]
+catalogue = "effects.toml"
+nominal = ["mgr"]
+"""
+
+
+def write_diagnosed(folder: Path, truth: Mapping[str, float]) -> Path:
+    """Write repeated runs of the single FMU with an effect, for the split one with a catalogue of three."""
+    rng = np.random.default_rng(5)
+    rig = load_fmu(BUILT / "EccentricLoadWithEffects.fmu")
+    runs = {}
+    for name, frequency in (("fast", 1.0), ("slow", 0.5), ("medium", 0.7)):
+        reference = 30 * np.sin(2 * np.pi * frequency * TIME)
+        task = Task(TIME, {"w_ref": reference}, ("w_motor", "tau_sensor"), {"mgr": 22.0}, "linear")
+        predicted = rig.simulate(task, truth)
+        for repeat in range(3):
+            signals = {"w_ref": Signal("w_ref", reference, "rad/s", "input")}
+            for key, unit, y in zip(("w", "tau"), ("rad/s", "N.m"), predicted, strict=True):
+                signals[key] = Signal(key, y + rng.normal(0, NOISE[key], 101), unit, "output", NOISE[key])
+            id = f"{name}{repeat}"
+            runs[id] = Experiment(id, "bench", TIME, signals, repeat_of=f"{name}0" if repeat else None)
+    write_measurements(Measurements(runs), folder / "measurements.h5")
+    catalogue = (ROOT / "modelica" / "Drives" / "effects.toml").read_text()
+    head, *sections = re.split(r"(?m)^(?=\[effects\.\w+\]$)", catalogue)
+    chosen = [s for s in sections if s.startswith(tuple(f"[effects.{e}]" for e in EFFECTS))]
+    (folder / "effects.toml").write_text(head + "\n".join(chosen))
+    table = TABLE.format(
+        step=1e-3,
+        extrapolation="linear",
+        plant=BUILT / "EccentricLoadPlant.fmu",
+        controller=BUILT / "SpeedController.fmu",
+    )
+    (folder / "campaign.toml").write_text(
+        f'[campaign]\nname = "split"\n[models.bench]\n{table}\nmain = "plant"\n' + DIAGNOSED.format()
+    )
+    return folder
+
+
+@pytest.mark.slow
+def test_a_coupled_model_is_diagnosed(drive, tmp_path):
+    """The plant's counterpart with effects takes its place; the effect of the rig is named and measured."""
+    for name in ("EccentricLoadWithEffects", "EccentricLoadPlantWithEffects"):
+        fmu_build.build(DRIVES / "Setups" / f"{name}.mo", f"Drives.Setups.{name}", BUILT)
+    found = diagnose(write_diagnosed(tmp_path, {"sensor.gain": 1.04}), workers=0)
+    answer = found.diagnosis.to_dict()
+    assert answer["verdict"]["effects"] == ["sensor_gain"]
+    assert answer["effects"][0]["parameters"]["sensor.gain"]["value"] == pytest.approx(1.04, abs=0.01)
+    assert answer["model"]["parameters"]["mgr"] == pytest.approx(22.0, rel=0.01)
