@@ -6,6 +6,7 @@ import hashlib
 import json
 import logging
 import os
+import re
 import shutil
 import subprocess
 import tempfile
@@ -110,7 +111,12 @@ def _openmodelica(file: Path, class_name: str, target: Path, fmi: str, roots: Se
     omc = shutil.which("omc")
     if omc is None:
         raise BuildError("OpenModelica's omc is not on the PATH", fix="install it or leave out --compiler omc")
-    sources = [str(p) for p in source_files(file, roots)]
+    inside = {p.parent for p in source_files(file, roots) if p.name == "package.mo"}  # loaded with its package
+    sources = [
+        str(p)
+        for p in source_files(file, roots)
+        if (p.parent.parent if p.name == "package.mo" else p.parent) not in inside
+    ]
     with tempfile.TemporaryDirectory() as folder:
         loads = "".join(f"loadFile({json.dumps(p)});\n" for p in sources)
         script = f'{loads}buildModelFMU({class_name}, version="{fmi}.0", fmuType="me_cs");\ngetErrorString();\n'
@@ -118,6 +124,8 @@ def _openmodelica(file: Path, class_name: str, target: Path, fmi: str, roots: Se
         run = subprocess.run([omc, "build.mos"], cwd=folder, capture_output=True, text=True, check=False)
         made = sorted(Path(folder).glob("*.fmu"))
         if not made:
-            raise BuildError(f"omc built no FMU: {run.stdout.strip() or run.stderr.strip()}", where=class_name)
+            said = f"{run.stdout}\n{run.stderr}"
+            error = re.search(r"Error: .*", said) or re.search(r"\S.*", said)
+            raise BuildError(f"omc built no FMU: {error.group() if error else 'no message'}", where=class_name)
         shutil.move(made[0], target)
     return target
