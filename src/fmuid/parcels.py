@@ -15,7 +15,7 @@ from fmuid.errors import FmuidError
 
 @dataclass(frozen=True, slots=True)
 class Parcel:
-    """A pickled object and the SHA-256 of it. FMUs are in it as files, so that no common disk is needed."""
+    """A pickled object and the SHA-256 of it. Files are in it with their content: no common disk is needed."""
 
     digest: str
     content: bytes
@@ -24,22 +24,16 @@ class Parcel:
 
 class _Packer(pickle.Pickler):
     def persistent_id(self, thing: Any) -> Any:
-        from fmuid.fmu import Fmu
-
-        if not isinstance(thing, Fmu):
-            return None
-        _, (file, interface) = thing.__reduce__()
-        return file.name, interface, file.read_bytes()
+        # An FMU, and what is made of several, is pickled as how to load it from files.
+        return (thing.name, thing.read_bytes()) if isinstance(thing, Path) and thing.is_file() else None
 
 
 class _Unpacker(pickle.Unpickler):
     def persistent_load(self, pid: Any) -> Any:
-        from fmuid.fmu import load_fmu
-
-        name, interface, content = pid
+        name, content = pid
         path = Path(tempfile.mkdtemp(prefix="fmuid-sent-")) / name
         path.write_bytes(content)
-        return load_fmu(path, interface)
+        return path
 
 
 def pickled(thing: Any, pickler: type[pickle.Pickler] = pickle.Pickler) -> bytes:

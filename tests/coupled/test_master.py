@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import pickle
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from systems import coupled, split
 from fmuid import stepper
 from fmuid.errors import FmuError, SimulationError
 from fmuid.fmu import load_fmu
+from fmuid.parcels import packed, unpacked
 from fmuid.simulation import Simulator, Task
 from fmuid.workers import WorkerPool
 
@@ -237,3 +240,14 @@ def test_variables_of_the_main_component_go_by_their_own_names(drive):
         model.simulate(task, {"plant.mgr": 20.0})
     with pytest.raises(FmuError, match=r"'i' follows 'controller.i'"):
         model.simulate(task, {"i": 1.0})
+
+
+def test_a_parcel_for_another_machine_has_the_fmus_in_it(drive, tmp_path):
+    files = {name: shutil.copy(drive[name], tmp_path) for name in ("plant", "controller")}
+    model, task = split(files, step=1e-3), Task(TIME[:5], {"controller.w_ref": SPEED[:5]}, SIGNALS)
+    expected, content = model.simulate(task, {}), packed(model).content
+    for file in files.values():
+        Path(file).unlink()
+    there = unpacked(content)
+    assert there is not model
+    assert np.array_equal(there.simulate(task, {}), expected)
