@@ -66,9 +66,8 @@ def parse(text: str, *, where: object = None) -> Expression:
         The text is not such an expression.
     """
     try:
-        tree = ast.parse(text.strip(), mode="eval").body
         names: set[str] = set()
-        _check(tree, names)
+        tree = _checked(ast.parse(text.strip(), mode="eval").body, names)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         functions = ", ".join(_FUNCTIONS)
         raise ProblemError(
@@ -79,26 +78,26 @@ def parse(text: str, *, where: object = None) -> Expression:
     return Expression(text.strip(), frozenset(names), tree)
 
 
-def _check(node: ast.expr, names: set[str]) -> None:
+def _checked(node: ast.expr, names: set[str]) -> ast.expr:
+    """Return the tree with each parameter as one name, whatever it is spelt by; collects the names."""
     name = _name(node)
     if name is not None:
         names.add(name)
-        return
+        return ast.Name(id=name)
     match node:
         case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
             node.value = float(value)  # no integer powers without end
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-            _check(left, names)
-            _check(right, names)
+            node.left, node.right = _checked(left, names), _checked(right, names)
         case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
-            _check(operand, names)
+            node.operand = _checked(operand, names)
         case ast.Call(func=ast.Name(id=function), args=[_, *_] as arguments, keywords=[]) if (
             function in _FUNCTIONS
         ):
-            for argument in arguments:
-                _check(argument, names)
+            node.args = [_checked(argument, names) for argument in arguments]
         case _:
             raise ValueError
+    return node
 
 
 def _name(node: ast.expr) -> str | None:
@@ -119,10 +118,9 @@ def _name(node: ast.expr) -> str | None:
 
 
 def _value(node: ast.expr, values: Mapping[str, float]) -> float:
-    name = _name(node)
-    if name is not None:
-        return values[name]
     match node:
+        case ast.Name(id=name):
+            return values[name]
         case ast.Constant(value=float() as value):
             return value
         case ast.BinOp(left=left, op=op, right=right):
@@ -132,4 +130,4 @@ def _value(node: ast.expr, values: Mapping[str, float]) -> float:
             return -value if isinstance(op, ast.USub) else value
         case ast.Call(func=ast.Name(id=function), args=arguments):
             return _FUNCTIONS[function](*(_value(a, values) for a in arguments))
-    raise ValueError(ast.dump(node))  # _check lets nothing else through
+    raise ValueError(ast.dump(node))  # `_checked` lets nothing else through
