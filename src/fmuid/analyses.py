@@ -19,8 +19,8 @@ from fmuid.uncertainty import Uncertainty, uncertainty_of, without_intervals
 
 _EVALUATIONS = 40  # a parameter, for one point of a front
 
-Record = Callable[[Evaluation, str], None]
-"""Told of every evaluation and its purpose."""
+Record = Callable[[Evaluation, str, bool], None]
+"""Told of every evaluation, its purpose, and whether its residuals will be asked for by a resumed run."""
 
 
 @dataclass(slots=True)
@@ -45,10 +45,13 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record) -> Findings:
         return found
 
     def evaluate(points: Sequence[FloatArray]) -> list[Evaluation]:
-        evaluations = problem.evaluate_many(points)
-        for evaluation in evaluations:
-            record(evaluation, "uncertainty")
-        return evaluations
+        found = {k: old for k, x in enumerate(points) if (old := search.recall(x, True)) is not None}
+        missing = [k for k in range(len(points)) if k not in found]
+        if missing:
+            found |= zip(missing, problem.evaluate_many([points[k] for k in missing]), strict=True)
+        for k in missing:
+            record(found[k], "uncertainty", True)
+        return [found[k] for k in range(len(points))]
 
     floor = search.noise_floor
     if spec.uncertainty:
@@ -88,7 +91,7 @@ def _front(search: Search, spec: ParetoSpec, best: Evaluation, record: Record) -
     own = Search(
         search.problem,
         search.stop,
-        record=lambda evaluation, _, __: record(evaluation, "pareto"),
+        record=lambda evaluation, _, __: record(evaluation, "pareto", False),
         recall=search.recall,
         seed=search.seed,
         needs_residuals=False,

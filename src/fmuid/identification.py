@@ -229,7 +229,7 @@ def _stage(run: _Run, asked: _Posed) -> StageResult:
             found = analyse(
                 search,
                 asked.analyses,
-                lambda e, why: run.history.record(problem.name, e, why, False, residuals=False),
+                lambda e, why, kept: run.history.record(problem.name, e, why, False, residuals=kept),
             )
         except KeyboardInterrupt:
             outcome = _INTERRUPTED

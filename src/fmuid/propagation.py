@@ -9,7 +9,7 @@ import numpy as np
 from fmuid.campaign import FloatArray
 from fmuid.derivatives import Differences, EvaluateMany, NoiseFloor, noise_floor
 from fmuid.errors import ProblemError, SimulationError
-from fmuid.problem import Problem
+from fmuid.problem import Evaluation, Problem
 from fmuid.uncertainty import LEVEL, Uncertainty
 
 
@@ -72,13 +72,7 @@ def propagate(
     SimulationError
         No draw can be simulated.
     """
-    generator = np.random.default_rng(seed)
-    points = generator.multivariate_normal(np.array(estimate.point), np.array(estimate.covariance), draws)
-    points = np.clip(points, problem.space.lower, problem.space.upper)
-    evaluations = (evaluate or problem.evaluate_many)(list(points))
-    good = [e for e in evaluations if e.ok]
-    if not good:
-        raise SimulationError("no draw can be simulated", fix="narrow the bounds")
+    good = _drawn(problem, estimate, draws, seed, evaluate or problem.evaluate_many)
     tails = (0.5 - 0.5 * level, 0.5 + 0.5 * level)
     bands = [np.quantile(np.array(p), tails, axis=0) for p in zip(*(e.predictions for e in good), strict=True)]
     return Propagated(
@@ -87,6 +81,18 @@ def propagate(
         np.array([e.criteria for e in good]),
         draws - len(good),
     )
+
+
+def _drawn(
+    problem: Problem, estimate: Uncertainty, draws: int, seed: int, evaluate: EvaluateMany
+) -> list[Evaluation]:
+    generator = np.random.default_rng(seed)
+    points = generator.multivariate_normal(np.array(estimate.point), np.array(estimate.covariance), draws)
+    points = np.clip(points, problem.space.lower, problem.space.upper)
+    good = [e for e in evaluate(list(points)) if e.ok]
+    if not good:
+        raise SimulationError("no draw can be simulated", fix="narrow the bounds")
+    return good
 
 
 def worst_points(
@@ -147,18 +153,18 @@ def criteria_spread(
     if not estimate.identifiability.complete:
         raise ProblemError(str(estimate.identifiability), fix="fix one of them")
     evaluate = evaluate or problem.evaluate_many
-    drawn = propagate(problem, estimate, draws=draws, seed=seed, evaluate=evaluate)
+    drawn = np.array([e.criteria for e in _drawn(problem, estimate, draws, seed, evaluate)])
     corners = evaluate(list(worst_points(problem, estimate, evaluate=evaluate, floor=floor)))
     (best,) = evaluate([np.array(estimate.point)])
-    worst = np.max([drawn.worst, *(e.criteria for e in corners if e.ok)], axis=0)
+    worst = np.max([*drawn, *(e.criteria for e in corners if e.ok)], axis=0)
     return tuple(
         CriterionSpread(
             label,
             float(best.criteria[k]),
-            float(np.median(drawn.criteria[:, k])),
-            float(np.quantile(drawn.criteria[:, k], LEVEL)),
+            float(np.median(drawn[:, k])),
+            float(np.quantile(drawn[:, k], LEVEL)),
             float(worst[k]),
-            float(np.mean(drawn.criteria[:, k] <= 1.0)),
+            float(np.mean(drawn[:, k] <= 1.0)),
         )
         for k, label in enumerate(problem.labels)
     )

@@ -5,7 +5,7 @@
  *
  * Co-simulation integrates with the explicit midpoint rule, 1 ms at most. `fault` makes it misbehave at t >= 0.1.
  * Compile with -DFMI=2 or 3 and perhaps -DRESET_FAILS, -DRESET_FORGETS_STATE, -DRESET_FORGETS_PARAMETERS, -DONCE,
- * -DTIRES=n (dies at the n-th instantiation), -DLIMIT=x, -DSTUCK, -DRESTLESS (events without end).
+ * -DBAD=fault (where c > 140), -DTIRES=n (dies at the n-th instantiation), -DLIMIT=x, -DSTUCK, -DRESTLESS (events without end).
  */
 #include <math.h>
 #include <stdio.h>
@@ -47,6 +47,14 @@ typedef struct {
 static int instances, age;
 static void *volatile leaked;
 
+static int fault(const Model *s)
+{
+#ifdef BAD
+    if (s->r[C] > 140) return BAD;
+#endif
+    return (int)s->r[FAULT];
+}
+
 static void defaults(Model *s)
 {
     memset(s->r, 0, sizeof s->r);
@@ -68,7 +76,7 @@ static double value(Model *s, unsigned vr)
     case DV: return (s->r[U] + s->r[W] - s->r[D] * s->r[V] - s->r[C] * s->r[X]) / s->r[M];
     case Y: {
         double y = s->r[GAIN] * s->r[X] + (s->r[FLIP] ? s->r[BIAS] : 0) + (s->r[MODE] - 1);
-        return s->r[FAULT] == NOT_A_NUMBER && s->t >= 0.1 ? NAN : y;
+        return fault(s) == NOT_A_NUMBER && s->t >= 0.1 ? NAN : y;
     }
     case TABLE_SUM: { double sum = 0; for (int i = 0; i < 6; i++) sum += (i + 1) * s->table[i]; return sum; }
     default: return s->r[vr];
@@ -89,7 +97,7 @@ static Status misbehave(Model *s)
 {
     if (s->broken) return say(s, ERROR, "still broken");
     if (s->t < 0.1) return OK;
-    switch ((int)s->r[FAULT]) {
+    switch (fault(s)) {
     case CRASH: abort();
     case SEGFAULTS: *(volatile int *)8 = 1; break;
     case LEAVES: exit(0);

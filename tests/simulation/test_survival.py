@@ -1,0 +1,121 @@
+"""`fmuid identify` as a user runs it: FMUs that misbehave, and a process that is killed, do not change where it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fmus import FAULTS
+
+from fmuid import Experiment, Measurements, Signal, Task, load_fmu, read_history, write_measurements
+from fmuid.history import JOURNAL
+
+TIME = np.arange(301) * 1e-3
+TOML = """
+[models.bench]
+fmu = "{fmu}"
+
+[parameters.d]
+start = 0.5
+lower = 0.1
+upper = 2
+
+[parameters.c]
+start = 100
+lower = 50
+upper = 300
+
+[stages.near]
+free = ["c"]
+solver = {{ name = "crs2 > bobyqa", crs2 = {{ evaluations = {evaluations} }} }}
+
+[stages.both]
+"""
+
+
+def campaign(fmu: Path, folder: Path, evaluations: int) -> Path:
+    """Runs of an oscillator with d = 0.7 and c = 130."""
+    inputs = {"u": np.sin(TIME / 9e-3)}
+    (y,) = load_fmu(fmu).simulate(Task(TIME, inputs, ("y",)), {"d": 0.7, "c": 130.0})
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(y.size)
+    signals = {"u": Signal("u", inputs["u"], "N", "input"), "y": Signal("y", y + noise, "1", "output", 1e-4)}
+    folder.mkdir()
+    write_measurements(
+        Measurements({"run": Experiment("run", "bench", TIME, signals)}), folder / "measurements.h5"
+    )
+    (folder / "campaign.toml").write_text(TOML.format(fmu=fmu, evaluations=evaluations))
+    return folder
+
+
+def command(folder: Path, *more: str) -> list[str]:
+    run = ["identify", str(folder), "--out", str(folder / "run"), "--no-report", "--quiet", *more]
+    return [sys.executable, "-c", "from fmuid.cli import main; main()", *run]
+
+
+def found(folder: Path) -> list[object]:
+    """What a result says, but for the time it took."""
+    result = json.loads((folder / "run" / "result.json").read_text())
+    keep = ("parameters", "cost", "evaluations", "failures", "status", "uncertainty", "criteria", "warnings")
+    return [{key: stage[key] for key in keep} for stage in result["stages"]]
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "crash",
+        "hang",
+        *(pytest.param(k, marks=pytest.mark.slow) for k in ("segfault", "nan", "devours", "leaves", "fatal")),
+    ],
+)
+def test_an_fmu_that_misbehaves_in_a_region_does_not_stop_the_search(build, tmp_path, kind):
+    fmu = build(2, defines=(f"BAD={FAULTS[kind]}",))
+    folder = campaign(fmu, tmp_path / "bench", evaluations=12)
+    limits = ["--workers", "2", "--time-limit", "1.5", "--memory-limit", "200"]
+    done = subprocess.run(command(folder, *limits), capture_output=True, text=True, timeout=100, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    near, both = found(folder)
+    assert near["failures"] > 3
+    assert both["parameters"]["c"] == pytest.approx(130.0, rel=5e-3)
+    assert both["parameters"]["d"] == pytest.approx(0.7, rel=0.05)
+    rows = read_history(folder / "run")["near"].rows
+    assert all(row.failure for row in rows if row.parameters["c"] > 140.0)
+    assert all(np.isnan(row.cost) for row in rows if row.failure)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_killed_at_ten_random_moments_it_ends_as_an_unbroken_run(build, tmp_path, workers):
+    fmu = build(2, defines=(f"BAD={FAULTS['fails']}",))
+    unbroken = campaign(fmu, tmp_path / "unbroken", evaluations=150)
+    assert subprocess.run(command(unbroken), timeout=100, check=False).returncode == 0
+    folder = campaign(fmu, tmp_path / "broken", evaluations=150)
+    journal, kills, moments = folder / "run" / JOURNAL, 0, random.Random(10)
+    process = subprocess.Popen(command(folder, "--workers", workers), start_new_session=True)
+    sizes = []
+    while kills < 10:
+        before = journal.stat().st_size if journal.exists() else 0
+        while process.poll() is None and (not journal.exists() or journal.stat().st_size <= before):
+            time.sleep(0.001)
+        time.sleep(moments.uniform(0.0, 0.01))  # while it writes, simulates, thinks
+        if process.poll() is not None:
+            break
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        kills += 1
+        sizes.append(journal.stat().st_size)
+        process = subprocess.Popen(command(folder, "--workers", workers, "--resume"), start_new_session=True)
+    assert process.wait(100) == 0
+    assert kills == 10
+    assert sizes == sorted(sizes)  # each went on from where the one before was
+    assert found(folder) == found(unbroken)
+    # As many evaluations as without a kill: none was made twice.
+    rows = [[len(s.rows) for s in read_history(f / "run").values()] for f in (folder, unbroken)]
+    assert rows[0] == rows[1]
