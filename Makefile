@@ -101,8 +101,17 @@ test: lint
 test-all: lint
 	$(BIN)/pytest
 
-bench: $(READY) $(FMUS)
-	for script in benchmarks/*.py; do $(BIN)/python $$script || exit 1; done
+# Every peer has an environment of its own; one that cannot be set up is listed as missing.
+PEERS := aixcalibuha modestpy
+PEER_PYTHON ?= $(PYTHON)
+build/peers/%/.ready: benchmarks/peers/%.txt
+	$(PEER_PYTHON) -m venv build/peers/$*
+	build/peers/$*/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
+	@touch $@
+
+bench: $(DEVELOPER) $(FMUS) $(PENDULUM) $(FORCE_FEEDBACK)/measurements.h5
+	-$(MAKE) --keep-going $(PEERS:%=build/peers/%/.ready)
+	$(BIN)/python benchmarks/bench.py
 
 # Pages in build/site; a warning is an error.
 docs: $(READY)

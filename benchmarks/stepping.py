@@ -1,16 +1,10 @@
-"""One simulation of a light FMU: fmuid, FMPy with everything reused, and a hand-written C loop, side by side.
-
-Run ``python benchmarks/stepping.py``; it prints times in ms (the shortest of many) and ratios, then what two
-worker processes gain on a campaign of 20 runs. `measure` returns the same as numbers.
-"""
+"""One simulation of a light FMU: fmuid, FMPy with everything reused, and a hand-written C loop, side by side."""
 
 from __future__ import annotations
 
 import ctypes
 import subprocess
 import sys
-import tempfile
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,12 +14,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "simulation"))
 from fmus import HEADERS, make_oscillator
+from timing import in_turn
 
-from fmuid.fmu import Fmu, load_fmu
-from fmuid.runners import in_process
+from fmuid.fmu import Fmu
 from fmuid.simulation import Task
-from fmuid.stepper import library
-from fmuid.workers import WorkerPool
 
 LOOP = r"""
 #include "fmi2Functions.h"
@@ -51,16 +43,6 @@ int loop(const Functions *f, fmi2Component c, size_t n, const double *t, size_t 
 }
 """
 NO_PARAMETERS: Mapping[str, float] = {}
-
-
-def shortest(run: Callable[[], object], repeats: int) -> float:
-    """Return the shortest time of `run` in ms."""
-    times = []
-    for _ in range(repeats):
-        begun = time.perf_counter()
-        run()
-        times.append(time.perf_counter() - begun)
-    return 1e3 * min(times)
 
 
 def with_fmuid(path: Path, task: Task) -> Callable[[], np.ndarray]:
@@ -117,8 +99,8 @@ def with_fmpy(path: Path, task: Task) -> Callable[[], np.ndarray]:
     return run
 
 
-def measure(folder: Path) -> list[tuple[str, float, float, float]]:
-    """Return (what, C loop, fmuid, FMPy) in ms."""
+def measure(folder: Path, *, quick: bool = False) -> list[tuple[str, float, float, float]]:
+    """Return (what, C loop, fmuid, FMPy) in ms, medians."""
     path = make_oscillator(folder)
     long, short = np.arange(2001) * 1e-3, np.arange(501) * 1e-3
     prbs = np.sign(np.sin(np.cumsum(np.arange(501) % 37)))
@@ -127,39 +109,12 @@ def measure(folder: Path) -> list[tuple[str, float, float, float]]:
         "2000 steps, no input": Task(long, {}, ("x", "v")),
         "2000 steps, 1 input": Task(long, {"u": np.sin(7 * long)}, ("x", "v")),
         "2000 steps, 2 inputs": Task(long, {"u": np.sin(7 * long), "w": np.cos(7 * long)}, ("x", "v")),
-        "500 steps, PRBS input": Task(short, {"u": prbs}, ("x", "v")),
+        "500 steps, 1 input": Task(short, {"u": prbs}, ("x", "v")),
     }.items():
         by_c, ours, theirs = (make(path, task) for make in (with_c, with_fmuid, with_fmpy))
         np.testing.assert_allclose(theirs()[:, : len(task.time)], ours(), rtol=1e-9, atol=1e-12)
         assert np.array_equal(by_c(), ours())
-        rows.append((label, shortest(by_c, 300), shortest(ours, 300), shortest(theirs, 4)))
+        compiled = in_turn({"C": by_c, "fmuid": ours}, 20 if quick else 1000)
+        slow = in_turn({"FMPy": theirs}, 1 if quick else 9)["FMPy"]
+        rows.append((label, *(1e3 * t.median for t in (compiled["C"], compiled["fmuid"], slow))))
     return rows
-
-
-def measure_workers(folder: Path, runs: int = 20) -> tuple[float, float, float]:
-    """Return ms for a campaign of `runs` in this process, with one and with two workers."""
-    fmu = load_fmu(make_oscillator(folder))
-    long = np.arange(50_001) * 1e-3
-    jobs = [(fmu, Task(long, {"u": np.sin(k * long)}, ("x", "v")), {"c": 100.0 + k}) for k in range(runs)]
-    times = [shortest(lambda: in_process(jobs), 4)]
-    for workers in (1, 2):
-        with WorkerPool(workers) as pool:
-            pool.run(jobs)
-            times.append(shortest(lambda pool=pool: pool.run(jobs), 4))  # type: ignore[misc]
-    return times[0], times[1], times[2]
-
-
-def main() -> None:
-    with tempfile.TemporaryDirectory() as name:
-        print(f"FMI 2.0 co-simulation of a light FMU; stepper: {'C' if library() else 'Python'}; ms")
-        print(f"{'':24}{'C loop':>9}{'fmuid':>9}{'FMPy':>9}{'fmuid / C':>12}{'FMPy / fmuid':>14}")
-        for label, by_c, ours, theirs in measure(Path(name)):
-            print(f"{label:24}{by_c:9.3f}{ours:9.3f}{theirs:9.2f}{ours / by_c:12.2f}{theirs / ours:14.0f}")
-        here, one, two = measure_workers(Path(name))
-        print(
-            f"20 runs of 50 s: {here:.0f} ms here, {one:.0f} with one worker, {two:.0f} with two ({one / two:.2f})"
-        )
-
-
-if __name__ == "__main__":
-    main()

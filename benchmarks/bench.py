@@ -1,0 +1,248 @@
+"""All benchmarks in one go: ``python benchmarks/bench.py`` writes ``docs/benchmarks.md`` and its figure.
+
+``--quick`` takes few repeats and small sizes, to see that everything runs; its numbers mean nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import evaluation
+import friction
+import identification
+import integrator
+import stepping
+from timing import machine, say, table
+
+ROOT = Path(__file__).parents[1]
+FIGURE = "figures/benchmarks-scaling.png"
+PAGE = """# Benchmarks
+
+`make bench` measures everything on this page in one go and writes it.
+Made {date} in {minutes:.0f} minutes{quick}.
+
+Machine: {machine}.
+
+Times are medians of repeats in turn (A B A B), ratios are of such medians; *noise* is the median over the least, 1
+on a quiet machine. Peers run in environments of their own, pinned in
+`benchmarks/peers/*.txt`; one that is missing or fails is listed as such.
+
+## Stepping
+
+One simulation of a light FMU (FMI 2.0 co-simulation, two outputs) by `fmuid`, by a C loop written by hand for this
+FMU, and by `fmpy.simulate_fmu` with folder, description and instance reused. Aims: at most 1.3 times the C loop,
+at least 20 times FMPy's speed.
+
+{stepping}
+
+## Evaluation
+
+{evaluation}
+
+Several runs of one experiment share a simulation. Aims: below 1.05 for the PRBS run, at most 1.5 for the stage.
+
+## Derivatives
+
+The Jacobian of the linear stage by forward sensitivities and by differences, in evaluations of the stage.
+Differences of a simulation with adaptive steps carry its noise as well.
+
+{derivatives}
+
+## Identification to an equal cost
+
+Three parameters of the actuator from one PRBS run of 0.5 s at 1 kHz with noise. Everybody has the same start and
+bounds and stops at an error within 1 % of the least, or after {limit:.0f} s. Setting up counts, imports do not. An
+exact derivative is one simulation in the count, though it costs more than a plain one (see above). Aim: a tenth of
+each peer's wall time.
+
+{identification}
+
+## A friction law, as others fit it
+
+Six parameters of a load-dependent friction law with Stribeck effect of a servo pendulum, from closed-loop rollouts
+of 6 s: CMA-ES on the mean absolute error, as servo projects do (BAM), and least squares, to an error within 1 % of
+each other. Both simulate with `fmuid`: what is compared is the search.
+
+{friction}
+
+## Integrator
+
+Time to simulate the actuator at an equal error: the FMU's own integrator through `fmuid`, and CVODES (CasADi,
+compiled, analytic Jacobian) on the same equations. The error is the root mean square of the worst output, relative
+to its largest value. Aim: at most 2 in the eccentric-load run.
+
+{integrator}
+
+## Workers
+
+Twenty runs of 30 s of the eccentric-load model.
+
+{parallel}
+
+## Scale
+
+{scale}
+
+![time over size]({figure})
+
+Resident memory grew by {grown:.1f} MB over {evaluations} evaluations, after the first 500 (aim: below 20 MB per
+10 000).
+
+## Import
+
+Beyond a bare interpreter's start. Aims: 0.3 s and 0.5 s.
+
+{imports}
+"""
+
+
+def stepping_table(rows: Sequence[tuple[str, float, float, float]]) -> str:
+    head = ["", "C loop (ms)", "fmuid (ms)", "FMPy (ms)", "fmuid / C", "FMPy / fmuid"]
+    return table(
+        head, [[n, f"{c:.3f}", f"{o:.3f}", f"{f:.1f}", f"{o / c:.2f}", f"{f / o:.0f}"] for n, c, o, f in rows]
+    )
+
+
+def evaluation_table(costs: Sequence[evaluation.Cost]) -> str:
+    rows = [
+        [
+            c.what,
+            f"{1e3 * c.own.median:.2f}",
+            f"{1e3 * c.bare.median:.2f}",
+            f"{c.ratio:.3f}",
+            f"{c.bare.noise:.2f}",
+        ]
+        for c in costs
+    ]
+    return table(["", "fmuid (ms)", "bare simulations (ms)", "ratio", "noise"], rows)
+
+
+def derivatives_table(costs: Sequence[evaluation.DerivativeCost]) -> str:
+    rows = [[str(c.parameters), f"{c.exact:.1f}", f"{c.forward:.1f}", f"{c.central:.1f}"] for c in costs]
+    return table(["parameters", "sensitivities", "forward differences", "central differences"], rows)
+
+
+def integrator_table(found: Mapping[str, Mapping[float, tuple[float, float]]]) -> str:
+    rows = []
+    for label, by_error in found.items():
+        for error, (mine, theirs) in by_error.items():
+            fails = theirs == float("inf")
+            rows.append(
+                [label, f"{error:.0e}", f"{1e3 * mine:.2f}"]
+                + (["fails", ""] if fails else [f"{1e3 * theirs:.2f}", f"{mine / theirs:.2f}"])
+            )
+    return table(["experiment", "error", "FMU (ms)", "CVODES (ms)", "ratio"], rows)
+
+
+def parallel_table(found: Sequence[evaluation.Parallel], missing: str) -> str:
+    rows = [[p.what, f"{1e3 * p.times.median:.0f}", f"{p.gain:.2f}", f"{p.times.noise:.2f}"] for p in found]
+    rows += [["Dask, 2 local workers", "missing", missing, ""]] if missing else []
+    return table(["where", "time (ms)", "times one worker's speed", "noise"], rows)
+
+
+def scale_table(found: Mapping[str, Mapping[int, float]]) -> str:
+    sizes = sorted({size for times in found.values() for size in times})
+    rows = [
+        [what, *(f"{1e3 * times[s]:.3g}" if s in times else "" for s in sizes)] for what, times in found.items()
+    ]
+    text = "Time in ms over multiples: of the samples of a run, the runs of a stage, the effects that are scored."
+    return text + "\n\n" + table(["", *(f"{s} times" for s in sizes)], rows)
+
+
+def draw(found: Mapping[str, Mapping[int, float]], path: Path) -> None:
+    """Draw time over size, and a line of slope one through the largest."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    from fmuid.plots.style import BLUE, GREEN, GREY, ORANGE
+
+    figure, axes = plt.subplots(figsize=(5.0, 3.4), layout="constrained")
+    for (what, times), colour, marker in zip(found.items(), (BLUE, ORANGE, GREEN), "osD", strict=False):
+        sizes, seconds = list(times), list(times.values())
+        axes.loglog(sizes, seconds, marker + "-", color=colour, label=what)
+        axes.loglog(sizes, [seconds[-1] * s / sizes[-1] for s in sizes], "--", color=GREY, lw=0.8)
+    axes.set_xlabel("times the size (dashed: in proportion)")
+    axes.set_ylabel("time in s")
+    axes.legend(frameon=False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=120, metadata={"Software": None})
+    plt.close(figure)
+
+
+def measure(out: Path, *, quick: bool) -> str:
+    """Measure everything, draw the figure beside `out`, and return the page."""
+    begun, place = time.perf_counter(), machine()
+    n = 3 if quick else 15
+    limit = 3.0 if quick else 40.0
+    sizes = (1, 3) if quick else (1, 3, 10, 30, 100)
+    parts: dict[str, str] = {}
+
+    def part(name: str, run: Callable[[], str]) -> None:
+        say(f"{name} ({time.perf_counter() - begun:.0f} s)")
+        parts[name] = run()
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        part("stepping", lambda: stepping_table(stepping.measure(folder, quick=quick)))
+        part(
+            "evaluation",
+            lambda: evaluation_table([evaluation.prbs_run(folder, n), *evaluation.stage_evaluation(n)]),
+        )
+        part("derivatives", lambda: derivatives_table(evaluation.derivatives(n)))
+        part(
+            "identification",
+            lambda: identification.page(identification.measure(folder, limit=limit, repeats=1 if quick else 5)),
+        )
+        part("friction", lambda: friction.page(friction.measure(limit=limit, logs=1 if quick else 4)))
+        part("integrator", lambda: integrator_table(integrator.measure(1 if quick else 5, quick=quick)))
+        part("parallel", lambda: parallel_table(*evaluation.parallel(1 if quick else 5)))
+        found = evaluation.scaling(sizes, 5.0 if quick else 60.0)
+        part("scale", lambda: scale_table(found))
+        draw(found, out.parent / FIGURE)
+        evaluations, grown = evaluation.memory(300 if quick else 10_500)
+        part(
+            "imports",
+            lambda: table(
+                ["", "time (s)", "noise"],
+                [
+                    [w, f"{t.median:.2f}", f"{t.noise:.2f}"]
+                    for w, t in evaluation.imports(3 if quick else 9).items()
+                ],
+            ),
+        )
+    return PAGE.format(
+        date=datetime.now(UTC).strftime("%Y-%m-%d"),
+        minutes=(time.perf_counter() - begun) / 60.0,
+        quick=" (quick mode: the numbers mean nothing)" if quick else "",
+        machine=place,
+        limit=limit,
+        figure=FIGURE,
+        grown=grown,
+        evaluations=evaluations,
+        **parts,
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "benchmarks.md", help="page to write")
+    parser.add_argument("--quick", action="store_true", help="few repeats and small sizes")
+    given = parser.parse_args(arguments)
+    page = measure(given.out, quick=given.quick)
+    given.out.parent.mkdir(parents=True, exist_ok=True)
+    given.out.write_text(page)
+    say(f"written: {given.out}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,330 @@
+"""What an evaluation costs around its simulations, what derivatives cost, what workers gain, what memory grows."""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from identification import ROOT
+from integrator import prbs
+from stepping import with_c, with_fmuid
+from timing import Times, in_turn
+
+import fmuid
+from fmuid.cases import Case
+from fmuid.derivatives import Differences, NoiseFloor
+from fmuid.errors import FmuidError
+from fmuid.exact_derivatives import ExactDerivatives
+from fmuid.fmu import load_fmu
+from fmuid.problem import Problem
+from fmuid.runners import Job, Runner, in_process
+from fmuid.simulation import Task
+from fmuid.worker_process import resident_memory
+from fmuid.workers import WorkerPool
+
+_HELP = ("-c", "import sys; from fmuid.cli import main; sys.argv = ['fmuid', '--help']; sys.exit(main())")
+CAMPAIGN = ROOT / "campaigns" / "force_feedback"
+
+
+def linear_stage() -> Problem:
+    """Return the problem of the stage on the six step runs of the shipped campaign."""
+    campaign = fmuid.load_campaign(CAMPAIGN)
+    simulators = {name: load_fmu(model.fmu) for name, model in campaign.models.items()}
+    return Problem.of_stage(campaign, campaign.stages["linear_step"], simulators)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """One thing beside what it is held against, in s."""
+
+    what: str
+    own: Times
+    bare: Times
+
+    @property
+    def ratio(self) -> float:
+        return self.own.median / self.bare.median
+
+
+def prbs_run(folder: Path, repeats: int) -> Cost:
+    """The 0.5 s PRBS run at 1 kHz: by fmuid, and by a loop in C written for this FMU."""
+    path = folder / "FixedShaft.fmu"
+    path.write_bytes((ROOT / "build" / "fmus" / path.name).read_bytes())
+    task = Task(1e-3 * np.arange(501), {"i_cmd": prbs(501, 0.8)}, ("tau_sensor", "w_motor"))
+    times = in_turn({"own": with_fmuid(path, task), "bare": with_c(path, task)}, repeats)
+    return Cost("0.5 s PRBS run at 1 kHz, actuator", times["own"], times["bare"])
+
+
+def stage_evaluation(repeats: int) -> list[Cost]:
+    """A whole evaluation of the stage, held against the simulations it needs, and against one for every run."""
+    problem = linear_stage()
+    rng = np.random.default_rng(0)
+    values = problem.space.to_model(problem.space.start)
+    once = [(c.simulator, c.task, c.start_values(values)) for c in problem.cases]
+    every = [job for c, job in zip(problem.cases, once, strict=True) for _ in c.experiments]
+
+    def evaluate() -> None:  # at another point each time: nothing may be remembered
+        x = problem.space.start * (1.0 + 1e-6 * rng.standard_normal(len(problem.space)))
+        assert problem.evaluate(x).ok
+
+    times = in_turn(
+        {
+            "own": evaluate,
+            "every": lambda: [s.simulate(t, v) for s, t, v in every],
+            "once": lambda: [s.simulate(t, v) for s, t, v in once],
+        },
+        repeats,
+    )
+    what = f"evaluation of the linear stage, {len(every)} runs"
+    return [
+        Cost(f"{what}; one simulation for each", times["own"], times["every"]),
+        Cost(f"{what}; one for each of the {len(once)} different ones", times["own"], times["once"]),
+    ]
+
+
+@dataclass(frozen=True)
+class DerivativeCost:
+    """Times of a Jacobian, in runs of the stage."""
+
+    parameters: int
+    exact: float
+    forward: float
+    central: float
+
+
+def derivatives(repeats: int) -> list[DerivativeCost]:
+    """The Jacobian of the linear stage by sensitivities and by differences, with few and many parameters."""
+    problem = linear_stage()
+    found = []
+    for n in (len(problem.space), 12):
+        larger = problem if n == len(problem.space) else _with_more(problem, n)
+        here = larger.evaluate(larger.space.start)
+        floor = NoiseFloor(0.0, 1.0, ())
+        exact = ExactDerivatives(larger)
+        both = {central: Differences(larger, floor, central=central) for central in (False, True)}
+
+        def differences(central: bool, larger: Problem = larger, both: dict = both, here=here) -> None:  # type: ignore
+            larger._predictions.clear()
+            points = [p for i in range(len(here.x)) for p in both[central]._moved(here.x, i, 1e-4, central)]
+            larger.evaluate_many(points)
+
+        def plain(larger: Problem = larger, here=here) -> None:  # type: ignore
+            larger._predictions.clear()
+            larger.evaluate(here.x)
+
+        runs: dict[str, Callable[[], object]] = {
+            "run": plain,
+            "exact": lambda exact=exact, here=here: exact.jacobian(here),  # type: ignore[misc]
+            "forward": lambda: differences(False),
+            "central": lambda: differences(True),
+        }
+        times = in_turn(runs, repeats)
+        unit = times["run"].median
+        found.append(DerivativeCost(n, *(times[k].median / unit for k in ("exact", "forward", "central"))))
+    return found
+
+
+def _with_more(problem: Problem, n: int) -> Problem:
+    """Return the problem with further parameters of the actuator free."""
+    own = [replace(s, free=True) for s in problem.space.free]
+    names = {s.name for s in own}
+    variables = problem.cases[0].simulator.variables
+    more = [
+        fmuid.ParameterSpec(v.name, v.start, 0.5 * v.start, 2.0 * v.start)
+        for v in variables.values()
+        if v.causality == "parameter" and v.type == "Real" and v.start and v.start > 0 and v.name not in names
+    ][: n - len(own)]
+    unit = next(iter(problem.cases[0].setting.values()))[1]
+    same = type(unit)()
+    cases = [replace(c, setting={**c.setting, **{s.name: (s.name, same) for s in more}}) for c in problem.cases]
+    return Problem(cases, [*own, *more])
+
+
+@dataclass(frozen=True)
+class Parallel:
+    """Times in s of the same jobs, and how much faster than one worker each is."""
+
+    what: str
+    times: Times
+    gain: float
+
+
+def parallel(repeats: int, *, dask: bool = True) -> tuple[list[Parallel], str]:
+    """Twenty runs of the actuator under an eccentric load: here, in one and in two workers, on a Dask cluster.
+
+    Returns
+    -------
+    list, str
+        The times, and why Dask is missing, if it is.
+    """
+    fmu = load_fmu(ROOT / "build" / "fmus" / "EccentricLoad.fmu")
+    t = 5e-3 * np.arange(6001)
+    jobs: list[Job] = [
+        (
+            fmu,
+            Task(t, {"w_ref": (10.0 + k) * np.minimum(1.0, t)}, ("i_motor", "tau_sensor")),
+            {"d_S": 2.0 + 0.1 * k},
+        )
+        for k in range(20)
+    ]
+    found: dict[str, Times] = {}
+    found["in this process"] = in_turn({"": lambda: in_process(jobs)}, repeats)[""]
+    for workers in (1, 2):
+        with WorkerPool(workers) as pool:
+            found[f"{workers} worker{'s' * (workers > 1)}"] = in_turn({"": lambda: pool.run(jobs)}, repeats)[""]
+    missing = ""
+    if dask:
+        try:
+            found["Dask, 2 local workers"] = _on_dask(jobs, repeats)
+        except (ImportError, FmuidError, OSError) as error:
+            missing = f"{type(error).__name__}: {error}"
+    one = found["1 worker"].median
+    return [Parallel(what, times, one / times.median) for what, times in found.items()], missing
+
+
+def _on_dask(jobs: list[Job], repeats: int) -> Times:
+    from distributed import Client, LocalCluster
+
+    from fmuid.remote import on_executor
+
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+        run: Runner = on_executor(client.get_executor())
+        return in_turn({"": lambda: run(jobs)}, repeats)[""]
+
+
+def memory(evaluations: int) -> tuple[int, float]:
+    """Return how many evaluations were made, and by how many MB the resident memory grew after the first 500."""
+    problem = linear_stage()
+    case = min(problem.cases, key=lambda c: len(c.task.time))
+    own = [replace(s, free=True) for s in problem.space.free]
+    small = Problem([case], own)
+    rng = np.random.default_rng(0)
+    begun = 0
+    for k in range(evaluations):
+        small.evaluate(small.space.start * (1.0 + 1e-3 * rng.standard_normal(len(own))))
+        if k == min(500, evaluations // 2):
+            gc.collect()
+            begun = resident_memory(os.getpid())
+    gc.collect()
+    return evaluations, (resident_memory(os.getpid()) - begun) / 2**20
+
+
+def imports(repeats: int) -> dict[str, Times]:
+    """Times of `import fmuid` and `fmuid --help` in a fresh interpreter, less those of the bare interpreter."""
+
+    def run(*arguments: str) -> Callable[[], object]:
+        return lambda: subprocess.run([sys.executable, *arguments], capture_output=True, check=True)
+
+    times = in_turn(
+        {
+            "bare": run("-c", "pass"),
+            "import fmuid": run("-c", "import fmuid"),
+            "fmuid --help": run(*_HELP),
+        },
+        repeats,
+    )
+    bare = times.pop("bare").median
+    return {name: Times(tuple(t - bare for t in found.all)) for name, found in times.items()}
+
+
+def grows(sizes: tuple[int, ...], make: Callable[[int], Callable[[], object]], budget: float) -> dict[int, float]:
+    """Return the least time in s by size, until a size would take longer than the budget."""
+    found: dict[int, float] = {}
+    for size in sizes:
+        run = make(size)
+        begun = time.perf_counter()
+        run()
+        first = time.perf_counter() - begun
+        again = 0 if first > 2.0 else 2
+        found[size] = min([first, *(_timed(run) for _ in range(again))])
+        if found[size] * 10 > budget:
+            break
+    return found
+
+
+def _timed(run: Callable[[], object]) -> float:
+    begun = time.perf_counter()
+    run()
+    return time.perf_counter() - begun
+
+
+def scaling(sizes: tuple[int, ...], budget: float) -> dict[str, dict[int, float]]:
+    """Return times in s by multiples of the paper's campaign: samples, runs, and effects that are scored."""
+    problem = linear_stage()
+    case, space = problem.cases[0], problem.space
+    longer = _lengthened(case)
+    rng = np.random.default_rng(0)
+
+    def point() -> np.ndarray:
+        return np.asarray(space.start * (1.0 + 1e-6 * rng.standard_normal(len(space))))
+
+    def runs(times: int) -> Callable[[], object]:
+        cases = [replace(c, id=f"{c.id}_{k}") for k in range(times) for c in problem.cases]
+        many = Problem(cases, space)
+        return lambda: many.evaluate(point())
+
+    def samples(times: int) -> Callable[[], object]:
+        simulate, task, values = (
+            case.simulator.simulate,
+            longer(times),
+            case.start_values(space.to_model(space.start)),
+        )
+        return lambda: simulate(task, values)
+
+    return {
+        "samples": grows(sizes, samples, budget),
+        "runs": grows(sizes, runs, budget),
+        **_effects(sizes, budget),
+    }
+
+
+def _lengthened(case: Case) -> Callable[[int], Task]:
+    def longer(times: int) -> Task:
+        n, h = len(case.task.time), case.task.time[1] - case.task.time[0]
+        return replace(
+            case.task,
+            time=h * np.arange(n * times),
+            inputs={k: np.tile(u, times) for k, u in case.task.inputs.items()},
+        )
+
+    return longer
+
+
+def _effects(sizes: tuple[int, ...], budget: float) -> dict[str, dict[int, float]]:
+    from fmuid.coupled.loading import load_model
+    from fmuid.diagnosis.candidates import fit_effects, score_further
+    from fmuid.diagnosis.setting_up import subject_of
+
+    with suppress(FmuidError):
+        subject = subject_of(fmuid.load_campaign(CAMPAIGN), load_model, experiments=("row_30",))
+        nominal = fit_effects(subject, (), {u.name: u.start for u in subject.nominal}, iterations=1)
+        if nominal is not None:
+            first = subject.effects[:1]
+
+            def effects(times: int) -> Callable[[], object]:
+                # the same law at magnitudes of its own each time: nothing may be remembered
+                many = tuple(
+                    replace(
+                        e,
+                        id=f"{e.id}_{k}",
+                        trials=tuple({n: v * (1.0 - 1e-4 * (k + 1)) for n, v in t.items()} for t in e.trials),
+                    )
+                    for k in range(times)
+                    for e in first
+                )
+                fresh = replace(subject, effects=many, model=replace(subject.model))
+                return lambda: score_further(fresh, nominal)
+
+            return {"effects": grows(sizes, effects, budget)}
+    return {}

@@ -1,0 +1,166 @@
+"""Identification to an equal cost: fmuid and its peers on the same FMU and data, wall time and simulations.
+
+Three parameters of the actuator from one PRBS run of 0.5 s at 1 kHz. Everybody starts at the same point with the
+same bounds and stops at a root mean square error within 1 % of the least. Setting up (extracting, instantiating)
+counts, imports do not. Each peer runs in an environment of its own, made from ``benchmarks/peers/*.txt``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from integrator import prbs
+from timing import say, table
+
+from fmuid.campaign import ParameterSpec
+from fmuid.cases import measured_case
+from fmuid.fmu import Fmu
+from fmuid.problem import Evaluation, Problem
+from fmuid.runners import Job, Outcome, in_process
+from fmuid.simulation import Task
+from fmuid.solvers import make
+from fmuid.solvers.search import Search, StopRules
+
+HERE = Path(__file__).parent
+ROOT = HERE.parent
+ENVIRONMENTS = ROOT / "build" / "peers"
+PEERS = (  # name shown, environment (None: this one), script, arguments
+    ("AixCaliBuHA 1.2.0, Nelder-Mead", "aixcalibuha", "with_aixcalibuha.py", ("Nelder-Mead",)),
+    (
+        "AixCaliBuHA 1.2.0, differential evolution",
+        "aixcalibuha",
+        "with_aixcalibuha.py",
+        ("differential_evolution",),
+    ),
+    ("ModestPy 0.1.1, genetic algorithm + pattern search", "modestpy", "with_modestpy.py", ("GA_LEGACY+PS",)),
+    ("FMPy 0.3.32 and SciPy's least squares by hand", None, "with_fmpy.py", ()),
+)
+TRUTH = {"d_S": 3.0, "J_S": 3.5e-3, "d_G": 80.0}
+START = {"d_S": (2.0, 0.1, 20.0), "J_S": (3e-3, 1e-3, 1e-2), "d_G": (50.0, 5.0, 300.0)}
+
+
+class OverError(Exception):
+    """The cost is reached."""
+
+
+@dataclass(frozen=True)
+class Race:
+    """What a tool is given; `target` is the root mean square error to reach."""
+
+    fmu: str
+    time: list[float]
+    inputs: dict[str, list[float]]
+    output: str
+    measured: list[float]
+    parameters: Mapping[str, tuple[float, float, float]]
+    target: float
+    limit: float
+
+
+@dataclass(frozen=True)
+class Finish:
+    """How it went: wall time in s, simulations, cost; or why not."""
+
+    name: str
+    seconds: float = np.nan
+    simulations: int = 0
+    cost: float = np.nan
+    reached: bool = False
+    missing: str = ""
+
+
+def race(limit: float) -> Race:
+    """Return the job: the least cost is found first, by running fmuid to its end."""
+    t, u = 1e-3 * np.arange(501), prbs(501, 0.8)
+    path = ROOT / "build" / "fmus" / "FixedShaft.fmu"
+    with Fmu(path) as fmu:
+        true = fmu.simulate(Task(t, {"i_cmd": u}, ("tau_sensor",)), TRUTH)[0]
+    measured = true + np.random.default_rng(0).normal(0.0, 0.1, len(t))
+    job = Race(str(path), t.tolist(), {"i_cmd": u.tolist()}, "tau_sensor", measured.tolist(), START, 0.0, limit)
+    return Race(**{**asdict(job), "target": 1.01 * with_fmuid(job).cost})
+
+
+def with_fmuid(job: Race) -> Finish:
+    """Run fmuid's default solver for least squares on the job."""
+    begun, simulations, best = time.perf_counter(), 0, np.inf
+
+    def count(jobs: Sequence[Job]) -> list[Outcome]:
+        nonlocal simulations
+        simulations += len(jobs)
+        return in_process(jobs)
+
+    def stop(evaluation: Evaluation, _purpose: str, _improved: bool) -> None:
+        nonlocal best
+        if evaluation.ok:
+            best = min(best, float(np.sqrt(np.mean(evaluation.residuals**2))))
+        if best <= job.target:
+            raise OverError
+
+    with Fmu(job.fmu) as fmu:
+        task = Task(np.array(job.time), {k: np.array(v) for k, v in job.inputs.items()}, (job.output,))
+        case = measured_case("run", fmu, task, {job.output: np.array(job.measured)}, sigma={job.output: 1.0})
+        specs = [ParameterSpec(name, *values) for name, values in job.parameters.items()]
+        search = Search(Problem([case], specs, runner=count), StopRules(), record=stop)
+        with contextlib.suppress(OverError):
+            make("auto", {}, search.problem)[0].solve(search, search.problem.space.start)
+        seconds = time.perf_counter() - begun
+    return Finish("fmuid", seconds, simulations, best, best <= job.target)
+
+
+def with_peer(peer: tuple[str, str | None, str, tuple[str, ...]], file: Path, limit: float) -> Finish:
+    """Run one peer in its environment."""
+    name, environment, script, arguments = peer
+    python = sys.executable if environment is None else str(ENVIRONMENTS / environment / "bin" / "python")
+    if not Path(python).is_file():
+        return Finish(name, missing=f"no environment in {ENVIRONMENTS.relative_to(ROOT)}/{environment}")
+    try:
+        done = subprocess.run(
+            [python, str(HERE / "peers" / script), str(file), *arguments],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=limit + 60.0,
+        )
+    except subprocess.TimeoutExpired:
+        return Finish(name, missing="did not stop")
+    try:
+        return Finish(name, **json.loads(done.stdout.splitlines()[-1]))
+    except (IndexError, ValueError, TypeError):
+        last = (done.stderr.strip() or done.stdout.strip() or "no output").splitlines()[-1]
+        return Finish(name, missing=f"failed: {last[:120]}")
+
+
+def measure(folder: Path, *, limit: float = 40.0, repeats: int = 5) -> list[Finish]:
+    """Run everybody; fmuid several times, its median counts."""
+    job = race(limit)
+    file = folder / "race.json"
+    file.write_text(json.dumps(asdict(job)))
+    own = sorted((with_fmuid(job) for _ in range(repeats)), key=lambda f: f.seconds)
+    finishes = [own[len(own) // 2]]
+    for peer in PEERS:
+        say(f"  {peer[0]}")
+        finishes.append(with_peer(peer, file, limit))
+    return finishes
+
+
+def page(finishes: Sequence[Finish]) -> str:
+    """Return the table."""
+    ours, rows = finishes[0], []
+    for f in finishes:
+        if f.missing:
+            rows.append([f.name, "missing", "", f.missing, ""])
+            continue
+        times, note = f.seconds / ours.seconds, "" if f.reached else " (stopped there)"
+        reached = "" if f.reached else "at least "
+        rows.append(
+            [f.name, f"{f.seconds:.3g}{note}", str(f.simulations), f"{f.cost:.4f}", f"{reached}{times:.3g}"]
+        )
+    return table(["tool", "wall time (s)", "simulations", "error reached (N.m)", "times fmuid's"], rows)
