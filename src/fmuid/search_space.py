@@ -30,11 +30,14 @@ class SearchSpace:
         Every other parameter's value.
     ties
         Follower name -> expression of other parameters.
+    least
+        Name of a free parameter -> the least size of a unit of its search coordinate, whatever its start.
     """
 
     free: tuple[ParameterSpec, ...]
     fixed: Mapping[str, float] = field(default_factory=dict)
     ties: Mapping[str, Expression] = field(default_factory=dict)
+    least: Mapping[str, float] = field(default_factory=dict)
     _order: tuple[str, ...] = field(init=False, default=())
     _unit: FloatArray = field(init=False, default_factory=lambda: np.ones(0))
     _log: tuple[bool, ...] = field(init=False, default=())
@@ -60,7 +63,8 @@ class SearchSpace:
         object.__setattr__(self, "fixed", frozen_mapping(self.fixed))
         object.__setattr__(self, "ties", frozen_mapping(self.ties))
         object.__setattr__(self, "_log", tuple(spec.scale == "log" for spec in self.free))
-        object.__setattr__(self, "_unit", np.array([_reference(spec) for spec in self.free]))
+        units = [max(_reference(spec), self.least.get(spec.name, 0.0)) for spec in self.free]
+        object.__setattr__(self, "_unit", np.array(units))
 
     def __len__(self) -> int:
         return len(self.free)
@@ -145,6 +149,7 @@ def expanded(
             raise ProblemError(f"unknown parameter '{name}'", fix=f"the campaign has: {', '.join(by_name)}")
     free_specs: list[ParameterSpec] = []
     fixed: dict[str, float] = {}
+    least: dict[str, float] = {}  # a stage may have left a parameter at next to nothing
     for spec in by_name.values():
         own = [f"{spec.name}{SEPARATOR}{e}" for e in experiments] if spec.per == "experiment" else []
         if spec.name in ties:
@@ -154,12 +159,13 @@ def expanded(
             if not own:
                 del fixed[spec.name]
             free_specs += [replace(spec, name=n, start=best.get(n, spec.start)) for n in own or [spec.name]]
+            least |= dict.fromkeys(own or [spec.name], _reference(spec))
         else:
             fixed |= {n: best[n] for n in own if n in best}
     parsed = {name: parse(text, where=f"tie of '{name}'") for name, text in ties.items()}
     order = {name: i for i, name in enumerate(free)}
     free_specs.sort(key=lambda s: order[s.name.split(SEPARATOR)[0]])
-    return SearchSpace(tuple(free_specs), fixed, parsed)
+    return SearchSpace(tuple(free_specs), fixed, parsed, least)
 
 
 def _check(spec: ParameterSpec) -> None:

@@ -33,7 +33,7 @@ def campaign_of(folder: Path, fmu: Path, law: str) -> Path:
     campaign = folder / "campaign"
     assert read_logs([str(campaign), str(write(folder / "logs", *logs))]) == 0
     text = CAMPAIGN.read_text().replace("../../build/fmus/PositionDriven.fmu", str(fmu))
-    (campaign / "campaign.toml").write_text(text.replace("starts = 2", "starts = 1"))
+    (campaign / "campaign.toml").write_text(text.replace("starts = 3", "starts = 1"))
     return campaign
 
 

@@ -31,6 +31,12 @@ def test_ties_follow_their_leaders_in_any_order():
     assert space.to_model(np.array([3.0])) == {"a": 3.0, "b": 6.0, "c": 7.0}
 
 
+def test_a_stage_that_ended_at_next_to_nothing_does_not_shrink_the_next_one_s_coordinates():
+    specs = [ParameterSpec("a", 0.0, 0.0, 0.5), ParameterSpec("b", 2.0, 0.0, 9.0), ParameterSpec("c", 2.0)]
+    space = expanded(specs, ["a", "b", "c"], {"a": 1e-13, "b": 1e-9, "c": 3.0}, {}, [])
+    assert space.slope(space.start) == pytest.approx([0.05, 2.0, 3.0])
+
+
 def test_a_per_experiment_parameter_is_free_once_for_each():
     specs = [ParameterSpec("k", 2.0), ParameterSpec("offset", 0.0, per="experiment")]
     space = expanded(specs, ["offset", "k"], {"k": 4.0, "offset@b": 0.5}, {}, ["a", "b"])
