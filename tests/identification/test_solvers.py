@@ -225,3 +225,87 @@ def test_uncertainty_of_a_failing_neighbourhood_is_a_warning_not_an_end(analytic
     result = identify(problem, solver="nelder_mead")
     assert result.parameters["a"] == 1.0
     assert any("no uncertainty" in w for w in result.stages[0].warnings)
+
+
+@pytest.mark.parametrize("solver", ["cobyla", "slsqp", "bobyqa"])
+def test_an_equality_is_met(analytic, solver):
+    # The point of a * b = 2 that is nearest to (2, 0.5).
+    line = lambda time, inputs, p: {"y": np.where(time < 0.5, p["a"], p["b"])}  # noqa: E731
+    constraint = Constraint.from_mapping({"expression": "a * b", "equal": 2.0})
+    specs = [ParameterSpec("a", 1.5, 0.5, 4.0), ParameterSpec("b", 1.5, 0.5, 4.0)]
+    problem = curve(analytic, line, ["a", "b"], [2.0, 0.5], constraints=[constraint], specs=specs)
+    found = identify(problem, solver=solver, with_uncertainty=False).parameters
+    grid = np.linspace(0.5, 4.0, 100_001)
+    nearest = grid[np.argmin((grid - 2.0) ** 2 + (2.0 / grid - 0.5) ** 2)]
+    assert found["a"] * found["b"] == pytest.approx(2.0, abs=1e-4)
+    assert found["a"] == pytest.approx(nearest, abs=1e-2)
+
+
+def test_multistart_does_not_depend_on_where_and_by_how_many_it_is_simulated(msd):
+    from concurrent.futures import ThreadPoolExecutor
+
+    def run(executor=None):
+        stage = identify(
+            msd(), solver="bobyqa", options={"starts": 4}, executor=executor, seed=5, with_uncertainty=False
+        ).stages[0]
+        return stage.starts, stage.parameters
+
+    here = run()
+    for workers in (1, 3):
+        with ThreadPoolExecutor(workers) as executor:
+            assert run(executor) == here
+
+
+def test_time_is_a_stop_rule(analytic):
+    import time as clock
+
+    def slow(time, inputs, p):
+        clock.sleep(0.01)
+        return rugged(time, inputs, p)
+
+    problem = curve(analytic, slow, ["a"], np.zeros(5), specs=[ParameterSpec("a", 3.0, -4.7, 5.3)])
+    result = identify(problem, solver="crs2", stop=StopRules(seconds=0.15), with_uncertainty=False)
+    assert result.status is Status.BUDGET
+    assert "0.15 s" in result.stages[0].message
+    assert 3 < result.stages[0].evaluations < 30
+
+
+TIME = np.linspace(0.0, 4.0, 401)
+
+
+@pytest.mark.parametrize(
+    "criteria",
+    [
+        [("magnitude", {}), ("phase", {})],
+        [("rise_time", {}), ("overshoot", {}), ("steady_state", {})],
+        [("settling_time", {}), ("peak", {}), ("steady_state", {})],
+        [("integral_absolute", {}), ("integral_time_absolute", {})],
+        [("integral_squared", {})],
+        [("quantile", {"q": 0.9}), ("maximum", {})],
+        [("user", {"function": "numpy:subtract"})],  # of time and prediction: a user's own residual
+    ],
+    ids=lambda criteria: "-".join(kind for kind, _ in criteria),
+)
+def test_every_kind_of_criterion_can_be_minimised(analytic, msd, msd_truth, criteria):
+    exact = msd().cases[0].simulator.function
+    y, u = exact(TIME, {}, msd_truth)["y"], np.where(TIME < 4.0, 1.0, 0.0)
+    measured = TIME + 0.0 if criteria[0][0] == "user" else y
+    function = (lambda t, i, p: {"y": t + exact(t, i, p)["y"] - y}) if criteria[0][0] == "user" else exact
+    case = measured_case(
+        "step",
+        analytic(function, msd_truth),
+        Task(TIME, {"u": u + 0.3 * np.sin(9 * TIME)}, ("y",)),
+        {"y": measured},
+        criteria=[CriterionSpec("y", kind, demand=1e-2, options=options) for kind, options in criteria],
+    )
+    specs = [
+        ParameterSpec("m", 1.1, 0.5, 3.0),
+        ParameterSpec("d", 0.6, 0.2, 2.0),
+        ParameterSpec("k", 28.0, 10.0, 60.0),
+    ]
+    stage = identify(
+        Problem([case], specs), solver="sbplx", stop=StopRules(evaluations=1500), with_uncertainty=False
+    ).stages[0]
+    assert stage.cost < 0.02 * stage.start_cost
+    if criteria[0][0].startswith(("integral", "quantile", "user")):  # they see the whole response
+        assert stage.parameters["k"] == pytest.approx(30.0, rel=0.02)
