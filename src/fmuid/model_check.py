@@ -18,6 +18,7 @@ from fmuid.units import conversion
 
 Level = Literal["error", "warning", "note"]
 _SETTABLE = ("parameter", "input", "structuralParameter")
+_STEP_ERROR = 0.3  # sigmas: of a communication step that is too long
 _GAP = 5.0  # a step this much longer than the median one is a gap in the recording
 
 
@@ -157,6 +158,9 @@ class Effect:
         The criterion it is largest in.
     step
         Relative step that finite differences take, from the simulator's noise floor.
+    floor
+        That noise floor: how much the stage's residuals scatter by when its parameters change by next to nothing,
+        in standard deviations of the noise.
     """
 
     stage: str
@@ -164,6 +168,7 @@ class Effect:
     change: float
     criterion: str
     step: float
+    floor: float
 
 
 def check_effects(
@@ -174,6 +179,7 @@ def check_effects(
     A parameter that moves no output by more than the simulator's own noise is an error; parameters that can only
     be determined together, and motion that no run has, are warnings (see `fmuid.sensitivity`).
     """
+    from fmuid.coupled.step_error import step_error
     from fmuid.problem import Problem
     from fmuid.sensitivity import excitation, sensitivity_of
 
@@ -190,9 +196,21 @@ def check_effects(
                 )
             )
             continue
+        moved = step_error(campaign, stage, simulators)
+        worst = max(moved, key=lambda label: moved[label], default="")
+        if worst and moved[worst] > _STEP_ERROR:
+            findings.append(
+                Finding(
+                    "warning",
+                    where,
+                    f"half the communication step moves '{worst}' by {moved[worst]:.2g} sigma",
+                    'take a shorter step, or extrapolation = "linear"',
+                )
+            )
         for name, row, step in zip(found.names, found.effect, found.steps, strict=True):
             strongest = int(np.argmax(row))
-            effects.append(Effect(stage.name, name, float(row[strongest]), found.labels[strongest], float(step)))
+            label, floor = found.labels[strongest], found.floor.residual
+            effects.append(Effect(stage.name, name, float(row[strongest]), label, float(step), floor))
         for name in found.dead:
             findings.append(
                 Finding(

@@ -133,6 +133,16 @@ def test_check_finds_what_is_wrong_and_what_moves(campaign_folder, capsys):
     )
 
 
+def test_check_warns_of_a_communication_step_that_is_too_long(drive, tmp_path):
+    for step, warned in ((1e-2, True), (2e-4, False)):
+        files = {n: os.path.relpath(p, tmp_path) for n, p in drive.items()}
+        write_campaign(tmp_path, drive, TABLE.format(step=step, extrapolation="linear", **files))
+        campaign = load_campaign(tmp_path)
+        findings, _ = check_effects(campaign, load_models(campaign))
+        said = [str(f) for f in findings if "half the communication step moves 'fast: " in f.what]
+        assert bool(said) == warned, findings
+
+
 @pytest.mark.parametrize(
     ("model", "message"),
     [

@@ -16,6 +16,7 @@ from fmuid.errors import FmuError, SimulationError
 from fmuid.fmu import load_fmu
 from fmuid.parcels import packed, unpacked
 from fmuid.simulation import Simulator, Task
+from fmuid.ssv import parameter_set
 from fmuid.workers import WorkerPool
 
 TIME = np.linspace(0, 1, 101)
@@ -236,6 +237,7 @@ def test_variables_of_the_main_component_go_by_their_own_names(drive):
         Task(TIME, {"controller.w_ref": SPEED}, ("plant.w_motor", "controller.i")), {"plant.mgr": 20.0}
     )
     assert np.array_equal(model.simulate(task, {"mgr": 20.0}), expected)
+    assert b'name="plant.mgr"' in parameter_set("found", {"bench": {"mgr": 20.0}}, {"bench": model})
     with pytest.raises(FmuError, match=r"no variable 'plant.mgr'; did you mean 'mgr'"):
         model.simulate(task, {"plant.mgr": 20.0})
     with pytest.raises(FmuError, match=r"'i' follows 'controller.i'"):

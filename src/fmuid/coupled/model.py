@@ -115,6 +115,19 @@ class CoupledModel:
         """Every variable by name; connected inputs are local."""
         return self._view
 
+    def stepped(self, master: Master) -> CoupledModel:
+        """Return the same FMUs under another master, in this process only."""
+        return CoupledModel(
+            self.path,
+            self.components,
+            self.connections,
+            ports=self.ports,
+            master=master,
+            starts=self._starts,
+            experiment=self._experiment,
+            main=self._main,
+        )
+
     def home(self, name: str) -> Place:
         """Return where a variable is, or the first one that a port leads to."""
         self._known(name)
