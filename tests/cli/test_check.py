@@ -36,6 +36,8 @@ def test_a_campaign_that_is_right(folder: Path, fmuid: Command) -> None:
     mass = found["effects"][0]
     assert (mass["stage"], mass["parameter"]) == ("all", "m")
     assert 5 < mass["change"] < 50  # 1 % of 1 kg moves the position by about 1 mm, ten times the noise
+    assert 0 < mass["floor"] < 0.01 * mass["change"]
+    assert 1e-7 < mass["step"] < 0.1
 
 
 def test_quiet_prints_nothing(folder: Path, fmuid: Command) -> None:

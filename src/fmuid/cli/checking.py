@@ -32,19 +32,21 @@ def check(
     models = load_models(loaded)
     findings = match_models(loaded, models) + check_signals(loaded)
     effects: tuple[Effect, ...] = ()
+    printer = Printer(quiet, json)
     if simulate:
-        found, effects = check_effects(loaded, models)
+        with printer.working("changing the parameters one by one"):
+            found, effects = check_effects(loaded, models)
         findings += found
     errors = sum(f.level == "error" for f in findings)
-    printer = Printer(quiet, json)
     runs = len(loaded.measurements)
     printer.say(
         f"{loaded.name}: {runs} runs ({len(loaded.identification)} to identify, {len(loaded.validation)} to"
         f" validate), {len(models)} models, {len(loaded.parameters)} parameters, {len(loaded.stages)} stages"
     )
     if effects:
-        header = ("stage", "parameter", "sigma for 1 %", "step", "most in")
-        printer.table(header, [(e.stage, e.parameter, e.change, e.step, e.criterion) for e in effects])
+        header = ("stage", "parameter", "sigma for 1 %", "step", "noise floor", "most in")
+        rows = [(e.stage, e.parameter, e.change, e.step, e.floor, e.criterion) for e in effects]
+        printer.table(header, rows)
     for finding in findings:
         printer.say(f"{finding.level}: {finding}")
     printer.say(f"{errors} errors" if errors else "no errors")

@@ -1,0 +1,68 @@
+"""Two resistors and a capacitor, from Modelica to the report: what cannot be told apart is said, by its combination."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmuid import Experiment, Measurements, Signal, Task, load_fmu, write_measurements
+from fmuid.cli.app import run
+
+SOURCE = Path(__file__).parent / "models" / "TwoResistors.mo"
+TRUTH = {"R1": 1e3, "R2": 2e3, "C": 1e-3}
+FINDING = "R1, R2, C are not separately identifiable; only R1*C and R2*C"
+TOML = """
+[models.divider]
+fmu = "TwoResistors.fmu"
+[parameters]
+R1 = {{ start = 800, lower = 10, upper = 1e5, unit = "Ohm" }}
+R2 = {{ start = 2500, lower = 10, upper = 1e5, unit = "Ohm", scale = "log" }}
+C = {{ start = 2e-3, lower = 1e-5, upper = 1, unit = "F", scale = "log"{more} }}
+[stages.all]
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("divider")
+    assert run(["build", str(SOURCE), "TwoResistors", "--out", str(folder), "--quiet"]) == 0
+    time = np.arange(401) * 0.02
+    u = np.where(time < 4.0, 5.0, 1.0)
+    (v,) = load_fmu(folder / "TwoResistors.fmu").simulate(Task(time, {"u": u}, ("v",)), TRUTH)
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(v.size)
+    signals = {"u": Signal("u", u, "V", "input"), "v": Signal("v", v + noise, "V", "output", 1e-3)}
+    write_measurements(
+        Measurements({"steps": Experiment("steps", "divider", time, signals)}), folder / "measurements.h5"
+    )
+    return folder
+
+
+def test_the_combination_is_named_before_and_after_the_run(folder, capsys):
+    (folder / "campaign.toml").write_text(TOML.format(more=""))
+    assert run(["check", str(folder)]) == 0
+    assert f"warning: [stages.all]: {FINDING}; fix one of them" in capsys.readouterr().out
+
+    out = folder / "run"
+    assert run(["identify", str(folder), "--out", str(out), "--workers", "0", "--quiet"]) == 0
+    (stage,) = json.loads((out / "result.json").read_text())["stages"]
+    assert FINDING in stage["warnings"]
+    for estimate in stage["estimates"]:
+        assert (estimate["standard_error"], estimate["interval"]) == (None, None)
+    found = stage["parameters"]
+    assert found["R1"] * found["C"] == pytest.approx(1.0, rel=5e-3)
+    assert found["R2"] * found["C"] == pytest.approx(2.0, rel=5e-3)
+    assert FINDING in (out / "report" / "index.html").read_text()
+
+
+def test_with_one_of_them_known_the_others_are_determined(folder, capsys):
+    (folder / "campaign.toml").write_text(TOML.format(more=", free = false").replace("2e-3", "1e-3"))
+    assert run(["check", str(folder)]) == 0
+    assert "identifiable" not in capsys.readouterr().out
+    out = folder / "known"
+    assert run(["identify", str(folder), "--out", str(out), "--workers", "0", "--quiet", "--no-report"]) == 0
+    (stage,) = json.loads((out / "result.json").read_text())["stages"]
+    for estimate in stage["estimates"]:
+        low, high = estimate["interval"]
+        assert low < TRUTH[estimate["name"]] < high
+        assert high - low < 0.02 * low
