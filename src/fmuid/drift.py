@@ -71,9 +71,10 @@ def drift_of(
     files = sorted(reference.glob("*.csv")) if reference.is_dir() else [reference]
     if not files:
         raise FmuidError("has no CSV files", where=reference, fix="write references with: fmuid simulate")
-    simulator = _load(result) if result.suffix == ".fmu" else None
+    simulator = _load(result) if result.suffix in (".fmu", ".ssp") else None
     found = []
     for file in files:
+        got = None if simulator else read_csv(result / file.name if result.is_dir() else result)
         table = read_csv(file)
         compared = list(names)
         where = f"{result} against {file}"
@@ -81,8 +82,7 @@ def drift_of(
             inputs = [n for n in table.columns if _is_input(simulator, n)]
             compared = compared or [n for n in table.columns if n not in inputs]
             got = _simulated(simulator, table, inputs, compared, parameters or {}, interpolation, where)
-        else:
-            got = read_csv(result / file.name if result.is_dir() else result)
+        assert got is not None
         try:
             comparisons = compare_tables(got, table, tolerance=tolerance, funnel=funnel, names=compared)
         except FmuidError as error:
@@ -158,9 +158,9 @@ def _figure(drift: Drift, comparison: Comparison) -> Any:
 
 
 def _load(path: Path) -> Simulator:
-    from fmuid.fmu import load_fmu
+    from fmuid.coupled.loading import load_model
 
-    return load_fmu(path)
+    return load_model(path)
 
 
 def _is_input(simulator: Simulator, name: str) -> bool:

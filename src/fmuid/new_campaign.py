@@ -69,12 +69,12 @@ def new_campaign(
     FmuidError
         A file cannot be read, nothing in it fits the FMU, or there is a campaign already.
     """
-    from fmuid.fmu import load_fmu
+    from fmuid.coupled.loading import load_model
 
     target = folder / FILE_NAME
     if target.exists():
         raise CampaignError("is there already", where=target, fix="name another folder with --out")
-    model = load_fmu(fmu)
+    model = load_model(fmu)
     ports = {n: v for n, v in model.variables.items() if v.causality in ("input", "output")}
     guesses: list[str] = []
     runs: dict[str, Experiment] = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import zipfile
 
 import numpy as np
@@ -330,3 +331,19 @@ def test_extracted_files_are_removed(gains, tmp_path, monkeypatch):
     del model
     gc.collect()
     assert set(tmp_path.iterdir()) == before
+
+
+def test_a_campaign_is_started_and_a_model_compared_from_an_ssp(made, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    parts = elements(component("lag", "lag.fmu"), component("gain", "gain.fmu"))
+    wires = connections(connection("push", "gain.u"), connection("gain.y", "lag.u"))
+    ports = connectors(connector("push", "input", "N.m"))
+    write_ssp(tmp_path / "lag.ssp", ports + parts + wires, {"lag.fmu": made("Lag"), "gain.fmu": made("Gain")})
+    rows = [f"{t:g},{np.sin(5 * t):g}" for t in np.arange(0, 1, 0.01)]
+    (tmp_path / "push.csv").write_text("\n".join(['"time","push [N.m]"', *rows]))
+    assert run(["simulate", "lag.ssp", "--input", "push.csv", "--out", "run.csv", "--output", "lag.x"]) == 0
+    assert run(["init", "run.csv", "--fmu", "lag.ssp", "--out", "campaign"]) == 0
+    assert run(["check", "campaign"]) == 0
+    (tmp_path / "references").mkdir()
+    shutil.copy("run.csv", "references")
+    assert run(["compare", "lag.ssp", "references"]) == 0
