@@ -28,7 +28,7 @@ partial model PartialActuator "Force-feedback actuator in its housing, from the 
   replaceable model FlexsplineModel = Components.SpringDamper constrainedby Components.PartialSpringDamper "Flexspline";
   Components.Fixed console "Console";
   SensorModel sensor(c = c_S, d = d_S) "Torque sensor";
-  Components.Inertia housing(J = J_S, phi(fixed = true), w(fixed = true)) "Housing with stator and Circular Spline";
+  Components.Inertia housing(J = J_S, phi(fixed = true, nominal = 1e-4), w(fixed = true, nominal = 0.1)) "Housing with stator and Circular Spline";
   MotorModel motor(K_m = K_m) "Motor";
   Components.Inertia rotor(J = J_R, phi(fixed = true), w(fixed = true)) "Rotor with Wave Generator";
   Components.RelativeSpeedSensor encoder "Encoder between housing and rotor";
