@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fmuid.errors import MeasurementsError
+from fmuid.shown import html_table, text_table
 
 if TYPE_CHECKING:
     from fmuid.coupled.structure import Coupling
@@ -129,6 +130,31 @@ class Measurements:
 
     def __len__(self) -> int:
         return len(self.experiments)
+
+    def __str__(self) -> str:
+        """Return the runs as a table."""
+        return text_table(self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table(self._rows())
+
+    def _rows(self) -> list[list[str]]:
+        header = ["experiment", "setup", "samples", "end", "inputs", "outputs", "repeat of"]
+        return [
+            header,
+            *(
+                [
+                    e.id,
+                    e.setup,
+                    str(e.time.size),
+                    f"{e.time[-1]:.6g} s",
+                    ", ".join(f"{s.name} [{s.unit}]" for s in e.inputs.values()),
+                    ", ".join(f"{s.name} [{s.unit}]" for s in e.outputs.values()),
+                    e.repeat_of or "",
+                ]
+                for e in self
+            ),
+        ]
 
     def repeats(self, experiment_id: str) -> tuple[Experiment, ...]:
         """Return every run with the same origin as `experiment_id`, itself included."""

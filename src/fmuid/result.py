@@ -17,6 +17,7 @@ from fmuid.errors import FmuidError
 from fmuid.files import write_atomically
 from fmuid.profiles import Profile
 from fmuid.propagation import CriterionSpread
+from fmuid.shown import html_lines, html_table, text_table
 from fmuid.solvers.pareto import Front
 from fmuid.solvers.search import Start, Status
 from fmuid.uncertainty import Uncertainty
@@ -99,7 +100,13 @@ class StageResult:
     def __str__(self) -> str:
         """Return the stage as text: one line on how it went, a table, warnings."""
         front = [] if self.front is None else [str(self.front)]
-        return "\n".join([self.summary, *_table(self.estimates), *front, *(f"! {w}" for w in self.warnings)])
+        return "\n".join(
+            [self.summary, text_table(_cells(self.estimates)), *front, *(f"! {w}" for w in self.warnings)]
+        )
+
+    def _repr_html_(self) -> str:
+        table = html_table(_cells(self.estimates))
+        return html_lines([self.summary]) + table + html_lines([f"! {w}" for w in self.warnings])
 
     @property
     def summary(self) -> str:
@@ -166,15 +173,8 @@ class Result:
         return "\n\n".join([head, *map(str, self.stages)])
 
     def _repr_html_(self) -> str:
-        parts = [f"<h3>{html.escape(self.title or self.campaign)}</h3>"]
-        for stage in self.stages:
-            parts.append(f"<p>{html.escape(stage.summary)}</p>")
-            header, *rows = _cells(stage.estimates)
-            parts.append("<table><tr>" + "".join(f"<th>{html.escape(c)}</th>" for c in header) + "</tr>")
-            parts += ["<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>" for row in rows]
-            parts.append("</table>")
-            parts += [f"<p>{html.escape(w)}</p>" for w in stage.warnings]
-        return "".join(parts)
+        title = f"<h3>{html.escape(self.title or self.campaign)}</h3>"
+        return title + "".join(stage._repr_html_() for stage in self.stages)
 
     def to_json(self, path: str | Path | None = None) -> str:
         """Return the result as JSON, and write it to `path` if given."""
@@ -236,12 +236,6 @@ def _cells(estimates: Sequence[Estimate]) -> list[list[str]]:
             ]
         rows.append(row)
     return rows
-
-
-def _table(estimates: Sequence[Estimate]) -> list[str]:
-    rows = _cells(estimates)
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 
 def at_bound(value: float, lower: float, upper: float) -> str | None:

@@ -14,6 +14,7 @@ from fmuid.errors import CampaignError, ProblemError, SimulationError
 from fmuid.model_check import load_models
 from fmuid.result import Result
 from fmuid.runners import Runner, in_process
+from fmuid.shown import html_table, text_table
 from fmuid.simulation import Simulator
 
 
@@ -65,6 +66,12 @@ class Validation:
 
     def __str__(self) -> str:
         """Return the scores as a table."""
+        return text_table(self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table(self._rows())
+
+    def _rows(self) -> list[list[str]]:
         header = ["run", "signal", "unit", "RMSE", "noise", "NRMSE", "relative error"]
         rows = [header]
         for s in self.scores:
@@ -72,9 +79,7 @@ class Validation:
             numbers = [f"{s.rmse:.4g}", noise, f"{100 * s.nrmse:.3g} %", f"{100 * s.relative_error:.3g} %"]
             rows.append([s.experiment, s.signal, s.unit or "", *(numbers if s.failure is None else [s.failure])])
             rows[-1] += [""] * (len(header) - len(rows[-1]))
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = ("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
-        return "\n".join(lines)
+        return rows
 
     def to_dict(self) -> dict[str, object]:
         """Return the scores as plain values."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -53,10 +54,41 @@ def test_help_and_import_are_quick() -> None:
         assert name in shown.stdout
 
 
+@pytest.mark.parametrize(("typed", "found"), [("fmuid ide", "identify"), ("fmuid identify --st", "--stage")])
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion(shell: str, typed: str, found: str) -> None:
+    typed_so_far = {"COMP_WORDS": typed, "COMP_CWORD": str(typed.count(" ")), "_TYPER_COMPLETE_ARGS": typed}
+    asked = {"_FMUID_COMPLETE": f"complete_{shell}", "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
+    program = Path(sys.executable).with_name("fmuid")
+    shown = subprocess.run(
+        [program], env=os.environ | typed_so_far | asked, capture_output=True, text=True, check=True, timeout=60
+    )
+    assert found in shown.stdout
+
+
+def test_colours_and_progress_on_a_terminal_only(folder: Path) -> None:
+    shown = subprocess.run(
+        [*FMUID, "identify", "bench", "--no-report"], capture_output=True, text=True, timeout=120
+    )
+    assert shown.returncode == 0
+    assert "\x1b" not in shown.stdout + shown.stderr
+    on_terminal = "import pty, sys; sys.exit(pty.spawn(sys.argv[1:]) >> 8)"
+    seen = subprocess.run(
+        [sys.executable, "-c", on_terminal, *FMUID, "check", "bench"],
+        env=os.environ | {"TERM": "xterm-256color"},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert "changing the parameters one by one" in seen.stdout
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_has_help_out_json_and_quiet(name: str, fmuid: Command) -> None:
     code, out, err = fmuid(name, "--help")
     assert (code, err) == (0, "")
+    assert f"Example: fmuid {name} " in " ".join(out.split())
     assert "--json" in out
     assert "--quiet" in out
     assert name == "check" or "--out" in out

@@ -44,7 +44,7 @@ def _found(source: Path) -> Path:
     if not source.exists():
         from importlib.resources import files
 
-        with suppress(ModuleNotFoundError):
+        with suppress(ModuleNotFoundError, NotADirectoryError):
             shipped = Path(str(files("modelica") / str(source)))
             if shipped.is_dir():
                 return shipped

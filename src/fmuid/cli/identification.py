@@ -202,8 +202,9 @@ def report(
     unknown = [f for f in formats if f not in ("png", "svg", "pdf")]
     if unknown:
         raise FmuidError(f"no format '{unknown[0]}'", where="--format", fix="known: png, svg, pdf")
-    page = write_report(run, out, formats=formats)
     printer = Printer(quiet, json)
+    with printer.working("simulating and drawing"):
+        page = write_report(run, out, formats=formats)
     printer.say(str(page))
     printer.write({"run": run, "report": page})
 
@@ -217,7 +218,8 @@ def _diagnosis_validation(
     answer = read_diagnosis(file)
     if campaign is None:
         raise FmuidError("no campaign to validate on", where=file, fix="give one as second argument")
-    found = validate_diagnosis(answer, load_campaign(campaign), experiments=experiments)
+    with printer.working("simulating the runs"):
+        found = validate_diagnosis(answer, load_campaign(campaign), experiments=experiments)
     print_validation(found, printer)
     return {"diagnosis": file, "campaign": campaign, **found.to_dict()}
 
@@ -249,7 +251,8 @@ def _validation(
 ) -> dict[str, Any]:
     from fmuid.validation import validate as score
 
-    found = score(result, campaign, experiments=experiments)
+    with printer.working("simulating the runs"):
+        found = score(result, campaign, experiments=experiments)
     printer.say(f"\nvalidation\n{found}")
     if out is not None:
         from fmuid.crosscheck_csv import Table, write_csv

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -61,7 +62,8 @@ def simulate(
     if model.suffix in (".fmu", ".ssp"):
         if experiment:
             raise FmuidError("--experiment goes with a campaign", fix="leave it out for an FMU")
-        table = _simulate_fmu(model, master or [], values, input_, stop, step, output or [], interpolation)
+        with printer.working(f"simulating {model}"):
+            table = _simulate_fmu(model, master or [], values, input_, stop, step, output or [], interpolation)
         target = out or Path(f"{model.stem}.csv")
         _write(table, target)
         printer.say(f"{target}: {table.time.size} samples of {', '.join(table.columns)}")
@@ -71,7 +73,11 @@ def simulate(
         raise FmuidError(
             "--input, --stop, --step and --output go with an FMU", fix="leave them out for a campaign"
         )
-    _simulate_campaign(model, values, experiment or ["*"], out, printer)
+    with printer.working("") as shown:
+        found = _simulate_campaign(model, values, experiment or ["*"], out, shown)
+    printer.table(("experiment", "signal", "NRMSE"), [tuple(row.values()) for row in found["nrmse"]])
+    printer.say(f"{found['out']}: {len({row['experiment'] for row in found['nrmse']})} files")
+    printer.write(found)
 
 
 def _simulate_fmu(
@@ -133,8 +139,8 @@ def _simulate_fmu(
 
 
 def _simulate_campaign(
-    path: Path, values: dict[str, float], patterns: list[str], out: Path | None, printer: Printer
-) -> None:
+    path: Path, values: dict[str, float], patterns: list[str], out: Path | None, shown: Callable[..., None]
+) -> dict[str, Any]:
     import numpy as np
 
     from fmuid.campaign_toml import expand, load_campaign
@@ -157,9 +163,10 @@ def _simulate_campaign(
     target = out or Path("runs") / campaign.name / "simulated"
     point = {p.name: p.start for p in campaign.parameters.values()} | values
     rows: list[tuple[str, str, float]] = []
-    for experiment_id in chosen:
+    for k, experiment_id in enumerate(chosen):
         experiment = campaign.measurements[experiment_id]
         (case,) = from_campaign(campaign, [experiment], (), models)
+        shown(k / len(chosen), f"simulating {experiment_id}")
         prediction = case.sensed(case.simulator.simulate(case.task, case.start_values(point)), point)
         columns: dict[str, FloatArray] = {}
         units: dict[str, str] = {}
@@ -172,16 +179,12 @@ def _simulate_campaign(
             error = predicted[known] - channel.mean[known]
             rows.append((experiment_id, channel.signal, _nrmse(error, channel.mean[known])))
         _write(Table(experiment.time, columns, units), target / f"{experiment_id}.csv")
-    printer.table(("experiment", "signal", "NRMSE"), rows)
-    printer.say(f"{target}: {len(chosen)} files")
-    printer.write(
-        {
-            "campaign": campaign.name,
-            "out": target,
-            "parameters": point,
-            "nrmse": [{"experiment": e, "signal": s, "nrmse": v} for e, s, v in rows],
-        }
-    )
+    return {
+        "campaign": campaign.name,
+        "out": target,
+        "parameters": point,
+        "nrmse": [{"experiment": e, "signal": s, "nrmse": v} for e, s, v in rows],
+    }
 
 
 def _nrmse(error: FloatArray, measured: FloatArray) -> float:

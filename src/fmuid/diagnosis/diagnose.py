@@ -22,8 +22,10 @@ from fmuid.diagnosis.result import Candidate, Diagnosis, Gap, Verdict
 from fmuid.diagnosis.scores import Score, nominal_basis
 from fmuid.diagnosis.search import Say, aliases, finished, search
 from fmuid.diagnosis.setting_up import Subject
+from fmuid.diagnosis.told import likeliest, told
 from fmuid.diagnosis.where import ExcessMap, excess_map
 from fmuid.errors import SimulationError
+from fmuid.shown import html_lines, html_table, text_table
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +41,15 @@ class Found:
     decoys: tuple[Decoy, ...]
     excess: ExcessMap
     paths: Mapping[str, tuple[FloatArray, ...]]
+
+    def __str__(self) -> str:
+        """Return verdict, place and size of the gap, and the likeliest effects."""
+        answer = self.diagnosis.to_dict()
+        return "\n".join([*told(answer), "", text_table(likeliest(answer))])
+
+    def _repr_html_(self) -> str:
+        answer = self.diagnosis.to_dict()
+        return html_lines(told(answer)) + html_table(likeliest(answer))
 
 
 def _quiet(_: str, __: float) -> None:

@@ -1,0 +1,29 @@
+"""Results as tables: text for a terminal, HTML for a notebook."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+
+Rows = Sequence[Sequence[str]]
+"""Cells of a table, its header first."""
+
+
+def text_table(rows: Rows) -> str:
+    """Return rows as lines, columns under each other."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+    return "\n".join(lines)
+
+
+def html_table(rows: Rows) -> str:
+    """Return rows as an HTML table."""
+    header, *others = rows
+    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in header)
+    body = "".join("<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>" for row in others)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def html_lines(lines: Sequence[str]) -> str:
+    """Return lines as paragraphs."""
+    return "".join(f"<p>{html.escape(line)}</p>" for line in lines)
