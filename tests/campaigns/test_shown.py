@@ -12,7 +12,9 @@ from fmuid.validation import RunScore, Validation
 
 def cells(html: str) -> list[list[str]]:
     """Return the table rows of an HTML fragment, which has to be well-formed."""
-    return [["".join(c.itertext()) for c in row] for row in ElementTree.fromstring(f"<div>{html}</div>").iter("tr")]
+    return [
+        ["".join(c.itertext()) for c in row] for row in ElementTree.fromstring(f"<div>{html}</div>").iter("tr")
+    ]
 
 
 def test_measurements(measurements: Measurements) -> None:
