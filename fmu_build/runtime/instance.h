@@ -133,6 +133,7 @@ void find_event(Instance *me, double from, double to, int samples);
 
 /* kinks.c */
 double first_kink(Instance *me, double h, int again);
+double next_kink(Instance *me, double from, double to);
 
 /* integrator.c */
 Status restart_integration(Instance *me);

@@ -4,7 +4,8 @@
  * stages (order 5, L-stable: as stiff as the model may be) along the dense output of the state. The equations are
  * linear, so a step is one LU factorisation for all parameters, and no error control of its own is needed. The
  * solution between the communication points is the collocation polynomial. A step is worked off only when it is
- * needed: a lookahead that a new input makes void costs nothing. */
+ * needed: a lookahead that a new input makes void costs nothing. Where the step runs over kinks of f, whose Jacobian
+ * jumps there, it is solved in pieces between them. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -23,7 +24,8 @@ struct Sensitivity {
     double *start;    /* NX rows of n: at the beginning of the last step */
     double *stages;   /* RADAU * NX rows of n: at its collocation points */
     double *now;      /* NX rows of n: where they were asked for */
-    int solved;       /* `stages` belong to the last step */
+    double from, to;  /* the piece of the last step that `stages` belong to ... */
+    int pieces;       /* ... and how many of it there were; 0: none is solved yet */
     double jacobian[RADAU][LENGTH(NX) * LENGTH(NX)];
     double matrix[LENGTH(SIZE) * LENGTH(SIZE)];
     int pivot[LENGTH(SIZE)];
@@ -58,18 +60,17 @@ static int add_forcing(Instance *me, int i, double t, const double *x, double h)
     return 0;
 }
 
-/* The collocation equations of the last step. */
-static Status solve_step(Instance *me) {
+/* The collocation equations of a piece of the last step. */
+static Status solve_piece(Instance *me) {
     struct Sensitivity *q = me->sensitivity;
     const Step *step = &me->s.step;
     double x[RADAU][LENGTH(NX)], t[RADAU];
-    const double h = step->h;
-    q->solved = 1;
+    const double h = q->to - q->from;
     for (int i = 0; i < RADAU; i++) memcpy(q->stages + i * NX * q->n, q->start, NX * q->n * sizeof(double));
     if (h <= 0.0) return STATUS_OK;
     int failed = 0;
     for (int i = 0; i < RADAU; i++) {
-        t[i] = step->t0 + node(i) * h;
+        t[i] = q->from + node(i) * h;
         dense_output(step, t[i], x[i]);
         failed |= linearise(me, t[i], x[i]);
         memcpy(q->jacobian[i], me->jacobian, sizeof me->jacobian);
@@ -86,19 +87,33 @@ static Status solve_step(Instance *me) {
         }
     failed = failed || lu_factor(SIZE, q->matrix, q->pivot);
     if (!failed) lu_solve_many(SIZE, q->matrix, q->pivot, q->n, q->stages);
-    if (failed) return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", step->t0);
+    if (failed) return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", q->from);
     return STATUS_OK;
+}
+
+/* Solves the pieces of the last step up to the one that holds time t. */
+static Status solve_until(Instance *me, double t) {
+    enum { MOST = 20 }; /* kinks that follow each other without end are rounding: what rests at its threshold */
+    struct Sensitivity *q = me->sensitivity;
+    const Step *step = &me->s.step;
+    const double end = step->t0 + step->h;
+    Status status = STATUS_OK;
+    while (status == STATUS_OK && (q->pieces == 0 || (t > q->to && q->to < end))) {
+        if (q->pieces > 0) memcpy(q->start, q->stages + (RADAU - 1) * NX * q->n, NX * q->n * sizeof(double));
+        q->from = q->pieces > 0 ? q->to : step->t0;
+        q->to = q->pieces < MOST ? next_kink(me, q->from, end) : end;
+        q->pieces++;
+        status = solve_piece(me);
+    }
+    return status;
 }
 
 /* S at time t of the last step, by its collocation polynomial, into `target`. */
 static Status evaluate(Instance *me, double t, double *target) {
     struct Sensitivity *q = me->sensitivity;
-    const Step *step = &me->s.step;
-    if (!q->solved) {
-        const Status status = solve_step(me);
-        if (status != STATUS_OK) return status;
-    }
-    const double r = step->h > 0.0 ? (t - step->t0) / step->h : 1.0;
+    const Status status = solve_until(me, t);
+    if (status != STATUS_OK) return status;
+    const double r = q->to > q->from ? (t - q->from) / (q->to - q->from) : 1.0;
     const double at[RADAU + 1] = {0.0, node(0), node(1), node(2)};
     double basis[RADAU + 1];
     for (int i = 0; i <= RADAU; i++) {
@@ -119,7 +134,7 @@ Status advance_sensitivities(Instance *me, double t) {
     if (!q || q->n == 0) return STATUS_OK;
     const Status status = evaluate(me, t, q->now);
     memcpy(q->start, q->now, q->n * NX * sizeof(double));
-    q->solved = 0;
+    q->pieces = 0;
     return status;
 }
 
@@ -159,7 +174,7 @@ Status start_sensitivities(Instance *me) {
                           me->s.t);
         for (int row = 0; row < NX; row++) q->start[row * q->n + j] = s->x[row];
     }
-    q->solved = 0;
+    q->pieces = 0;
     return STATUS_OK;
 }
 

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import ctypes
+from pathlib import Path
 
+import fmpy
 import numpy as np
 import pytest
+
+from fmu_build import build
+from tests.conftest import build_setups
 
 
 def choose(one, names):
@@ -64,6 +69,120 @@ def test_sensitivities_of_a_run(fmu, name):
     error = np.abs(got - exact).max(axis=(0, 2))
     # the worst by far is a stiff bristle as it turns; its mean error is small
     assert np.all(error <= np.where(np.array(outputs) == "b", 5e-3, 1e-3) * size)
+
+
+def run_with(one, names, outputs, steps, h, drive, u, slopes=None, tolerance=1e-6):
+    """Sensitivities at every communication point; inputs held, or linear between their samples."""
+    assert choose(one, names) == 0
+    one.start(tolerance, **({drive: u[0]} if drive else {}))
+    rows = []
+    for k in range(steps):
+        if drive:
+            one.set(**{drive: u[k]})
+        if slopes is not None:
+            one.c.setRealInputDerivatives([one.vr[drive]], [1], [slopes[k]])
+        one.c.doStep(k * h, h)
+        rows.append(sensitivities(one, outputs, len(names)))
+    return np.array(rows)
+
+
+@pytest.fixture
+def instances(fmu, tmp_path):
+    """Gives functions that make instances of an FMU, freed at the end."""
+    kind, made = type(fmu("pendulum")), []
+
+    def of(path: Path):
+        folder = Path(fmpy.extract(str(path), str(tmp_path / "unpacked")))
+
+        def instance():
+            made.append(kind(path, folder))
+            return made[-1]
+
+        return instance
+
+    yield of
+    for one in made:
+        one.c.freeInstance()
+
+
+def test_kinks_do_not_spoil_the_sensitivities(instances):
+    """Friction that turns around every few milliseconds, with the bristle's kinks inside the integrator's steps."""
+    instance = instances(build_setups(("FixedShaft",))["FixedShaft"])
+    names, outputs = ["K_m", "d_S", "lossTable[2,4]"], ["tau_sensor", "w_motor"]
+    u = 0.8 * np.repeat(np.random.default_rng(3).choice([-1.0, 1.0], 30), 4)
+    one = instance()
+    values = one.get(*names)
+    got = run_with(one, names, outputs, len(u), 1e-3, "i_cmd", u) * values
+    exact = np.empty_like(got)
+    for j, (name, value) in enumerate(zip(names, values, strict=True)):
+        ends = []
+        for sign in (1, -1):
+            other = instance().start(1e-12, **{name: value * (1 + sign * 1e-5), "i_cmd": u[0]})
+            ends.append(other.run(outputs, len(u), 1e-3, inputs={"i_cmd": u})[1:])
+        exact[:, :, j] = (ends[0] - ends[1]) / 2e-5
+    error = np.abs(got - exact).max(axis=(0, 2)) / np.abs(exact).max(axis=(0, 2))
+    assert np.all(error < 4e-5), error
+
+
+def test_sensitivities_under_a_ramp_and_with_dependence_on_time(fmu):
+    u = np.sin(np.arange(21) * 0.3)
+    slopes = np.diff(u) / 0.1
+    got = run_with(fmu("forced"), ["x"], ["x", "y"], 20, 0.1, "u", u, slopes, 1e-8)[:, 0, 0]
+    ends = []
+    for sign in (1, -1):
+        one = fmu("forced").start(1e-12, x=1 + sign * 1e-5, u=u[0])
+        values = []
+        for k in range(20):
+            one.set(u=u[k])
+            one.c.setRealInputDerivatives([one.vr["u"]], [1], [slopes[k]])
+            one.c.doStep(k * 0.1, 0.1)
+            values.append(one.get("x"))
+        ends.append(np.array(values))
+    np.testing.assert_allclose(got, (ends[0] - ends[1]) / 2e-5, rtol=1e-6)
+
+
+INITIAL = """
+model Steady "Starts where its cubic balances a parameter and a friction that follows from others"
+  parameter Real u = 2;
+  parameter Real k = 0.5;
+  parameter Real a = k^2 "calculated";
+  Real x(start = 1);
+  Real w(start = 3*k, fixed = true);
+  output Real y = x*w + a;
+initial equation
+  der(x) = 0;
+equation
+  der(x) = u - a*x^3 + w;
+  der(w) = -w;
+end Steady;
+"""
+
+
+def test_initial_equations_and_calculated_parameters(instances, tmp_path):
+    """x(0) = ((u + 3 k)/k^2)^(1/3), w = 3 k e^-t; the derivative of what follows by central differences."""
+    (tmp_path / "Steady.mo").write_text(INITIAL)
+    instance = instances(build(tmp_path / "Steady.mo", "Steady", tmp_path))
+    one = instance()
+    choose(one, ["u", "k"])
+    one.start(1e-10)
+    u, k = 2.0, 0.5
+    x = np.cbrt((u + 3 * k) / k**2)
+    by_u, by_k = 1 / (3 * x**2 * k**2), (3 / k**2 - 2 * (u + 3 * k) / k**3) / (3 * x**2)
+    np.testing.assert_allclose(
+        sensitivities(one, ["x", "w", "a", "der(x)", "y"], 2),
+        [[by_u, by_k], [0, 3], [0, 2 * k], [0, 0], [by_u * 3 * k, by_k * 3 * k + 3 * x + 2 * k]],
+        rtol=1e-9,
+        atol=1e-12,
+    )
+    one.c.doStep(0.0, 1.0)
+    got = sensitivities(one, ["x", "y"], 2)
+    for j, (name, value) in enumerate((("u", u), ("k", k))):
+        ends = []
+        for sign in (1, -1):
+            other = instance().start(1e-13, **{name: value + sign * 1e-5})
+            other.c.doStep(0.0, 1.0)
+            ends.append(other.get("x", "y"))
+        np.testing.assert_allclose(got[:, j], (ends[0] - ends[1]) / 2e-5, rtol=1e-7)
 
 
 def test_sensitivities_do_not_change_the_run(fmu):
