@@ -248,7 +248,9 @@ def _case(
         specs = [CriterionSpec(n) for n in first.outputs if n in model.map or n in variables]
     if not specs:
         raise ProblemError("none of its measured outputs is judged", where=where, fix="add a criterion")
-    sensors = _sensors(specs, campaign.parameters, where)
+    # Where no criteria are given, a sensor is what the stages say of it, the last one first.
+    told = specs if criteria else [s for stage in campaign.stages.values() for s in stage.criteria]
+    sensors = _sensors([s for s in told if s.signal in first.outputs], campaign.parameters, where)
     specs = [_without_sensor(spec) for spec in specs]
     channels = []
     for name in dict.fromkeys(spec.signal for spec in specs):

@@ -206,6 +206,9 @@ def test_sensor_offset_gain_and_delay_as_parameters(bench):
     assert result["s_gain"].value == pytest.approx(1.1, rel=0.01)
     assert result["s_offset"].value == pytest.approx(0.2, abs=0.01)
     assert result["s_delay"].value == pytest.approx(0.05, abs=0.005)
+    # The sensor is the same where no criteria are given: in a validation, a simulation, a diagnosis.
+    score = validate(result, changed, experiments=["low"], simulators=bench)["low", "torque"]
+    assert score.rmse < 1.1 * NOISE
 
 
 def test_missing_samples_do_not_count(bench):

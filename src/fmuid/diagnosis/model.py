@@ -137,7 +137,7 @@ class CampaignModel:
                 continue
             rows = []
             for case, outcome in zip(self.cases, part, strict=True):
-                sensed = case.sensed(np.asarray(outcome), plain)
+                sensed = case.sensed(np.asarray(outcome), {**self.fixed, **plain})
                 names = [c.signal for c in case.channels]
                 rows.append(disturb_output(case.time, sensed, names, signal))
             results.append(tuple(rows))
