@@ -4,6 +4,7 @@ import io
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import report_samples as samples
 from fmuid.errors import FmuidError
 from fmuid.plots import render, save_data, save_figure, save_figures
 from fmuid.plots.data import Axis, LineFigure, Panel, Series, pretty_unit, tables
+from fmuid.plots.draw import canvas_of
 from fmuid.report.figures import StageHistory, milestones, parallel_figure
 from fmuid.report.interactive import packed, specification
 from fmuid.report.thinning import kept_samples
@@ -36,6 +38,16 @@ def test_axes_are_labelled_with_units():
     assert "speed / (rad/s)" in text
     assert "friction torque / (N·m)" in text
     assert "law, truth" in text
+
+
+@pytest.mark.parametrize("name", ["output_angle / rad", "temperature_of_winding / (N·m)"])
+def test_headings_of_a_map_do_not_touch(name):
+    groups, columns = ((name, 6),) * 5, tuple(str(k) for k in range(30))
+    canvas = canvas_of(replace(samples.energy_map(), columns=columns, values=np.ones((8, 30)), groups=groups))
+    canvas.draw_without_rendering()
+    headings = [text.get_window_extent() for text in canvas.axes[0].texts]
+    assert len(headings) == 5
+    assert all(a.x1 + 5 < b.x0 for a, b in pairwise(headings))
 
 
 def test_an_unknown_format_is_refused():

@@ -46,7 +46,7 @@ def front_items(result: StageResult) -> list[Figure | Table]:
 
 
 def profile_items(result: StageResult) -> list[Figure | Table]:
-    """Return the profile of every parameter that has one, and the intervals beside those of the standard errors."""
+    """Return the profiles, and their intervals beside those of the standard errors."""
     if not result.profiles:
         return []
     panels = tuple(_profile_panel(profile, result[profile.name]) for profile in result.profiles)

@@ -113,7 +113,11 @@ def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
     if criteria:
         satisfied = sum(value <= 1 for value in criteria.values())
         tone = "good" if satisfied == len(criteria) else "plain"
-        found.append(Fact("Demands satisfied", f"{satisfied} of {len(criteria)}", tone))
+        worst = max(criteria.values())
+        text = f"{satisfied} of {len(criteria)}" + (
+            f", the worst at {worst:.3g} of its demand" if worst > 1 else ""
+        )
+        found.append(Fact("Demands satisfied", text, tone))
     warnings = sum(len(s.warnings) for s in result.stages)
     if warnings:
         found.append(Fact("Warnings", f"{warnings}, in the stages below", "warn"))
@@ -156,7 +160,10 @@ def _estimates_table(
         row += [values.get(e.name) for values in published.values()]
         row += [stage_of[e.name], f"at its {e.at_bound} bound" if e.at_bound else e.description]
         rows.append(tuple(row))
-    caption = "Standard errors and intervals of the noise and the residuals' colour; a dash: not determined alone."
+    caption = (
+        "Standard errors and intervals are each stage's own: of the noise and the residuals' colour, with what the "
+        "stage holds fixed taken as known. A dash: none can be given; the stage's warnings say why."
+    )
     digits = tuple({"standard error": 2, "deviation, %": 2}.get(name, 5) for name in header)
     return Table(tuple(header), tuple(rows), "estimates", "Estimates", caption, digits)
 

@@ -214,9 +214,9 @@ def _map(figure: MapFigure) -> tuple[list[Spec], Spec]:
     if figure.values.size <= 150:
         trace |= {"texttemplate": "%{z:.2f}", "textfont": {"size": 10}}
     annotations, shapes, start = [], [], 0
-    for name, width in figure.groups:
+    for name, width in figure.headings:
         note = _text(name, "x", "y", start + width / 2 - 0.5, 1, 11, domain=False)
-        annotations.append(note | {"xanchor": "center"})
+        annotations.append(note | {"xanchor": "center", "text": note["text"].replace("\n", "<br>")})
         start += width
         if start < n_columns:
             line = {"color": "white", "width": 5}
@@ -233,7 +233,7 @@ def _map(figure: MapFigure) -> tuple[list[Spec], Spec]:
             )
     layout = {
         "height": max(300, 140 + 26 * n_rows),
-        "margin": {"l": 10, "r": 10, "t": 40, "b": 10},
+        "margin": {"l": 10, "r": 10, "t": 50, "b": 10},
         "xaxis": {
             "tickvals": list(range(n_columns)),
             "ticktext": columns,
