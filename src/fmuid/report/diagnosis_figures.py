@@ -57,7 +57,9 @@ class RegimeBins:
     @property
     def labels(self) -> tuple[str, ...]:
         """One text a bin."""
-        texts = [f"{float(f'{e:.3g}'):g}".replace("-", "−") for e in self.edges.tolist()]
+        zero = 1e-3 * float(np.ptp(self.edges))
+        rounded = [0.0 if abs(e) < zero else float(f"{e:.3g}") for e in self.edges.tolist()]
+        texts = [f"{e:g}".replace("-", "−") for e in rounded]
         return tuple(f"{a} … {b}" for a, b in pairwise(texts))
 
 

@@ -113,9 +113,9 @@ def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
     if criteria:
         satisfied = sum(value <= 1 for value in criteria.values())
         tone = "good" if satisfied == len(criteria) else "plain"
-        worst = max(criteria.values())
+        largest = max(criteria.values())
         text = f"{satisfied} of {len(criteria)}" + (
-            f", the worst at {worst:.3g} of its demand" if worst > 1 else ""
+            f", the worst at {largest:.3g} of its own" if largest > 1 else ""
         )
         found.append(Fact("Demands satisfied", text, tone))
     warnings = sum(len(s.warnings) for s in result.stages)
@@ -161,8 +161,8 @@ def _estimates_table(
         row += [stage_of[e.name], f"at its {e.at_bound} bound" if e.at_bound else e.description]
         rows.append(tuple(row))
     caption = (
-        "Standard errors and intervals are each stage's own: of the noise and the residuals' colour, with what the "
-        "stage holds fixed taken as known. A dash: none can be given; the stage's warnings say why."
+        "Standard errors and intervals are each stage's own: of the noise and the residuals' colour, with what "
+        "the stage holds fixed taken as known. A dash: none can be given; the stage's warnings say why."
     )
     digits = tuple({"standard error": 2, "deviation, %": 2}.get(name, 5) for name in header)
     return Table(tuple(header), tuple(rows), "estimates", "Estimates", caption, digits)
