@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import copy
 import math
 import operator
 from collections.abc import Callable, Mapping
@@ -54,6 +55,11 @@ class Expression:
             raise ProblemError(f"'{self.text}' is {result}", fix="change the bounds")
         return float(result)
 
+    def renamed(self, names: Mapping[str, str]) -> Expression:
+        """Return the same expression of other parameters: `names` gives the new name of those that change."""
+        tree = _renamed(copy.deepcopy(self._tree), names)
+        return Expression(ast.unparse(tree), frozenset(names.get(n, n) for n in self.names), tree)
+
 
 def parse(text: str, *, where: object = None) -> Expression:
     """Parse numbers, names, ``+ - * / **``, parentheses and a few functions; nothing else is run.
@@ -97,6 +103,19 @@ def _checked(node: ast.expr, names: set[str]) -> ast.expr:
             node.args = [_checked(argument, names) for argument in arguments]
         case _:
             raise ValueError
+    return node
+
+
+def _renamed(node: ast.expr, names: Mapping[str, str]) -> ast.expr:
+    match node:
+        case ast.Name(id=name):
+            return ast.Name(id=names.get(name, name))
+        case ast.BinOp(left=left, right=right):
+            node.left, node.right = _renamed(left, names), _renamed(right, names)
+        case ast.UnaryOp(operand=operand):
+            node.operand = _renamed(operand, names)
+        case ast.Call(args=arguments):
+            node.args = [_renamed(a, names) for a in arguments]
     return node
 
 

@@ -236,7 +236,7 @@ class Problem:
             for channel in case.channels:
                 used |= {name for expression in channel.sensor.values() for name in expression.names}
         for expression in self.space.ties.values():
-            used |= expression.names
+            used |= {name.split(SEPARATOR)[0] for name in expression.names}
         for name in self.space.names:
             if name.split(SEPARATOR)[0] not in used:
                 raise ProblemError(

@@ -137,7 +137,7 @@ def expanded(
     best
         Best values so far, by (expanded) name.
     ties
-        Follower -> expression text.
+        Follower -> expression text. What follows a per-experiment parameter has to be one too.
     experiments
         Ids of the stage's experiments.
     """
@@ -163,9 +163,33 @@ def expanded(
         else:
             fixed |= {n: best[n] for n in own if n in best}
     parsed = {name: parse(text, where=f"tie of '{name}'") for name, text in ties.items()}
+    parsed |= _of_single_runs(by_name, parsed, experiments)
+    for leader in {n for e in parsed.values() for n in e.names} - parsed.keys() - {s.name for s in free_specs}:
+        if SEPARATOR in leader:  # held, and so far the same in every run
+            fixed.setdefault(leader, fixed[leader.split(SEPARATOR)[0]])
     order = {name: i for i, name in enumerate(free)}
     free_specs.sort(key=lambda s: order[s.name.split(SEPARATOR)[0]])
     return SearchSpace(tuple(free_specs), fixed, parsed, least)
+
+
+def _of_single_runs(
+    specs: Mapping[str, ParameterSpec], ties: Mapping[str, Expression], experiments: Iterable[str]
+) -> dict[str, Expression]:
+    """Return the ties of followers that each run has its own of, run by run."""
+    single = {name for name, spec in specs.items() if spec.per == "experiment"}
+    found: dict[str, Expression] = {}
+    for name, expression in ties.items():
+        leaders = expression.names & single
+        if leaders and name not in single:
+            leader = min(leaders)
+            raise ProblemError(
+                f"'{name}' is tied to '{leader}', which each run has its own of",
+                fix=f"write per = \"experiment\" for '{name}' too",
+            )
+        for run in experiments if name in single else ():
+            own = {leader: f"{leader}{SEPARATOR}{run}" for leader in leaders}
+            found[f"{name}{SEPARATOR}{run}"] = expression.renamed(own)
+    return found
 
 
 def _check(spec: ParameterSpec) -> None:
