@@ -139,6 +139,11 @@ class MapFigure:
             raise ValueError(f"map '{self.name}': groups do not cover the columns")
 
     @property
+    def headings(self) -> tuple[tuple[str, int], ...]:
+        """The groups with the unit on a line of its own: neighbours leave each other little room."""
+        return tuple((name.replace(" / ", "\n/ ", 1), n) for name, n in self.groups)
+
+    @property
     def diverging(self) -> bool:
         """Whether zero is the middle of the colour scale."""
         return self.limits[0] == -self.limits[1]

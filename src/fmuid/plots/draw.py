@@ -242,9 +242,11 @@ def _map(figure: MapFigure) -> Canvas:
     axes.tick_params(length=0)
     if figure.values.size <= _MAX_CELLS_WITH_NUMBERS:
         _numbers(axes, figure, colours)
-    start = 0
-    for name, width in figure.groups:
-        axes.text(start + width / 2 - 0.5, -0.65, name, ha="center", va="bottom", fontsize=7)
+    start, column = 0, 0.6 * _WIDTH / n_columns
+    for name, width in figure.headings:
+        fits = width * column / 0.055  # characters of the usual size
+        size = 7 * min(1.0, fits / max(len(line) for line in name.split("\n")))
+        axes.text(start + width / 2 - 0.5, -0.65, name, ha="center", va="bottom", fontsize=size)
         start += width
         if start < n_columns:
             axes.axvline(start - 0.5, color="white", linewidth=3)
