@@ -15,9 +15,9 @@ DRIVER = Path(__file__).with_name("driver.c")
 MODELS = ["pendulum", "train", "algebraic_loop", "dependent_start", "bouncing_ball", "stick_slip"]
 
 
-def run(sources: Path, folder: Path, *flags: str, under: tuple[str, ...] = ()) -> None:
+def run(sources: Path, folder: Path, *flags: str, under: tuple[str, ...] = (), driver: str = "driver.c") -> None:
     program = folder / "driver"
-    files = [DRIVER, *(f for f in sorted(sources.glob("*.c")))]
+    files = [DRIVER.with_name(driver), *(f for f in sorted(sources.glob("*.c")))]
     command = ["cc", "-std=gnu11", "-g", "-pthread", *flags, f"-I{sources}", "-o", program, *files, "-lm"]
     compiled = subprocess.run(command, capture_output=True, text=True, check=False)
     assert compiled.returncode == 0, compiled.stderr
@@ -39,6 +39,13 @@ def test_under_sanitizers(built, tmp_path):
 @pytest.mark.parametrize("flags", [SANITIZERS, "-fsanitize=thread"])
 def test_every_model_under_sanitizers(built, tmp_path, name, flags):
     run(built(name)[1] / "sources", tmp_path, "-O1", flags, "-fno-sanitize-recover=all")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["pendulum", "bouncing_ball", "relay"])
+def test_fmi_3_under_sanitizers(built, tmp_path, name):
+    sources = built(name, 3)[1] / "sources"
+    run(sources, tmp_path, "-O1", SANITIZERS, "-fno-sanitize-recover=all", driver="driver3.c")
 
 
 @pytest.mark.slow

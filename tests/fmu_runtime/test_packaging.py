@@ -10,11 +10,15 @@ from xml.etree import ElementTree
 
 import fmpy
 import handmade
+import numpy as np
 import pytest
 from fmpy.build import build_platform_binary
 
 from fmu_build.packaging import package
 from fmuid.errors import BuildError
+from fmuid.fmu import load_fmu
+from fmuid.fmu_copy import copy_with_starts
+from fmuid.simulation import Task
 
 
 def test_same_input_same_bytes(tmp_path):
@@ -103,3 +107,16 @@ def test_the_model_description_has_no_date_and_the_sources_are_inside(built):
         names = set(archive.namelist())
         assert {"sources/model.c", "sources/fmi2.c", "sources/fmi2Functions.h"} <= names
         assert {i.date_time for i in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_copy_starts_with_the_values_written_into_it(built, tmp_path, fmi):
+    """In both interfaces, bit by bit what the original does when they are set."""
+    path, values = built("pendulum", fmi)[0], {"m": 1.7, "phi": 0.3, "tau": 0.1}
+    copy = tmp_path / "copy.fmu"
+    copy_with_starts(load_fmu(path), values, copy)
+    task = Task(np.linspace(0.0, 1.0, 11), {}, ("phi", "J", "energy"))
+    for kind in ("co-simulation", "model exchange"):
+        expected = load_fmu(path, kind).simulate(task, values)
+        np.testing.assert_array_equal(load_fmu(copy, kind).simulate(task, {}), expected)
+        assert expected[0, 0] == 0.3
