@@ -253,3 +253,16 @@ def test_a_parcel_for_another_machine_has_the_fmus_in_it(drive, tmp_path):
     there = unpacked(content)
     assert there is not model
     assert np.array_equal(there.simulate(task, {}), expected)
+
+
+@pytest.mark.parametrize("where", ["c", "python"])
+def test_a_run_that_pauses_for_ctrl_c_goes_on_where_it_was(made, monkeypatch, where):
+    model = coupled({"lag": made("Lag"), "gain": made("Gain")}, {"gain.u": "lag.x", "lag.u": "gain.y"}, step=2e-3)
+    task = Task(TIME[:40], {}, ("lag.x", "gain.y"))
+    whole = model.simulate(task, {"gain.k": -1.0})
+    if where == "python":
+        monkeypatch.setenv("FMUID_STEPPER", "python")
+    stepper.library.cache_clear()
+    monkeypatch.setattr("fmuid.coupled.model._SLICE", 0.0)
+    assert np.array_equal(model.simulate(task, {"gain.k": -1.0}), whole)
+    stepper.library.cache_clear()
