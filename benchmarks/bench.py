@@ -30,7 +30,8 @@ Made {date} in {minutes:.0f} minutes{quick}.
 Machine: {machine}.
 
 Times are medians of repeats in turn (A B A B), ratios are of such medians; *noise* is the median over the least, 1
-on a quiet machine. Peers run in environments of their own, pinned in
+on a quiet machine. Where one process does the work it is its processor time, which other load hardly changes; for
+tools side by side, workers and imports it is wall time. Peers run in environments of their own, pinned in
 `benchmarks/peers/*.txt`; one that is missing or fails is listed as such.
 
 ## Stepping
@@ -148,11 +149,13 @@ def parallel_table(found: Sequence[evaluation.Parallel], missing: str) -> str:
 
 def scale_table(found: Mapping[str, Mapping[int, float]]) -> str:
     sizes = sorted({size for times in found.values() for size in times})
-    rows = [
-        [what, *(f"{1e3 * times[s]:.3g}" if s in times else "" for s in sizes)] for what, times in found.items()
-    ]
+    rows = [[what, *(_ms(times[s]) if s in times else "" for s in sizes)] for what, times in found.items()]
     text = "Time in ms over multiples: of the samples of a run, the runs of a stage, the effects that are scored."
     return text + "\n\n" + table(["", *(f"{s} times" for s in sizes)], rows)
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.0f}" if seconds > 0.1 else f"{1e3 * seconds:.3g}"
 
 
 def draw(found: Mapping[str, Mapping[int, float]], path: Path) -> None:
@@ -211,11 +214,8 @@ def measure(out: Path, *, quick: bool) -> str:
         part(
             "imports",
             lambda: table(
-                ["", "time (s)", "noise"],
-                [
-                    [w, f"{t.median:.2f}", f"{t.noise:.2f}"]
-                    for w, t in evaluation.imports(3 if quick else 9).items()
-                ],
+                ["", "time (s)"],
+                [[what, f"{t:.2f}"] for what, t in evaluation.imports(3 if quick else 9).items()],
             ),
         )
     return PAGE.format(

@@ -71,8 +71,10 @@ def stage_evaluation(repeats: int) -> list[Cost]:
     once = [(c.simulator, c.task, c.start_values(values)) for c in problem.cases]
     every = [job for c, job in zip(problem.cases, once, strict=True) for _ in c.experiments]
 
+    start = problem.space.start
+
     def evaluate() -> None:  # at another point each time: nothing may be remembered
-        x = problem.space.start * (1.0 + 1e-6 * rng.standard_normal(len(problem.space)))
+        x = start * (1.0 + 1e-6 * rng.standard_normal(len(start)))
         assert problem.evaluate(x).ok
 
     times = in_turn(
@@ -176,10 +178,12 @@ def parallel(repeats: int, *, dask: bool = True) -> tuple[list[Parallel], str]:
         for k in range(20)
     ]
     found: dict[str, Times] = {}
-    found["in this process"] = in_turn({"": lambda: in_process(jobs)}, repeats)[""]
+    found["in this process"] = in_turn({"": lambda: in_process(jobs)}, repeats, time.perf_counter)[""]
     for workers in (1, 2):
         with WorkerPool(workers) as pool:
-            found[f"{workers} worker{'s' * (workers > 1)}"] = in_turn({"": lambda: pool.run(jobs)}, repeats)[""]
+            found[f"{workers} worker{'s' * (workers > 1)}"] = in_turn(
+                {"": lambda: pool.run(jobs)}, repeats, time.perf_counter
+            )[""]
     missing = ""
     if dask:
         try:
@@ -200,7 +204,7 @@ def _on_dask(jobs: list[Job], repeats: int) -> Times:
         Client(cluster) as client,
     ):
         run: Runner = on_executor(client.get_executor())
-        return in_turn({"": lambda: run(jobs)}, repeats)[""]
+        return in_turn({"": lambda: run(jobs)}, repeats, time.perf_counter)[""]
 
 
 def memory(evaluations: int) -> tuple[int, float]:
@@ -220,8 +224,8 @@ def memory(evaluations: int) -> tuple[int, float]:
     return evaluations, (resident_memory(os.getpid()) - begun) / 2**20
 
 
-def imports(repeats: int) -> dict[str, Times]:
-    """Times of `import fmuid` and `fmuid --help` in a fresh interpreter, less those of the bare interpreter."""
+def imports(repeats: int) -> dict[str, float]:
+    """Return seconds of `import fmuid` and `fmuid --help` in a new interpreter, beyond the bare one."""
 
     def run(*arguments: str) -> Callable[[], object]:
         return lambda: subprocess.run([sys.executable, *arguments], capture_output=True, check=True)
@@ -233,9 +237,10 @@ def imports(repeats: int) -> dict[str, Times]:
             "fmuid --help": run(*_HELP),
         },
         repeats,
+        time.perf_counter,
     )
     bare = times.pop("bare").median
-    return {name: Times(tuple(t - bare for t in found.all)) for name, found in times.items()}
+    return {name: found.median - bare for name, found in times.items()}
 
 
 def grows(sizes: tuple[int, ...], make: Callable[[int], Callable[[], object]], budget: float) -> dict[int, float]:
@@ -243,9 +248,9 @@ def grows(sizes: tuple[int, ...], make: Callable[[int], Callable[[], object]], b
     found: dict[int, float] = {}
     for size in sizes:
         run = make(size)
-        begun = time.perf_counter()
+        begun = time.process_time()
         run()
-        first = time.perf_counter() - begun
+        first = time.process_time() - begun
         again = 0 if first > 2.0 else 2
         found[size] = min([first, *(_timed(run) for _ in range(again))])
         if found[size] * 10 > budget:
@@ -254,9 +259,9 @@ def grows(sizes: tuple[int, ...], make: Callable[[int], Callable[[], object]], b
 
 
 def _timed(run: Callable[[], object]) -> float:
-    begun = time.perf_counter()
+    begun = time.process_time()
     run()
-    return time.perf_counter() - begun
+    return time.process_time() - begun
 
 
 def scaling(sizes: tuple[int, ...], budget: float) -> dict[str, dict[int, float]]:

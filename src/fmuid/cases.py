@@ -109,9 +109,11 @@ class Case:
 
     def values(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the parameters as this case sees them: ``name@case`` under its plain name."""
+        shared = {n: v for n, v in values.items() if SEPARATOR not in n}
+        if len(shared) == len(values):
+            return shared
         suffix = f"{SEPARATOR}{self.id}"
-        own = {n.removesuffix(suffix): v for n, v in values.items() if n.endswith(suffix)}
-        return {n: v for n, v in values.items() if SEPARATOR not in n} | own
+        return shared | {n.removesuffix(suffix): v for n, v in values.items() if n.endswith(suffix)}
 
     def start_values(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return what is set on the model, by variable, in the model's units."""
@@ -195,6 +197,10 @@ def measured_case(
 
     Parameters
     ----------
+    id
+        Its name in results.
+    simulator, task
+        The model, and what is simulated with it.
     measurements
         (N,) or (R, N) samples by variable name, all of them among ``task.outputs``.
     sigma
