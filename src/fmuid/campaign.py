@@ -73,7 +73,25 @@ class Signal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Experiment:
-    """One recorded run: a time axis (N,) in s, its signals, and the settings it was run with."""
+    """One recorded run.
+
+    Parameters
+    ----------
+    id
+        Its name in the measurement file.
+    setup
+        What it was made with; says which model stands for it.
+    time
+        (N,) in s, strictly increasing.
+    signals
+        Inputs and outputs by name, (N,) each.
+    settings, setting_units
+        Known values that the run sets on the model, by name, and their units (the model's where none is stated).
+    repeat_of
+        Id of the first run with the same inputs, settings and times; None for a run of its own.
+    description
+        For reports.
+    """
 
     id: str
     setup: str
@@ -107,7 +125,15 @@ class Experiment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurements:
-    """The experiments of one measurement file, in the file's order."""
+    """The experiments of one measurement file; prints as a table.
+
+    Parameters
+    ----------
+    experiments
+        By id, in the file's order.
+    title, rig, source, licence
+        Of the recording, as free text.
+    """
 
     experiments: Mapping[str, Experiment]
     title: str = ""
@@ -202,7 +228,27 @@ class ModelSpec:
 
 @dataclass(frozen=True, slots=True)
 class ParameterSpec:
-    """A parameter of the campaign: start and bounds in model space, and how the search sees it."""
+    """A parameter of the campaign.
+
+    Parameters
+    ----------
+    name
+        Here and, unless a model's `map` says otherwise, in the FMUs.
+    start, lower, upper
+        Start value and bounds in `unit`.
+    unit
+        The FMU's where it is None.
+    scale
+        Whether the search sees the value or its logarithm.
+    free
+        False: held, unless a stage frees it.
+    per
+        One value for the campaign, or one for each experiment.
+    truth
+        The rig's own value where it is known; for reports only.
+    description
+        For reports.
+    """
 
     name: str
     start: float
@@ -218,7 +264,23 @@ class ParameterSpec:
 
 @dataclass(frozen=True, slots=True)
 class CriterionSpec:
-    """One criterion of a stage: what is measured of the mismatch of `signal`, scaled by its demand value."""
+    """One criterion of a stage: what is measured of the mismatch of a signal, scaled by its demand value.
+
+    Parameters
+    ----------
+    signal
+        Measured name.
+    kind
+        Such as ``least_squares``, ``maximum``, ``rise_time``; see `fmuid.criteria`.
+    demand
+        The value that would do: a criterion over its demand is satisfied at 1.
+    weight
+        In the weighted sum.
+    start_time, stop_time
+        Window (s) that is looked at.
+    options
+        Of the kind.
+    """
 
     signal: str
     kind: str = "least_squares"
@@ -269,7 +331,29 @@ class AnalysisSpec:
 
 @dataclass(frozen=True, slots=True)
 class StageSpec:
-    """One step of the identification: which experiments, which parameters, judged how, solved by what."""
+    """One step of the identification: which experiments, which parameters, judged how, solved by what.
+
+    Parameters
+    ----------
+    name
+        Of the stage.
+    experiments, free
+        Ids of the runs that are fitted, and names of the parameters that are estimated.
+    start
+        Other start values than the campaign's, by name.
+    tie
+        Follower -> expression of parameters.
+    criteria, combine
+        What is judged, and how criteria become one cost.
+    solver, solver_options
+        Name (``auto`` chooses by the problem) and options; see `fmuid.solvers`.
+    max_evaluations, max_seconds
+        Budget; None is the solver's own.
+    constraints
+        As in ``campaign.toml``.
+    analyses
+        What is asked when the search is over.
+    """
 
     name: str
     experiments: tuple[str, ...]
@@ -303,7 +387,31 @@ class EffectsSpec:
 
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """Everything of one identification question. `folder` anchors relative paths."""
+    """Everything of one identification question, as `fmuid.load_campaign` reads it.
+
+    Parameters
+    ----------
+    name, title
+        Short and long name.
+    folder
+        Anchors relative paths.
+    measurements
+        The recorded runs.
+    models
+        Which FMU stands for a setup, by setup.
+    parameters
+        By name, estimated or not.
+    settings
+        Fixed values by FMU variable, in the FMU's units.
+    stages
+        By name, in their order.
+    identification, validation
+        Ids of the runs that may be fitted, and of those that are kept back.
+    effects
+        What a diagnosis starts from, if the campaign says.
+    published
+        Free-form figures to put beside the estimates.
+    """
 
     name: str
     title: str

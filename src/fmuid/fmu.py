@@ -400,6 +400,13 @@ _REASONS = {
 def load_fmu(path: str | Path, interface: Interface | None = None) -> Fmu:
     """Return the FMU at `path`: in one process always the same object as long as the file does not change.
 
+    Parameters
+    ----------
+    path
+        An ``.fmu`` file of FMI 2.0 or 3.0.
+    interface
+        ``co-simulation`` or ``model exchange``; None takes co-simulation where the FMU has it.
+
     Raises
     ------
     FmuError

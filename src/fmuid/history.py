@@ -260,7 +260,12 @@ class History:
 
 
 def read_history(path: str | Path) -> Mapping[str, StageHistory]:
-    """Read the history of a run folder (or an ``history.h5``), by stage.
+    """Read the history of a run folder, by stage.
+
+    Parameters
+    ----------
+    path
+        The folder, or the ``history.h5`` in it.
 
     Raises
     ------

@@ -62,6 +62,13 @@ def _read(path: Path) -> Measurements:
 def write_measurements(measurements: Measurements, path: str | Path) -> None:
     """Check `measurements` and write them to `path`; the file is there whole or not at all.
 
+    Parameters
+    ----------
+    measurements
+        What to write.
+    path
+        The HDF5 file; its folder is made if it is missing.
+
     Raises
     ------
     MeasurementsError

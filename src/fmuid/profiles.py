@@ -54,6 +54,19 @@ def profile_of(
     The others are fitted again while this one moves outwards, until the cost has grown by what `level` allows
     (scaled as the sandwich covariance is, so coloured residuals count).
 
+    Parameters
+    ----------
+    problem, estimate
+        The problem, and the uncertainty of its estimate (`uncertainty_of`).
+    name
+        The parameter.
+    level
+        Confidence of the interval, such as 0.95.
+    evaluate
+        Instead of the problem's own, as when evaluations are recorded or run in parallel.
+    floor
+        The simulator's noise floor, if it is known already.
+
     Raises
     ------
     ProblemError

@@ -67,6 +67,24 @@ def propagate(
 ) -> Propagated:
     """Simulate parameters drawn from the estimate's distribution (normal in search space, cut at the bounds).
 
+    Parameters
+    ----------
+    problem, estimate
+        The problem, and the uncertainty of its estimate (`uncertainty_of`).
+    draws
+        How many points.
+    level
+        Share of the draws that the bands hold, such as 0.95.
+    seed
+        Of the draws.
+    evaluate
+        Instead of the problem's own, as when evaluations are run in parallel.
+
+    Returns
+    -------
+    Propagated
+        Bands of the predictions and of the criteria.
+
     Raises
     ------
     SimulationError

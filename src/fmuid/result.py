@@ -122,16 +122,24 @@ class StageResult:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The outcome of an identification.
+    """The outcome of an identification; prints as tables, in a notebook as HTML.
 
     Parameters
     ----------
+    campaign, title, source
+        Name and title of the campaign, and the file it came from.
+    stages
+        How each stage went, in their order.
     parameters
         Best value of every parameter, free or not, in model space.
     versions
         Of fmuid and the libraries that the numbers come from.
     inputs
         SHA-256 of the measurement file and the FMUs, by name.
+    seconds
+        All that it took.
+    folder
+        The run folder, if there is one.
     """
 
     campaign: str

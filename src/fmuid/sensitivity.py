@@ -59,7 +59,14 @@ class Sensitivity:
 
 
 def sensitivity_of(problem: Problem, x: FloatArray | None = None) -> Sensitivity:
-    """Return the sensitivity of a problem at the search point `x`, by default its start.
+    """Return the sensitivity of a problem at a search point.
+
+    Parameters
+    ----------
+    problem
+        With n free parameters.
+    x
+        (n,) in search space; the start by default.
 
     Raises
     ------

@@ -58,6 +58,8 @@ def uncertainty_of(
 
     Parameters
     ----------
+    problem, best
+        The problem, and its evaluation at the estimate.
     evaluate
         Instead of the problem's own, as when evaluations are recorded.
     floor

@@ -107,6 +107,13 @@ def validate(
         Ids or globs; the campaign's validation set by default. Repeats are compared together.
     simulators
         Models by setup; the campaign's FMUs by default.
+    runner
+        What simulates; in this process by default.
+
+    Returns
+    -------
+    Validation
+        Scores by run and signal; prints as a table.
 
     Raises
     ------
