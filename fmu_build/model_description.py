@@ -176,7 +176,9 @@ def _fmi2(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
         "providesDirectionalDerivative": True,
     }
     co_simulation = {"canHandleVariableCommunicationStepSize": True, "canInterpolateInputs": True}
-    for tag, more in (("ModelExchange", {}), ("CoSimulation", co_simulation)):
+    # Assertions are checked when an integrator's step is completed.
+    exchange = {"completedIntegratorStepNotNeeded": model.n_assert == 0}
+    for tag, more in (("ModelExchange", exchange), ("CoSimulation", co_simulation)):
         files = _element(_element(root, tag, **abilities, **more), "SourceFiles")
         for name in sources:
             _element(files, "File", name=name)
@@ -254,7 +256,7 @@ def _fmi3(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
         "canSerializeFMUState": True,
         "providesDirectionalDerivatives": True,
     }
-    _element(root, "ModelExchange", **abilities)
+    _element(root, "ModelExchange", **abilities, needsCompletedIntegratorStep=model.n_assert > 0)
     _element(root, "CoSimulation", **abilities, canHandleVariableCommunicationStepSize=True)
     _units(root, model.units)
     types = _type_names(model)

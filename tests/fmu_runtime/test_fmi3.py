@@ -78,3 +78,16 @@ def test_state_and_directional_derivative(built):
     derivative = model.getDirectionalDerivative([vr["der(w)"]], [vr["tau"]], [1.0])
     assert derivative[0] == pytest.approx(1 / 0.25)
     model.freeInstance()
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_assertions_hold_in_model_exchange(built, fmi):
+    """x' = x^2 reaches 2 at t = 0.5; the importer is told that it must complete its steps."""
+    with pytest.raises(Exception, match=r"(?i)CompletedIntegratorStep.*failed|assertion violated"):
+        fmpy.simulate_fmu(
+            str(built("failing", fmi)[0]),
+            fmi_type="ModelExchange",
+            stop_time=0.7,
+            output_interval=0.1,
+            start_values={"limit": 2.0},
+        )
