@@ -11,7 +11,21 @@ from fmuid.campaign import FloatArray, Interpolation, frozen_mapping, read_only
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A scalar variable of a model, in FMI's words."""
+    """A scalar variable of a model, in FMI's words.
+
+    Parameters
+    ----------
+    name, description
+        As in the model description.
+    causality, variability
+        Such as ``parameter``, ``input``, ``output``, ``local``; ``fixed``, ``tunable``, ``continuous``.
+    unit
+        None where none is stated.
+    start, min, max
+        Start value and bounds, None where there is none.
+    type
+        ``Real``, ``Integer``, ``Boolean``, ``Float64`` and so on.
+    """
 
     name: str
     causality: str
