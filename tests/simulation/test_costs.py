@@ -1,0 +1,115 @@
+"""What fmuid costs around the FMU's own work, by processor time: load of the machine must not decide."""
+
+from __future__ import annotations
+
+import gc
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmuid.campaign import ParameterSpec
+from fmuid.cases import measured_case
+from fmuid.fmu import Fmu
+from fmuid.problem import Problem
+from fmuid.simulation import Task
+from fmuid.worker_process import resident_memory
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="the loop in C is compiled")
+
+
+@pytest.fixture(scope="module")
+def stepping():
+    sys.path.insert(0, str(BENCHMARKS))
+    import stepping
+
+    yield stepping
+    sys.path.remove(str(BENCHMARKS))
+
+
+def least(run, repeats):
+    times = []
+    for _ in range(repeats):
+        begun = time.process_time()
+        run()
+        times.append(time.process_time() - begun)
+    return min(times)
+
+
+def ratio(run, other, repeats):
+    """The least of several rounds, in which the two alternate."""
+    return min(least(run, repeats) / least(other, repeats) for _ in range(5))
+
+
+@needs_compiler
+@pytest.mark.parametrize("steps", [500, 2000])
+def test_a_light_fmu_is_stepped_about_as_fast_as_by_hand(stepping, tmp_path, steps):
+    path, t = stepping.make_oscillator(tmp_path), np.arange(steps + 1) * 1e-3
+    task = Task(t, {"u": np.sign(np.sin(np.cumsum(np.arange(steps + 1) % 37)))}, ("x", "v"))
+    ours, by_hand = stepping.with_fmuid(path, task), stepping.with_c(path, task)
+    assert np.array_equal(ours(), by_hand())
+    assert ratio(ours, by_hand, 300) < 1.3
+
+
+@needs_compiler
+def test_around_the_steps_of_a_real_fmu_next_to_nothing_is_spent(stepping, fmus, tmp_path):
+    path = tmp_path / "FixedShaft.fmu"
+    path.write_bytes(fmus["FixedShaft"].read_bytes())
+    u = 0.8 * np.where(np.arange(501) // 15 % 2, -1.0, 1.0)
+    task = Task(1e-3 * np.arange(501), {"i_cmd": u}, ("tau_sensor", "w_motor"))
+    assert ratio(stepping.with_fmuid(path, task), stepping.with_c(path, task), 7) < 1.05
+
+
+def evaluate(path, evaluations):
+    """Return by how many bytes the resident memory grew over the last evaluations."""
+    t = np.arange(301) * 1e-3
+    with Fmu(path) as fmu:
+        task = Task(t, {"u": np.sin(20 * t)}, ("x", "v"))
+        y = fmu.simulate(task, {})
+        problem = Problem(
+            [measured_case("run", fmu, task, {"x": y[0], "v": y[1]}, sigma={"x": 1e-3, "v": 1e-2})],
+            [ParameterSpec("c", 100.0, 10.0, 1000.0), ParameterSpec("d", 0.5, 0.0, 5.0)],
+        )
+        rng, begun = np.random.default_rng(0), 0
+        for k in range(evaluations):
+            assert problem.evaluate(problem.space.start * (1.0 + 1e-3 * rng.standard_normal(2))).ok
+            if k == 7000:  # as many predictions are kept by then as ever will be
+                gc.collect()
+                begun = resident_memory(os.getpid())
+        gc.collect()
+        return resident_memory(os.getpid()) - begun
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="only Linux tells")
+def test_evaluations_leave_nothing_in_memory(build):
+    assert evaluate(build(2), 9_000) < 4 * 2**20  # 2000 evaluations, so below 20 MB in 10 000
+
+
+@pytest.mark.parametrize(
+    ("code", "seconds"),
+    [
+        ("import fmuid", 0.3),
+        ("import sys; from fmuid.cli import main; sys.argv = ['fmuid', '--help']; main()", 0.5),
+    ],
+)
+def test_what_starts_often_starts_fast(code, seconds):
+    def spent(text):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, "-c", text], check=True, capture_output=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    assert min(spent(code) for _ in range(3)) < seconds
+    heavy = "{'scipy', 'fmpy', 'matplotlib', 'plotly', 'pandas', 'nlopt', 'h5py'}"
+    check = (
+        f"import atexit, sys; atexit.register(lambda: sys.stderr.write(str(sorted({heavy} & set(sys.modules)))))"
+    )
+    done = subprocess.run([sys.executable, "-c", f"{check}; {code}"], check=True, capture_output=True, text=True)
+    assert done.stderr.endswith("[]")
