@@ -85,6 +85,8 @@ def test_commands_and_links_in_the_text_exist(page: Path) -> None:
     commands = get_command(app).commands
     inline = "\n".join(" ".join(code.split()) for code in re.findall(r"`([^`]+)`", BLOCK.sub("", text)))
     inline += "\n".join(block for _, language, block in BLOCK.findall(text) if not language)
+    if page.name == "errors.md":  # its commands are wrong on purpose; tests/errors runs them
+        inline = ""
     for name, rest in re.findall(r"\bfmuid ([a-z-]+)(.*)", inline):
         assert name in commands, f"fmuid {name}"
         known = {o for parameter in commands[name].params for o in parameter.opts + parameter.secondary_opts}
