@@ -48,7 +48,7 @@ def unit_conversion(where: object, source: str, source_unit: str | None, target:
     UnitError
         They measure different things.
     """
-    if source_unit is None or unit is None:
+    if not source_unit or not unit:
         return Linear()
     try:
         found = conversion(source_unit, unit)

@@ -64,6 +64,8 @@ def read_system(path: Path, folder: Path) -> SystemDescription:
         raise FmuError(f"{DESCRIPTION} has no System", where=path, fix="export it anew")
     reader = _Reader(path, folder)
     reader.system(system, "", 0)
+    if not reader.components:
+        raise FmuError("has no component", where=path, fix="export it with its FMUs")
     experiment = root.find(f"{SSD}DefaultExperiment")
     times = {"start": "startTime", "stop": "stopTime"}
     return SystemDescription(
@@ -174,7 +176,7 @@ class _Reader:
         self.inbound[target] = source, linear
 
     def _end(self, element: Element, prefix: str, side: Literal["start", "end"]) -> _Node:
-        owner, name = element.get(f"{side}Element"), self._attribute(element, f"{side}Connector")
+        owner, name = element.get(f"{side}Element") or None, self._attribute(element, f"{side}Connector")
         if owner is None:
             node = _Node(prefix, name, True)
         elif f"{prefix}{owner}" in self.components:
@@ -225,6 +227,7 @@ class _Reader:
         for owner, is_system, values in self.bound:
             fitting = 0
             for name, value in values.items():
+                fitting += any(node.is_system and str(node) == f"{owner}{name}" for node in self.kinds)
                 for place, linear, unit in self._bound_to(owner, is_system, name):
                     fmu = self.components[place.component]
                     number = value.number(place, fmu, unit, self.path)

@@ -76,7 +76,8 @@ def bindings(element: Element, path: Path, folder: Path) -> Iterator[dict[str, V
             if typed is None:
                 raise FmuError(f"parameter '{name}' has no value", where=path, fix="export the system anew")
             kind = typed.tag.removeprefix(SSV)
-            found[name] = Value(name, kind, typed.get("value", ""), typed.get("unit"))
+            unit = (typed.get("unit") or "").removeprefix("[").removesuffix("]")  # as SysML tools write it
+            found[name] = Value(name, kind, typed.get("value", ""), unit or None)
         mapping = binding.find(f"{SSD}ParameterMapping")
         if mapping is not None:
             what = f"a parameter mapping of '{element.get('name')}'"
