@@ -65,7 +65,7 @@ class Equations:
     def add(self, scope: ModelScope, equations: list[Equation]) -> None:
         """Add equations; one with a discrete variable alone on a side defines a discrete variable."""
         for equation in equations:
-            discrete = equation.sides is not None and any(_is_discrete(scope, s) for s in equation.sides)
+            discrete = equation.sides is not None and any(can_define(scope, s) for s in equation.sides)
             (self.discrete if discrete else self.continuous).append(equation)
 
 
@@ -171,9 +171,12 @@ def _at(
         yield from _at(scope, binders[1:], point[1:], body, span)
 
 
-def _is_discrete(scope: ModelScope, side: SX) -> bool:
+def can_define(scope: ModelScope, side: SX) -> bool:
+    """Whether an equation with this side defines it: a discrete variable that no when-clause assigns."""
     declared = scope.declared(side) if side.is_symbolic() else None
-    return declared is not None and declared.kind == "discrete"
+    if declared is None or declared.kind != "discrete":
+        return False
+    return not {declared.name, declared.node["name"]} & scope.assigned
 
 
 def _scalar_equations(scope: ModelScope, node: Node, span: Any) -> list[Equation]:

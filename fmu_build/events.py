@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from fmu_build import algebra
-from fmu_build.equations import Branch, Equation, Equations
+from fmu_build.equations import Branch, Equation, Equations, can_define
 from fmu_build.graph import SX, Substitution, if_else, key
 from fmu_build.index_reduction import State
 from fmu_build.matching import augment, components
@@ -115,13 +115,14 @@ def collect(
 
 def _fires(scope: ModelScope, branch: Branch) -> SX:
     fires = SX(0.0)
-    for condition in branch.conditions:
-        if key(scope.init) in scope.graph.symbols(condition):  # initial() in it: may fire at initialisation
-            fires = ca.logic_or(fires, ca.logic_and(scope.init, condition))
-            condition = Substitution({key(scope.init): SX(0.0)})(condition)
+    for whole in branch.conditions:
+        condition = whole
+        if key(scope.init) in scope.graph.symbols(whole):  # initial() in it: may fire at initialisation
+            fires = ca.logic_or(fires, ca.logic_and(scope.init, whole))
+            condition = Substitution({key(scope.init): SX(0.0)})(whole)
             if condition.is_constant():
                 continue
-        held = scope.hold(f"condition {len(scope.held) + 1}", condition, SX(0.0))
+        held = scope.hold(f"condition {len(scope.held) + 1}", whole, SX(0.0))
         edge = ca.logic_and(condition, ca.logic_not(held.previous))
         fires = ca.logic_or(fires, ca.logic_and(edge, ca.logic_not(scope.init)))
     return fires
@@ -143,9 +144,7 @@ def _reinit(
 
 def _definitions(scope: ModelScope, equations: list[Equation]) -> dict[int, SX]:
     """Match each equation between discrete variables with the one it defines."""
-    sides = [
-        [s for s in equation.sides or () if s.is_symbolic() and _is_discrete(scope, s)] for equation in equations
-    ]
+    sides = [[s for s in equation.sides or () if can_define(scope, s)] for equation in equations]
     column: dict[int, int] = {}
     for row in sides:
         for side in row:
@@ -161,11 +160,6 @@ def _definitions(scope: ModelScope, equations: list[Equation]) -> dict[int, SX]:
             left, right = equations[row_of[c]].sides or (SX(0.0), SX(0.0))
             out[k] = right if key(left) == k else left
     return out
-
-
-def _is_discrete(scope: ModelScope, side: SX) -> bool:
-    declared = scope.declared(side)
-    return declared is not None and declared.kind == "discrete"
 
 
 def _entries(scope: ModelScope, values: dict[int, SX], starts: dict[int, SX]) -> list[Discrete]:

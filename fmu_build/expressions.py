@@ -23,8 +23,6 @@ _ELEMENTWISE: dict[str, Callable[..., Scalar]] = {
     "MulElem": lambda a, b: a * b,
     "DivElem": algebra.divide,
     "ExpElem": algebra.power,
-    "And": algebra.AND,
-    "Or": algebra.OR,
 }
 _RELATIONS = {"Lt", "Le", "Gt", "Ge", "Eq", "Neq"}
 _STEPS = {"Floor", "Integer", "Ceil", "Div", "Mod", "Rem"}
@@ -215,6 +213,8 @@ class Evaluator:
 
     def _binary(self, node: Node) -> Value:
         op = node["op"]
+        if op in ("And", "Or"):
+            return self._logical(op == "And", node)
         a, b = self(node["lhs"]), self(node["rhs"])
         if op in ("Eq", "Neq") and isinstance(a, str) and isinstance(b, str):
             return bool((a == b) == (op == "Eq"))
@@ -238,6 +238,16 @@ class Evaluator:
         if op == "Exp" and not isinstance(a, Array):
             return algebra.elementwise(algebra.power, a, b)
         raise ValueError(f"operator {op} on {algebra.kind(a)} and {algebra.kind(b)} is not supported")
+
+    def _logical(self, both: bool, node: Node) -> Value:
+        """``and`` (`both`) or ``or``; what is decided by one side alone does not look at the other."""
+        a = self(node["lhs"])
+        if isinstance(a, bool | int | float) and bool(a) != both:
+            return not both
+        b = self(node["rhs"])
+        if isinstance(b, bool | int | float) and not isinstance(a, Array):
+            return a if bool(b) == both else not both
+        return algebra.elementwise(algebra.AND if both else algebra.OR, a, b)
 
     def _relation(self, op: str, a: Scalar, b: Scalar) -> Scalar:
         if op in ("Eq", "Neq"):

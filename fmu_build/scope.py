@@ -41,6 +41,7 @@ class ModelScope:
     def __init__(self, flat: Flat, graph: Graph, discrete: set[str], structural: set[str]) -> None:
         self.flat = flat
         self.graph = graph
+        self.assigned = discrete  # names of what when-clauses assign
         self.declarations = Declarations(flat, discrete, structural)
         self.parameters = Parameters(self.declarations)
         self.evaluate = Evaluator(flat, self, Functions(flat))

@@ -1,7 +1,8 @@
 """Are the units of a flat class consistent? Dimensional analysis of its equations, bindings and attributes.
 
-A variable without a unit, a literal that is no whole number, and what a function returns fit everything; a whole
-number counts as a pure number in products and fits everything in sums. An angle in rad is a pure number.
+A variable without a unit, ``time`` (in ``sin(10*time)`` the literal has the unit), a literal that is no whole
+number, and what a function returns fit everything; a whole number counts as a pure number in products and fits
+everything in sums. An angle in rad is a pure number.
 """
 
 from __future__ import annotations
@@ -107,8 +108,6 @@ class _Checker:
         return self._unit(node) if value is None else _NUMBER if value == int(value) else None
 
     def _named(self, name: str) -> Dimension | None:
-        if name == "time":
-            return _SECOND
         variable = self._variables.get(name) or self._variables.get(name.partition("[")[0])
         return _of_unit(variable["unit"]) if variable else None
 

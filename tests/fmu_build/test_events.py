@@ -69,6 +69,11 @@ def test_sampled_controller(simulate):
     assert list(result["late"]) == [t > 0.72 for t in result["time"]]
 
 
+def test_a_held_control_alone_on_a_side(simulate):
+    result = simulate("DeadBeat", ["x"], 1.05, 0.05)
+    np.testing.assert_allclose(result["x"], np.maximum(0.0, 1.0 - result["time"] / 0.1), atol=1e-7)
+
+
 @pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
 def test_relay_with_hysteresis(simulate, kind):
     result = simulate("Relay", ["x", "on", "switches", "edges"], 5.0, 0.5, kind=kind)
@@ -132,6 +137,13 @@ def test_initial_in_when_clauses(simulate):
     """A condition that is true from the start does not fire, unless initial() lets it."""
     result = simulate("AtStart", ["a", "b", "c"], 1.0, 0.25)
     assert [tuple(result[n]) for n in "abc"] == [(1, 1, 1, 2, 2), (1,) * 5, (0,) * 5]
+
+
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+def test_sample_fires_at_the_start_itself(simulate, kind):
+    result = simulate("SampledFromStart", ["n", "k"], 1.0, 0.1, kind=kind)
+    at = {round(t, 2): (n, k) for t, n, k in zip(result["time"], result["n"], result["k"], strict=True)}
+    assert [at[t] for t in (0.0, 0.2, 0.4, 0.7, 0.9)] == [(1, 1), (1, 1), (2, 1), (3, 2), (4, 3)]
 
 
 def test_terminate(simulate):

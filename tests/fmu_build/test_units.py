@@ -28,7 +28,7 @@ GOOD = [
     "m*der(v) = F;",
     "m*der(v) = -c*s*plain;",
     "m*der(v) = noEvent(if s > 0 then F else 2*F);",
-    "m*der(v) = if v > 1e-3 then F*sin(w*time) else sqrt(F^2);",
+    "m*der(v) = if v > 1e-3 then F*sin(10*time) else sqrt(F^2);",
     "m*v*der(v)/2 = 9.81*F + max(0, F*v*3);",
 ]
 BAD = {
@@ -63,7 +63,7 @@ def test_units_that_differ_are_told_with_their_line(tmp_path, equation):
 @pytest.mark.parametrize(
     ("more", "units"),
     [
-        ('  Real angle(unit = "deg") = w*time;\n', ("deg", "1")),
+        ('  Real angle(unit = "deg") = n;\n', ("deg", "1")),
         ('  Real speed(unit = "rpm") = w;\n', ("rpm", "rad/s")),
         ('  parameter Real k(unit = "N") = tau;\n', ("N", "N.m")),
         ('  Real y(unit = "m", start = m) = s;\n', ("m", "kg")),

@@ -202,6 +202,28 @@ package Hybrid "Events"
     end when;
   end AtStart;
 
+  model SampledFromStart "The first instant is the start itself"
+    Integer n(start = 0, fixed = true);
+    Integer k(start = 0, fixed = true);
+  equation
+    when sample(0, 0.25) then
+      n = pre(n) + 1;
+    end when;
+    when {initial(), sample(0.5, 0.25)} then
+      k = pre(k) + 1;
+    end when;
+  end SampledFromStart;
+
+  model DeadBeat "A sampled control that is the derivative itself"
+    Real x(start = 1, fixed = true);
+    discrete Real u(start = 0, fixed = true);
+  equation
+    der(x) = u;
+    when sample(0, 0.1) then
+      u = -x/0.1;
+    end when;
+  end DeadBeat;
+
   model Quiet
     output Real y = noEvent(if time > 1 then 1 else 0);
     output Real q = smooth(0, if time > 1 then time else 1);
