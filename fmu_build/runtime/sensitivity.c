@@ -95,6 +95,8 @@ static Status solve_piece(Instance *me) {
 static Status solve_until(Instance *me, double t) {
     enum { MOST = 20 }; /* kinks that follow each other without end are rounding: what rests at its threshold */
     struct Sensitivity *q = me->sensitivity;
+    double y[LENGTH(NY)]; /* loops go on from where the prediction left them */
+    memcpy(y, me->s.y, sizeof y);
     const Step *step = &me->s.step;
     const double end = step->t0 + step->h;
     Status status = STATUS_OK;
@@ -105,6 +107,7 @@ static Status solve_until(Instance *me, double t) {
         q->pieces++;
         status = solve_piece(me);
     }
+    memcpy(me->s.y, y, sizeof y);
     return status;
 }
 
@@ -232,6 +235,8 @@ int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, d
         return report(me, STATUS_ERROR, "no sensitivities were chosen before the simulation, or it has not started");
     Status status = evaluate(me, me->s.t, q->now);
     const State *now = &me->s;
+    double y[LENGTH(NY)];
+    memcpy(y, now->y, sizeof y);
     int slopes = NY > 0; /* derivatives of dx are seldom asked for, but bring those of loops */
     for (size_t i = 0; i < n; i++) slopes |= is_slope(variables[i]);
     for (size_t j = 0; j < q->n && status <= STATUS_WARNING; j++) {
@@ -242,5 +247,6 @@ int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, d
         for (size_t i = 0; i < n && status <= STATUS_WARNING; i++)
             status = pick_derivative(me, variables[i], s, &values[i * q->n + j]);
     }
+    memcpy(me->s.y, y, sizeof y);
     return status;
 }
