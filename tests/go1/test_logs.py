@@ -152,3 +152,13 @@ def test_the_motor_carries_the_load(measured):
     extra = side * (GEAR_RATIO * tau - load)
     assert extra[lifting].mean() > 0.25
     assert extra[lifting].mean() - extra[lowering].mean() > 0.3
+
+
+@pytest.mark.parametrize("payload", [1, 2, 3])
+def test_the_reading_jumps_back_when_the_torque_goes_off(measured, payload):
+    """As far as a spring of 6.8 mrad/(N.m) had been bent: the compliance that the diagnosis finds."""
+    run = measured[f"m{payload}_lift_and_drop"]
+    off = int(np.argmin(run.signals["enable"].values))
+    q, tau = run.signals["q"].values, run.signals["tau_motor"].values
+    bent = (q[off + 1] - q[off]) / (-GEAR_RATIO * tau[off])
+    assert bent == pytest.approx(6.8e-3, rel=0.03)
