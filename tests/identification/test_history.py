@@ -8,7 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid import AnalysisSpec, Observer, Result, Status, StopRules, identify, read_history
+from fmuid import (
+    AnalysisSpec,
+    CriterionSpec,
+    Observer,
+    ParameterSpec,
+    Problem,
+    Result,
+    Status,
+    StopRules,
+    Task,
+    identify,
+    measured_case,
+    read_history,
+)
 from fmuid.history import JOURNAL, HistoryError
 
 # A run that identifies the mass-spring-damper with a slow model, to be killed from outside.
@@ -139,6 +152,21 @@ def test_a_changed_problem_is_not_resumed(tmp_path, msd):
     identify(msd(), solver="bobyqa", out=tmp_path, observer=Interrupt(6))
     with pytest.raises(HistoryError, match="has changed since"):
         identify(msd(seed=5), solver="bobyqa", out=tmp_path, resume=True)
+
+
+def test_a_criterion_with_other_options_is_another_problem(tmp_path, analytic):
+    def asked(**options):
+        y = np.sin(np.arange(50.0)) + np.random.default_rng(0).standard_normal((3, 50))
+        task = Task(np.arange(50) * 0.1, {}, ("y",))
+        model = analytic(lambda time, inputs, p: {"y": p["a"] * np.sin(10 * time)}, ["a"])
+        criteria = [CriterionSpec("y", options=options)]
+        case = measured_case("run", model, task, {"y": y}, criteria=criteria)
+        return Problem([case], [ParameterSpec("a", 0.5, 0.1, 2.0)])
+
+    identify(asked(), solver="bobyqa", out=tmp_path, observer=Interrupt(4))
+    with pytest.raises(HistoryError, match="has changed since"):
+        identify(asked(whiten="repeats"), solver="bobyqa", out=tmp_path, resume=True)
+    assert identify(asked(), solver="bobyqa", out=tmp_path, resume=True).status is Status.CONVERGED
 
 
 def test_a_complete_run_is_not_resumed_and_a_budget_can_be_raised(tmp_path, msd):

@@ -66,3 +66,40 @@ def test_with_one_of_them_known_the_others_are_determined(folder, capsys):
         low, high = estimate["interval"]
         assert low < TRUTH[estimate["name"]] < high
         assert high - low < 0.02 * low
+
+
+def test_what_a_stage_is_asked_in_its_table_is_answered(folder):
+    more = """criteria = [
+      {{ signal = "v", to = 4.0, options = {{ name = "charging" }} }},
+      {{ signal = "v", from = 4.0, options = {{ name = "discharging" }} }},
+    ]
+    profiles = true
+    monte_carlo = 25
+    pareto = {{ objectives = ["charging", "dis*"], points = 3 }}
+    """
+    text = TOML.replace("{more}", ", free = false").replace("2e-3", "1e-3") + more
+    (folder / "campaign.toml").write_text(text.format())
+    out = folder / "asked"
+    assert run(["identify", str(folder), "--out", str(out), "--workers", "0", "--quiet"]) == 0
+    (stage,) = json.loads((out / "result.json").read_text())["stages"]
+    assert [p["name"] for p in stage["profiles"]] == ["R1", "R2"]
+    assert [s["label"] for s in stage["spread"]] == ["steps: charging", "steps: discharging"]
+    assert stage["front"]["objectives"] == ["charging", "dis*"]
+    assert len(stage["front"]["points"]) >= 2  # the model is right: the objectives hardly compete
+    page = (out / "report" / "index.html").read_text()
+    for title in ("Pareto front: all", "Profiles: all", "Criteria over the uncertainty of the parameters"):
+        assert title in page
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("monte_carlo = -1", "monte_carlo is -1; write a number of draws"),
+        ("pareto = { points = 1 }", "pareto points is 1; write 2 or more"),
+        ("pareto = { point = 3 }", "unknown key 'point'; did you mean 'points'?"),
+    ],
+)
+def test_what_cannot_be_asked_is_one_line(folder, capsys, line, message):
+    (folder / "campaign.toml").write_text(TOML.format(more="") + line + "\n")
+    assert run(["check", str(folder)]) == 2
+    assert message in capsys.readouterr().err
