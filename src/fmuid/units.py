@@ -29,6 +29,7 @@ _TORQUE = re.compile(r"([mkMµu]?N)m")  # pint takes Nm for a textile unit
 _ANGLES = {"rad", "deg", "revolution", "rpm", "degree", "radian", "turn"}
 _RESISTANCE = re.compile(r"([mkMµu]?)(?:Ohm|Ω)")
 _CYCLES = re.compile(r"[mkMG]?Hz")
+_PER_MINUTE = {(("min", -1),), (("minute", -1),)}  # what loggers write for rpm
 _OFFSET_UNITS = {"degC": "delta_degC", "degF": "delta_degF"}
 
 # A unit as (symbol, exponent) pairs.
@@ -77,6 +78,15 @@ def conversion(source: str, target: str | None) -> Conversion:
             f"'{source}' cannot be converted to '{target}'",
             fix="convert the values by 2 pi and write the unit",
         )
+    for unit, factors, other in (
+        (source, source_factors, target_factors),
+        (target, target_factors, source_factors),
+    ):
+        if factors in _PER_MINUTE and any(symbol in _ANGLES for symbol, _ in other):
+            raise UnitError(
+                f"'{unit}' may count turns or radians: '{source}' is not converted to '{target}'",
+                fix="write rpm, or rad/min",
+            )
     given, wanted = _pint_unit(source, source_factors), _pint_unit(target, target_factors)
     if given.dimensionality != wanted.dimensionality:
         raise UnitError(

@@ -32,6 +32,8 @@ from fmuid.units import Conversion, check_unit, conversion, convert_factor
         ("", "1", 1, 0),
         ("%", "1", 0.01, 0),
         ("rpm", "rad/s", 2 * math.pi / 60, 0),
+        ("1/min", "1/s", 1 / 60, 0),
+        ("-", "1", 1, 0),
         ("U/min", "rad/s", 2 * math.pi / 60, 0),
         ("deg", "rad", math.pi / 180, 0),
         ("deg/s", "rad/s", math.pi / 180, 0),
@@ -57,6 +59,8 @@ def test_conversion(source: str, target: str | None, factor: float, offset: floa
     [
         ("N", "m", "'N' cannot be converted to 'm'; they measure different things ([mass] * [length] / [time] ** 2 and [length])"),
         ("Hz", "rad/s", "'Hz' cannot be converted to 'rad/s'; convert the values by 2 pi and write the unit"),
+        ("1/min", "rad/s", "'1/min' may count turns or radians: '1/min' is not converted to 'rad/s'; write rpm, or rad/min"),
+        ("deg/s", "min-1", "'min-1' may count turns or radians: 'deg/s' is not converted to 'min-1'; write rpm, or rad/min"),
         ("rpm", "Hz", "'rpm' cannot be converted to 'Hz'; convert the values by 2 pi and write the unit"),
         ("Nwt", "N", "unit 'Nwt' is unknown; write it as in 'N.m' or 'kg.m2/s'"),
         ("N", "Nwt", "unit 'Nwt' is unknown; write it as in 'N.m' or 'kg.m2/s'"),
