@@ -87,7 +87,7 @@ sealed: $(FMUS)
 # Goes on where it was interrupted. FIRST=20: the first twenty cases of the grid. SEED=5: not a drawn one.
 blind: $(FMUS)
 	$(BIN)/python -m fmuid.diagnosis.blind_check --labels $(LABELS) --count $(COUNT) \
-	  $(FIRST:%=--first %) $(SEED:%=--seed %) --page docs/blind.md \
+	  $(FIRST:%=--first %) $(SEED:%=--seed %) --page docs/blind.md --notes docs/blind_notes.md \
 	  --command "make blind COUNT=$(COUNT)$(FIRST:%= FIRST=%)$(SEED:%= SEED=%)"
 
 lint: $(DEVELOPER)

@@ -135,10 +135,14 @@ def test_power_and_confusion_count_every_case_once():
 
 
 def test_the_page_has_the_command_the_hash_the_misses_and_the_failures():
-    text = page(Outcome(CASES, PORTS, 12, 200, 5, "abc123", closed=True), "make blind COUNT=200")
+    notes = (ROOT / "docs" / "blind_notes.md").read_text()
+    text = page(Outcome(CASES, PORTS, 12, 200, 5, "abc123", closed=True), "make blind COUNT=200", notes)
     for piece in ("make blind COUNT=200", "abc123", "11 of 12 cases", "| not measured |", "by 0.45", "a or b"):
         assert piece in text
     assert "white-noise BIC" in text
+    assert notes in text
+    headings = [line for line in text.splitlines() if line.startswith("#")]
+    assert headings[1:3] == ["## What was known beforehand", "## Where an aim is missed, why"]
     failures = text.split("## Every case")[1]
     assert failures.count("\n| c |") == sum(not c.right for c in CASES)
 

@@ -91,6 +91,26 @@ def test_noise_that_was_not_measured_is_said(trolley, tmp_path, capsys):
     assert "Uncalibrated" in (tmp_path / "index.html").read_text()
 
 
+def test_calibrating_on_plants_of_one_s_own_is_kept_and_used(trolley, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    record(trolley, drag=0.3)
+    file = tmp_path / "out" / "diagnosis.json"
+    arguments = ["diagnose", str(trolley), "--out", str(file.parent), "--workers", "0"]
+    probability = []
+    for further in (["--calibrate", "4"], []):
+        assert run([*arguments, *further]) == 0
+        answer = json.loads(file.read_text())
+        assert answer["verdict"]["effects"] == ["air_drag"]
+        assert "4 simulated plants of this model, noise and set-up" in capsys.readouterr().out
+        probability.append({e["id"]: e["probability"] for e in answer["effects"]})
+    (kept,) = (tmp_path / "cache" / "fmuid").glob("calibration-*.json")
+    assert json.loads(kept.read_text())["trials"] == 4
+    assert probability[0] == probability[1]
+    kept.unlink()
+    assert run(arguments) == 0
+    assert "of the Harmonic Drive actuator" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("table", "message"),
     [

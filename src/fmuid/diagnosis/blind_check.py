@@ -195,6 +195,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, help="default: drawn, and kept with the labels")
     parser.add_argument("--workers", type=int, help="cases at the same time; one a processor by default")
     parser.add_argument("--page", type=Path, help="Markdown page to write")
+    parser.add_argument("--notes", type=Path, help="Markdown sections to put on the page as they are")
     parser.add_argument("--command", default="make blind", help="what the page says it was made by")
     given = parser.parse_args(arguments)
     if given.labels.resolve().is_relative_to(Path.cwd()):
@@ -204,7 +205,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check = Check(given.out, given.labels, given.campaign, given.count, only, given.seed, given.workers)
     try:
         found = check.run()
-        text = page(found, given.command)
+        notes = "" if given.notes is None else given.notes.read_text(encoding="utf-8")
+        text = page(found, given.command, notes)
         print(text)
         if given.page is not None:
             write_atomically(given.page, text)

@@ -56,8 +56,8 @@ _NOTES = f"""\
 """
 
 
-def page(outcome: Outcome, command: str) -> str:
-    """Return the Markdown page."""
+def page(outcome: Outcome, command: str, notes: str = "") -> str:
+    """Return the Markdown page; `notes` is what a person has to say to the figures, sections of Markdown."""
     cases = outcome.cases
     introduction = _INTRODUCTION.format(
         command=command,
@@ -70,7 +70,8 @@ def page(outcome: Outcome, command: str) -> str:
         floor=FLOOR,
         large=LARGE,
     )
-    parts = [introduction, _aims(figures(cases, outcome.ports)), _NOTES, _baselines(cases), _power(cases)]
+    parts = [introduction, _aims(figures(cases, outcome.ports)), _NOTES, *([notes] if notes else [])]
+    parts += [_baselines(cases), _power(cases)]
     return "\n".join([*parts, _confusion(cases), _failures(cases)])
 
 

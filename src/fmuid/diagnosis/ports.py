@@ -195,7 +195,9 @@ def _distinct(
 ) -> list[Port]:
     """Return the ports that are inputs, without those that no signal tells from one before them."""
     inputs = [p for p in ports if p.input is not None]
-    probe = next(iter(bases.values()))[:3]
+    probe = next(iter(bases.values()), ())[:3]
+    if not probe:
+        return []
     drives = [{p.input or "": [p.magnitude * b for b in one]} for p in inputs for one in probe]
     outcomes = model.predict_driven(base.values, drives)
     chosen: list[tuple[Port, FloatArray]] = []

@@ -1,0 +1,51 @@
+"""The search among effects: a wrong first pick is mended, a law of another shape is no further cause."""
+
+import pytest
+from plants import plant
+from tones import heard
+
+from fmuid.diagnosis.diagnose import diagnose_subject
+
+
+def test_a_swap_mends_a_first_pick_that_was_wrong(monkeypatch):
+    """`mixture` explains more than either cause does, and is none of them."""
+    laws = {"first": {1: 1.0}, "second": {2: 1.0}, "mixture": {1: 0.35, 2: 0.85, 3: 0.394}}
+    subject = heard(laws, {1: 1.0, 2: 1.0})
+    found = diagnose_subject(subject)
+    singles = {c.names[0]: c for c in found.candidates if len(c.names) == 1}
+    assert min(singles, key=lambda n: singles[n].fit.cost) == "mixture"
+    assert found.diagnosis.verdict.kind == "effect"
+    assert set(found.diagnosis.verdict.effects) == {"first", "second"}
+    assert found.diagnosis.model == pytest.approx({"k": 1.0, "first": 1.0, "second": 1.0}, abs=0.01)
+    # Without swaps the mixture stays, and something with it.
+    monkeypatch.setattr("fmuid.diagnosis.search._swaps", lambda *_: [])
+    assert "mixture" in diagnose_subject(subject).diagnosis.verdict.effects
+
+
+def test_a_law_of_another_shape_is_no_third_cause():
+    laws = {"first": {1: 1.0}, "second": {2: 1.0}, "like_first": {1: 0.95, 3: 0.31}, "other": {4: 1.0}}
+    found = diagnose_subject(heard(laws, {1: 1.0, 2: 1.0, 3: 0.1}))
+    assert set(found.best.effects) == {"first", "second", "like_first"}
+    assert set(found.diagnosis.verdict.effects) == {"first", "second"}
+    assert found.diagnosis.gap.corrected < 0.1
+
+
+@pytest.mark.parametrize(
+    ("truth", "causes"),
+    [
+        ({"truth": {"a": 0.1}, "delay": 5e-3}, {"asymmetry", "dead_time"}),
+        ({"truth": {"square": 0.3}, "gain": 1.03}, {"quadratic", "reading_gain"}),
+        ({"truth": {"square": 0.3}, "gain": 1.03, "delay": 5e-3}, {"quadratic", "reading_gain", "dead_time"}),
+    ],
+)
+def test_as_many_effects_are_named_as_are_true(truth, causes):
+    verdict = diagnose_subject(plant(**truth)).diagnosis.verdict
+    assert verdict.kind == "effect"
+    assert set(verdict.effects) == causes
+
+
+def test_a_gap_that_no_effect_would_show_in_is_one_the_data_cannot_settle():
+    answer = diagnose_subject(heard({"first": {1: 1.0}, "second": {2: 1.0}}, {5: 0.3})).diagnosis
+    assert answer.gap.present
+    assert answer.verdict.kind == "insufficient"
+    assert answer.verdict.effects == ()

@@ -1,0 +1,80 @@
+"""A reading made of pure tones: effects whose signatures have any wanted angle between them, to steer the search."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.cases import measured_case
+from fmuid.diagnosis.catalogue import Catalogue, Effect
+from fmuid.diagnosis.model import CampaignModel
+from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.ports import Port
+from fmuid.diagnosis.refit import Unknown
+from fmuid.diagnosis.setting_up import Subject
+from fmuid.simulation import Task, Variable
+
+TIME = 5e-3 * np.arange(400)
+SIGMA = 0.05
+STRENGTHS = (0.7, 1.0, 1.3, 1.6)  # of the experiments
+NOMINAL = Unknown("k", 0.5, -10.0, 10.0, 1e-2)
+
+
+def tone(number: int) -> np.ndarray:
+    """Return a tone; different ones are orthogonal over the time of a run."""
+    return np.sqrt(2.0) * np.sin(2 * np.pi * (2 * number + 1) * TIME / 2.0)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """y = strength (k tone 0 + the sum over the effects of size times law); a law has a weight for each tone."""
+
+    laws: Mapping[str, Mapping[int, float]]
+
+    @property
+    def variables(self) -> dict[str, Variable]:
+        parameters = {n: Variable(n, "parameter", "fixed", start=0.0) for n in self.laws}
+        k = Variable("k", "parameter", "fixed", start=0.0)
+        return parameters | {"k": k, "u": Variable("u", "input"), "y": Variable("y", "output")}
+
+    def simulate(self, task: Task, parameters: Mapping[str, float]) -> np.ndarray:
+        values = {**task.start_values, **parameters}
+        y = values["k"] * tone(0)
+        for name, law in self.laws.items():
+            y = y + values.get(name, 0.0) * sum(w * tone(t) for t, w in law.items())
+        return (task.inputs["u"] * y)[None]
+
+
+def heard(
+    laws: Mapping[str, Mapping[int, float]], truth: Mapping[int, float], *, ports: Mapping[str, str] | None = None
+) -> Subject:
+    """Return the subject of a diagnosis: readings with the tones of `truth`, effects with `laws` to explain them.
+
+    `ports` gives the port of an effect; each has its own otherwise.
+    """
+    rng = np.random.default_rng(0)
+    reading, cases = Reading(laws), []
+    for k, strength in enumerate(STRENGTHS):
+        task = Task(TIME, {"u": np.full(TIME.size, strength)}, ("y",))
+        true = strength * (tone(0) + sum(w * tone(t) for t, w in truth.items()))
+        cases.append(
+            measured_case(f"e{k}", reading, task, {"y": true + SIGMA * rng.standard_normal((5, TIME.size))})
+        )
+    model = CampaignModel(tuple(cases))
+    at = {name: (ports or {}).get(name, f"at {name}") for name in laws}
+    effects = {
+        name: Effect(
+            name,
+            name,
+            at[name],
+            (Unknown(name, 0.0, -10.0, 10.0, 1e-2),),
+            {name: 0.0},
+            ({name: 0.3},),
+            two_sided=True,
+        )
+        for name in laws
+    }
+    catalogue = Catalogue(effects, {p: Port(p, None, None, 1.0) for p in at.values()}, {})
+    return Subject(model, Observed.from_runs(model.runs), (NOMINAL,), catalogue, tuple(effects.values()))
