@@ -138,6 +138,7 @@ def test_without_omc(tmp_path, monkeypatch):
         build(MODELS / "Structure.mo", "Structure.RC", tmp_path, compiler="omc")
 
 
+@pytest.mark.slow
 def test_cold_builds_of_the_actuator_are_quick(tmp_path):
     """Limit: 20 s for the three on an idle core; processor time, compiler and front end included, is about a third."""
     before = sum(os.times()[:4])
