@@ -2,7 +2,7 @@
 
 The logs are JSON, one run a file, as the servo-identification project "Better Actuator Models" records them. They
 carry no licence, so they are read from a folder that the user names and never copied. What their numbers are was
-found from the runs themselves (see `docs/tutorials/go1.md`): `position` and `goal_position` are angles of the joint,
+found from the runs themselves (`docs/tutorials/go1.md`): `position` and `goal_position` are angles of the joint,
 `torque_demand` is on the motor's side of the gear, and `speed` is the joint's divided by the gear ratio once
 too often. A row is what the joint answered before the goal in it was sent.
 """
