@@ -1,4 +1,4 @@
-"""What the site has beyond the pages in this folder: the commands as Typer describes them, the names of `fmuid`."""
+"""What the site has beyond the pages in this folder: the commands by Typer, and the names of `fmuid`."""
 
 from __future__ import annotations
 
