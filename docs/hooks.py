@@ -44,7 +44,7 @@ def _names() -> str:
     lines = [
         "# Python",
         "",
-        "What is public is in `fmuid`; its types are shipped (`py.typed`). Nothing heavy is loaded before it is used.",
+        "What is public is in `fmuid`; its types are shipped (`py.typed`). Nothing is loaded before it is used.",
     ]
     for topic, modules in (*_TOPICS.items(), ("More", ("",))):
         names = [n for m in modules for n, place in left.items() if not m or place.split(".")[0] == m]
