@@ -85,7 +85,7 @@ def test_results_are_those_of_this_process(build, executor, solver):
     ("fault", "message"),
     [
         ("crash", r"crashed \(SIGABRT\) \(with c = 100, fault = 1\)"),
-        ("hang", r"took longer than the time limit of 1 s"),
+        ("hang", r"took longer than the time limit of 3 s"),
         ("devours", r"took more memory than the limit of 200 MB"),
         ("nan", r"is not finite"),
     ],
@@ -93,7 +93,7 @@ def test_results_are_those_of_this_process(build, executor, solver):
 def test_a_bad_evaluation_costs_itself_only(build, executor, fault, message):
     fmu = load_fmu(build(2))
     jobs = [(fmu, TASK, {"c": 100.0 + i, "fault": FAULTS[fault] if i == 0 else 0}) for i in range(6)]
-    limit = 1.0 if fault == "hang" else 60.0  # a busy machine is slow at allocating
+    limit = 3.0 if fault == "hang" else 60.0  # a busy machine is slow at all of it
     bad, *outcomes = on_executor(executor, time_limit=limit, memory_limit=200 * 2**20)(jobs)
     assert isinstance(bad, SimulationError)
     assert re.search(message, str(bad)), bad
