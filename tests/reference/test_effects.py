@@ -29,6 +29,11 @@ TASKS = {
 AXIS = {"offset": -3.0}
 
 
+def driven(catalogue: str) -> list[str]:
+    """Setups of a catalogue that run by themselves; a plant in a coupled model has its tests there."""
+    return [setup for setup in CATALOGUES[catalogue]["models"] if setup in TASKS]
+
+
 def simulate(fmus, setup: str, values=None, inputs=None, tolerance: float = 1e-7):
     """Return the outputs of a setup with its effects, plain values and further ones set, further inputs driven."""
     task = TASKS[setup]
@@ -104,7 +109,7 @@ TRIALS = [
 @pytest.mark.parametrize(("catalogue", "effect", "trial"), TRIALS)
 def test_every_trial_shows_in_some_signal(effect_fmus, neutral, catalogue, effect, trial):
     largest = 0.0
-    for setup in CATALOGUES[catalogue]["models"]:
+    for setup in driven(catalogue):
         outputs = simulate(effect_fmus, setup, CATALOGUES[catalogue]["effects"][effect]["trials"][trial])
         difference = outputs - neutral[setup]
         assert np.all(np.isfinite(difference))
@@ -122,7 +127,7 @@ INPUT_PORTS = [
 def test_every_port_shows_in_some_signal(effect_fmus, neutral, catalogue, port):
     entry = CATALOGUES[catalogue]["ports"][port]
     moved = 0.0
-    for setup in CATALOGUES[catalogue]["models"]:
+    for setup in driven(catalogue):
         push = {entry["input"]: np.full(len(TASKS[setup].time), entry["magnitude"])}
         outputs = simulate(effect_fmus, setup, inputs=push)
         moved = max(moved, float((outputs - neutral[setup]).std() / neutral[setup].std()))
