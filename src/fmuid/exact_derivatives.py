@@ -21,8 +21,19 @@ from fmuid.simulation import Task, differentiates
 _STEP = 1e-6  # of the differences around the simulation, in search units
 _End = tuple[float, Mapping[str, float]]
 """A point close to another: how far it is along one search coordinate, and every parameter there."""
-_Direction = tuple[dict[str, float], float]
+Direction = tuple[dict[str, float], float]
 """How a model's variables move with one search coordinate: their proportions, and their size."""
+
+
+def direction(above: Mapping[str, float], below: Mapping[str, float], width: float) -> Direction:
+    """Return how a model's variables move from one point to another that is `width` away along one coordinate."""
+    slopes = {name: (above[name] - below[name]) / width for name in above if above[name] != below[name]}
+    size = max(map(abs, slopes.values()), default=0.0)
+    return {name: round(slope / size, 9) for name, slope in slopes.items()}, size
+
+
+def _of_ends(case: Case, above: _End, below: _End) -> Direction:
+    return direction(case.start_values(above[1]), case.start_values(below[1]), above[0] - below[0])
 
 
 class ExactDerivatives:
@@ -38,7 +49,7 @@ class ExactDerivatives:
         ends = self._ends(here.x)
         jobs, directions = [], []
         for k, case in enumerate(problem.cases):
-            own = [self._direction(case, *pair) for pair in ends]
+            own = [_of_ends(case, *pair) for pair in ends]
             names = {name for along, _ in own for name in along}
             if names and not differentiates(case.simulator, names):
                 return None
@@ -65,14 +76,7 @@ class ExactDerivatives:
             ends.append((pair[0], pair[1]))
         return ends
 
-    @staticmethod
-    def _direction(case: Case, above: _End, below: _End) -> _Direction:
-        a, b = case.start_values(above[1]), case.start_values(below[1])
-        slopes = {name: (a[name] - b[name]) / (above[0] - below[0]) for name in a if a[name] != b[name]}
-        size = max(map(abs, slopes.values()), default=0.0)
-        return {name: round(slope / size, 9) for name, slope in slopes.items()}, size
-
-    def _task(self, index: int, case: Case, own: list[_Direction]) -> Task:
+    def _task(self, index: int, case: Case, own: list[Direction]) -> Task:
         """Return the case's task with its directions: the same object for the same directions."""
         along = tuple(direction for direction, _ in own if direction)
         key = (index, tuple(tuple(direction.items()) for direction in along))
@@ -84,7 +88,7 @@ class ExactDerivatives:
     def _block(
         case: Case,
         outcome: FloatArray,
-        own: list[_Direction],
+        own: list[Direction],
         ends: list[tuple[_End, _End]],
     ) -> FloatArray:
         """Return the rows of the Jacobian that belong to one case, before the criteria's weights."""

@@ -12,11 +12,17 @@ from fmuid import exact_derivatives, stepper
 from fmuid.campaign import CriterionSpec, ParameterSpec
 from fmuid.cases import measured_case
 from fmuid.derivatives import Differences, noise_floor
+from fmuid.diagnosis.catalogue import Effect
+from fmuid.diagnosis.model import CampaignModel
+from fmuid.diagnosis.refit import Unknown, refit
+from fmuid.diagnosis.scores import score_effects
+from fmuid.diagnosis.unrepeated import observe
 from fmuid.errors import FmuError
 from fmuid.exact_derivatives import ExactDerivatives
 from fmuid.expressions import parse
 from fmuid.fmu import Fmu
 from fmuid.problem import Problem
+from fmuid.runners import in_process
 from fmuid.search_space import expanded
 from fmuid.simulation import Task, differentiates
 from fmuid.solvers.least_squares import TrustRegion
@@ -155,3 +161,42 @@ def test_other_fmus_have_none(build):
     assert not differentiates(fmu, ["c"])
     with pytest.raises(FmuError, match="cannot differentiate"):
         fmu.simulate(Task(TIME, {}, ("x",), along=({"c": 1.0},)), {})
+
+
+def test_a_diagnosis_takes_exact_derivatives(slider):
+    fmu = Fmu(slider)
+    noise = np.random.default_rng(0)
+    task = replace(TASK, start_values={"v": 0.0}, tolerance=1e-8)
+    y = fmu.simulate(task, {"m": 1.0, "d": 0.3, "fc[1]": 0.35, "fc[2]": 0.38})
+    runs = y + noise.normal(0.0, [[[1e-4], [1e-3]]], (4, *y.shape))
+    case = replace(measured_case("run", fmu, task, {"x": runs[:, 0], "v": runs[:, 1]}), setup="bench")
+    jobs = []
+    model = CampaignModel(
+        (case,),
+        lambda asked: jobs.extend(asked) or in_process(asked),
+        fixed={"friction": 0.36},
+        tie={"fc[2]": parse("1.05 * friction", where="test"), "fc[1]": parse("friction", where="test")},
+    )
+    unknowns = [
+        Unknown("m", 0.8, 0.1, 10.0, 1e-4),
+        Unknown("d", 0.5, 0.0, 5.0, 1e-4),
+        Unknown("friction", 0.4, 0.0, 5.0, 1e-4),
+        Unknown("v", 0.01, -1.0, 1.0, 1e-4),
+    ]
+    effect = Effect(
+        "late", "late", "drive", (Unknown("u.delay", 0.0, 0.0, 0.1, 1e-3),), {"u.delay": 0.0}, ({"u.delay": 0.01},)
+    )
+    observed = observe(model, unknowns, (effect,))
+    found = []
+    for tangents in (model.tangents, None):
+        jobs.clear()
+        fit = refit(model.predict, observed, unknowns, tangents=tangents, tolerance=1e-9, max_iterations=30)
+        (score,) = score_effects(model.predict, observed, fit, [effect])
+        found.append((fit, score, len(jobs)))
+    (exact, a, fewer), (finite, b, more) = found
+    assert fewer < 0.6 * more
+    assert exact.cost == pytest.approx(finite.cost, rel=1e-3)
+    assert exact.values == pytest.approx(finite.values, rel=3e-2, abs=3e-3)
+    assert a.drop == pytest.approx(b.drop, rel=1e-3)
+    slopes = np.linalg.norm(exact.jacobian[0] - finite.jacobian[0], axis=0)
+    assert np.all(slopes < 2e-2 * np.linalg.norm(finite.jacobian[0], axis=0))

@@ -63,6 +63,7 @@ def fit_effects(
             unknowns,
             start={**neutral, **start},
             known=known,
+            tangents=subject.model.tangents,
             max_iterations=iterations,
         )
     except SimulationError:

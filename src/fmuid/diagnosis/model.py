@@ -13,13 +13,16 @@ from fmuid.campaign import FloatArray, read_only
 from fmuid.cases import Case
 from fmuid.diagnosis.signal_effects import disturb_input, disturb_output, split_signal_parameters
 from fmuid.errors import SimulationError
+from fmuid.exact_derivatives import Direction, direction
 from fmuid.expressions import Expression
 from fmuid.noise_spectrum import RepeatedRuns
 from fmuid.runners import Job, Outcome, Runner, in_process
+from fmuid.simulation import Task, differentiates
 
 Prediction = tuple[FloatArray, ...]
 """(C, N) predicted signals, one array an experiment."""
 
+_WIDTH = 1e-4  # of the differences around a simulation, relative: ties and sensors
 _KEPT_SAMPLES = 4_000_000  # of predictions, 32 MB
 _Key = tuple[int, frozenset[tuple[str, float]], tuple[tuple[str, bytes], ...]]
 
@@ -45,6 +48,7 @@ class CampaignModel:
     fixed: Mapping[str, float] = field(default_factory=dict)
     tie: Mapping[str, Expression] = field(default_factory=dict)
     _kept: OrderedDict[_Key, FloatArray] = field(default_factory=OrderedDict, init=False, repr=False)
+    _tasks: dict[object, Task] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def runs(self) -> tuple[RepeatedRuns, ...]:
@@ -94,6 +98,52 @@ class CampaignModel:
             for o, case in zip(outcomes, self.cases, strict=True)
             if not isinstance(o, SimulationError)
         )
+
+    def tangents(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, Prediction]:
+        """Return d prediction / d parameter by name, exactly, by one run of each case.
+
+        Empty where a model cannot differentiate its runs by these parameters, or signals are disturbed.
+        """
+        signals = {c.signal for case in self.cases for c in case.channels}
+        signals |= {name for case in self.cases for name in case.task.inputs}
+        plain, disturbed = split_signal_parameters({**self.fixed, **values}, signals)
+        names = [name for name in names if name in plain]
+        if disturbed or not names:
+            return {}
+        widths = [_WIDTH * (abs(plain[name]) or 1.0) for name in names]
+        ends = [
+            [{**plain, name: plain[name] + sign * width} for sign in (0.5, -0.5)]
+            for name, width in zip(names, widths, strict=True)
+        ]
+        jobs, moves = [], []
+        for k, case in enumerate(self.cases):
+            own = [
+                direction(self._start_values(case, above), self._start_values(case, below), width)
+                for (above, below), width in zip(ends, widths, strict=True)
+            ]
+            moved = {name for along, _ in own for name in along}
+            if moved and not differentiates(case.simulator, moved):
+                return {}
+            jobs.append((case.simulator, self._task_along(k, case, own), self._start_values(case, plain)))
+            moves.append(own)
+        found: dict[str, list[FloatArray]] = {name: [] for name in names}
+        for case, own, outcome in zip(self.cases, moves, self.runner(jobs), strict=True):
+            if isinstance(outcome, SimulationError):
+                return {}
+            n = len(case.task.outputs)
+            base, slopes = outcome[:n], iter(outcome[n:].reshape(-1, n, outcome.shape[1]))
+            for name, pair, width, (along, size) in zip(names, ends, widths, own, strict=True):
+                half = 0.5 * width * size * next(slopes) if along else np.zeros_like(base)
+                above, below = case.sensed(base + half, pair[0]), case.sensed(base - half, pair[1])
+                found[name].append((above - below) / width)
+        return {name: tuple(rows) for name, rows in found.items()}
+
+    def _task_along(self, index: int, case: Case, own: Sequence[Direction]) -> Task:
+        along = tuple(move for move, _ in own if move)
+        key = (index, tuple(tuple(move.items()) for move in along))
+        if key not in self._tasks:
+            self._tasks[key] = replace(case.task, along=along)
+        return self._tasks[key]
 
     def expanded(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return `values` with the model variables that are tied to them."""
