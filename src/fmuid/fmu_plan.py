@@ -143,7 +143,7 @@ class PreparedTask:
         self.plan.n_times = len(self.task.time) if n_times is None else n_times
         array = np.empty((self.plan.n_outputs * (1 + self.plan.n_directions), self.plan.n_times))
         if array.size:
-            self.plan.outputs = ctypes.addressof(ctypes.c_char.from_buffer(array))  # the quickest way there
+            self.plan.outputs = ctypes.addressof(ctypes.c_char.from_buffer(array.data))  # the quickest way there
         return array
 
     def _slot(self, name: str) -> Slot:
