@@ -1,8 +1,9 @@
 """The search among effects: a wrong first pick is mended, a law of another shape is no further cause."""
 
+import numpy as np
 import pytest
 from plants import plant
-from tones import heard
+from tones import SIGMA, STRENGTHS, TIME, heard
 
 from fmuid.diagnosis.diagnose import diagnose_subject
 
@@ -49,3 +50,19 @@ def test_a_gap_that_no_effect_would_show_in_is_one_the_data_cannot_settle():
     assert answer.gap.present
     assert answer.verdict.kind == "insufficient"
     assert answer.verdict.effects == ()
+
+
+def test_a_sensor_is_proposed_that_tells_apart_what_no_further_run_does():
+    difference = 0.02
+    laws = {"one": {1: 1.0}, "other": {1: 1.0, -1: difference}}
+    found = diagnose_subject(heard(laws, {1: 1.0}, ports={"one": "p", "other": "p"}))
+    answer = found.diagnosis.to_dict()
+    assert answer["verdict"]["kind"] == "ambiguous"
+    assert answer["next_experiment"] is None
+    sensor = answer["added_sensor"]
+    assert (sensor["id"], set(sensor["between"])) == ("second reading", {"one", "other"})
+    of_a_run = difference * np.array(STRENGTHS) * np.sqrt(TIME.size) / SIGMA
+    assert sensor["separation_sigma"] == pytest.approx(np.sqrt(5 * np.sum(of_a_run**2)), rel=0.01)
+    assert "Or add a sensor: second reading" in str(found)
+    # One that reads no better is none to add.
+    assert diagnose_subject(heard({**laws, "other": {1: 1.0, -1: 1e-4}}, {1: 1.0})).diagnosis.added_sensor is None

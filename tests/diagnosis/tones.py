@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmuid.cases import measured_case
-from fmuid.diagnosis.catalogue import Catalogue, Effect
+from fmuid.diagnosis.catalogue import Catalogue, Effect, Sensor
 from fmuid.diagnosis.model import CampaignModel
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import Port
@@ -19,6 +19,9 @@ from fmuid.simulation import Task, Variable
 TIME = 5e-3 * np.arange(400)
 SIGMA = 0.05
 STRENGTHS = (0.7, 1.0, 1.3, 1.6)  # of the experiments
+SENSORS = {
+    n: Sensor(n, v, SIGMA, "V", n) for n, v in (("second reading", "z"), ("first reading", "y"), ("none", "x"))
+}
 NOMINAL = Unknown("k", 0.5, -10.0, 10.0, 1e-2)
 
 
@@ -29,7 +32,10 @@ def tone(number: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Reading:
-    """y = strength (k tone 0 + the sum over the effects of size times law); a law has a weight for each tone."""
+    """y = strength (k tone 0 + the sum over the effects of size times law); a law has a weight for each tone.
+
+    Weights of negative tones are in `z`, which no sensor reads.
+    """
 
     laws: Mapping[str, Mapping[int, float]]
 
@@ -37,14 +43,16 @@ class Reading:
     def variables(self) -> dict[str, Variable]:
         parameters = {n: Variable(n, "parameter", "fixed", start=0.0) for n in self.laws}
         k = Variable("k", "parameter", "fixed", start=0.0)
-        return parameters | {"k": k, "u": Variable("u", "input"), "y": Variable("y", "output")}
+        return parameters | {"k": k, "u": Variable("u", "input"), **{n: Variable(n, "output") for n in ("y", "z")}}
 
     def simulate(self, task: Task, parameters: Mapping[str, float]) -> np.ndarray:
         values = {**task.start_values, **parameters}
-        y = values["k"] * tone(0)
+        rows = {"y": values["k"] * tone(0), "z": np.zeros(TIME.size)}
         for name, law in self.laws.items():
-            y = y + values.get(name, 0.0) * sum(w * tone(t) for t, w in law.items())
-        return (task.inputs["u"] * y)[None]
+            for t, w in law.items():
+                rows["z" if t < 0 else "y"] += values.get(name, 0.0) * w * tone(abs(t))
+        read = [task.inputs["u"] * rows[n] for n in task.outputs]
+        return np.array(read).reshape(len(read), TIME.size)
 
 
 def heard(
@@ -76,5 +84,5 @@ def heard(
         )
         for name in laws
     }
-    catalogue = Catalogue(effects, {p: Port(p, None, None, 1.0) for p in at.values()}, {})
+    catalogue = Catalogue(effects, {p: Port(p, None, None, 1.0) for p in at.values()}, sensors=SENSORS)
     return Subject(model, Observed.from_runs(model.runs), (NOMINAL,), catalogue, tuple(effects.values()))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -69,13 +69,25 @@ class Effect:
 
 
 @dataclass(frozen=True, slots=True)
+class Sensor:
+    """A sensor that could be added: the variable of the model it would read, and its white noise."""
+
+    name: str
+    variable: str
+    noise: float
+    unit: str = ""
+    description: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Catalogue:
-    """Effects, ports and regimes by id, and which FMU carries them in place of the plain one (by file stem)."""
+    """Effects, ports, regimes and sensors by id, and which FMU carries effects (by the plain one's file stem)."""
 
     effects: Mapping[str, Effect]
     ports: Mapping[str, Port]
     regimes: Mapping[str, Regime] = field(default_factory=dict)
     models: Mapping[str, str] = field(default_factory=dict)
+    sensors: Mapping[str, Sensor] = field(default_factory=dict)
 
 
 class _Parameter(Table):
@@ -111,6 +123,13 @@ class _Regime(Table):
     orders: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
 
 
+class _Sensor(Table):
+    variable: str
+    noise: Annotated[float, msgspec.Meta(gt=0)]
+    unit: str = ""
+    description: str = ""
+
+
 class _File(Table):
     format: str
     version: int
@@ -118,6 +137,7 @@ class _File(Table):
     ports: dict[str, _Port] = msgspec.field(default_factory=dict)
     regimes: dict[str, _Regime] = msgspec.field(default_factory=dict)
     models: dict[str, str] = msgspec.field(default_factory=dict)
+    sensors: dict[str, _Sensor] = msgspec.field(default_factory=dict)
 
 
 def load_catalogue(path: Path) -> Catalogue:
@@ -138,7 +158,8 @@ def load_catalogue(path: Path) -> Catalogue:
     }
     effects = {name: _effect(name, e, ports, f"{path} [effects.{name}]") for name, e in file.effects.items()}
     regimes = {n: Regime(n, r.variable, r.kind, r.unit, r.orders) for n, r in file.regimes.items()}
-    return Catalogue(effects, ports, regimes, dict(file.models))
+    sensors = {n: Sensor(n, s.variable, s.noise, s.unit, s.description) for n, s in file.sensors.items()}
+    return Catalogue(effects, ports, regimes, dict(file.models), sensors)
 
 
 def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> Effect:

@@ -12,7 +12,7 @@ from fmuid.diagnosis import decide
 from fmuid.diagnosis.calibration import Calibration, shipped
 from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, score_further
 from fmuid.diagnosis.held_out import closure, closure_interval, in_sample
-from fmuid.diagnosis.next_experiment import suggest
+from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
 from fmuid.diagnosis.null import Null, draw_noise
 from fmuid.diagnosis.observed import excess, gap
 from fmuid.diagnosis.ports import Decoy, fit_decoys
@@ -201,6 +201,8 @@ def _conclude(
         effect_ids=[e.id for e in subject.effects],
     )
     probability = calibration.apply(verdict, weights)
+    following = suggest(subject, alike) if verdict.kind == "ambiguous" else None
+    beyond = 1.0 if following is None else following.separation_sigma
     diagnosis = Diagnosis(
         verdict=verdict,
         gap=Gap(
@@ -216,7 +218,8 @@ def _conclude(
         effects=_candidates(subject, nominal, best, candidates, scores, probability, null),
         alias_classes=aliases(subject, nominal, candidates, scores),
         model={**subject.model.expanded(chosen.fit.values)},
-        next_experiment=suggest(subject, alike) if verdict.kind == "ambiguous" else None,
+        next_experiment=following,
+        added_sensor=sensor_to_add(subject, alike, beyond=beyond) if verdict.kind == "ambiguous" else None,
         ports=_port_shares(nominal, decoys),
         smallest_seen=seen,
         notes=(calibration.note,) if calibration.trials else (),

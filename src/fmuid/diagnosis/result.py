@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 Kind = Literal["complete", "effect", "ambiguous", "unknown", "insufficient"]
@@ -96,6 +96,16 @@ class NextExperiment:
 
 
 @dataclass(frozen=True, slots=True)
+class AddedSensor:
+    """A sensor with which the campaign's own experiments would tell apart what is still open."""
+
+    id: str
+    description: str
+    separation_sigma: float
+    between: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnosis:
     """Everything a diagnosis found."""
 
@@ -106,6 +116,7 @@ class Diagnosis:
     alias_classes: tuple[tuple[str, ...], ...]
     model: Mapping[str, float]
     next_experiment: NextExperiment | None = None
+    added_sensor: AddedSensor | None = None
     ports: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     smallest_seen: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -134,6 +145,7 @@ class Diagnosis:
             "alias_classes": [list(c) for c in self.alias_classes],
             "model": {"parameters": dict(self.model)},
             "next_experiment": None if self.next_experiment is None else _experiment(self.next_experiment),
+            "added_sensor": None if self.added_sensor is None else asdict(self.added_sensor),
             "ports": dict(self.ports),
             "notes": list(self.notes),
             "smallest_seen": {effect: dict(values) for effect, values in self.smallest_seen.items()},

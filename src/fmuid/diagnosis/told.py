@@ -21,6 +21,11 @@ def told(diagnosis: Mapping[str, Any]) -> list[str]:
             f"Next experiment: {following['setup']}, {following['description']}"
             f" ({following['separation_sigma']:.3g} standard deviations)"
         )
+    sensor = diagnosis.get("added_sensor")
+    if sensor:
+        lines.append(
+            f"Or add a sensor: {sensor['description']} ({sensor['separation_sigma']:.3g} standard deviations)"
+        )
     if diagnosis["verdict"]["kind"] == "complete" and diagnosis.get("smallest_seen"):
         lines.append(f"Would have been seen, at least this large: {_smallest(diagnosis['smallest_seen'])}")
     return lines + [f"Note: {note}" for note in diagnosis.get("notes", ())]

@@ -69,7 +69,7 @@ def write_diagnosis_report(
             _present(_model_table(diagnosis)),
             "The corrected model",
         ),
-        Section("Next experiment", (), _next_experiment(diagnosis)),
+        Section("Next experiment", (), f"{_next_experiment(diagnosis)} {_added_sensor(diagnosis)}".strip()),
         Section("Notes", (), " ".join(diagnosis.get("notes", ()))),
         Section("Provenance", (provenance_table(provenance or {}),)),
     )
@@ -175,3 +175,13 @@ def _next_experiment(diagnosis: Mapping[str, Any]) -> str:
     if proposal.get("separation_sigma") is not None:
         text += f" by {proposal['separation_sigma']:.3g} standard deviations"
     return text + "."
+
+
+def _added_sensor(diagnosis: Mapping[str, Any]) -> str:
+    sensor = diagnosis.get("added_sensor")
+    if not sensor:
+        return ""
+    separated = f"{' from '.join(sensor['between'])} by {sensor['separation_sigma']:.3g} standard deviations"
+    return (
+        f"With a further sensor ({sensor['description']}) the experiments as they are would separate {separated}."
+    )
