@@ -14,6 +14,7 @@ from fmuid.compare import Comparison, compare_tables, funnel_around
 from fmuid.crosscheck_csv import Table, read_csv
 from fmuid.errors import FmuError, FmuidError, UnitError
 from fmuid.files import write_atomically
+from fmuid.runners import Runner, in_process, simulated
 from fmuid.simulation import Simulator, Task
 from fmuid.suggest import suggestion
 from fmuid.units import conversion
@@ -48,6 +49,7 @@ def drift_of(
     names: Sequence[str] = (),
     parameters: Mapping[str, float] | None = None,
     interpolation: Interpolation = "hold",
+    runner: Runner = in_process,
 ) -> tuple[Drift, ...]:
     """Compare an FMU or results with references.
 
@@ -62,11 +64,14 @@ def drift_of(
         As in `fmuid.compare.compare_tables`.
     parameters
         Values to set on the FMU.
+    runner
+        What simulates; in this process by default.
 
     Raises
     ------
     FmuidError
-        There is no reference, a result is missing, or a reference names what the FMU does not have.
+        There is no reference, a result is missing, a reference names what the FMU does not have, or the FMU
+        cannot be simulated.
     """
     files = sorted(reference.glob("*.csv")) if reference.is_dir() else [reference]
     if not files:
@@ -81,7 +86,7 @@ def drift_of(
         if simulator is not None:
             inputs = [n for n in table.columns if _is_input(simulator, n)]
             compared = compared or [n for n in table.columns if n not in inputs]
-            got = _simulated(simulator, table, inputs, compared, parameters or {}, interpolation, where)
+            got = _simulated(simulator, table, inputs, compared, parameters or {}, interpolation, where, runner)
         assert got is not None
         try:
             comparisons = compare_tables(got, table, tolerance=tolerance, funnel=funnel, names=compared)
@@ -175,6 +180,7 @@ def _simulated(
     parameters: Mapping[str, float],
     interpolation: Interpolation,
     where: str,
+    runner: Runner,
 ) -> Table:
     """Return what the FMU does under the reference's inputs, in the reference's units."""
     variables = simulator.variables
@@ -196,7 +202,7 @@ def _simulated(
     )
     columns = {
         n: _converted(values, variables[n].unit, reference.units.get(n), f"{where}: '{n}'")
-        for n, values in zip(outputs, simulator.simulate(task, {}), strict=True)
+        for n, values in zip(outputs, simulated(runner, simulator, task, {}), strict=True)
     }
     return Table(reference.time[last], columns, {n: u for n, u in reference.units.items() if n in columns})
 

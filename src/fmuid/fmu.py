@@ -189,7 +189,10 @@ class Fmu:
             if key not in self._differentiates:
                 slots = [self._slots.get(name) for name in sorted(key)]
                 references = [s.reference for s in slots if s is not None and s.size == 1 and s.suffix]
-                self._differentiates[key] = len(references) == len(slots) and self._try_directions(references)
+                ours = self.tool == "fmuid"  # no other FMU is loaded into this process to ask it
+                self._differentiates[key] = (
+                    ours and len(references) == len(slots) and self._try_directions(references)
+                )
             return self._differentiates[key]
 
     def _try_directions(self, references: Sequence[int]) -> bool:

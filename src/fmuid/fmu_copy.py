@@ -15,6 +15,7 @@ from fmuid.errors import FmuError, FmuidError
 from fmuid.files import write_atomically
 from fmuid.fmu import Fmu
 from fmuid.fmu_variables import Slot
+from fmuid.runners import Runner, in_process, simulated
 from fmuid.simulation import Task, Variable
 from fmuid.suggest import suggestion
 
@@ -61,7 +62,7 @@ def copy_with_starts(fmu: Fmu, values: Mapping[str, float], target: Path) -> Non
     write_atomically(target, buffer.getvalue())
 
 
-def takes_effect(fmu: Fmu, values: Mapping[str, float], copy: Path) -> bool:
+def takes_effect(fmu: Fmu, values: Mapping[str, float], copy: Path, runner: Runner = in_process) -> bool:
     """Return whether the copy starts, without anything set, as the original does with `values` set."""
     step = fmu.default_experiment.get("step", 1e-3)
     begin = fmu.default_experiment.get("start", 0.0)
@@ -69,7 +70,8 @@ def takes_effect(fmu: Fmu, values: Mapping[str, float], copy: Path) -> bool:
     task = Task(np.array([begin, begin + step]), {}, (*values, *outputs))
     try:
         with Fmu(copy) as other:
-            return bool(np.array_equal(other.simulate(task, {}), fmu.simulate(task, values)))
+            expected = simulated(runner, fmu, task, values)
+            return bool(np.array_equal(simulated(runner, other, task, {}), expected))
     except FmuidError:
         return False
 

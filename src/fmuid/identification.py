@@ -350,22 +350,15 @@ def _posed(
 
 @contextmanager
 def _runner(executor: Executor | None, workers: int, limits: Mapping[str, Any]) -> Iterator[Runner]:
-    limits = {name: limit for name, limit in limits.items() if limit is not None}
     if executor is not None:
         from fmuid.remote import on_executor
 
-        yield on_executor(executor, **limits)
-    elif workers > 0:
-        from fmuid.workers import WorkerPool
+        yield on_executor(executor, **{name: limit for name, limit in limits.items() if limit is not None})
+        return
+    from fmuid.workers import runner_on
 
-        with WorkerPool(workers, **limits) as pool:
-            yield pool.run
-    elif limits:
-        raise ProblemError(
-            f"a {next(iter(limits)).replace('_', ' ')} needs worker processes", fix="use workers = 1"
-        )
-    else:
-        yield in_process
+    with runner_on(workers, **limits) as runner:
+        yield runner
 
 
 def _campaign(what: Campaign | str | Path) -> Campaign:

@@ -16,6 +16,7 @@ from fmuid.fmu import Fmu
 from fmuid.fmu_copy import copy_with_starts, takes_effect
 from fmuid.model_check import load_models
 from fmuid.result import Result
+from fmuid.runners import Runner, in_process
 from fmuid.simulation import Simulator
 from fmuid.solvers import Status
 from fmuid.ssv import parameter_set
@@ -30,12 +31,15 @@ class Identified:
     warnings: tuple[str, ...] = ()
 
 
-def write_identified(result: Result, campaign: Campaign, folder: str | Path) -> Identified:
+def write_identified(
+    result: Result, campaign: Campaign, folder: str | Path, runner: Runner = in_process
+) -> Identified:
     """Write ``<model>.fmu``, one for each FMU of the campaign, and ``parameters.ssv``; coupled FMUs as ``.ssp``.
 
     Start values of a copy are what all runs of its setup have in common: the result's parameters, the
     campaign's settings and initial values; not the settings of a run, nor parameters that each run has its own
     of. The parameter set lists the same values by FMU variable, as ``setup.variable`` where setups differ.
+    `runner` simulates, to see whether the copies start so.
 
     Returns
     -------
@@ -74,7 +78,7 @@ def write_identified(result: Result, campaign: Campaign, folder: str | Path) -> 
             write_system(model, parameter_set(campaign.name, {setup: values[setup]}, models), target)
             continue
         copy_with_starts(model, values[setup], target)
-        if not takes_effect(model, values[setup], target):
+        if not takes_effect(model, values[setup], target, runner):
             warnings.append(
                 f"{target.name}: {model.tool} lets its FMU start with other values than its description says; "
                 "set those of parameters.ssv"

@@ -12,6 +12,7 @@ import numpy as np
 from fmuid.campaign import Campaign, Experiment, ModelSpec, ParameterSpec, Signal
 from fmuid.errors import FmuError, SimulationError, UnitError
 from fmuid.expressions import parse
+from fmuid.runners import Runner, in_process
 from fmuid.simulation import Simulator, Variable
 from fmuid.suggest import suggestion
 from fmuid.units import conversion
@@ -172,12 +173,12 @@ class Effect:
 
 
 def check_effects(
-    campaign: Campaign, simulators: Mapping[str, Simulator]
+    campaign: Campaign, simulators: Mapping[str, Simulator], runner: Runner = in_process
 ) -> tuple[tuple[Finding, ...], tuple[Effect, ...]]:
     """Simulate each stage around its start: what do its parameters move, and what do its runs determine.
 
     A parameter that moves no output by more than the simulator's own noise is an error; parameters that can only
-    be determined together, and motion that no run has, are warnings (see `fmuid.sensitivity`).
+    be determined together, and motion that no run has, are warnings (see `fmuid.sensitivity`). `runner` simulates.
     """
     from fmuid.coupled.step_error import step_error
     from fmuid.problem import Problem
@@ -188,7 +189,7 @@ def check_effects(
     for stage in campaign.stages.values():
         where = f"[stages.{stage.name}]"
         try:
-            found = sensitivity_of(Problem.of_stage(campaign, stage, simulators))
+            found = sensitivity_of(Problem.of_stage(campaign, stage, simulators, runner=runner))
         except SimulationError as error:
             findings.append(
                 Finding(
@@ -196,7 +197,7 @@ def check_effects(
                 )
             )
             continue
-        moved = step_error(campaign, stage, simulators)
+        moved = step_error(campaign, stage, simulators, runner)
         worst = max(moved, key=lambda label: moved[label], default="")
         if worst and moved[worst] > _STEP_ERROR:
             findings.append(

@@ -20,6 +20,7 @@ from fmuid.files import write_atomically
 from fmuid.importing import Run, experiment_from_table, read_run, with_repeats
 from fmuid.measurements import write_measurements
 from fmuid.resampling import TimeBase
+from fmuid.runners import Runner, in_process, simulated
 from fmuid.simulation import Simulator, Task, Variable
 from fmuid.suggest import known_names
 from fmuid.units import conversion
@@ -46,6 +47,7 @@ def new_campaign(
     signals: Collection[str] = (),
     base: TimeBase | None = None,
     progress: Callable[[float], None] | None = None,
+    runner: Runner = in_process,
 ) -> NewCampaign:
     """Write a campaign that runs from recorded runs (a file each) and an FMU.
 
@@ -63,6 +65,8 @@ def new_campaign(
         What signals with different time bases are brought onto.
     progress
         Called with the share of the work that is behind.
+    runner
+        What simulates; in this process by default.
 
     Raises
     ------
@@ -96,7 +100,7 @@ def new_campaign(
         guesses += _lines(table, matched, ports, file.name)
         mapping |= {c: v for c, v in matched.items() if c != v}
     runs = with_repeats(runs)
-    free, others = _choose_parameters(model, next(iter(runs.values())), mapping, progress)
+    free, others = _choose_parameters(model, next(iter(runs.values())), mapping, progress, runner)
     guesses.append(f"free parameters: {', '.join(v.name for v in free) or 'none found'}")
     if not free:
         raise CampaignError(
@@ -176,6 +180,7 @@ def _choose_parameters(
     run: Experiment,
     mapping: Mapping[str, str],
     progress: Callable[[float], None] | None,
+    runner: Runner,
 ) -> tuple[list[Variable], list[Variable]]:
     """Return the parameters to free, most influential first, and the others."""
     candidates = [
@@ -189,7 +194,7 @@ def _choose_parameters(
         port = variables[mapping.get(name, name)]
         inputs[port.name] = conversion(signal.unit, port.unit)(signal.values)
     task = Task(run.time, inputs, tuple(mapping.get(n, n) for n in run.outputs))
-    nominal = model.simulate(task, {})
+    nominal = simulated(runner, model, task, {})
     scale = np.maximum(np.ptp(nominal, axis=1, keepdims=True), 1e-12)
     effects: dict[str, FloatArray] = {}
     tried = candidates[:_MAX_CANDIDATES]
@@ -198,7 +203,7 @@ def _choose_parameters(
             progress(k / len(tried))
         start = candidate.start or 0.0
         try:
-            moved = model.simulate(task, {candidate.name: start * (1 + _STEP)})
+            moved = simulated(runner, model, task, {candidate.name: start * (1 + _STEP)})
         except FmuidError:
             continue  # a structural or otherwise delicate parameter: not one to start with
         effects[candidate.name] = ((moved - nominal) / scale / _STEP).ravel()

@@ -25,6 +25,14 @@ def simulate(job: Job) -> Outcome:
         return error
 
 
+def simulated(runner: Runner, simulator: Simulator, task: Task, parameters: Mapping[str, float]) -> FloatArray:
+    """Return the predictions of one simulation on `runner`; raises `SimulationError` if it fails."""
+    (outcome,) = runner([(simulator, task, parameters)])
+    if isinstance(outcome, SimulationError):
+        raise outcome
+    return outcome
+
+
 def in_process(jobs: Sequence[Job]) -> list[Outcome]:
     """Run `jobs` one after the other, here."""
     return [simulate(job) for job in jobs]

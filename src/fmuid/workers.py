@@ -14,15 +14,16 @@ from __future__ import annotations
 import itertools
 import os
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
 
 from fmuid import worker_process
 from fmuid.errors import FmuidError
 from fmuid.parcels import Parcel, name_of, pickled
-from fmuid.runners import Job, Outcome, outcome_of
+from fmuid.runners import Job, Outcome, Runner, in_process, outcome_of
 from fmuid.simulation import Simulator, Task
 from fmuid.worker_supervision import Call, Limits, Supervisor
 
@@ -149,6 +150,28 @@ class WorkerPool(Executor):
     def _enqueue(self, calls: list[Call]) -> list[Future[Any]]:
         self._supervisor.enqueue(calls)
         return [call.future for call in calls]
+
+
+@contextmanager
+def runner_on(
+    workers: int | None = None, *, time_limit: float | None = None, memory_limit: int | None = None
+) -> Iterator[Runner]:
+    """Yield what simulates: a `WorkerPool` of so many processes (None: one a processor), this process for 0.
+
+    Raises
+    ------
+    FmuidError
+        A limit without workers.
+    """
+    asked = {"time_limit": time_limit, "memory_limit": memory_limit}
+    limits: dict[str, Any] = {name: limit for name, limit in asked.items() if limit is not None}
+    if workers != 0:
+        with WorkerPool(workers, **limits) as pool:
+            yield pool.run
+    elif limits:
+        raise FmuidError(f"a {next(iter(limits)).replace('_', ' ')} needs worker processes", fix="use workers = 1")
+    else:
+        yield in_process
 
 
 def available_processors() -> int:

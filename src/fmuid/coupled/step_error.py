@@ -10,16 +10,19 @@ import numpy as np
 from fmuid.campaign import Campaign, StageSpec
 from fmuid.coupled.model import CoupledModel
 from fmuid.problem import Problem
+from fmuid.runners import Runner, in_process
 from fmuid.simulation import Simulator
 
 
-def step_error(campaign: Campaign, stage: StageSpec, simulators: Mapping[str, Simulator]) -> dict[str, float]:
+def step_error(
+    campaign: Campaign, stage: StageSpec, simulators: Mapping[str, Simulator], runner: Runner = in_process
+) -> dict[str, float]:
     """Return what half the communication step changes, by criterion; nothing without a coupled model.
 
     That is the root mean square change of a criterion's residuals (in sigmas) at the stage's start. The whole
     error is up to twice as large: it goes with the step, or with its square.
     """
-    problem = Problem.of_stage(campaign, stage, simulators)
+    problem = Problem.of_stage(campaign, stage, simulators, runner=runner)
     interval = min(float(np.diff(case.task.time).min()) for case in problem.cases)
     finer = {
         setup: model.stepped(replace(model.master, step=(model.master.step or interval) / 2))
@@ -29,7 +32,8 @@ def step_error(campaign: Campaign, stage: StageSpec, simulators: Mapping[str, Si
     if not finer:
         return {}
     here = problem.evaluate(problem.space.start)
-    there = Problem.of_stage(campaign, stage, {**simulators, **finer}).evaluate(problem.space.start)
+    halved = Problem.of_stage(campaign, stage, {**simulators, **finer}, runner=runner)
+    there = halved.evaluate(problem.space.start)
     if here.failure is not None or there.failure is not None:
         return {}
     moved = here.residuals - there.residuals

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from fmuid.diagnosis.result import Verdict
 from fmuid.diagnosis.search import Say
 from fmuid.diagnosis.setting_up import Subject, carrier, subject_of
 from fmuid.files import write_atomically
-from fmuid.runners import Runner, in_process
+from fmuid.runners import in_process
 
 FILE_NAME = "diagnosis.json"
 _MODELLED = (
@@ -78,8 +77,9 @@ def diagnose(
 
         campaign = load_campaign(campaign)
     from fmuid.coupled.loading import load_model
+    from fmuid.workers import runner_on
 
-    with _runner(workers) as runner:
+    with runner_on(workers) as runner:
         if say is not None:
             say("noise floor", 0.0)
         subject = subject_of(campaign, load_model, runner=runner, experiments=experiments)
@@ -141,14 +141,3 @@ def _write(found: Found, campaign: Campaign, out: Path, seed: int) -> None:
         pictures=pictures_of(found),
         provenance={**hashes(files, campaign.folder), **versions(), "seed": str(seed)},
     )
-
-
-@contextmanager
-def _runner(workers: int | None) -> Iterator[Runner]:
-    if workers == 0:
-        yield in_process
-        return
-    from fmuid.workers import WorkerPool
-
-    with WorkerPool(workers) as pool:
-        yield pool.run

@@ -19,6 +19,7 @@ from fmuid.report.predicted import judged_signals, overlays
 from fmuid.report.provenance import provenance_table
 from fmuid.report.stages import search_history, stage_section
 from fmuid.result import Estimate, Result
+from fmuid.runners import Runner, in_process
 from fmuid.simulation import Simulator
 from fmuid.solvers import Status
 from fmuid.validation import RunScore, validate
@@ -31,6 +32,7 @@ def write_report(
     campaign: Campaign | None = None,
     simulators: Mapping[str, Simulator] | None = None,
     formats: tuple[Format, ...] = ("png",),
+    runner: Runner = in_process,
 ) -> Path:
     """Write the report of an identification run and return the path of its ``index.html``.
 
@@ -44,6 +46,8 @@ def write_report(
         The campaign and its models by setup; read from where the result says by default.
     formats
         File formats of the figures: png, svg, pdf.
+    runner
+        What simulates; in this process by default.
 
     Raises
     ------
@@ -65,7 +69,7 @@ def write_report(
     sections = [_estimates_section(result, campaign)]
     validation: tuple[RunScore, ...] = ()
     if campaign is not None:
-        seen, validation = _fit_sections(result, campaign, models)
+        seen, validation = _fit_sections(result, campaign, models, runner)
         sections += seen
     searches = [search_history(s, recorded[s.name]) for s in result.stages if s.name in recorded]
     searches = [s for s in searches if np.isfinite(s.cost).any()]
@@ -205,7 +209,7 @@ def _stages_table(result: Result) -> Table:
 
 
 def _fit_sections(
-    result: Result, campaign: Campaign, simulators: Mapping[str, Simulator]
+    result: Result, campaign: Campaign, simulators: Mapping[str, Simulator], runner: Runner
 ) -> tuple[list[Section], tuple[RunScore, ...]]:
     """Simulate every run at the final values: friction over speed, validation, then the runs that were used."""
     judged = judged_signals(campaign)
@@ -224,7 +228,7 @@ def _fit_sections(
         runs = campaign.validation if role == "validation" else sorted(used)
         if not runs:
             continue
-        found = validate(result, campaign, experiments=runs, simulators=simulators)
+        found = validate(result, campaign, experiments=runs, simulators=simulators, runner=runner)
         # A run that was used shows what it was used for, another one what runs like it were used for.
         keep = (
             judged
