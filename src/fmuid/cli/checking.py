@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmuid.cli.output import CampaignPath, Json, Printer, Quiet
+from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 
 if TYPE_CHECKING:
     from fmuid.model_check import Effect
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
 def check(
     campaign: CampaignPath,
     simulate: Annotated[bool, typer.Option(help="Simulate too, to see which parameters move an output.")] = True,
+    workers: Workers = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> int:
@@ -34,8 +38,11 @@ def check(
     effects: tuple[Effect, ...] = ()
     printer = Printer(quiet, json)
     if simulate:
-        with printer.working("changing the parameters one by one"):
-            found, effects = check_effects(loaded, models)
+        with (
+            printer.working("changing the parameters one by one"),
+            supervised(workers, time_limit, memory_limit) as runner,
+        ):
+            found, effects = check_effects(loaded, models, runner)
         findings += found
     errors = sum(f.level == "error" for f in findings)
     runs = len(loaded.measurements)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from fmuid.cli.output import Json, Printer, Quiet, numbers
+from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 from fmuid.errors import FmuidError
 
 if TYPE_CHECKING:
@@ -44,6 +45,9 @@ def compare(
         Path | None,
         typer.Option(help="Write the table as CSV; into a folder: a report with a figure of all that is out."),
     ] = None,
+    workers: Workers = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> int:
@@ -62,7 +66,7 @@ def compare(
     if funnel_time and funnel is None:
         raise FmuidError("--funnel-time without --funnel", fix="give the funnel's half-width too: --funnel 0.01")
     printer = Printer(quiet, json)
-    with printer.working(f"comparing {result}"):
+    with printer.working(f"comparing {result}"), supervised(workers, time_limit, memory_limit) as runner:
         drifts = drift_of(
             result,
             reference,
@@ -71,6 +75,7 @@ def compare(
             names=variables or (),
             parameters=numbers(set_ or [], "--set"),
             interpolation=interpolation,
+            runner=runner,
         )
     several = len(drifts) > 1
     header = ("reference", *_HEADER) if several else _HEADER

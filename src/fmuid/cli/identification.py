@@ -12,21 +12,17 @@ import typer
 
 from fmuid.cli.diagnosis_text import print_diagnosis, print_validation
 from fmuid.cli.output import CampaignPath, Json, Printer, Quiet
+from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, in_bytes, supervised
 from fmuid.errors import FmuidError
 
 if TYPE_CHECKING:
     from fmuid.campaign import Campaign
     from fmuid.result import Result
+    from fmuid.runners import Runner
+    from fmuid.validation import Validation
 
 INTERRUPTED = 130
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that fmuid identify wrote.")]
-Workers = Annotated[
-    int | None,
-    typer.Option(
-        min=0,
-        help="Worker processes, where a crashing FMU costs one evaluation; one a processor by default. 0: none.",
-    ),
-]
 
 
 def identify(
@@ -41,10 +37,8 @@ def identify(
     dask: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Simulate on the Dask cluster of this scheduler.")
     ] = None,
-    time_limit: Annotated[float | None, typer.Option(min=0.0, help="Longest time a simulation, s; 300.")] = None,
-    memory_limit: Annotated[
-        int | None, typer.Option(min=1, metavar="MB", help="Most memory a worker; half of the machine's, shared.")
-    ] = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
     seed: Annotated[int, typer.Option(help="Of random starts and solvers.")] = 0,
     with_report: Annotated[bool, typer.Option("--report/--no-report", help="Write the report too.")] = True,
     json: Json = None,
@@ -78,22 +72,23 @@ def identify(
             executor=executor,
             workers=available_processors() if workers is None else workers,
             time_limit=time_limit,
-            memory_limit=None if memory_limit is None else memory_limit * 2**20,
+            memory_limit=in_bytes(memory_limit),
             observer=observer,
             seed=seed,
         )
     printer.say(str(result))
     summary: dict[str, Any] = {"out": folder, "result": json_library.loads(result.to_json())}
     interrupted = result.status is Status.INTERRUPTED
-    if not interrupted and loaded.validation:
-        summary |= _validation(result, printer)
-    if with_report and not interrupted:
-        from fmuid.report import write_report
+    with supervised(None if dask else workers, time_limit, memory_limit) as runner:
+        if not interrupted and loaded.validation:
+            summary |= _validation(_validated(result, printer, runner), printer)
+        if with_report and not interrupted:
+            from fmuid.report import write_report
 
-        summary["report"] = write_report(folder, campaign=loaded)
-        printer.say(f"\nreport: {summary['report']}")
-    if result.status not in (Status.INTERRUPTED, Status.FAILED):
-        summary |= _write_back(result, loaded, folder, printer)
+            summary["report"] = write_report(folder, campaign=loaded, runner=runner)
+            printer.say(f"\nreport: {summary['report']}")
+        if result.status not in (Status.INTERRUPTED, Status.FAILED):
+            summary |= _write_back(result, loaded, folder, printer, runner)
     if interrupted:
         # Whoever presses Ctrl-C does not wait for figures.
         printer.say(f"\ngo on with: fmuid identify {campaign} --out {folder} --resume")
@@ -113,12 +108,16 @@ def validate(
         list[str] | None, typer.Option("--experiment", "-e", help="Id or glob; the validation set by default.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Write measurements and predictions as CSV into it.")] = None,
+    workers: Workers = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
     json: Json = None,
     quiet: Quiet = False,
-) -> None:
+) -> int:
     """Simulate runs that were kept for validation with what a run found, beside the sensors' noise.
 
-    Of a diagnosis, the corrected model is held against the nominal one with its parameters refitted.
+    Of a diagnosis, the corrected model is held against the nominal one with its parameters refitted. Exit code 1:
+    a run cannot be simulated; the table says why.
 
     Example: fmuid validate runs/force_feedback
     Example: fmuid validate runs/diagnosis/diagnosis.json campaigns/force_feedback
@@ -126,10 +125,13 @@ def validate(
     from fmuid.result import Result
 
     printer = Printer(quiet, json)
-    if run.suffix == ".json":
-        printer.write(_diagnosis_validation(run, campaign, experiment or (), printer))
-        return
-    printer.write(_validation(Result.from_json(run), printer, campaign, experiment, out))
+    with supervised(workers, time_limit, memory_limit) as runner:
+        if run.suffix == ".json":
+            printer.write(_diagnosis_validation(run, campaign, experiment or (), printer, runner))
+            return 0
+        found = _validated(Result.from_json(run), printer, runner, campaign, experiment)
+    printer.write(_validation(found, printer, out))
+    return int(any(score.failure is not None for score in found.scores))
 
 
 def diagnose(
@@ -189,6 +191,9 @@ def report(
     format_: Annotated[
         list[str] | None, typer.Option("--format", help="Format of the figures: png, svg, pdf (repeat).")
     ] = None,
+    workers: Workers = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -203,14 +208,14 @@ def report(
     if unknown:
         raise FmuidError(f"no format '{unknown[0]}'", where="--format", fix="known: png, svg, pdf")
     printer = Printer(quiet, json)
-    with printer.working("simulating and drawing"):
-        page = write_report(run, out, formats=formats)
+    with printer.working("simulating and drawing"), supervised(workers, time_limit, memory_limit) as runner:
+        page = write_report(run, out, formats=formats, runner=runner)
     printer.say(str(page))
     printer.write({"run": run, "report": page})
 
 
 def _diagnosis_validation(
-    file: Path, campaign: Path | None, experiments: Sequence[str], printer: Printer
+    file: Path, campaign: Path | None, experiments: Sequence[str], printer: Printer, runner: Runner
 ) -> dict[str, Any]:
     from fmuid.campaign_toml import load_campaign
     from fmuid.diagnosis.validation import read_diagnosis, validate_diagnosis
@@ -219,15 +224,17 @@ def _diagnosis_validation(
     if campaign is None:
         raise FmuidError("no campaign to validate on", where=file, fix="give one as second argument")
     with printer.working("simulating the runs"):
-        found = validate_diagnosis(answer, load_campaign(campaign), experiments=experiments)
+        found = validate_diagnosis(answer, load_campaign(campaign), experiments=experiments, runner=runner)
     print_validation(found, printer)
     return {"diagnosis": file, "campaign": campaign, **found.to_dict()}
 
 
-def _write_back(result: Result, campaign: Campaign, folder: Path, printer: Printer) -> dict[str, Any]:
+def _write_back(
+    result: Result, campaign: Campaign, folder: Path, printer: Printer, runner: Runner
+) -> dict[str, Any]:
     from fmuid.identified import write_identified
 
-    written = write_identified(result, campaign, folder / "identified")
+    written = write_identified(result, campaign, folder / "identified", runner)
     printer.say(f"identified: {folder / 'identified'} (FMUs with these values, and parameters.ssv)")
     for warning in written.warnings:
         printer.say(f"! {warning}")
@@ -242,17 +249,20 @@ def _progress(quiet: bool) -> Any:
     return TerminalProgress()
 
 
-def _validation(
+def _validated(
     result: Result,
     printer: Printer,
+    runner: Runner,
     campaign: Path | None = None,
     experiments: list[str] | None = None,
-    out: Path | None = None,
-) -> dict[str, Any]:
+) -> Validation:
     from fmuid.validation import validate as score
 
     with printer.working("simulating the runs"):
-        found = score(result, campaign, experiments=experiments)
+        return score(result, campaign, experiments=experiments, runner=runner)
+
+
+def _validation(found: Validation, printer: Printer, out: Path | None = None) -> dict[str, Any]:
     printer.say(f"\nvalidation\n{found}")
     if out is not None:
         from fmuid.crosscheck_csv import Table, write_csv

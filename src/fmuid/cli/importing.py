@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fmuid.cli.output import Json, Printer, Quiet, numbers, pairs
+from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 from fmuid.errors import FmuidError
 
 if TYPE_CHECKING:
@@ -153,6 +154,9 @@ def init(
     resample: Resample = None,
     align: Align = None,
     method: Methods = None,
+    workers: Workers = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
     quiet: Quiet = False,
     json: Json = None,
 ) -> None:
@@ -163,7 +167,8 @@ def init(
     from fmuid.new_campaign import new_campaign
 
     printer = Printer(quiet, json)
-    with printer.working(f"trying the parameters of {fmu.name}") as progress:
+    shown = printer.working(f"trying the parameters of {fmu.name}")
+    with shown as progress, supervised(workers, time_limit, memory_limit) as runner:
         made = new_campaign(
             data,
             fmu,
@@ -171,6 +176,7 @@ def init(
             signals=signal or (),
             base=_time_base(resample, align, method or []),
             progress=progress,
+            runner=runner,
         )
     for line in made.guesses:
         printer.say(line)

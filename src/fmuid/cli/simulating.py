@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from fmuid.cli.output import Json, Printer, Quiet, numbers
+from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 from fmuid.errors import FmuError, FmuidError
 
 if TYPE_CHECKING:
     from fmuid.campaign import FloatArray
     from fmuid.crosscheck_csv import Table
+    from fmuid.runners import Runner
 
 
 def simulate(
@@ -44,6 +46,9 @@ def simulate(
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="CSV file for an FMU, folder for a campaign.")] = None,
+    workers: Workers = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -62,8 +67,10 @@ def simulate(
     if model.suffix in (".fmu", ".ssp"):
         if experiment:
             raise FmuidError("--experiment goes with a campaign", fix="leave it out for an FMU")
-        with printer.working(f"simulating {model}"):
-            table = _simulate_fmu(model, master or [], values, input_, stop, step, output or [], interpolation)
+        with printer.working(f"simulating {model}"), supervised(workers, time_limit, memory_limit) as runner:
+            table = _simulate_fmu(
+                model, master or [], values, input_, stop, step, output or [], interpolation, runner
+            )
         target = out or Path(f"{model.stem}.csv")
         _write(table, target)
         printer.say(f"{target}: {table.time.size} samples of {', '.join(table.columns)}")
@@ -73,8 +80,8 @@ def simulate(
         raise FmuidError(
             "--input, --stop, --step and --output go with an FMU", fix="leave them out for a campaign"
         )
-    with printer.working("") as shown:
-        found = _simulate_campaign(model, values, experiment or ["*"], out, shown)
+    with printer.working("") as shown, supervised(workers, time_limit, memory_limit) as runner:
+        found = _simulate_campaign(model, values, experiment or ["*"], out, shown, runner)
     printer.table(("experiment", "signal", "NRMSE"), [tuple(row.values()) for row in found["nrmse"]])
     printer.say(f"{found['out']}: {len({row['experiment'] for row in found['nrmse']})} files")
     printer.write(found)
@@ -89,12 +96,14 @@ def _simulate_fmu(
     step: float | None,
     outputs: list[str],
     interpolation: Literal["hold", "linear"],
+    runner: Runner,
 ) -> Table:
     import numpy as np
 
     from fmuid.coupled.loading import load_model, load_system
     from fmuid.coupled.table import master_of
     from fmuid.crosscheck_csv import Table, read_csv
+    from fmuid.runners import simulated
     from fmuid.simulation import Task
     from fmuid.suggest import suggestion
     from fmuid.units import convert_factor
@@ -133,13 +142,18 @@ def _simulate_fmu(
             raise FmuidError(f"step {step:g} s does not fit into {end - begin:g} s", fix="give another --step")
         time = np.asarray(begin + step * np.arange(round((end - begin) / step) + 1), dtype=np.float64)
     task = Task(time, inputs, tuple(outputs), values, interpolation)
-    predictions = fmu.simulate(task, {})
+    predictions = simulated(runner, fmu, task, {})
     units |= {n: variables[n].unit or "" for n in outputs if variables[n].unit}
     return Table(time, recorded | dict(zip(outputs, predictions, strict=True)), units)
 
 
 def _simulate_campaign(
-    path: Path, values: dict[str, float], patterns: list[str], out: Path | None, shown: Callable[..., None]
+    path: Path,
+    values: dict[str, float],
+    patterns: list[str],
+    out: Path | None,
+    shown: Callable[..., None],
+    runner: Runner,
 ) -> dict[str, Any]:
     import numpy as np
 
@@ -147,6 +161,7 @@ def _simulate_campaign(
     from fmuid.cases import from_campaign
     from fmuid.crosscheck_csv import Table
     from fmuid.model_check import load_models, match_models
+    from fmuid.runners import simulated
     from fmuid.suggest import suggestion
 
     campaign = load_campaign(path)
@@ -167,7 +182,8 @@ def _simulate_campaign(
         experiment = campaign.measurements[experiment_id]
         (case,) = from_campaign(campaign, [experiment], (), models)
         shown(k / len(chosen), f"simulating {experiment_id}")
-        prediction = case.sensed(case.simulator.simulate(case.task, case.start_values(point)), point)
+        outputs = simulated(runner, case.simulator, case.task, case.start_values(point))
+        prediction = case.sensed(outputs, point)
         columns: dict[str, FloatArray] = {}
         units: dict[str, str] = {}
         for channel, predicted in zip(case.channels, prediction, strict=True):

@@ -116,7 +116,7 @@ class CoupledModel:
         return self._view
 
     def stepped(self, master: Master) -> CoupledModel:
-        """Return the same FMUs under another master, in this process only."""
+        """Return the same FMUs under another master."""
         return CoupledModel(
             self.path,
             self.components,
@@ -126,6 +126,7 @@ class CoupledModel:
             starts=self._starts,
             experiment=self._experiment,
             main=self._main,
+            reload=(CoupledModel.stepped, (self, master)),
         )
 
     def home(self, name: str) -> Place:
