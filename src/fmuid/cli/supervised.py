@@ -1,0 +1,40 @@
+"""FMU code runs in supervised worker processes: the runner of the commands that simulate, and its options."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from fmuid.runners import Runner
+
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        help="Worker processes, where a crashing FMU costs one evaluation; one a processor by default. 0: none.",
+    ),
+]
+TimeLimit = Annotated[float | None, typer.Option(min=0.0, help="Longest time a simulation, s; 300.")]
+MemoryLimit = Annotated[
+    int | None, typer.Option(min=1, metavar="MB", help="Most memory a worker; half of the machine's, shared.")
+]
+
+
+@contextmanager
+def supervised(
+    workers: int | None = None, time_limit: float | None = None, memory_limit: int | None = None
+) -> Iterator[Runner]:
+    """Yield what a command simulates with; `memory_limit` in MB."""
+    from fmuid.workers import runner_on
+
+    with runner_on(workers, time_limit=time_limit, memory_limit=in_bytes(memory_limit)) as runner:
+        yield runner
+
+
+def in_bytes(megabytes: int | None) -> int | None:
+    """Return a limit in bytes."""
+    return None if megabytes is None else megabytes * 2**20
