@@ -261,7 +261,9 @@ def _fit_section(
         if role == "validation":  # the stages show the other runs with their history
             items.append(figures.overlay_figure(stem, f"{what}: measurement and simulation", some))
         caption = "Simulation minus measurement (mean of the repeats)."
-        residuals.append(figures.residual_figure(f"{stem}-residual", f"{what}: residual", some, caption))
+        simulated = [o for o in some if o.predictions]
+        if simulated:
+            residuals.append(figures.residual_figure(f"{stem}-residual", f"{what}: residual", simulated, caption))
     if any(s.failure is None for s in judged):
         items.append(figures.fit_figure(f"nrmse-{role}", judged))
     header = ("run", "signal", "unit", "repeats", "RMSE", "noise floor", "NRMSE, %", "relative error, %", "note")
