@@ -89,7 +89,7 @@ def test_commands_and_links_in_the_text_exist(page: Path) -> None:
     text = page.read_text()
     commands = get_command(app).commands
     inline = "\n".join(" ".join(code.split()) for code in re.findall(r"`([^`]+)`", BLOCK.sub("", text)))
-    inline += "\n".join(block for _, language, block in BLOCK.findall(text) if not language)
+    inline += "\n" + "\n".join(block for _, language, block in BLOCK.findall(text) if not language)
     if page.name == "errors.md":  # its commands are wrong on purpose; tests/errors runs them
         inline = ""
     for name, rest in re.findall(r"\bfmuid ([a-z-]+)(.*)", inline):
