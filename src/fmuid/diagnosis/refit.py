@@ -46,7 +46,7 @@ class Refit:
     residuals
         Whitened residual of the mean run, (M_e,) an experiment.
     jacobian
-        d residual / d parameter, (M_e, P) an experiment, at the estimate.
+        d residual / d parameter, (M_e, P) an experiment, at the estimate, by finite steps.
     cost
         Sum over runs of squared whitened residuals of the mean run.
     evaluations
@@ -140,10 +140,12 @@ def refit(
         # What moves nothing at all may still do so after a step, as a backlash that is not reached.
         return {k: parts for k, parts in columns.items() if any(np.any(p) for p in parts)}
 
-    def differentiate(point: FloatArray, base: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
+    def differentiate(
+        point: FloatArray, base: Sequence[FloatArray], *, last: bool = False
+    ) -> tuple[FloatArray, ...]:
         signs = np.where(point + steps > upper, -1.0, 1.0)
         fresh = [k for k, name in enumerate(names) if name not in stale]
-        exact = exactly(point, fresh)
+        exact = {} if last else exactly(point, fresh)
         fresh = [k for k in fresh if k not in exact]
         moved = evaluate([point + signs[k] * steps[k] * np.eye(len(point))[k] for k in fresh])
         parts = dict(zip(fresh, moved, strict=True))
@@ -200,6 +202,11 @@ def refit(
         x, residuals, cost = trial, trial_residuals, trial_cost
         damping = max(damping / 10.0, 1e-9)
         converged = gained < max(0.5, tolerance * cost)
-        jacobian = differentiate(x, residuals)
+        if not converged or tangents is None:
+            jacobian = differentiate(x, residuals)
+    if tangents is not None:
+        # The search follows the exact slope. What is predicted from the result is as far away as a plausible step,
+        # where the slope of an effect that begins somewhere (a backlash) is another one.
+        jacobian = differentiate(x, residuals, last=True)
     values = {n: float(v) for n, v in zip(names, x, strict=True)}
     return Refit(tuple(unknowns), values, residuals, jacobian, cost, evaluations, converged)
