@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 
 from fmuid.campaign import AnalysisSpec, FloatArray, ParetoSpec
 from fmuid.errors import FmuidError
-from fmuid.problem import Evaluation
+from fmuid.held import Held
+from fmuid.problem import Evaluation, Problem
 from fmuid.profiles import Profile, profile_of
 from fmuid.propagation import CriterionSpread, criteria_spread
 from fmuid.result import at_bound
 from fmuid.solvers import Search
 from fmuid.solvers.nlopt_solver import NloptSolver
 from fmuid.solvers.pareto import Front, trace
-from fmuid.uncertainty import Uncertainty, uncertainty_of, without_intervals
+from fmuid.uncertainty import Uncertainty, uncertainty_of, with_held, without_intervals
 
 _EVALUATIONS = 40  # a parameter, for one point of a front
 
@@ -34,17 +36,17 @@ class Findings:
     warnings: list[str] = field(default_factory=list)
 
 
-def analyse(search: Search, spec: AnalysisSpec, record: Record) -> Findings:
+def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | None = None) -> Findings:
     """Return what `spec` asks about the estimate that `search` ended with.
 
-    What cannot be found is a warning; the estimate stands.
+    What cannot be found is a warning; the estimate stands. `held` is what the search held of earlier stages.
     """
     found = Findings()
     best, problem = search.best, search.problem
     if best is None:
         return found
 
-    def evaluate(points: Sequence[FloatArray]) -> list[Evaluation]:
+    def evaluated(problem: Problem, points: Sequence[FloatArray]) -> list[Evaluation]:
         found = {k: old for k, x in enumerate(points) if (old := search.recall(x, True)) is not None}
         missing = [k for k in range(len(points)) if k not in found]
         if missing:
@@ -53,15 +55,19 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record) -> Findings:
             record(found[k], "uncertainty", True)
         return [found[k] for k in range(len(points))]
 
+    evaluate = partial(evaluated, problem)
+    evaluate_held = None if held is None else partial(evaluated, held.problem)
     floor = search.noise_floor
     if spec.uncertainty:
         with _noted(found, "no uncertainty"):
-            free = uncertainty_of(problem, best, evaluate=evaluate, floor=floor)
-            held = [s.name for s in problem.space.free if at_bound(best.parameters[s.name], s.lower, s.upper)]
+            free = uncertainty_of(
+                problem, best, evaluate=evaluate, floor=floor, held=held, evaluate_held=evaluate_held
+            )
+            bound = [s.name for s in problem.space.free if at_bound(best.parameters[s.name], s.lower, s.upper)]
             if problem.combination.kind != "weighted_sum":
-                held = list(problem.space.names)
+                bound = list(problem.space.names)
                 found.warnings.append(f"no standard errors: a {problem.combination.kind} is no sum of squares")
-            found.uncertainty = without_intervals(free, held)
+            found.uncertainty = without_intervals(free, bound)
     estimate = found.uncertainty
     if estimate is not None and spec.profiles:
         # Of what is determined and not at a bound: the warnings name the rest.
@@ -70,8 +76,14 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record) -> Findings:
                 found.profiles += (profile_of(problem, estimate, name, evaluate=evaluate, floor=floor),)
     if estimate is not None and spec.monte_carlo:
         with _noted(found, "no Monte Carlo"):
+            joint = problem if held is None else held.problem
             found.spread = criteria_spread(
-                problem, estimate, draws=spec.monte_carlo, seed=search.seed, evaluate=evaluate, floor=floor
+                joint,
+                estimate if held is None else with_held(estimate, held),
+                draws=spec.monte_carlo,
+                seed=search.seed,
+                evaluate=evaluate_held or evaluate,
+                floor=floor,
             )
     if spec.pareto is not None:
         found.front = _front(search, spec.pareto, best, record)

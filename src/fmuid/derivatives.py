@@ -122,8 +122,8 @@ class Differences:
         step = floor.central_step if self.central else floor.forward_step
         self.steps = [max(step, old) for old in self.steps]
 
-    def jacobian(self, evaluate: EvaluateMany, here: Evaluation) -> FloatArray:
-        """Return d residuals / d search point, (m, n), at `here`.
+    def jacobian(self, evaluate: EvaluateMany, here: Evaluation, first: int = 0) -> FloatArray:
+        """Return d residuals / d search point, (m, n), at `here`; of the coordinates from `first` on.
 
         Near a bound, or where one side cannot be simulated, the other side alone is used.
 
@@ -134,9 +134,9 @@ class Differences:
         """
         exact = self._exact.jacobian(here)
         if exact is not None:
-            return exact
+            return exact[:, first:]
         columns: dict[int, FloatArray] = {}
-        due = list(range(len(here.x)))
+        due = list(range(first, len(here.x)))
         while due:
             points = [(i, p) for i in due for p in self._moved(here.x, i, self.steps[i], self.central)]
             evaluated = evaluate([p for _, p in points])
@@ -158,7 +158,7 @@ class Differences:
                     self.steps[i] = larger
                     again.append(i)
             due = again
-        return np.column_stack([columns[i] for i in range(len(here.x))])
+        return np.column_stack([columns[i] for i in range(first, len(here.x))])
 
     def _moved(self, x: FloatArray, i: int, step: float, both: bool) -> list[FloatArray]:
         """Return the points to evaluate for parameter `i`, all inside the bounds."""

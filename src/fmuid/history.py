@@ -17,7 +17,7 @@ simulated a second time, so the run goes on exactly where it stopped.
 ``constraints``   (n, n_constraints)
 ``cost``          (n,)                NaN if failed
 ``failure``       (n,)                text, empty if it did not fail
-``purpose``       (n,)                search, derivative, uncertainty or pareto
+``purpose``       (n,)                search, derivative, uncertainty (which moves what is held, too) or pareto
 ``seconds``       (n,)                wall time
 ``improved``      (n,)                whether it was the best so far
 ================  ==================  ===================================================================
@@ -343,7 +343,9 @@ def _fill(file: Any, stages: Any) -> None:
         group.attrs["signals"] = ["\n".join(names) for names in stage.signals]
         rows: Sequence[Row] = stage.rows
         group["parameters"] = _table([[r.parameters[p] for p in stage.parameters] for r in rows])
-        for key in ("search", "criteria", "constraints"):
+        n_free = len(rows[0].search) if rows else 0
+        group["search"] = _table([r.search[:n_free] for r in rows])
+        for key in ("criteria", "constraints"):
             group[key] = _table([getattr(r, key) for r in rows])
         for key in ("cost", "seconds"):
             group[key] = np.array([getattr(r, key) for r in rows], dtype=np.float64)

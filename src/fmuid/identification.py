@@ -15,6 +15,7 @@ import msgspec
 from fmuid.analyses import Findings, analyse
 from fmuid.campaign import AnalysisSpec, Campaign, ParameterSpec, StageSpec
 from fmuid.errors import ProblemError, SimulationError
+from fmuid.held import Known
 from fmuid.history import History
 from fmuid.observer import Observer, Progress
 from fmuid.problem import Evaluation, Problem
@@ -148,12 +149,16 @@ def identify(
     limits = {"time_limit": time_limit, "memory_limit": memory_limit}
     results: list[StageResult] = []
     best: dict[str, float] = {}
+    known = Known()
     with _runner(executor, workers, limits) as runner, History(folder, resume=resume) as history:
         run = _Run(history, observer or Observer(), seed, specs)
         for step in plan:
-            result = _stage(run, posed(step, best, runner))
+            asked = posed(step, best, runner)
+            result = _stage(run, asked, known)
             results.append(result)
             best = dict(result.parameters)
+            if asked.analyses.uncertainty:
+                known = known.after(asked.problem, result.uncertainty, best)
             if result.status is Status.INTERRUPTED:
                 break
         summary = Result(
@@ -173,8 +178,8 @@ def identify(
     return summary
 
 
-def _stage(run: _Run, asked: _Posed) -> StageResult:
-    """Run one stage, or take its result from the history."""
+def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
+    """Run one stage, or take its result from the history; `known` is what earlier stages are sure of."""
     problem, stop = asked.problem, asked.stop
     solver, why = make(asked.solver, asked.options, problem)
     seed = int(asked.options.get("seed", run.seed))
@@ -230,7 +235,12 @@ def _stage(run: _Run, asked: _Posed) -> StageResult:
                 search,
                 asked.analyses,
                 lambda e, why, kept: run.history.record(problem.name, e, why, False, residuals=kept),
+                known.held_in(problem, run.specs) if asked.analyses.uncertainty else None,
             )
+            if unsure := sorted(n for n in known.unsure if n in problem.space.fixed and problem.sees(n)):
+                found.warnings.append(
+                    f"held as if exactly known, for want of a standard error: {', '.join(unsure)}"
+                )
         except KeyboardInterrupt:
             outcome = _INTERRUPTED
     result = _result(run, problem, search, first, outcome, solver, why, found, clock.perf_counter() - begin)
@@ -269,6 +279,7 @@ def _result(
                 at_bound(values[free.name], free.lower, free.upper),
                 spec.truth,
                 spec.description,
+                None if found is None or found.standard_errors[i] is None else found.inherited_shares[i],
             )
         )
     for name in problem.space.ties:

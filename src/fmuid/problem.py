@@ -6,6 +6,8 @@ import time as clock
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -230,15 +232,29 @@ class Problem:
         while self._held > _CACHED_SAMPLES and len(self._predictions) > 1:
             self._held -= self._predictions.popitem(last=False)[1].size
 
-    def _check_reach(self) -> None:
+    def over(self, space: SearchSpace) -> Problem:
+        """Return the same problem over other free parameters."""
+        kept: dict[str, Any] = {"combination": self.combination, "constraints": self.constraints}
+        return Problem(self.cases, space, **kept, runner=self.runner, name=self.name)
+
+    def sees(self, name: str) -> bool:
+        """Return whether a parameter reaches a model, a sensor or a tie of this problem."""
+        plain, _, run = name.partition(SEPARATOR)
+        return plain in self._used and (not run or any(case.id == run for case in self.cases))
+
+    @cached_property
+    def _used(self) -> frozenset[str]:
         used = {name for case in self.cases for name in case.setting}
         for case in self.cases:
             for channel in case.channels:
                 used |= {name for expression in channel.sensor.values() for name in expression.names}
         for expression in self.space.ties.values():
             used |= {name.split(SEPARATOR)[0] for name in expression.names}
+        return frozenset(used)
+
+    def _check_reach(self) -> None:
         for name in self.space.names:
-            if name.split(SEPARATOR)[0] not in used:
+            if name.split(SEPARATOR)[0] not in self._used:
                 raise ProblemError(
                     f"no model of {self.name} has the parameter '{name}'",
                     fix="correct its name, map it in [models], or take it out of 'free'",

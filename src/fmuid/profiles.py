@@ -52,7 +52,7 @@ def profile_of(
     """Return the profile of one parameter around the estimate that `estimate` belongs to.
 
     The others are fitted again while this one moves outwards, until the cost has grown by what `level` allows
-    (scaled as the sandwich covariance is, so coloured residuals count).
+    (scaled as the covariance is, so coloured residuals and the errors of what is held count).
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def profile_of(
     differences = Differences(problem, floor or noise_floor(problem, x, evaluate=evaluate), central=True)
     j = differences.jacobian(evaluate, best)
     spread = float(np.sqrt(estimate.covariance[i][i]))
-    t = float(stdtrit(estimate.degrees_of_freedom, 0.5 + 0.5 * level))
+    t = float(stdtrit(estimate.degrees[i], 0.5 + 0.5 * level))
     # What the others cannot follow is the parameter's own share of the residuals.
     allowed = float((t * spread) ** 2 / np.linalg.pinv(j.T @ j, hermitian=True)[i, i])
     found = {float(x[i]): 0.0}

@@ -23,6 +23,7 @@ from fmuid.solvers.search import Start, Status
 from fmuid.uncertainty import Uncertainty
 
 FILE = "result.json"
+LEAST_SHOWN = 0.005  # share of a variance that is worth a column
 
 
 class ResultError(FmuidError):
@@ -34,7 +35,8 @@ class Estimate:
     """One estimated parameter, in model space.
 
     `standard_error` and `interval` (95 %) are None where the experiments do not determine the parameter
-    alone, or where it sits at a bound. `truth` is the rig's, if it is known.
+    alone, or where it sits at a bound. `inherited` is the share of its variance that comes from the errors of what
+    the stage held at earlier estimates. `truth` is the rig's, if it is known.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Estimate:
     at_bound: str | None = None
     truth: float | None = None
     description: str = ""
+    inherited: float | None = None
 
     @property
     def relative_error(self) -> float | None:
@@ -224,8 +227,10 @@ def _find(estimates: Sequence[Estimate], name: str) -> Estimate:
 
 def _cells(estimates: Sequence[Estimate]) -> list[list[str]]:
     with_truth = any(e.truth is not None for e in estimates)
-    header = ["parameter", "value", "unit", "standard error", "95 % interval", "start"]
-    rows = [header + (["truth", "deviation"] if with_truth else [])]
+    with_inherited = any((e.inherited or 0.0) >= LEAST_SHOWN for e in estimates)
+    header = ["parameter", "value", "unit", "standard error", "95 % interval"]
+    header += ["inherited"] if with_inherited else []
+    rows = [[*header, "start", *(["truth", "deviation"] if with_truth else [])]]
     for e in estimates:
         error = f"at its {e.at_bound} bound" if e.at_bound else "–"  # the warnings say why
         row = [
@@ -234,8 +239,10 @@ def _cells(estimates: Sequence[Estimate]) -> list[list[str]]:
             e.unit or "",
             error if e.standard_error is None else f"{e.standard_error:.2g}",
             "" if e.interval is None else f"{e.interval[0]:.5g} .. {e.interval[1]:.5g}",
-            f"{e.start:.4g}",
         ]
+        if with_inherited:
+            row.append("" if e.inherited is None else f"{100.0 * e.inherited:.0f} %")
+        row.append(f"{e.start:.4g}")
         if with_truth:
             deviation = e.relative_error
             row += [

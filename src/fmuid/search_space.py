@@ -101,10 +101,14 @@ class SearchSpace:
     def to_model(self, x: FloatArray) -> dict[str, float]:
         """Return every parameter's model-space value (free, fixed and tied) at the (n,) search point `x`."""
         free = np.clip(self._model(x), [s.lower for s in self.free], [s.upper for s in self.free])
-        values = dict(self.fixed) | {s.name: float(v) for s, v in zip(self.free, free, strict=True)}
+        return self.followed(dict(self.fixed) | {s.name: float(v) for s, v in zip(self.free, free, strict=True)})
+
+    def followed(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return `values` with what is tied to them."""
+        found = dict(values)
         for name in self._order:
-            values[name] = self.ties[name](values)
-        return values
+            found[name] = self.ties[name](found)
+        return found
 
     def slope(self, x: FloatArray) -> FloatArray:
         """Return d model / d search, (n,), at `x`."""

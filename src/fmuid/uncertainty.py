@@ -12,6 +12,7 @@ import numpy as np
 from fmuid.campaign import FloatArray
 from fmuid.coloured_residuals import Whiteness, score_covariance
 from fmuid.derivatives import Differences, EvaluateMany, NoiseFloor, noise_floor
+from fmuid.held import Held, effective_degrees
 from fmuid.identifiability import Identifiability, identifiability
 from fmuid.problem import Evaluation, Problem
 
@@ -27,7 +28,10 @@ class Uncertainty:
     """Covariance of the free parameters, and what it rests on.
 
     `covariance` (n, n) and `correlation` are in search space, `standard_errors` (n,) and `intervals` (95 %) in
-    model space; the latter are None where the experiments do not determine the parameter.
+    model space; the latter are None where the experiments do not determine the parameter. All of them contain
+    what is `inherited`, (n, n), from the errors of parameters that earlier stages identified and this one holds:
+    `held` are their names, `held_slopes` (n, h) the derivatives of the estimate by them in model space.
+    `degrees_of_freedom` are those of the stage's own noise, `degrees` (n,) those of the standard errors.
     """
 
     names: tuple[str, ...]
@@ -41,6 +45,18 @@ class Uncertainty:
     whiteness: tuple[Whiteness, ...] = ()
     naive_errors: tuple[float | None, ...] = field(default=())
     noise_floor: float = 0.0
+    held: tuple[str, ...] = ()
+    held_slopes: Matrix = ()
+    inherited: Matrix = ()
+    degrees: tuple[float, ...] = ()
+
+    @property
+    def inherited_shares(self) -> tuple[float, ...]:
+        """(n,) share of each variance that comes from what the stage holds."""
+        if not self.inherited:
+            return (0.0,) * len(self.names)
+        pairs = zip(np.diag(self.inherited), np.diag(self.covariance), strict=True)
+        return tuple(float(part / whole) if whole > 0.0 else 0.0 for part, whole in pairs)
 
 
 def uncertainty_of(
@@ -49,12 +65,15 @@ def uncertainty_of(
     *,
     evaluate: EvaluateMany | None = None,
     floor: NoiseFloor | None = None,
+    held: Held | None = None,
+    evaluate_held: EvaluateMany | None = None,
 ) -> Uncertainty:
     """Return the uncertainty of the estimate `best` of a problem.
 
     The covariance is the sandwich ``(J'J)^-1 J' W J (J'J)^-1`` in search space; W holds each case's residual
     auto- and cross-covariances, tapered (Bartlett) beyond the lag where they drown in their own scatter. White
-    residuals give the textbook covariance, coloured ones (model error, friction) a wider one.
+    residuals give the textbook covariance, coloured ones (model error, friction) a wider one. The errors of what
+    the problem holds at an earlier stage's estimate are added (`fmuid.held`).
 
     Parameters
     ----------
@@ -64,6 +83,8 @@ def uncertainty_of(
         Instead of the problem's own, as when evaluations are recorded.
     floor
         The simulator's noise floor, if it is known already.
+    held, evaluate_held
+        What the problem holds at an estimate of earlier stages (`fmuid.held`), and what evaluates its problem.
 
     Raises
     ------
@@ -93,14 +114,26 @@ def uncertainty_of(
         r.stop - r.start for (_, c), r in zip(problem.criteria, problem.slices, strict=True) if c.rows is None
     )
     effective = sum(w.effective for w in whiteness) + others
-    degrees = max(effective - n, 1.0)
-    t = float(stdtrit(degrees, 0.5 + 0.5 * LEVEL))
+    own = max(effective - n, 1.0)
     slope = problem.space.slope(best.x)
+    degrees, inherited, held_slopes = np.full(n, own), np.zeros((n, n)), np.zeros((n, 0))
+    if held is not None:
+        differences = Differences(held.problem, floor, central=False)
+        there = replace(here, x=held.point(best.x))
+        across = differences.jacobian(evaluate_held or held.problem.evaluate_many, there, n)
+        moves = -bread @ j.T @ across
+        held_slopes = slope[:, None] * moves / held.problem.space.slope(there.x)[n:]
+        roots = moves @ held.rows
+        inherited = roots @ roots.T
+        parts = np.column_stack([np.maximum(np.diag(covariance), 0.0), roots**2])
+        degrees = effective_degrees(parts, np.append(own, held.degrees))
+        covariance = covariance + inherited
+    t = stdtrit(degrees, 0.5 + 0.5 * LEVEL)
     variance = np.diag(covariance)
     spread = np.sqrt(np.maximum(variance, 0.0))
     low, high = (problem.space.to_model(best.x + sign * t * spread) for sign in (-1.0, 1.0))
     # A kernel estimate can come out indefinite: a variance below zero is none.
-    sound = variance > -1e-9 * np.max(np.abs(variance))
+    sound = variance >= -1e-9 * np.max(np.abs(variance))
     known = [n not in found.undetermined and bool(s) for n, s in zip(problem.space.names, sound, strict=True)]
     naive = np.sqrt(np.diag(bread) * float(here.residuals @ here.residuals) / max(m - n, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -114,11 +147,15 @@ def uncertainty_of(
             (low[name], high[name]) if k else None for name, k in zip(problem.space.names, known, strict=True)
         ),
         correlation=_matrix(np.nan_to_num(correlation)),
-        degrees_of_freedom=degrees,
+        degrees_of_freedom=own,
         identifiability=found,
         whiteness=whiteness,
         naive_errors=tuple(float(s) if k else None for s, k in zip(slope * naive, known, strict=True)),
         noise_floor=floor.residual,
+        held=() if held is None else held.names,
+        held_slopes=_matrix(held_slopes),
+        inherited=() if held is None else _matrix(inherited),
+        degrees=tuple(map(float, degrees)),
     )
 
 
@@ -183,6 +220,18 @@ def without_intervals(estimate: Uncertainty, names: Sequence[str]) -> Uncertaint
     """Return `estimate` without standard errors for `names`, as for parameters at a bound."""
     hide = partial(_hidden, estimate.names, names)
     return replace(estimate, standard_errors=hide(estimate.standard_errors), intervals=hide(estimate.intervals))
+
+
+def with_held(estimate: Uncertainty, held: Held) -> Uncertainty:
+    """Return `estimate` with what the stage holds as further parameters, for draws of both together."""
+    space, n = held.problem.space, len(estimate.names)
+    point = held.point(np.array(estimate.point))
+    slope = space.slope(point)
+    moves = np.array(estimate.held_slopes) * slope[n:] / slope[:n, None]
+    root = np.vstack([moves @ held.rows, held.rows])
+    covariance = root @ root.T
+    covariance[:n, :n] = estimate.covariance
+    return replace(estimate, names=space.names, point=tuple(map(float, point)), covariance=_matrix(covariance))
 
 
 _T = TypeVar("_T")

@@ -18,8 +18,9 @@ from fmuid.report.friction import bearing_friction
 from fmuid.report.predicted import judged_signals, overlays
 from fmuid.report.provenance import provenance_table
 from fmuid.report.stages import search_history, stage_section
-from fmuid.result import Estimate, Result
+from fmuid.result import LEAST_SHOWN, Estimate, Result
 from fmuid.runners import Runner, in_process
+from fmuid.shown import counted
 from fmuid.simulation import Simulator
 from fmuid.solvers import Status
 from fmuid.validation import RunScore, validate
@@ -79,7 +80,7 @@ def write_report(
     sections.append(Section("Provenance", (provenance_table(_provenance(result)),)))
     document = Document(
         f"Identification: {result.title or result.campaign}",
-        f"{len(result.estimates)} parameters in {len(result.stages)} stages.",
+        f"{counted(len(result.estimates), 'parameter')} in {counted(len(result.stages), 'stage')}.",
         facts(result, validation),
         tuple(s for s in sections if s.items or s.text),
     )
@@ -152,23 +153,27 @@ def _estimates_table(
     stage_of = {e.name: s.name for s in result.stages for e in s.estimates}
     first = {e.name: e.start for s in reversed(result.stages) for e in s.estimates}
     truths = any(e.truth is not None for e in result.estimates)
+    inherited = any((e.inherited or 0.0) >= LEAST_SHOWN for e in result.estimates)
     header = ["parameter", "unit", "start", "estimate", "standard error", "95 % from", "to"]
+    header += ["inherited, %"] if inherited else []
     header += ["truth", "deviation, %"] if truths else []
     header += [*published, "stage", "note"]
     rows = []
     for e in _in_order(result, campaign):
         row: list[Cell] = [e.name, pretty_unit(e.unit or ""), first[e.name], e.value, e.standard_error]
         row += e.interval or (None, None)
+        row += [None if e.inherited is None else 100 * e.inherited] if inherited else []
         if truths:
             row += [e.truth, None if e.relative_error is None else 100 * e.relative_error]
         row += [values.get(e.name) for values in published.values()]
         row += [stage_of[e.name], f"at its {e.at_bound} bound" if e.at_bound else e.description]
         rows.append(tuple(row))
     caption = (
-        "Standard errors and intervals are each stage's own: of the noise and the residuals' colour, with what "
-        "the stage holds fixed taken as known. A dash: none can be given; the stage's warnings say why."
+        "Standard errors and intervals are of the noise, the residuals' colour, and the errors of what the stage "
+        "held at estimates of earlier stages (inherited: their share of the variance). What no stage identified "
+        "counts as known. A dash: none can be given; the stage's warnings say why."
     )
-    digits = tuple({"standard error": 2, "deviation, %": 2}.get(name, 5) for name in header)
+    digits = tuple({"standard error": 2, "deviation, %": 2, "inherited, %": 2}.get(name, 5) for name in header)
     return Table(tuple(header), tuple(rows), "estimates", "Estimates", caption, digits)
 
 

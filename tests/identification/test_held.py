@@ -1,0 +1,163 @@
+"""Stages that hold what earlier ones found inherit its errors."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmuid import (
+    AnalysisSpec,
+    Campaign,
+    CriterionSpec,
+    Experiment,
+    Measurements,
+    ParameterSpec,
+    Signal,
+    StageSpec,
+    identify,
+)
+from fmuid.campaign import ModelSpec
+
+A, B, SIGMA = 2.0, 0.5, 0.1
+IDLE, LOADED = np.linspace(0.0, 10.0, 50), np.linspace(0.0, 10.0, 400)
+LEVEL = StageSpec("level", ("idle",), ("a",))
+SLOPE = StageSpec("slope", ("loaded",), ("b",))
+
+
+def line(time, inputs, p):
+    """A level; under load it rises from what sticks to the level. `c` does nothing under load."""
+    return {"y": p["a"] + p["b"] * p["load"] * time + 0.0 * inputs.get("u", 0.0) + p["c"] * (1 - p["load"])}
+
+
+def campaign(*stages, seed=2, **specs):
+    generator = np.random.default_rng(seed)
+    runs = {}
+    for id, time, load in (("idle", IDLE, 0.0), ("loaded", LOADED, 1.0)):
+        y = A + B * load * time + SIGMA * generator.standard_normal(time.size)
+        runs[id] = Experiment(id, "bench", time, {"y": Signal("y", y, "1", "output", SIGMA)}, {"load": load})
+    parameters = {n: ParameterSpec(n, s) for n, s in {"a": 1.0, "b": 1.0, "c": 0.0}.items()} | specs
+    return Campaign(
+        "two_steps",
+        "",
+        Path(),
+        Measurements(runs),
+        {"bench": ModelSpec("bench", Path("line.fmu"))},
+        parameters,
+        {},
+        {stage.name: stage for stage in stages},
+        ("idle", "loaded"),
+        (),
+    )
+
+
+@pytest.fixture
+def bench(analytic):
+    return {"bench": analytic(line, ["a", "b", "c", "load"])}
+
+
+def textbook():
+    """Standard error of b alone, and with a at the mean of the idle run."""
+    own = SIGMA / np.sqrt(np.sum(LOADED**2))
+    slope = -np.sum(LOADED) / np.sum(LOADED**2)
+    return own, slope, np.hypot(own, slope * SIGMA / np.sqrt(IDLE.size))
+
+
+def test_the_error_of_what_is_held_is_inherited(bench):
+    stage = identify(campaign(LEVEL, SLOPE), simulators=bench).stage("slope")
+    own, slope, both = textbook()
+    assert stage["b"].standard_error == pytest.approx(both, rel=0.2)
+    assert stage["b"].inherited == pytest.approx(1 - (own / both) ** 2, abs=0.1)
+    found = stage.uncertainty
+    assert found.held == ("a",)
+    assert found.held_slopes[0][0] == pytest.approx(slope, rel=1e-6)
+    # Degrees of freedom: nearly those of the short run, whose share is the larger.
+    assert 40 < found.degrees[0] < 120 < found.degrees_of_freedom
+    assert "inherited" in str(stage)
+    assert "85 %" in str(stage)
+
+
+def test_a_stage_alone_inherits_nothing(bench):
+    stage = identify(campaign(LEVEL, SLOPE), simulators=bench, stages=["slope"]).stages[0]
+    assert stage["b"].inherited == 0.0
+    assert "inherited" not in str(stage)
+
+
+def test_what_is_identified_again_is_forgotten(bench):
+    again = StageSpec("again", ("loaded",), ("a", "b"))
+    result = identify(campaign(LEVEL, SLOPE, again), simulators=bench)
+    alone = identify(campaign(again), simulators=bench)
+    assert result.stage("again").uncertainty.held == ()
+    assert result["b"].standard_error == pytest.approx(alone["b"].standard_error, rel=1e-3)
+
+
+def test_errors_go_through_ties_and_on_to_the_stage_after_next(bench):
+    # c = 3 a is held where a is held: both move together. Then b is held, and its errors are those of a, too.
+    tied = replace(LEVEL, tie={"c": "0.5*a"}, start={"a": 1.0})
+    last = StageSpec("last", ("idle",), ("c",))
+    result = identify(campaign(tied, SLOPE, last), simulators=bench)
+    found = result.stage("last").uncertainty
+    assert found.held == ("a", "b")  # c is free again
+    assert found.held_slopes[0] == pytest.approx((-1.0, 0.0), abs=1e-6)
+    # y = a + c, and a = y / 1.5: all of a's error goes into c, beside the noise of the run itself.
+    error = SIGMA / np.sqrt(IDLE.size)
+    assert result["c"].standard_error == pytest.approx(np.hypot(error, error / 1.5), rel=0.2)
+
+
+def test_profiles_and_draws_contain_what_is_inherited(bench):
+    asked = AnalysisSpec(profiles=True, monte_carlo=400)
+    steady = CriterionSpec("y", "steady_state", demand=SIGMA, weight=0.0)
+    judged = replace(SLOPE, criteria=(CriterionSpec("y"), steady))
+    result = identify(campaign(LEVEL, judged), simulators=bench, analyses=asked)
+    stage = result.stage("slope")
+    assert stage.profiles[0].interval == pytest.approx(stage["b"].interval, rel=1e-3)
+    # At the end of the run a + 10 b: a's error and what it does to b nearly cancel half of each other.
+    own, slope, _ = textbook()
+    level = SIGMA / np.sqrt(IDLE.size)
+    spread = np.hypot(10 * own, (1 + 9.75 * slope) * level) / SIGMA
+    drawn = stage.spread[1]
+    assert drawn.high - drawn.median == pytest.approx(1.3 * spread, rel=0.5)
+
+
+def test_what_has_no_standard_error_is_named(bench):
+    spec = ParameterSpec("a", 1.0, 0.0, 1.5)
+    stage = identify(campaign(LEVEL, SLOPE, a=spec), simulators=bench).stage("slope")
+    assert stage["b"].inherited == 0.0
+    assert any(w.endswith("for want of a standard error: a") for w in stage.warnings), stage.warnings
+
+
+def test_a_resumed_run_inherits_the_same(bench, tmp_path):
+    model = bench["bench"]
+    asked = AnalysisSpec(monte_carlo=20)
+    unbroken = identify(campaign(LEVEL, SLOPE), simulators=bench, out=tmp_path / "whole", analyses=asked)
+    simulate, total = model.simulate, model.count
+    for after in (total // 2, total - 30, total - 5):
+        model.count = 0
+
+        def killed(task, parameters, after=after):
+            if model.count >= after:
+                raise KeyboardInterrupt
+            return simulate(task, parameters)
+
+        model.simulate = killed
+        identify(campaign(LEVEL, SLOPE), simulators=bench, out=tmp_path / "run", analyses=asked)
+        model.simulate, before = simulate, model.count
+        resumed = identify(
+            campaign(LEVEL, SLOPE), simulators=bench, out=tmp_path / "run", analyses=asked, resume=True
+        )
+        assert model.count - before <= total - after + 5
+        for a, b in zip(unbroken.stages, resumed.stages, strict=True):
+            assert (a.estimates, a.uncertainty, a.spread) == (b.estimates, b.uncertainty, b.spread)
+
+
+@pytest.mark.slow
+def test_intervals_of_a_second_stage_hold_the_truth(bench):
+    hits, draws = np.zeros(2), 400
+    for seed in range(draws):
+        stage = identify(campaign(LEVEL, SLOPE, seed=seed), simulators=bench).stage("slope")
+        low, high = stage["b"].interval
+        own = stage["b"].standard_error * np.sqrt(1 - stage["b"].inherited)
+        hits += low < B < high, abs(stage["b"].value - B) < 1.96 * own
+    inherited, plain = hits / draws
+    assert 0.90 <= inherited <= 0.98
+    assert plain < 0.7
