@@ -10,14 +10,15 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from scipy.io import loadmat
 
 from fmuid.campaign import Experiment, FloatArray, Measurements, Signal, read_only
-from fmuid.errors import FmuidError, MeasurementsError
-from fmuid.measurements import write_measurements
+from fmuid.errors import MeasurementsError
+from fmuid.module_command import run_module, write_campaign
 
 DEFAULT_FOLDER = Path("../shared/data/emps")
 FOLDER_VARIABLE = "FMUID_EMPS"
@@ -125,20 +126,13 @@ def _closed_loop(purpose: str, columns: dict[str, FloatArray]) -> Experiment:
     return _experiment(purpose, "closed_loop", _settings(columns, ("gtau", "kp", "kv")), signals)
 
 
-def main(arguments: list[str]) -> int:
+def main(arguments: Sequence[str]) -> int:
     """`python -m fmuid.emps CAMPAIGN [FOLDER]`: write the campaign's `measurements.h5`; return the exit code."""
-    if len(arguments) not in (1, 2) or arguments[0].startswith("-"):
-        print("usage: python -m fmuid.emps CAMPAIGN [FOLDER]", file=sys.stderr)
-        return 2
-    target = Path(arguments[0]) / "measurements.h5"
-    try:
-        measurements = read_emps(arguments[1] if len(arguments) == 2 else None)
-        write_measurements(measurements, target)
-    except FmuidError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    print(f"{target}: {len(measurements)} runs")
-    return 0
+
+    def command(given: Sequence[str]) -> None:
+        write_campaign(given[0], read_emps(*given[1:]))
+
+    return run_module("fmuid.emps CAMPAIGN [FOLDER]", arguments, command)
 
 
 if __name__ == "__main__":

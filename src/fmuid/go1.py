@@ -18,8 +18,8 @@ import msgspec
 import numpy as np
 
 from fmuid.campaign import Experiment, FloatArray, Measurements, Signal, read_only
-from fmuid.errors import FmuidError, MeasurementsError
-from fmuid.measurements import write_measurements
+from fmuid.errors import MeasurementsError
+from fmuid.module_command import run_module, write_campaign
 
 DEFAULT_FOLDER = Path("../shared/data/go1")
 FOLDER_VARIABLE = "FMUID_GO1"
@@ -165,18 +165,11 @@ def _read(file: Path) -> _Log:
 
 def main(arguments: Sequence[str]) -> int:
     """`python -m fmuid.go1 CAMPAIGN [FOLDER]`: write the campaign's `measurements.h5`; return the exit code."""
-    if len(arguments) not in (1, 2) or arguments[0].startswith("-"):
-        print("usage: python -m fmuid.go1 CAMPAIGN [FOLDER]", file=sys.stderr)
-        return 2
-    target = Path(arguments[0]) / "measurements.h5"
-    try:
-        measurements = read_go1(arguments[1] if len(arguments) == 2 else None)
-        write_measurements(measurements, target)
-    except FmuidError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    print(f"{target}: {len(measurements)} runs")
-    return 0
+
+    def command(given: Sequence[str]) -> None:
+        write_campaign(given[0], read_go1(*given[1:]))
+
+    return run_module("fmuid.go1 CAMPAIGN [FOLDER]", arguments, command)
 
 
 if __name__ == "__main__":

@@ -141,7 +141,7 @@ def check_signals(campaign: Campaign) -> tuple[Finding, ...]:
                     "warning",
                     where,
                     "its noise is unknown: one run and no sigma",
-                    "give sigma, or repeat the run",
+                    "give it (--sigma of fmuid init and import), or repeat the run",
                 )
             )
     return tuple(findings)

@@ -6,29 +6,25 @@ import difflib
 import json
 import os
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from fmuid.campaign import Experiment, FloatArray, Measurements
+from fmuid.campaign import Experiment, Measurements
 from fmuid.campaign_toml import FILE_NAME, load_campaign
 from fmuid.crosscheck_csv import Table
-from fmuid.errors import CampaignError, FmuidError, UnitError
+from fmuid.errors import CampaignError, UnitError
 from fmuid.files import write_atomically
-from fmuid.importing import Run, experiment_from_table, read_run, with_repeats
+from fmuid.first_choice import FirstChoice, first_choice
+from fmuid.importing import experiment_from_table, read_run, with_repeats
 from fmuid.measurements import write_measurements
 from fmuid.resampling import TimeBase
-from fmuid.runners import Runner, in_process, simulated
-from fmuid.simulation import Simulator, Task, Variable
-from fmuid.suggest import known_names
+from fmuid.runners import Runner, in_process
+from fmuid.simulation import Variable
+from fmuid.suggest import known_names, suggestion
 from fmuid.units import conversion
 
-_MAX_CANDIDATES = 60  # parameters whose effect is simulated
-_MAX_FREE = 6
-_STEP = 0.01  # relative change of a parameter to see its effect
-_LEAST_NEW = 1e-2  # of an effect, not explained by the parameters chosen before
+_MAX_NAMES = 8  # of parameters that are held, in one line
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +42,16 @@ def new_campaign(
     *,
     signals: Collection[str] = (),
     base: TimeBase | None = None,
+    units: Mapping[str, str] | None = None,
+    sigmas: Mapping[str, float] | None = None,
     progress: Callable[[float], None] | None = None,
     runner: Runner = in_process,
 ) -> NewCampaign:
     """Write a campaign that runs from recorded runs (a file each) and an FMU.
 
     Columns become signals by the name or, where that is unique, the unit of the FMU's inputs and outputs.
-    Free are the parameters with the most independent effects on the outputs (QR with column pivoting of the
-    relative sensitivities at the start values), at most six. The last run is kept for validation.
+    Which parameters are free and how inputs act between samples: see `fmuid.first_choice`. The last run is kept
+    for validation.
 
     Parameters
     ----------
@@ -63,6 +61,8 @@ def new_campaign(
         Of the files, the signals to use; all by default.
     base
         What signals with different time bases are brought onto.
+    units, sigmas
+        Units (these win over the files') and noise standard deviations by column.
     progress
         Called with the share of the work that is behind.
     runner
@@ -87,7 +87,7 @@ def new_campaign(
         if file.stem in runs:
             raise CampaignError(f"two runs are called '{file.stem}'", where=file, fix="rename one file")
         run = read_run(file, signals, base)
-        table = run.table
+        table = _with_units(run.table, units or {})
         matched = match_columns(table, ports)
         if not any(ports[v].causality == "output" for v in matched.values()):
             raise CampaignError(
@@ -95,21 +95,26 @@ def new_campaign(
                 where=file,
                 fix=f"name the columns after its variables; {known_names(ports)}",
             )
-        runs[file.stem] = _run(run, matched, ports, file.stem, fmu.stem)
+        runs[file.stem] = _run(table, run.resampled, matched, ports, file.stem, fmu.stem, sigmas or {})
         guesses += [f"{file.name}: {note}" for note in run.notes]
         guesses += _lines(table, matched, ports, file.name)
         mapping |= {c: v for c, v in matched.items() if c != v}
+    for what, names in (("--unit", units or {}), ("--sigma", sigmas or {})):
+        for name in names:
+            if not any(name in run.signals for run in runs.values()):
+                known = dict.fromkeys(n for run in runs.values() for n in run.signals)
+                raise CampaignError(f"no signal '{name}' is used", where=what, fix=suggestion(name, known))
     runs = with_repeats(runs)
-    free, others = _choose_parameters(model, next(iter(runs.values())), mapping, progress, runner)
-    guesses.append(f"free parameters: {', '.join(v.name for v in free) or 'none found'}")
-    if not free:
+    choice = first_choice(model, _for_identification(runs), mapping, progress, runner)
+    if not choice.free:
         raise CampaignError(
             f"no parameter of {fmu.name} moves a measured output",
             where=files[0],
             fix="check inputs and outputs",
         )
+    guesses += _choice_lines(choice, any(run.inputs for run in runs.values()))
     write_measurements(Measurements(runs), folder / "measurements.h5")
-    write_atomically(target, _toml(folder, fmu, runs, mapping, free, others))
+    write_atomically(target, _toml(folder, fmu, runs, mapping, choice))
     load_campaign(folder)
     return NewCampaign(folder, tuple(dict.fromkeys(guesses)))
 
@@ -154,12 +159,46 @@ def _fits(unit: str, other: str | None) -> bool:
     return other is not None
 
 
-def _run(run: Run, matched: Mapping[str, str], ports: Mapping[str, Variable], id: str, setup: str) -> Experiment:
-    table = run.table
+def _with_units(table: Table, units: Mapping[str, str]) -> Table:
+    return replace(table, units=dict(table.units) | {n: u for n, u in units.items() if n in table.columns})
+
+
+def _run(
+    table: Table,
+    resampled: Mapping[str, str],
+    matched: Mapping[str, str],
+    ports: Mapping[str, Variable],
+    id: str,
+    setup: str,
+    sigmas: Mapping[str, float],
+) -> Experiment:
     units = {c: table.units.get(c) or ports[v].unit or "1" for c, v in matched.items()}
     kept = Table(table.time, {c: table.columns[c] for c in matched}, {})
     inputs = [c for c, v in matched.items() if ports[v].causality == "input"]
-    return experiment_from_table(kept, id=id, setup=setup, inputs=inputs, units=units, resampled=run.resampled)
+    known = {n: s for n, s in sigmas.items() if n in matched}
+    return experiment_from_table(
+        kept, id=id, setup=setup, inputs=inputs, units=units, sigmas=known, resampled=resampled
+    )
+
+
+def _for_identification(runs: Mapping[str, Experiment]) -> list[Experiment]:
+    """Return all runs but the last one, without repeats."""
+    firsts = [run for run in runs.values() if run.repeat_of is None]
+    return firsts[:-1] or firsts
+
+
+def _choice_lines(choice: FirstChoice, driven: bool) -> list[str]:
+    lines = ["inputs are held between their samples"] if driven else []
+    if choice.interpolation == "linear":
+        lines = [
+            f"inputs are linear between their samples: held, they explain the runs {choice.gain:.2g} times worse"
+        ]
+    lines.append(f"free parameters: {', '.join(v.name for v in choice.free)}")
+    for reason, variables in choice.held.items():
+        names = [v.name for v in variables]
+        more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
+        lines.append(f"held, {reason}: {', '.join(names[:_MAX_NAMES])}{more}")
+    return lines
 
 
 def _lines(table: Table, matched: Mapping[str, str], ports: Mapping[str, Variable], file: str) -> list[str]:
@@ -175,71 +214,16 @@ def _lines(table: Table, matched: Mapping[str, str], ports: Mapping[str, Variabl
     return lines
 
 
-def _choose_parameters(
-    model: Simulator,
-    run: Experiment,
-    mapping: Mapping[str, str],
-    progress: Callable[[float], None] | None,
-    runner: Runner,
-) -> tuple[list[Variable], list[Variable]]:
-    """Return the parameters to free, most influential first, and the others."""
-    candidates = [
-        v
-        for v in model.variables.values()
-        if v.causality == "parameter" and v.type in ("Real", "Float64") and v.start
-    ]
-    variables = model.variables
-    inputs = {}
-    for name, signal in run.inputs.items():
-        port = variables[mapping.get(name, name)]
-        inputs[port.name] = conversion(signal.unit, port.unit)(signal.values)
-    task = Task(run.time, inputs, tuple(mapping.get(n, n) for n in run.outputs))
-    nominal = simulated(runner, model, task, {})
-    scale = np.maximum(np.ptp(nominal, axis=1, keepdims=True), 1e-12)
-    effects: dict[str, FloatArray] = {}
-    tried = candidates[:_MAX_CANDIDATES]
-    for k, candidate in enumerate(tried):
-        if progress is not None:
-            progress(k / len(tried))
-        start = candidate.start or 0.0
-        try:
-            moved = simulated(runner, model, task, {candidate.name: start * (1 + _STEP)})
-        except FmuidError:
-            continue  # a structural or otherwise delicate parameter: not one to start with
-        effects[candidate.name] = ((moved - nominal) / scale / _STEP).ravel()
-    names = independent_columns(effects)
-    free = [variables[n] for n in names[:_MAX_FREE]]
-    return free, [v for v in candidates if v not in free]
-
-
-def independent_columns(columns: Mapping[str, FloatArray]) -> list[str]:
-    """Return the names of the columns that are neither small nor explained by larger ones, by pivoted QR."""
-    left = {n: c.copy() for n, c in columns.items()}
-    chosen: list[str] = []
-    while left:
-        name = max(left, key=lambda n: float(np.linalg.norm(left[n])))
-        remaining = float(np.linalg.norm(left[name]))
-        largest = max(float(np.linalg.norm(c)) for c in columns.values())
-        if remaining <= 1e-4 * largest or remaining == 0.0:
-            break
-        direction = left.pop(name) / remaining
-        if remaining > _LEAST_NEW * float(np.linalg.norm(columns[name])):
-            chosen.append(name)
-            left = {n: c - (direction @ c) * direction for n, c in left.items()}
-    return chosen
-
-
 def _toml(
     folder: Path,
     fmu: Path,
     runs: Mapping[str, Experiment],
     mapping: Mapping[str, str],
-    free: Iterable[Variable],
-    others: Iterable[Variable],
+    choice: FirstChoice,
 ) -> str:
     setup = fmu.stem
-    firsts = [r.id for r in runs.values() if r.repeat_of is None]
-    identification, validation = (firsts[:-1], firsts[-1:]) if len(firsts) > 1 else (firsts, [])
+    identification = [run.id for run in _for_identification(runs)]
+    validation = [r.id for r in runs.values() if r.repeat_of is None and r.id not in identification]
     path = Path(os.path.relpath(fmu.resolve(), folder.resolve())).as_posix()
     renamed = ", ".join(f"{_text(k)} = {_text(v)}" for k, v in mapping.items())
     lines = [
@@ -252,17 +236,19 @@ def _toml(
         f"[models.{_text(setup)}]",
         f"fmu = {_text(path)}",
         f"map = {{ {renamed} }}" if renamed else "map = {}",
-        'interpolation = "hold" # or "linear": the inputs between samples',
+        "# Inputs between their samples: hold, linear, or preceding (a sample acts from the one before it on).",
+        f"interpolation = {_text(choice.interpolation)}",
         "",
         "# Parameters: start and bounds in the FMU's unit. Narrow the bounds to what you know.",
     ]
-    for variable in free:
+    for variable in choice.free:
         lines += _parameter_lines(variable)
-    others = list(others)
-    if others:
+    if choice.held:
         lines += ["# Held at the FMU's start value; take the # away to identify it too.", ""]
-    for variable in others:
-        lines += [f"# {line}" if line else "" for line in _parameter_lines(variable)]
+    for reason, variables in choice.held.items():
+        lines += [f"# Held: {reason}.", ""]
+        for variable in variables:
+            lines += [f"# {line}" if line else "" for line in _parameter_lines(variable)]
     lines += [
         "# Which runs the fit sees, and which only judge it. Repeats come along.",
         "[roles]",
@@ -284,7 +270,9 @@ def _parameter_lines(variable: Variable) -> list[str]:
     lines = [f"[parameters.{_text(variable.name)}]"]
     if variable.description:
         lines[0] += f" # {' '.join(variable.description.split())}"
-    lines += [f"start = {start!r}", f"lower = {low!r}", f"upper = {high!r}"]
+    lines += [f"start = {start!r}"]
+    if low < high:
+        lines += [f"lower = {low!r}", f"upper = {high!r}"]
     if variable.unit:
         lines.append(f"unit = {_text(variable.unit)}")
     if low > 0:

@@ -15,9 +15,10 @@ import numpy as np
 
 from fmuid.campaign import Campaign, FloatArray
 from fmuid.campaign_toml import load_campaign
-from fmuid.errors import CampaignError, FmuidError
+from fmuid.errors import CampaignError
 from fmuid.files import write_atomically
 from fmuid.model_check import load_models
+from fmuid.module_command import run_module
 from fmuid.plots import save_figure
 from fmuid.plots.data import Role, Table
 from fmuid.report.figures import Overlay, overlay_figure, residual_figure
@@ -176,18 +177,15 @@ def write_rivals(rivals: Sequence[Rival], signal: str, out: Path) -> tuple[Path,
 
 
 def main(arguments: Sequence[str]) -> int:
-    """`python -m fmuid.rival_stages RUN SIGNAL [STAGE ...]`: print a table; write it and figures there."""
-    if len(arguments) < 2 or arguments[0].startswith("-"):
-        print("usage: python -m fmuid.rival_stages RUN SIGNAL [STAGE ...]", file=sys.stderr)
-        return 2
+    """`python -m fmuid.rival_stages RUN SIGNAL [STAGE...]`: print a table; write it and figures there."""
+    return run_module("fmuid.rival_stages RUN SIGNAL [STAGE...]", arguments, _command)
+
+
+def _command(arguments: Sequence[str]) -> None:
     run, signal, stages = Path(arguments[0]), arguments[1], arguments[2:] or ["*"]
-    try:
-        result = Result.from_json(run)
-        rivals = rivals_of(result, load_campaign(result.source), signal, stages)
-        written = write_rivals(rivals, signal, run / f"rivals-{rivals[0].stage}")
-    except FmuidError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    result = Result.from_json(run)
+    rivals = rivals_of(result, load_campaign(result.source), signal, stages)
+    written = write_rivals(rivals, signal, run / f"rivals-{rivals[0].stage}")
     table = table_of(rivals)
     lines = (table.header, *table.rows)
     widths = [max(len(str(line[k])) for line in lines) for k in range(len(table.header))]
@@ -196,7 +194,6 @@ def main(arguments: Sequence[str]) -> int:
     print(f"\nmean absolute error (MAE) of {signal}, in thousandths of its unit, mean over the runs; 'better by':")
     print(f"than {rivals[0].stage} on the runs kept back, with the 90 % interval over pieces of these runs")
     print(*written, sep="\n")
-    return 0
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Results as tables: text for a terminal, HTML for a notebook."""
+"""Results in words and tables: text for a terminal, HTML for a notebook."""
 
 from __future__ import annotations
 
@@ -7,6 +7,11 @@ from collections.abc import Sequence
 
 Rows = Sequence[Sequence[str]]
 """Cells of a table, its header first."""
+
+
+def counted(number: int, noun: str) -> str:
+    """Return ``1 run``, ``2 runs`` and so on."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def text_table(rows: Rows) -> str:

@@ -27,7 +27,7 @@ def test_a_campaign_that_is_right(folder: Path, fmuid: Command) -> None:
     code, out, err = fmuid("check", folder, "--json", "found.json")
     assert (code, err) == (0, "")
     lines = out.splitlines()
-    assert lines[0] == "bench: 3 runs (2 to identify, 1 to validate), 1 models, 2 parameters, 1 stages"
+    assert lines[0] == "bench: 3 runs (2 to identify, 1 to validate), 1 model, 2 parameters, 1 stage"
     assert [line.split()[:2] for line in lines[1:4]] == [["stage", "parameter"], ["all", "m"], ["all", "d"]]
     assert lines[4:] == ["note: [models.oscillator]: input 'wind' is not driven; it stays at 0", "no errors"]
     found = json.loads(Path("found.json").read_text())
@@ -52,7 +52,7 @@ def test_a_parameter_without_effect_is_an_error(folder: Path, fmuid: Command) ->
         "error: [stages.all], parameter 'spare': moves no measured output; fix it, or add an experiment that excites it"
         in out
     )
-    assert out.endswith("1 errors\n")
+    assert out.endswith("1 error\n")
     assert fmuid("check", folder, "--no-simulate")[0] == 0
 
 
@@ -99,7 +99,7 @@ def test_what_the_recording_lacks(folder: Path, measurements: Measurements, fmui
         "warning: experiment 'step': a gap of 1 s at 0.495 s where 0.005 s is usual; cut the run there, or leave the gap if the input was constant",
         "error: experiment 'step', signal 'y': every sample is missing; leave the signal out",
         "warning: experiment 'step', signal 'v': is 15 all the time; check the sensor",
-        "warning: experiment 'step': its noise is unknown: one run and no sigma; give sigma, or repeat the run",
+        "warning: experiment 'step': its noise is unknown: one run and no sigma; give it (--sigma of fmuid init and import), or repeat the run",
     ]
 
 

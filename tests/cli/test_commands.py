@@ -17,11 +17,9 @@ import pytest
 from scipy.io import savemat
 
 from fmuid.campaign import Measurements
-from fmuid.campaign_toml import load_campaign
 from fmuid.crosscheck_csv import Table, read_csv, write_csv
 from fmuid.importing import table_from_experiment
 from fmuid.measurements import read_measurements
-from fmuid.result import Result
 
 Command = Callable[..., tuple[int, str, str]]
 COMMANDS = [
@@ -471,39 +469,3 @@ def test_ctrl_c_ends_with_130_and_keeps_what_was_reached(folder: Path) -> None:
     assert "Traceback" not in err
     assert "--resume" in out
     assert json.loads(Path("run/result.json").read_text())["parameters"]["m"] > 0
-
-
-def test_init_makes_a_campaign_that_runs(
-    folder: Path, oscillator: Path, measurements: Measurements, fmuid: Command
-) -> None:
-    for run in measurements:
-        columns = {
-            "U": run.inputs["u"].values,
-            "position_lvdt": run.signals["position"].values,
-            "oil": 20 + run.time,
-        }
-        write_csv(Table(run.time, columns, {"position_lvdt": "mm", "oil": "degC"}), f"{run.id}.csv")
-    code, out, err = fmuid("init", "step.csv", "sine.csv", "pulse.csv", "--fmu", oscillator, "--out", "drive")
-    assert (code, err) == (0, "")
-    assert "step.csv: 'U' is input 'u', taken to be in N, as the FMU's" in out
-    assert "step.csv: 'position_lvdt' is output 'x', in mm" in out
-    assert "step.csv: column 'oil' is not used, no input or output of the FMU fits" in out
-    assert sorted(p.name for p in Path("drive").iterdir()) == ["campaign.toml", "measurements.h5"]
-    campaign = load_campaign("drive")
-    assert set(campaign.parameters) == {"m", "d", "c"}  # `spare` and `gain` move no measured output
-    assert '# [parameters."spare"]' in Path("drive/campaign.toml").read_text()
-    assert (campaign.identification, campaign.validation) == (("step", "sine"), ("pulse",))
-    assert fmuid("identify", "drive", "--out", "found", "--no-report", "--quiet")[0] == 0
-    found = Result.from_json("found").parameters
-    assert found == pytest.approx({"m": 1.2, "d": 0.8, "c": 90.0}, rel=0.02)
-    assert fmuid("init", "step.csv", "--fmu", oscillator, "--out", "drive")[2] == (
-        "fmuid: drive/campaign.toml: is there already; name another folder with --out\n"
-    )
-
-
-def test_init_without_a_fitting_column(folder: Path, oscillator: Path, fmuid: Command) -> None:
-    Path("run.csv").write_text("time,a,b\n0,1,2\n1,2,3\n")
-    assert fmuid("init", "run.csv", "--fmu", oscillator, "--out", "drive") == (
-        2, "", "fmuid: run.csv: no column is an output of Oscillator.fmu; name the columns after its variables; known: u, wind, x, y\n"
-    )  # fmt: skip
-    assert not Path("drive").exists()

@@ -31,6 +31,7 @@ def check(
     """
     from fmuid.campaign_toml import load_campaign
     from fmuid.model_check import check_effects, check_signals, load_models, match_models
+    from fmuid.shown import counted
 
     loaded = load_campaign(campaign)
     models = load_models(loaded)
@@ -45,10 +46,10 @@ def check(
             found, effects = check_effects(loaded, models, runner)
         findings += found
     errors = sum(f.level == "error" for f in findings)
-    runs = len(loaded.measurements)
+    sizes = (("model", models), ("parameter", loaded.parameters), ("stage", loaded.stages))
     printer.say(
-        f"{loaded.name}: {runs} runs ({len(loaded.identification)} to identify, {len(loaded.validation)} to"
-        f" validate), {len(models)} models, {len(loaded.parameters)} parameters, {len(loaded.stages)} stages"
+        f"{loaded.name}: {counted(len(loaded.measurements), 'run')} ({len(loaded.identification)} to identify,"
+        f" {len(loaded.validation)} to validate), {', '.join(counted(len(what), word) for word, what in sizes)}"
     )
     if effects:
         header = ("stage", "parameter", "sigma for 1 %", "step", "noise floor", "most in")
@@ -56,7 +57,7 @@ def check(
         printer.table(header, rows)
     for finding in findings:
         printer.say(f"{finding.level}: {finding}")
-    printer.say(f"{errors} errors" if errors else "no errors")
+    printer.say(counted(errors, "error") if errors else "no errors")
     printer.write(
         {
             "campaign": loaded.name,

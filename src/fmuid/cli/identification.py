@@ -266,6 +266,7 @@ def _validation(found: Validation, printer: Printer, out: Path | None = None) ->
     printer.say(f"\nvalidation\n{found}")
     if out is not None:
         from fmuid.crosscheck_csv import Table, write_csv
+        from fmuid.shown import counted
 
         for case, prediction in zip(found.cases, found.predictions, strict=True):
             columns = {f"{c.signal}_measured": c.mean for c in case.channels}
@@ -276,5 +277,5 @@ def _validation(found: Validation, printer: Printer, out: Path | None = None) ->
                 Table(case.task.time, columns, {n: units[n] for n in columns if n in units}),
                 out / f"{case.id}.csv",
             )
-        printer.say(f"{out}: {len(found.cases)} files")
+        printer.say(f"{out}: {counted(len(found.cases), 'file')}")
     return {"validation": found.to_dict()["scores"]}

@@ -28,6 +28,10 @@ Methods = Annotated[
         "--method", metavar="[SIGNAL=]METHOD", help="How, for all or one (repeat): linear (default), hold or mean."
     ),
 ]
+Units = Annotated[list[str] | None, typer.Option(metavar="NAME=UNIT", help="Unit of a signal (repeat).")]
+Sigmas = Annotated[
+    list[str] | None, typer.Option(metavar="NAME=VALUE", help="Noise standard deviation of a signal (repeat).")
+]
 
 
 def import_(
@@ -44,10 +48,8 @@ def import_(
     resample: Resample = None,
     align: Align = None,
     method: Methods = None,
-    unit: Annotated[list[str] | None, typer.Option(metavar="NAME=UNIT", help="Unit of a signal (repeat).")] = None,
-    sigma: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=VALUE", help="Noise standard deviation (repeat).")
-    ] = None,
+    unit: Units = None,
+    sigma: Sigmas = None,
     setting: Annotated[
         list[str] | None, typer.Option(metavar="NAME=VALUE", help="Known value that the runs set (repeat).")
     ] = None,
@@ -68,6 +70,7 @@ def import_(
     from fmuid.campaign import Measurements
     from fmuid.importing import experiment_from_table, read_run, with_repeats
     from fmuid.measurements import read_measurements, write_measurements
+    from fmuid.shown import counted
 
     printer = Printer(quiet, json)
     if out.exists() and not append:
@@ -111,7 +114,7 @@ def import_(
             for e in measurements
         ],
     )
-    printer.say(f"{out}: {len(measurements)} runs")
+    printer.say(f"{out}: {counted(len(measurements), 'run')}")
     resampled = {e.id: {s.name: s.resampled for s in e.signals.values() if s.resampled} for e in measurements}
     printer.write({"out": out, "experiments": list(measurements.experiments), "resampled": resampled})
 
@@ -133,6 +136,7 @@ def export(
     from fmuid.crosscheck_csv import write_csv
     from fmuid.importing import table_from_experiment
     from fmuid.measurements import read_measurements
+    from fmuid.shown import counted
 
     loaded = read_measurements(measurements)
     chosen = expand(experiment or ["*"], loaded, list(loaded.experiments), "--experiment")
@@ -140,7 +144,7 @@ def export(
     for experiment_id, file in zip(chosen, files, strict=True):
         write_csv(table_from_experiment(loaded[experiment_id]), file)
     printer = Printer(quiet, json)
-    printer.say(f"{out}: {len(files)} files")
+    printer.say(f"{out}: {counted(len(files), 'file')}")
     printer.write({"files": files})
 
 
@@ -154,6 +158,8 @@ def init(
     resample: Resample = None,
     align: Align = None,
     method: Methods = None,
+    unit: Units = None,
+    sigma: Sigmas = None,
     workers: Workers = None,
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,
@@ -175,6 +181,8 @@ def init(
             out,
             signals=signal or (),
             base=_time_base(resample, align, method or []),
+            units=pairs(unit or [], "--unit"),
+            sigmas=numbers(sigma or [], "--sigma"),
             progress=progress,
             runner=runner,
         )

@@ -60,6 +60,8 @@ def simulate(
 
     Example: fmuid simulate campaigns/force_feedback -e 'step_*' --set d_S=2.66
     """
+    from fmuid.shown import counted
+
     printer = Printer(quiet, json)
     values = numbers(set_ or [], "--set")
     if master and model.suffix != ".ssp":
@@ -83,7 +85,7 @@ def simulate(
     with printer.working("") as shown, supervised(workers, time_limit, memory_limit) as runner:
         found = _simulate_campaign(model, values, experiment or ["*"], out, shown, runner)
     printer.table(("experiment", "signal", "NRMSE"), [tuple(row.values()) for row in found["nrmse"]])
-    printer.say(f"{found['out']}: {len({row['experiment'] for row in found['nrmse']})} files")
+    printer.say(f"{found['out']}: {counted(len({row['experiment'] for row in found['nrmse']}), 'file')}")
     printer.write(found)
 
 

@@ -1,0 +1,40 @@
+"""What `python -m fmuid.SOMETHING` has in common: its usage, its one line of error, its exit code."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from fmuid.campaign import Measurements
+from fmuid.errors import FmuidError
+from fmuid.measurements import write_measurements
+from fmuid.shown import counted
+
+
+def run_module(usage: str, arguments: Sequence[str], command: Callable[[Sequence[str]], None]) -> int:
+    """Run `command` with the arguments; return the exit code, 2 for a mistake of the user's.
+
+    `usage` names module and arguments, as in ``fmuid.go1 CAMPAIGN [FOLDER]``: in brackets what may be missing,
+    with dots what may be many.
+    """
+    words = usage.split()[1:]
+    least = sum(not w.startswith("[") for w in words)
+    most = float("inf") if usage.endswith("...]") else len(words)
+    if not least <= len(arguments) <= most or arguments[0].startswith("-"):
+        print(f"usage: python -m {usage}", file=sys.stderr)
+        return 2
+    try:
+        command(arguments)
+    except FmuidError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def write_campaign(campaign: str, measurements: Measurements) -> None:
+    """Write the `measurements.h5` of a campaign, named by its folder or its file, and say so."""
+    path = Path(campaign)
+    target = (path.parent if path.suffix == ".toml" else path) / "measurements.h5"
+    write_measurements(measurements, target)
+    print(f"{target}: {counted(len(measurements), 'run')}")

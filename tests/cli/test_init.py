@@ -1,0 +1,145 @@
+"""`fmuid init`: a campaign from recorded runs and an FMU, and what it guesses."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from fmuid.campaign import Measurements
+from fmuid.campaign_toml import load_campaign
+from fmuid.cli.app import run
+from fmuid.crosscheck_csv import Table, write_csv
+from fmuid.result import Result
+
+Command = Callable[..., tuple[int, str, str]]
+WINDING = """\
+model Winding "A motor whose current answers to the voltage at once"
+  parameter Real R(unit = "Ohm", min = 1e-3) = 1 "Resistance";
+  parameter Real k(unit = "N.m/A") = 0.1 "Torque constant";
+  parameter Real J(unit = "kg.m2") = 1e-3 "Inertia";
+  parameter Real d(unit = "N.m.s/rad") = 0 "Friction";
+  parameter Real spare = 3 "Moves nothing";
+  input Real u(unit = "V");
+  output Real i(unit = "A") = (u - k*w)/R;
+  output Real w(unit = "rad/s", start = 0, fixed = true);
+equation
+  J*der(w) = k*i - d*w;
+end Winding;
+"""
+
+
+def test_init_makes_a_campaign_that_runs(
+    folder: Path, oscillator: Path, measurements: Measurements, fmuid: Command
+) -> None:
+    for recorded_run in measurements:
+        columns = {
+            "U": recorded_run.inputs["u"].values,
+            "position_lvdt": recorded_run.signals["position"].values,
+            "oil": 20 + recorded_run.time,
+        }
+        write_csv(
+            Table(recorded_run.time, columns, {"position_lvdt": "mm", "oil": "degC"}), f"{recorded_run.id}.csv"
+        )
+    code, out, err = fmuid("init", "step.csv", "sine.csv", "pulse.csv", "--fmu", oscillator, "--out", "drive")
+    assert (code, err) == (0, "")
+    assert "step.csv: 'U' is input 'u', taken to be in N, as the FMU's" in out
+    assert "step.csv: 'position_lvdt' is output 'x', in mm" in out
+    assert "step.csv: column 'oil' is not used, no input or output of the FMU fits" in out
+    assert sorted(p.name for p in Path("drive").iterdir()) == ["campaign.toml", "measurements.h5"]
+    campaign = load_campaign("drive")
+    assert set(campaign.parameters) == {"m", "d", "c"}  # `spare` and `gain` move no measured output
+    assert '# [parameters."spare"]' in Path("drive/campaign.toml").read_text()
+    assert (campaign.identification, campaign.validation) == (("step", "sine"), ("pulse",))
+    assert fmuid("identify", "drive", "--out", "found", "--no-report", "--quiet")[0] == 0
+    found = Result.from_json("found").parameters
+    assert found == pytest.approx({"m": 1.2, "d": 0.8, "c": 90.0}, rel=0.02)
+    assert fmuid("init", "step.csv", "--fmu", oscillator, "--out", "drive")[2] == (
+        "fmuid: drive/campaign.toml: is there already; name another folder with --out\n"
+    )
+
+
+def test_init_without_a_fitting_column(folder: Path, oscillator: Path, fmuid: Command) -> None:
+    Path("run.csv").write_text("time,a,b\n0,1,2\n1,2,3\n")
+    assert fmuid("init", "run.csv", "--fmu", oscillator, "--out", "drive") == (
+        2, "", "fmuid: run.csv: no column is an output of Oscillator.fmu; name the columns after its variables; known: u, wind, x, y\n"
+    )  # fmt: skip
+    assert not Path("drive").exists()
+
+
+@pytest.fixture(scope="module")
+def winding(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("winding")
+    (folder / "Winding.mo").write_text(WINDING)
+    assert run(["build", str(folder / "Winding.mo"), "Winding", "--out", str(folder), "--quiet"]) == 0
+    return folder / "Winding.fmu"
+
+
+def recorded(u: np.ndarray, time: np.ndarray, *, at_once: bool) -> dict[str, np.ndarray]:
+    """Return a winding with R = 1.2, J = 1.2e-3, its voltage held; `at_once`: sampled with what it does to the current."""
+    w, rate = np.zeros_like(time), 0.1**2 / 1.2 / 1.2e-3
+    for k, h in enumerate(np.diff(time)):
+        w[k + 1] = u[k] / 0.1 + (w[k] - u[k] / 0.1) * np.exp(-rate * h)
+    acts = u if at_once else np.r_[u[0], u[:-1]]
+    return {"t": time, "u": u, "i": (acts - 0.1 * w) / 1.2, "speed": w * 60 / (2 * np.pi)}
+
+
+@pytest.mark.parametrize(("at_once", "found"), [(True, "linear"), (False, "hold")])
+def test_init_sees_when_the_inputs_act(
+    at_once: bool, found: str, winding: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    time = np.arange(0, 2, 0.005)
+    savemat("run.mat", recorded(5 * np.sin((3 + 8 * time) * time), time, at_once=at_once))
+    code, out, err = fmuid(
+        "init", "run.mat", "--fmu", winding, "--unit", "speed=rpm", "--sigma", "speed=0.5", "--sigma", "i=0.01"
+    )
+    assert (code, err) == (0, "")
+    assert "run.mat: 'speed' is output 'w', in rpm" in out
+    lines = out.splitlines()
+    if at_once:
+        assert any(
+            re.match(r"inputs are linear between their samples: held, .* \d\S* times worse", s) for s in lines
+        )
+    else:
+        assert "inputs are held between their samples" in lines
+    assert load_campaign("campaign").models["Winding"].interpolation == found
+    signals = load_campaign("campaign").measurements["run"].signals
+    assert (signals["speed"].sigma, signals["i"].sigma) == (0.5, 0.01)
+
+
+def test_init_says_what_it_holds_and_why(
+    winding: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    time = np.arange(0, 2, 0.005)
+    savemat("run.mat", {n: v for n, v in recorded(5 * np.sin(4 * time), time, at_once=False).items() if n != "i"})
+    _, out, _ = fmuid("init", "run.mat", "--fmu", winding, "--unit", "speed=rpm")
+    held = dict(line.rsplit(": ", 1) for line in out.splitlines() if line.startswith("held"))
+    free = next(line for line in out.splitlines() if line.startswith("free")).removeprefix("free parameters: ")
+    # The speed is k u / (J R s + k^2): R and J are known as a product only.
+    assert len(free.split(", ")) == 2
+    known = "held, what it does, the free ones do together: whichever of them is known should be held instead"
+    assert set(free.split(", ")) | {held.pop(known)} == {"R", "k", "J"}
+    assert held == {
+        "held, moves no measured output": "spare",
+        "held, starts at 0, so that no bounds can be guessed": "d",
+    }
+    text = Path("campaign/campaign.toml").read_text()
+    assert '# [parameters."d"] # Friction\n# start = 0.0\n# unit = "N.m.s/rad"\n\n' in text
+    assert text.index("# Held: moves no measured output.") < text.index('# [parameters."spare"]')
+
+
+@pytest.mark.parametrize("option", ["--unit", "--sigma"])
+def test_init_knows_the_signals_that_options_name(
+    option: str, winding: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("run.csv").write_text("time,u,w\n0,1,2\n1,2,3\n")
+    given = fmuid("init", "run.csv", "--fmu", winding, option, "W=1")
+    assert given == (2, "", f"fmuid: {option}: no signal 'W' is used; did you mean 'w'?\n")
+    assert not Path("campaign").exists()
