@@ -22,7 +22,8 @@ RIG := $(shell find src/fmuid/virtual_rig -type f -name '*.[pc]*')
 
 FORCE_FEEDBACK := campaigns/force_feedback
 LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
-FRICTION := --stage bearing $(foreach row,10 15 20 30,--stage row_$(row)_equal --stage row_$(row)) --stage standstill
+ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
+FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
 .PHONY: all setup fmus test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed blind bench docs clean
 all: identify
