@@ -1,5 +1,6 @@
-"""The blind check: its figures on answers that are known, what keeps the labels away, and three real cases."""
+"""The blind check: its figures on answers that are known, what keeps the labels away, and a few real cases."""
 
+import hashlib
 import json
 import os
 import stat
@@ -236,18 +237,38 @@ def test_an_open_answer_is_asked_again_with_the_run_it_suggested_and_nothing_is_
     assert "load_encoder" not in told
 
 
-@pytest.mark.slow
-def test_three_cases_blind(tmp_path, effect_fmus):
-    """None, one effect, one outside the catalogue: c001, c006 and c004 of the grid of seed 5."""
-    check = Check(tmp_path / "out", tmp_path / "labels", ROOT / "campaigns" / "sealed", seed=5, only=(1, 4, 6))
+def blind(tmp_path: Path, *only: int) -> Outcome:
+    """Make these cases of the grid of seed 5, diagnose them with their labels out of reach, and score them."""
+    check = Check(
+        tmp_path / "out", tmp_path / "labels", ROOT / "campaigns" / "sealed", seed=5, only=only, workers=2
+    )
     outcome = check.run()
-    verdicts = {c.label["case"]: (c.label["kind"], c.kind, c.right) for c in outcome.cases}
-    assert verdicts == {
-        "c001": ("none", "complete", True),
-        "c004": ("outside", "unknown", True),
-        "c006": ("one", "effect", True),
+    assert outcome.closed
+    assert outcome.digest == hashlib.sha256((tmp_path / "labels" / "labels.json").read_bytes()).hexdigest()
+    return outcome
+
+
+def verdicts(outcome: Outcome) -> dict[str, tuple[object, ...]]:
+    return {str(c.label["case"]): (*c.label["effects"], "->", c.kind, *sorted(c.named)) for c in outcome.cases}
+
+
+def test_a_complete_actuator_one_effect_and_one_of_no_catalogue_are_told_apart_blind(tmp_path, effect_fmus):
+    """A complete actuator with little noise, mesh friction as large as the noise, friction at one spot of a turn."""
+    outcome = blind(tmp_path, 40, 47, 190)
+    assert verdicts(outcome) == {
+        "c040": ("friction_patch", "->", "unknown"),
+        "c047": ("->", "complete"),
+        "c190": ("mesh_loss", "->", "effect", "mesh_loss"),
     }
-    closed = next(c.closure for c in outcome.cases if c.label["case"] == "c006")
-    assert closed is not None
-    assert closed > 0.5
-    page(outcome, "make blind")
+    assert [c.answer["verdict"]["port"] for c in outcome.cases] == ["gear_friction", None, "gear_friction"]
+    assert [c.closure is not None and c.closure > 0.6 for c in outcome.cases] == [False, False, True]
+    assert "3 of 3 cases answered" in page(outcome, "make blind")
+
+
+@pytest.mark.slow
+def test_two_effects_a_faint_one_and_a_ripple_of_no_catalogue_are_found_blind(tmp_path, effect_fmus):
+    assert verdicts(blind(tmp_path, 4, 6, 59)) == {
+        "c004": ("gear_ripple", "->", "unknown"),
+        "c006": ("mesh_loss", "->", "effect", "mesh_loss"),
+        "c059": ("sensor_lag", "sensor_gain", "->", "effect", "sensor_gain", "sensor_lag"),
+    }
