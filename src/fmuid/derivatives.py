@@ -112,9 +112,15 @@ class Differences:
 
     def __init__(self, problem: Problem, floor: NoiseFloor, *, central: bool) -> None:
         self.floor, self.central = floor, central
+        self.exact = False  # whether the last one was
         self._exact = ExactDerivatives(problem)
         self._lower, self._upper = problem.space.lower, problem.space.upper
         self.steps = [floor.central_step if central else floor.forward_step] * len(problem.space)
+
+    @property
+    def tolerance(self) -> float:
+        """Relative accuracy of a Jacobian: smaller singular values are none."""
+        return max(1e-6, 5.0 * self.floor.central_step**2)
 
     def adopt(self, floor: NoiseFloor) -> None:
         """Follow a noise floor measured elsewhere; steps only grow."""
@@ -133,6 +139,7 @@ class Differences:
             A parameter can be moved to neither side.
         """
         exact = self._exact.jacobian(here)
+        self.exact = exact is not None
         if exact is not None:
             return exact[:, first:]
         columns: dict[int, FloatArray] = {}

@@ -97,8 +97,8 @@ def uncertainty_of(
     floor = floor or noise_floor(problem, best.x, evaluate=evaluate)
     # A resumed run does not remember everything of an evaluation.
     here = best if best.predictions and best.residuals.size else evaluate([best.x])[0]
-    j = Differences(problem, floor, central=True).jacobian(evaluate, here)
-    tolerance = max(1e-6, 5.0 * floor.central_step**2)
+    differences = Differences(problem, floor, central=True)
+    j, tolerance = differences.jacobian(evaluate, here), differences.tolerance
     first = identifiability(problem, best.x, j, tolerance=tolerance)
     bread = np.linalg.pinv(j.T @ j, rcond=tolerance**2, hermitian=True)
     meat, whiteness = score_covariance(problem, here, j)
@@ -118,9 +118,8 @@ def uncertainty_of(
     slope = problem.space.slope(best.x)
     degrees, inherited, held_slopes = np.full(n, own), np.zeros((n, n)), np.zeros((n, 0))
     if held is not None:
-        differences = Differences(held.problem, floor, central=False)
-        there = replace(here, x=held.point(best.x))
-        across = differences.jacobian(evaluate_held or held.problem.evaluate_many, there, n)
+        there, evaluate = replace(here, x=held.point(best.x)), evaluate_held or held.problem.evaluate_many
+        across = Differences(held.problem, floor, central=False).jacobian(evaluate, there, n)
         moves = -bread @ j.T @ across
         held_slopes = slope[:, None] * moves / held.problem.space.slope(there.x)[n:]
         roots = moves @ held.rows

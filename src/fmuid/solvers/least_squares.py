@@ -12,17 +12,20 @@ from typing import Any
 import numpy as np
 
 from fmuid.campaign import FloatArray, frozen_mapping
-from fmuid.derivatives import Differences, noise_floor
+from fmuid.derivatives import Differences, NoiseFloor, noise_floor
 from fmuid.errors import ProblemError, SimulationError
 from fmuid.problem import Evaluation
 from fmuid.solvers.box import CandidateFailedError, around_failures
-from fmuid.solvers.search import Outcome, Search, Status
+from fmuid.solvers.search import Outcome, Search, Status, StopSearch
 
 _FLAT = 3.0  # times the noise of the cost: a smaller change is none
 _FLAT_TRIALS = 2
 _LEVEL = 1e-4  # relative change of the cost at which settling is near
 _MEASUREMENTS = 2
 _EXACT = 1e-11  # relative noise of a simulator that does little more than round
+_NEAR = 1e-3  # relative: a last step is smaller
+_STILL = 1e-9
+_LAST_STEPS = 20
 _SMALLEST_RADIUS = 1e-8  # of DFO-LS: search coordinates are of order one
 
 
@@ -74,9 +77,39 @@ class TrustRegion:
                     max_nfev=10_000,
                 )
             except _SettledError:
-                return Outcome(Status.CONVERGED, "the cost changes by no more than the simulator's noise")
-        done = result.status != 0
-        return Outcome(Status.CONVERGED if done else Status.BUDGET, _in_words(result.status))
+                ended = Outcome(Status.CONVERGED, "the cost changes by no more than the simulator's noise")
+            else:
+                ended = Outcome(Status.CONVERGED if result.status else Status.BUDGET, _in_words(result.status))
+        rounds = not differences.exact and floor.relative <= _EXACT
+        if rounds and ended.status is Status.CONVERGED and search.reached is search.best:
+            with suppress(StopSearch, SimulationError):  # the search had ended before
+                _polish(search, floor)
+        return ended
+
+
+def _polish(search: Search, floor: NoiseFloor) -> None:
+    """Take the last Gauss-Newton steps with central differences.
+
+    One-sided ones leave a minimum some thousandths of a standard error off, which noise hides but where a
+    simulator only rounds: the cost is flat to its last digits there, so steps count, not gains.
+    """
+    derivative = partial(search.evaluate_many, purpose="derivative")
+    differences = Differences(search.problem, floor, central=True)
+    here, before, stalled = search.reached, _NEAR, 0
+    for _ in range(_LAST_STEPS):
+        if here is None:
+            return
+        inside = (search.lower < here.x) & (here.x < search.upper)
+        step = np.zeros(len(here.x))
+        j = differences.jacobian(derivative, here)[:, inside]
+        step[inside] = np.linalg.lstsq(j, here.residuals, rcond=differences.tolerance)[0]
+        size = float(np.linalg.norm(step) / np.linalg.norm(here.x))
+        stalled += size > 0.9 * before
+        if size > _NEAR or stalled == _FLAT_TRIALS:
+            return
+        here, before = search.evaluate(here.x - step), size
+        if not here.ok or size < _STILL:
+            return
 
 
 class _SettledError(Exception):
