@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -11,6 +11,8 @@ import casadi as ca
 from fmu_build.graph import SX, Gradient, Graph, Substitution, key
 
 Functions = dict[str, ca.Function]
+Slope = tuple[int, int, SX]
+"""Row, column and expression of an entry of a sparse matrix."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,17 @@ def dense(rows: Sequence[Gradient], symbols: Sequence[SX]) -> SX:
     return ca.densify(out)
 
 
+def parameter_slopes(graph: Graph, ports: Ports, e: Expressions) -> tuple[list[Slope], list[Slope]]:
+    """Partial derivatives of dx by [p; d] that are not zero: by scalars, and by elements of arrays (tables)."""
+    scalars: list[Slope] = []
+    elements: list[Slope] = []
+    for i, row in enumerate(map(graph.gradient, e.dx)):
+        for j, symbol in enumerate([*ports.p, *ports.d]):
+            if key(symbol) in row:
+                (elements if symbol.name().endswith("]") else scalars).append((i, j, row[key(symbol)]))
+    return scalars, elements
+
+
 def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
     """Build the functions of the interface, common subexpressions shared."""
     environment = ports.environment()
@@ -105,6 +118,9 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
             dense(slopes_r, [ports.t]),
         ],
     )
+    scalars, elements = (column([slope for _, _, slope in own]) for own in parameter_slopes(graph, ports, e))
+    add("slopes", environment, [dense(slopes_dx, ports.x), scalars])
+    add("element_slopes", environment, [elements])
     add("variables", environment, [column(e.v)])
     vectors = {"x": ports.x, "u": ports.u, "p": ports.p, "d": ports.d, "y": ports.y, "xs": e.xs}
 
@@ -136,7 +152,10 @@ def c_source(functions: Functions) -> str:
     generator = ca.CodeGenerator("model", {"with_header": False, "casadi_int": "long long int"})
     for function in functions.values():
         generator.add(function)
-    return str(generator.dump())
+    source = str(generator.dump())
+    for name, sign in (("fmin", "<"), ("fmax", ">")):  # libm's are calls that compilers may not inline
+        source = source.replace(f"return {name}(x, y);", f"return x{sign}y || isnan(y) ? x : y;")
+    return source
 
 
 def c_header(
@@ -146,6 +165,7 @@ def c_header(
     y_nominal: Sequence[float],
     inclusive: Sequence[bool],
     asserts: Sequence[tuple[str, bool]],
+    slopes: Sequence[Sequence[Slope]],
 ) -> str:
     """Return the text of ``model.h``: sizes, tables and prototypes."""
     lines = ["#ifndef MODEL_H", "#define MODEL_H", ""]
@@ -162,11 +182,15 @@ def c_header(
         "",
         f"static const double MODEL_X_NOMINAL[] = {{{_numbers(x_nominal)}}};",
         f"static const double MODEL_Y_NOMINAL[] = {{{_numbers(y_nominal)}}};",
-        f"static const int MODEL_INCLUSIVE[] = {{{', '.join(str(int(i)) for i in inclusive) or '0'}}};",
-        f"static const int MODEL_ASSERT_WARNING[] = {{{', '.join(str(int(w)) for _, w in asserts) or '0'}}};",
+        f"static const int MODEL_INCLUSIVE[] = {{{_integers(inclusive)}}};",
+        f"static const int MODEL_ASSERT_WARNING[] = {{{_integers(w for _, w in asserts)}}};",
         "static const char* const MODEL_ASSERT_MESSAGE[] = {"
         + (", ".join(_string(text) for text, _ in asserts) or '""')
         + "};",
+        f"#define MODEL_NSLOPE {len(slopes[0])}",
+        f"#define MODEL_NELEMENT {len(slopes[1])}",
+        f"static const int MODEL_SLOPE_ROW[] = {{{_integers(i for own in slopes for i, _, _ in own)}}};",
+        f"static const int MODEL_SLOPE_COLUMN[] = {{{_integers(j for own in slopes for _, j, _ in own)}}};",
         "",
     ]
     signature = "(const double** arg, double** res, casadi_int* iw, double* w, int mem)"
@@ -176,6 +200,10 @@ def c_header(
 
 def _numbers(values: Sequence[float]) -> str:
     return ", ".join(repr(float(v)) if math.isfinite(v) else "1.0" for v in values) or "1.0"
+
+
+def _integers(values: Iterable[int]) -> str:
+    return ", ".join(str(int(v)) for v in values) or "0"
 
 
 def _string(text: str) -> str:

@@ -178,6 +178,7 @@ def _generate(
         interface.y_nominal,
         [r.inclusive for r in scope.relations],
         messages,
+        codegen.parameter_slopes(scope.graph, ports, expressions),
     )
     model = CompiledModel(
         name=flat.class_name.rpartition(".")[2],

@@ -45,6 +45,10 @@ initial             ENV, xs                        residual (nx+ny), Jacobian (n
 derivatives         ENV                            dx (nx)
 jacobian            ENV                            dx (nx), df/dx (nx, nx), df/dt (nx), df/dy (nx, ny); partial, y held
 loop                ENV                            r (ny), dr/dy (ny, ny), dr/dx (ny, nx), dr/dt (ny); Newton for y
+slopes              ENV                            df/dx (nx, nx); the entries of df/d[p; d] that may differ from zero, for
+                                                   scalars (MODEL_NSLOPE); y held
+element_slopes      ENV                            the same for elements of arrays (MODEL_NELEMENT); where both are is in
+                                                   MODEL_SLOPE_ROW[], MODEL_SLOPE_COLUMN[]
 variables           ENV                            v (nv)
 partials            ENV, sx, su, sp, sd, sy        directional derivative of dx (nx)
 variable_partials   ENV, sx, su, sp, sd, sy        directional derivative of v (nv)
@@ -87,7 +91,7 @@ so that calling it again with pz = z fires nothing. At initialisation: z = pz = 
 ``terminate`` is 1, the simulation ends as the model asked.
 
 ``model.h`` also has ``MODEL_HAS_EVENTS``, ``MODEL_HAS_INITIAL``, ``static const double MODEL_X_NOMINAL[]``,
-``MODEL_Y_NOMINAL[]``, ``static const int MODEL_INCLUSIVE[]``, ``static const char* const MODEL_ASSERT_MESSAGE[]`` (text
+``MODEL_Y_NOMINAL[]``, ``static const int MODEL_INCLUSIVE[]``, ``MODEL_SLOPE_ROW[]``, ``MODEL_SLOPE_COLUMN[]``, ``static const char* const MODEL_ASSERT_MESSAGE[]`` (text
 and source line), ``static const int MODEL_ASSERT_WARNING[]`` (1: warn and go on), each with at least one entry.
 """
 

@@ -25,7 +25,11 @@ from fmuid.errors import BuildError
 
 DEFAULT_TOLERANCE = 1e-6
 # Contraction into fused operations would make results depend on the processor the compiler had in mind.
-C_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
+# Loops over a handful of states: unrolling is worth a fifth of the time, vectors of two cost more than they save.
+C_FLAGS = (
+    *("-std=c99", "-O2", "-funroll-loops", "-fno-tree-vectorize"),
+    *("-ffp-contract=off", "-fPIC", "-fvisibility=hidden"),
+)
 _SHARED = (
     "equations.c",
     "events.c",

@@ -38,8 +38,8 @@ static double relative_size(const double *correction, const double *y) {
 }
 
 /* Newton's method for s.y, damped until the next correction (with the same Jacobian) is smaller: the natural
- * monotonicity test, which no scaling of the equations changes [Deuflhard, Newton Methods for Nonlinear Problems, 2004].
- * 0 on success. */
+ * monotonicity test, which no scaling of the equations changes [Deuflhard, Newton Methods for Nonlinear Problems,
+ * 2004]. 0 on success. */
 static int newton(Instance *me, double t, const double *x, const double *u) {
     static const double CONVERGED = 1e-9;  /* the error after this correction is about its square */
     static const double ROUNDING = 1e-6;   /* corrections that are smaller and no longer shrink are rounding */

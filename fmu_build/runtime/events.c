@@ -97,7 +97,8 @@ Status event_iteration(Instance *me, int initial) {
             adopt(s->m, m, inner >= 10);
         }
         if (!settled)
-            return report(me, STATUS_ERROR, "t = %.9g: the event iteration finds no consistent discrete variables", s->t);
+            return report(me, STATUS_ERROR, "t = %.9g: the event iteration finds no consistent discrete variables",
+                          s->t);
         s->next_event = next;
         if (terminate != 0.0) s->terminate = 1;
         if (initial) return STATUS_OK;

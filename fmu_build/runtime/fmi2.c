@@ -23,7 +23,8 @@ static int allowed(Instance *me, int phases, const char *function) {
     return 0;
 }
 
-static void log_message(void (*callback)(void), void *environment, const char *name, Status status, const char *message) {
+static void log_message(void (*callback)(void), void *environment, const char *name, Status status,
+                        const char *message) {
     const fmi2CallbackLogger logger = (fmi2CallbackLogger)callback;
     if (!logger) return;
     const char *category = status >= STATUS_ERROR ? "logStatusError" : "logStatusWarning";
@@ -112,7 +113,8 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
     return fmi2OK;
 }
 
-static fmi2Status get_whole(fmi2Component c, VariableType type, const fmi2ValueReference vr[], size_t nvr, int value[]) {
+static fmi2Status get_whole(fmi2Component c, VariableType type, const fmi2ValueReference vr[], size_t nvr,
+                            int value[]) {
     IN(READABLE);
     for (size_t i = 0; i < nvr; i++) {
         double number = 0.0;

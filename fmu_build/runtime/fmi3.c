@@ -23,7 +23,8 @@ static int allowed(Instance *me, int phases, const char *function) {
     return 0;
 }
 
-static void log_message(void (*callback)(void), void *environment, const char *name, Status status, const char *message) {
+static void log_message(void (*callback)(void), void *environment, const char *name, Status status,
+                        const char *message) {
     (void)name; /* the environment tells instances apart */
     const fmi3LogMessageCallback log = (fmi3LogMessageCallback)callback;
     if (!log) return;

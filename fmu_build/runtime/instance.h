@@ -133,7 +133,7 @@ void find_event(Instance *me, double from, double to, int samples);
 
 /* kinks.c */
 double first_kink(Instance *me, double h, int again);
-double next_kink(Instance *me, double from, double to);
+double next_kink(Instance *me, double from, double to, double *start, int *known);
 
 /* integrator.c */
 Status restart_integration(Instance *me);
@@ -150,17 +150,19 @@ Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t 
 Status pick_derivative(Instance *me, unsigned reference, const Direction *s, double *value);
 int is_slope(unsigned reference);
 int parameter_direction(unsigned reference, Direction *s, double *start);
-Status set_experiment(Instance *me, int tolerance_defined, double tolerance, double start, int stop_defined, double stop);
+Status set_experiment(Instance *me, int tolerance_defined, double tolerance, double start, int stop_defined,
+                      double stop);
 Status start_simulation(Instance *me);
 Status update_discrete_states(Instance *me, int *states_changed);
 
 /* sensitivity.c */
 Status start_sensitivities(Instance *me);
-Status advance_sensitivities(Instance *me, double t);
+Status advance_sensitivities(Instance *me, double t, int restart);
 void free_sensitivities(Instance *me);
 
 /* lifecycle.c: memory, the complete state, arrays of model exchange */
-Instance *new_instance(const char *name, const char *guid, const char *resources, Listener listener, int is_co_simulation);
+Instance *new_instance(const char *name, const char *guid, const char *resources, Listener listener,
+                       int is_co_simulation);
 void free_instance(Instance *me);
 Status copy_state(const Instance *me, void **copy);
 Status restore_state(Instance *me, const void *copy);

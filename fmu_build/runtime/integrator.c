@@ -55,6 +55,9 @@ static const double E[8] = {0.2606326497975715, -0.005158627295444251, 1.3038988
 /* Below this a scale is taken for zero: states without nominal value are resolved relative to their own size. */
 static const double SMALLEST_SCALE = 1e-6;
 
+/* As fmax, for the loops over all states: compilers may not inline what libm does with zeros. A NaN is passed over. */
+static inline double larger(double a, double b) { return a > b || isnan(b) ? a : b; }
+
 void dense_output(const Step *step, double t, double *x) {
     if (t >= step->t0 + step->h || step->h <= 0.0) {
         memcpy(x, step->x1, NX * sizeof *x);
@@ -74,7 +77,7 @@ void dense_output(const Step *step, double t, double *x) {
 Status restart_integration(Instance *me) {
     State *s = &me->s;
     Step *step = &s->step;
-    const Status status = advance_sensitivities(me, s->t);
+    const Status status = advance_sensitivities(me, s->t, 1);
     step->t0 = step->t1 = s->t;
     step->h = 0.0;
     memcpy(step->x0, s->x, sizeof s->x);
@@ -91,8 +94,8 @@ Status restart_integration(Instance *me) {
 /* Absolute error of x[i] that counts as one. */
 static double tolerance_of(const State *s, int i, double x) {
     static const double nominal[] = MODEL_X_SCALE; /* 0: not given */
-    const double scale = nominal[i] > 0.0 ? nominal[i] : fmax(SMALLEST_SCALE, s->step.size[i]);
-    return s->tolerance * fmax(scale, fabs(x));
+    const double scale = nominal[i] > 0.0 ? nominal[i] : larger(SMALLEST_SCALE, s->step.size[i]);
+    return s->tolerance * larger(scale, fabs(x));
 }
 
 /* First step size of a run from the first two derivatives [Hairer, Norsett, Wanner I, II.4]. */
@@ -102,11 +105,11 @@ static double first_step(const Instance *me, const double *x) {
         const double unit = tolerance_of(&me->s, i, x[i]);
         double second = me->dfdt[i];
         for (int j = 0; j < NX; j++) second += me->jacobian[j * NX + i] * me->f0[j];
-        d0 = fmax(d0, fabs(x[i]) / unit);
-        d1 = fmax(d1, fabs(me->f0[i]) / unit);
-        d2 = fmax(d2, fabs(second) / unit);
+        d0 = larger(d0, fabs(x[i]) / unit);
+        d1 = larger(d1, fabs(me->f0[i]) / unit);
+        d2 = larger(d2, fabs(second) / unit);
     }
-    const double fastest = fmax(d1, d2);
+    const double fastest = larger(d1, d2);
     const double h = fastest > 1e-15 ? pow(0.01 / fastest, 0.2) : 1e-3;
     return d0 > 1e-5 && d1 > 1e-5 ? fmin(h, d0 / d1) : h;
 }
@@ -115,7 +118,7 @@ static double first_step(const Instance *me, const double *x) {
 static double estimate(const Step *step, int i) {
     double other = 0.0;
     for (int j = 0; j < STAGES; j++) other += E[j] * step->k[j][i];
-    return fmax(fabs(step->k[7][i]), fabs(other));
+    return larger(fabs(step->k[7][i]), fabs(other));
 }
 
 /* Stages, x1 and error estimate of one step; the largest error in units of the tolerance, NaN if a stage failed. */
@@ -154,7 +157,7 @@ static double try_step(Instance *me, double t, double h) {
     double error = 0.0;
     for (int i = 0; i < NX; i++) {
         x1[i] = argument[i] + k[7][i];
-        const double e = estimate(step, i) / tolerance_of(&me->s, i, fmax(fabs(x[i]), fabs(x1[i])));
+        const double e = estimate(step, i) / tolerance_of(&me->s, i, larger(fabs(x[i]), fabs(x1[i])));
         if (!(e <= error)) error = e; /* keeps a NaN */
         if (!isfinite(x1[i])) error = NAN;
         if (isnan(error)) break;
@@ -178,11 +181,11 @@ static const char *culprit(const Instance *me) {
 
 static Status step_too_small(const Instance *me, double t, double error) {
     if (isnan(error))
-        return report(me, STATUS_ERROR, "t = %.9g: the equations cannot be evaluated or solved any further (state %s)", t,
-                      culprit(me));
+        return report(me, STATUS_ERROR, "t = %.9g: the equations cannot be evaluated or solved any further (state %s)",
+                      t, culprit(me));
     return report(me, STATUS_ERROR,
-                  "t = %.9g: with the smallest step size the error of %s still exceeds the tolerance %.3g; the model has a "
-                  "discontinuity or a singularity there",
+                  "t = %.9g: with the smallest step size the error of %s still exceeds the tolerance %.3g; the model "
+                  "has a discontinuity or a singularity there",
                   t, culprit(me), me->s.tolerance);
 }
 
@@ -196,12 +199,12 @@ Status integrate_step(Instance *me, double target, int exact) {
     if (s->stop_defined && s->stop_time >= target) limit = fmin(limit, s->stop_time);
     if (step->fresh || exact) limit = fmin(limit, target);
     step->event = 0;
-    const Status status = advance_sensitivities(me, t);
+    const Status status = advance_sensitivities(me, t, 0);
     if (status > STATUS_WARNING) return status;
     memcpy(step->x0, step->x1, sizeof step->x0);
     step->t0 = t;
     step->h = 0.0;
-    for (int i = 0; i < NX; i++) step->size[i] = fmax(step->size[i], fabs(step->x0[i]));
+    for (int i = 0; i < NX; i++) step->size[i] = larger(step->size[i], fabs(step->x0[i]));
 
     const double room = limit - t;
     if (room <= 0.0 && s->next_event <= t) { /* a time event that is due now */
@@ -237,16 +240,17 @@ Status integrate_step(Instance *me, double target, int exact) {
         if (t + attempt <= t || attempt < 1e-290)
             return step_too_small(me, t, last);
         const double error = last = try_step(me, t, attempt);
+        const double factor = 0.9 * pow(error, -0.2);
         if (error <= 1.0) {
-            double grow = error > 0.0 ? 0.9 * pow(error, -0.2) : 8.0;
+            double grow = error > 0.0 ? factor : 8.0;
             double cap = rejected ? 1.0 : 8.0;
             if (step->h_old > 0.0 && !cut) /* Gustafsson's predictive controller */
                 cap = fmin(cap, 0.9 * attempt / step->h_old * pow(step->error_old / (error * error + 1e-30), 0.2));
             grow = fmax(0.2, fmin(grow, cap));
             const double proposed = attempt * grow;
             /* A step cut short by a limit says little about the size possible: keep the larger one. */
-            step->h_next = cut && !rejected && error > 0.0 && 0.9 * pow(error, -0.2) * attempt < h
-                               ? 0.9 * pow(error, -0.2) * attempt
+            step->h_next = cut && !rejected && error > 0.0 && factor * attempt < h
+                               ? factor * attempt
                                : (cut && !rejected ? fmax(h, proposed) : proposed);
             if (start && (rejected || step->h_start > 0.0))
                 step->h_start = fmax(proposed, attempt == room ? step->h_start : 0.0);
@@ -261,7 +265,7 @@ Status integrate_step(Instance *me, double target, int exact) {
             return STATUS_OK;
         }
         step->rejections++;
-        h = attempt * (isfinite(error) ? fmax(0.1, 0.9 * pow(error, -0.2)) : 0.1);
+        h = attempt * (isfinite(error) ? fmax(0.1, factor) : 0.1);
         /* Rejected again: the error does not fall with the method's order, as behind a kink. */
         if (rejected) h = fmin(h, 0.5 * attempt);
         rejected = 1;

@@ -68,15 +68,18 @@ double first_kink(Instance *me, double h, int again) {
 }
 
 /* A time in (from, to) of the last step from which on a switching function has another sign than at its beginning, the
- * first such time where there are several; `to` if all signs at both ends are the same. */
-double next_kink(Instance *me, double from, double to) {
+ * first such time where there are several; `to` if all signs at both ends are the same. `start` holds the functions at
+ * the beginning if they are `known`, and on return those at `to` if that is where it ends. */
+double next_kink(Instance *me, double from, double to, double *start, int *known) {
     enum { BISECTIONS = 10 };
     const Step *step = &me->s.step;
-    double start[LENGTH(MODEL_NSWITCH)], now[LENGTH(MODEL_NSWITCH)], x[LENGTH(NX)];
+    double now[LENGTH(MODEL_NSWITCH)], x[LENGTH(NX)];
     double before = from + 1e-9 * (to - from), after = INFINITY; /* `from` may be a kink itself */
+    const int given = *known;
+    *known = 0;
     if (MODEL_NSWITCH == 0 || !(before > from)) return to;
-    dense_output(step, before, x);
-    if (switches_at(me, before, x, start)) return to;
+    if (!given) dense_output(step, before, x);
+    if (!given && switches_at(me, before, x, start)) return to;
     for (int trial = 0; trial <= BISECTIONS; trial++) {
         const double t = trial == 0 ? to : 0.5 * (before + after);
         dense_output(step, t, x);
@@ -84,8 +87,10 @@ double next_kink(Instance *me, double from, double to) {
         int changed = 0;
         for (int i = 0; i < MODEL_NSWITCH; i++) changed |= start[i] * now[i] < 0.0;
         if (changed) after = t;
-        else if (trial == 0) return to;
+        else if (trial == 0) break;
         else before = t;
     }
-    return after;
+    *known = after > to;
+    if (*known) memcpy(start, now, sizeof now);
+    return fmin(after, to);
 }

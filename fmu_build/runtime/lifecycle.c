@@ -6,7 +6,8 @@
 #include "instance.h"
 
 /* NULL, with a message, if there is no memory, the GUID is another model's or the start values cannot be read. */
-Instance *new_instance(const char *name, const char *guid, const char *resources, Listener listener, int is_co_simulation) {
+Instance *new_instance(const char *name, const char *guid, const char *resources, Listener listener,
+                       int is_co_simulation) {
     Instance *me = calloc(1, sizeof *me);
     if (!name) name = MODEL_IDENTIFIER;
     if (me) me->name = malloc(strlen(name) + 1);

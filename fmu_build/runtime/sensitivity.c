@@ -2,7 +2,7 @@
  *
  * On every step that the state's integrator accepts they are solved by the collocation method Radau IIA with three
  * stages (order 5, L-stable: as stiff as the model may be) along the dense output of the state. The equations are
- * linear, so a step is one LU factorisation for all parameters, and no error control of its own is needed. The
+ * linear, so a step is one factorisation for all parameters, and no error control of its own is needed. The
  * solution between the communication points is the collocation polynomial. A step is worked off only when it is
  * needed: a lookahead that a new input makes void costs nothing. Where the step runs over kinks of f, whose Jacobian
  * jumps there, it is solved in pieces between them. */
@@ -14,80 +14,124 @@
 #include "lu.h"
 #include "sensitivity.h"
 
-enum { RADAU = 3, SIZE = RADAU * NX };
+enum { RADAU = 3 };
 
 struct Sensitivity {
     size_t n, n_parameters;
     unsigned *parameters;
     double *weights;  /* n rows of n_parameters: how they move together */
     Direction *along; /* p and d as they change, the rest is work memory */
+    double *moves;    /* the same p and d in NP + ND rows of n, in one block with what follows ... */
+    unsigned char moved[LENGTH(NP + ND)]; /* ... which of them change at all ... */
+    int elements;     /* ... and, if elements of arrays do, how many derivatives by those there are */
     double *start;    /* NX rows of n: at the beginning of the last step */
     double *stages;   /* RADAU * NX rows of n: at its collocation points */
     double *now;      /* NX rows of n: where they were asked for */
+    double *rest;     /* NX rows of n: work memory */
     double from, to;  /* the piece of the last step that `stages` belong to ... */
     int pieces;       /* ... and how many of it there were; 0: none is solved yet */
-    double jacobian[RADAU][LENGTH(NX) * LENGTH(NX)];
-    double matrix[LENGTH(SIZE) * LENGTH(SIZE)];
-    int pivot[LENGTH(SIZE)];
+    double switches[LENGTH(MODEL_NSWITCH)]; /* their values at the end of the last piece ... */
+    int switches_known;                     /* ... if f goes on from there as it was */
+    double inverse[LENGTH(NX * NX)], matrix[LENGTH(4 * NX * NX)];
+    int pivot[LENGTH(2 * NX)];
 };
 
-static const double SQRT6 = 2.449489742783178;
+static const double NODE[RADAU] = {0.1550510257216822, 0.6449489742783178, 1.0};
+/* Inverse of the method's matrix, and its row sums. */
+static const double W[RADAU][RADAU] = {
+    {3.224744871391589, 1.1678400846904056, -0.25319726474218085},
+    {-3.5678400846904057, 0.775255128608411, 1.0531972647421808},
+    {5.531972647421808, -7.531972647421808, 5.0},
+};
+static const double W_SUM[RADAU] = {4.139387691339814, -1.7393876913398136, 3.0};
 
-static double node(int i) { return i == 0 ? (4 - SQRT6) / 10 : i == 1 ? (4 + SQRT6) / 10 : 1.0; }
-
-static double weight(int i, int j) {
-    const double a[RADAU][RADAU] = {
-        {(88 - 7 * SQRT6) / 360, (296 - 169 * SQRT6) / 1800, (-2 + 3 * SQRT6) / 225},
-        {(296 + 169 * SQRT6) / 1800, (88 + 7 * SQRT6) / 360, (-2 - 3 * SQRT6) / 225},
-        {(16 - SQRT6) / 36, (16 + SQRT6) / 36, 1.0 / 9},
-    };
-    return a[i][j];
-}
-
-/* Adds h A b to the right-hand sides `stages`, b_i the derivatives of f by the parameters at collocation point i. */
-static int add_forcing(Instance *me, int i, double t, const double *x, double h) {
+/* Derivatives of f by x (column-major) and, times h, along the directions (added to `forcing`, NX rows of n). */
+static int slopes_at(Instance *me, double t, const double *x, double h, double *jacobian, double *forcing) {
     struct Sensitivity *q = me->sensitivity;
+    double by_parameter[LENGTH(MODEL_NSLOPE + MODEL_NELEMENT)];
     input_at(me, t);
-    for (size_t p = 0; p < q->n; p++) {
-        Direction *along = &q->along[p];
-        memset(along->x, 0, sizeof along->x);
-        if (derivatives_along(me, t, x, me->ut, along)) return 1;
-        for (int row = 0; row < NX; row++) {
-            if (along->dx[row] == 0.0) continue;
-            for (int j = 0; j < RADAU; j++) q->stages[(j * NX + row) * q->n + p] += h * weight(j, i) * along->dx[row];
+    if (NY > 0) { /* f depends on the parameters through the loops, too */
+        if (linearise(me, t, x)) return 1;
+        memcpy(jacobian, me->jacobian, sizeof me->jacobian);
+        for (size_t p = 0; p < q->n; p++) {
+            Direction *along = &q->along[p];
+            memset(along->x, 0, sizeof along->x);
+            if (derivatives_along(me, t, x, me->ut, along)) return 1;
+            for (int i = 0; i < NX; i++) forcing[i * q->n + p] += h * along->dx[i];
         }
+        return 0;
+    }
+    environment_at(me, &t, x, me->ut);
+    me->res[0] = jacobian;
+    me->res[1] = by_parameter;
+    if (model_slopes(me->arg, me->res, me->iw, me->w, 0)) return 1;
+    if (q->elements) {
+        environment_at(me, &t, x, me->ut);
+        me->res[0] = by_parameter + MODEL_NSLOPE;
+        if (model_element_slopes(me->arg, me->res, me->iw, me->w, 0)) return 1;
+    }
+    for (int k = 0; k < MODEL_NSLOPE + q->elements; k++) {
+        const int column = MODEL_SLOPE_COLUMN[k];
+        double *target = forcing + MODEL_SLOPE_ROW[k] * q->n;
+        if (q->moved[column])
+            for (size_t p = 0; p < q->n; p++) target[p] += h * by_parameter[k] * q->moves[column * q->n + p];
     }
     return 0;
 }
 
-/* The collocation equations of a piece of the last step. */
+/* target += factor * inverse * rows (NX rows of n) */
+static void add_solved(const struct Sensitivity *q, double factor, const double *rows, double *target) {
+    for (int i = 0; i < NX; i++)
+        for (int j = 0; j < NX; j++) {
+            const double a = factor * q->inverse[i * NX + j];
+            if (a == 0.0) continue;
+            for (size_t p = 0; p < q->n; p++) target[i * q->n + p] += a * rows[j * q->n + p];
+        }
+}
+
+/* The collocation equations of a piece of the last step: with W the inverse of the method's matrix,
+ *     sum_j W_ij S_j - h J_i S_i = h df/dp_i + (sum_j W_ij) S_0.
+ * Only the diagonal blocks are full: the first stage is eliminated by its inverse, the others by one factorisation. */
 static Status solve_piece(Instance *me) {
     struct Sensitivity *q = me->sensitivity;
     const Step *step = &me->s.step;
-    double x[RADAU][LENGTH(NX)], t[RADAU];
     const double h = q->to - q->from;
-    for (int i = 0; i < RADAU; i++) memcpy(q->stages + i * NX * q->n, q->start, NX * q->n * sizeof(double));
-    if (h <= 0.0) return STATUS_OK;
+    const size_t size = NX * q->n;
+    double *const first = q->stages, *const others = q->stages + size, *rest = q->rest;
+    double x[LENGTH(NX)], block[RADAU][LENGTH(NX * NX)];
     int failed = 0;
-    for (int i = 0; i < RADAU; i++) {
-        t[i] = q->from + node(i) * h;
-        dense_output(step, t[i], x[i]);
-        failed |= linearise(me, t[i], x[i]);
-        memcpy(q->jacobian[i], me->jacobian, sizeof me->jacobian);
-        failed = failed || add_forcing(me, i, t[i], x[i], h);
+    for (int i = 0; i < RADAU && !failed; i++) {
+        double *stage = q->stages + i * size;
+        for (size_t k = 0; k < size; k++) stage[k] = W_SUM[i] * q->start[k];
+        const double t = q->from + NODE[i] * h;
+        dense_output(step, t, x);
+        failed = slopes_at(me, t, x, h, block[i], stage);
+        for (int k = 0; k < NX * NX; k++) block[i][k] *= -h;
+        for (int k = 0; k < NX; k++) block[i][k * NX + k] += W[i][i];
     }
-    for (int j = 0; j < RADAU; j++)
-        for (int column = 0; column < NX; column++) {
-            double *target = q->matrix + (j * NX + column) * SIZE;
-            for (int i = 0; i < RADAU; i++) {
-                const double a = h * weight(i, j);
-                for (int row = 0; row < NX; row++) target[i * NX + row] = -a * q->jacobian[j][column * NX + row];
+    memset(q->inverse, 0, sizeof q->inverse);
+    for (int k = 0; k < NX; k++) q->inverse[k * NX + k] = 1.0;
+    failed = failed || lu_factor(NX, block[0], q->pivot);
+    if (!failed) lu_solve_many(NX, block[0], q->pivot, NX, q->inverse);
+
+    for (int i = 0; i < 2; i++)
+        for (int j = 0; j < 2; j++)
+            for (int column = 0; column < NX; column++) {
+                double *target = q->matrix + (j * NX + column) * 2 * NX + i * NX;
+                const double eliminated = W[1 + i][0] * W[0][1 + j];
+                for (int row = 0; row < NX; row++) {
+                    target[row] = -eliminated * q->inverse[row * NX + column];
+                    if (i == j) target[row] += block[1 + i][column * NX + row];
+                }
+                if (i != j) target[column] += W[1 + i][1 + j];
             }
-            target[j * NX + column] += 1.0;
-        }
-    failed = failed || lu_factor(SIZE, q->matrix, q->pivot);
-    if (!failed) lu_solve_many(SIZE, q->matrix, q->pivot, q->n, q->stages);
+    failed = failed || lu_factor(2 * NX, q->matrix, q->pivot);
     if (failed) return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", q->from);
+    for (int i = 0; i < 2; i++) add_solved(q, -W[1 + i][0], first, others + i * size);
+    lu_solve_many(2 * NX, q->matrix, q->pivot, q->n, others);
+    for (size_t k = 0; k < size; k++) rest[k] = first[k] - W[0][1] * others[k] - W[0][2] * others[size + k];
+    memset(first, 0, size * sizeof *first);
+    add_solved(q, 1.0, rest, first);
     return STATUS_OK;
 }
 
@@ -103,7 +147,7 @@ static Status solve_until(Instance *me, double t) {
     while (status == STATUS_OK && (q->pieces == 0 || (t > q->to && q->to < end))) {
         if (q->pieces > 0) memcpy(q->start, q->stages + (RADAU - 1) * NX * q->n, NX * q->n * sizeof(double));
         q->from = q->pieces > 0 ? q->to : step->t0;
-        q->to = q->pieces < MOST ? next_kink(me, q->from, end) : end;
+        q->to = q->pieces < MOST ? next_kink(me, q->from, end, q->switches, &q->switches_known) : end;
         q->pieces++;
         status = solve_piece(me);
     }
@@ -117,7 +161,7 @@ static Status evaluate(Instance *me, double t, double *target) {
     const Status status = solve_until(me, t);
     if (status != STATUS_OK) return status;
     const double r = q->to > q->from ? (t - q->from) / (q->to - q->from) : 1.0;
-    const double at[RADAU + 1] = {0.0, node(0), node(1), node(2)};
+    const double at[RADAU + 1] = {0.0, NODE[0], NODE[1], NODE[2]};
     double basis[RADAU + 1];
     for (int i = 0; i <= RADAU; i++) {
         basis[i] = 1.0;
@@ -131,11 +175,13 @@ static Status evaluate(Instance *me, double t, double *target) {
     return STATUS_OK;
 }
 
-/* To be called before the integrator forgets its last step, which was used up to time t. */
-Status advance_sensitivities(Instance *me, double t) {
+/* To be called before the integrator forgets its last step, which was used up to time t; with `restart` the inputs or
+ * the state may be others from there on. */
+Status advance_sensitivities(Instance *me, double t, int restart) {
     struct Sensitivity *q = me->sensitivity;
     if (!q || q->n == 0) return STATUS_OK;
     const Status status = evaluate(me, t, q->now);
+    q->switches_known &= !restart && q->to == t;
     memcpy(q->start, q->now, q->n * NX * sizeof(double));
     q->pieces = 0;
     return status;
@@ -147,9 +193,7 @@ void free_sensitivities(Instance *me) {
         free(q->parameters);
         free(q->weights);
         free(q->along);
-        free(q->start);
-        free(q->stages);
-        free(q->now);
+        free(q->moves);
     }
     free(q);
     me->sensitivity = NULL;
@@ -176,13 +220,19 @@ Status start_sensitivities(Instance *me) {
             return report(me, STATUS_ERROR, "t = %.9g: the sensitivities of the initial state cannot be computed",
                           me->s.t);
         for (int row = 0; row < NX; row++) q->start[row * q->n + j] = s->x[row];
+        for (int k = 0; k < NP + ND; k++) {
+            const double move = q->moves[k * q->n + j] = k < NP ? s->p[k] : s->d[k - NP];
+            q->moved[k] |= move != 0.0;
+        }
     }
-    q->pieces = 0;
+    q->pieces = q->switches_known = q->elements = 0;
+    for (int k = MODEL_NSLOPE; k < MODEL_NSLOPE + MODEL_NELEMENT; k++)
+        if (q->moved[MODEL_SLOPE_COLUMN[k]]) q->elements = MODEL_NELEMENT;
     return STATUS_OK;
 }
 
-int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, size_t n_parameters, const double *weights,
-                                  size_t n) {
+int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, size_t n_parameters,
+                                  const double *weights, size_t n) {
     Instance *me = instance;
     if (!me) return STATUS_ERROR;
     if (!(me->s.phase & (PHASE_INSTANTIATED | PHASE_INITIALIZATION)) || !me->s.is_co_simulation)
@@ -203,14 +253,16 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
         q->parameters = malloc(LENGTH(n_parameters) * sizeof *parameters);
         q->weights = malloc(LENGTH(n * n_parameters) * sizeof *weights);
         q->along = calloc(n, sizeof *q->along);
-        q->start = calloc(n * LENGTH(NX), sizeof(double));
-        q->stages = calloc(n * LENGTH(SIZE), sizeof(double));
-        q->now = calloc(n * LENGTH(NX), sizeof(double));
+        q->moves = calloc(n * LENGTH(NP + ND + (RADAU + 3) * NX), sizeof(double));
     }
-    if (!q || !q->parameters || !q->weights || !q->along || !q->start || !q->stages || !q->now) {
+    if (!q || !q->parameters || !q->weights || !q->along || !q->moves) {
         free_sensitivities(me);
         return report(me, STATUS_ERROR, "no memory for sensitivities");
     }
+    q->start = q->moves + (NP + ND) * n;
+    q->stages = q->start + NX * n;
+    q->now = q->stages + RADAU * NX * n;
+    q->rest = q->now + NX * n;
     memcpy(q->parameters, parameters, n_parameters * sizeof *parameters);
     memcpy(q->weights, weights, n * n_parameters * sizeof *weights);
     q->n_parameters = n_parameters;
@@ -242,7 +294,8 @@ int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, d
     for (size_t j = 0; j < q->n && status <= STATUS_WARNING; j++) {
         Direction *s = &q->along[j];
         for (int row = 0; row < NX; row++) s->x[row] = q->now[row * q->n + j];
-        if ((slopes && derivatives_along(me, now->t, now->x, now->u, s)) || variables_along(me, now->t, now->x, now->u, s))
+        if ((slopes && derivatives_along(me, now->t, now->x, now->u, s)) ||
+            variables_along(me, now->t, now->x, now->u, s))
             return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", now->t);
         for (size_t i = 0; i < n && status <= STATUS_WARNING; i++)
             status = pick_derivative(me, variables[i], s, &values[i * q->n + j]);

@@ -1,10 +1,10 @@
 /* Forward sensitivities of a whole run, exported beside the FMI functions (for either version of FMI).
  *
  * fmuidSetSensitivityParameters chooses, before the end of the initialization mode, the parameters (and start values
- * of states) to differentiate by; they last until the instance is reset. fmuidSetSensitivityDirections does the same where
- * parameters move together: direction j moves parameter i by weights[j * n_parameters + i]. fmuidGetSensitivities then gives, at every
- * communication point of a co-simulation, the total derivatives of variables with respect to them:
- * values[i * n_parameters + j] = d variable[i] / d parameter[j], inputs as they were set.
+ * of states) to differentiate by; they last until the instance is reset. fmuidSetSensitivityDirections does the same
+ * where parameters move together: direction j moves parameter i by weights[j * n_parameters + i].
+ * fmuidGetSensitivities then gives, at every communication point of a co-simulation, the total derivatives of variables
+ * with respect to them: values[i * n_parameters + j] = d variable[i] / d parameter[j], inputs as they were set.
  * Both return an FMI status and log what is wrong. */
 #ifndef FMUID_SENSITIVITY_H
 #define FMUID_SENSITIVITY_H

@@ -111,8 +111,8 @@ Status set_value(Instance *me, unsigned reference, VariableType type, double val
         break;
     case SETTABLE_START:
         if (!before)
-            return report(me, STATUS_ERROR, "%s is a state: its start value can only be set before the simulation starts",
-                          entry->name);
+            return report(me, STATUS_ERROR,
+                          "%s is a state: its start value can only be set before the simulation starts", entry->name);
         s->xs[i] = value;
         s->xs_set[i] = 1;
         break;
@@ -187,8 +187,8 @@ Status do_step(Instance *me, double t, double h) {
     Step *step = &s->step;
     const double target = t + h;
     if (!(h >= 0.0) || !isfinite(target))
-        return report(me, STATUS_ERROR, "a step from t = %.9g of size %g is not possible: the model is at t = %.9g", t, h,
-                      s->t);
+        return report(me, STATUS_ERROR, "a step from t = %.9g of size %g is not possible: the model is at t = %.9g", t,
+                      h, s->t);
     if (s->stop_defined && target > s->stop_time + 1e-9 * (1.0 + fabs(s->stop_time)))
         return report(me, STATUS_ERROR, "the step to t = %.9g goes past the stop time %.9g", target, s->stop_time);
     if (fabs(t - s->t) > 1e-9 * (1.0 + fabs(s->t)))
@@ -215,7 +215,8 @@ Status do_step(Instance *me, double t, double h) {
             events = s->t - last_event <= 1e-12 * (1.0 + fabs(s->t)) ? events + 1 : 0;
             last_event = s->t;
             if (events > MAX_EVENTS)
-                return report(me, STATUS_ERROR, "t = %.9g: %d events without progress in time (chattering)", s->t, events);
+                return report(me, STATUS_ERROR, "t = %.9g: %d events without progress in time (chattering)", s->t,
+                              events);
             continue;
         }
         if (step->t1 >= target - close) {
@@ -285,7 +286,7 @@ static double *seed_of(const Instance *me, const VariableEntry *entry, Direction
 }
 
 /* Derivative of the unknowns in the direction of the knowns: exact, for continuous states, inputs and parameters.
- * Calculated parameters follow those they are calculated from; in the initialization mode the initial states do, too. */
+ * Calculated parameters follow those they are calculated from, in the initialization mode the initial states too. */
 Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t n_unknown, const unsigned *known,
                                   size_t n_known, const double *seed, double *sensitivity) {
     State *now = &me->s;
@@ -314,7 +315,8 @@ Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t 
     return STATUS_OK;
 }
 
-Status set_experiment(Instance *me, int tolerance_defined, double tolerance, double start, int stop_defined, double stop) {
+Status set_experiment(Instance *me, int tolerance_defined, double tolerance, double start, int stop_defined,
+                      double stop) {
     State *s = &me->s;
     if (tolerance_defined && !(tolerance >= 1e-14 && tolerance <= 0.1))
         return report(me, STATUS_ERROR, "tolerance %g is outside 1e-14 .. 0.1", tolerance);

@@ -48,7 +48,9 @@ Status read_starts(Instance *me, const char *location) {
     uint64_t bits;
     int found = 0;
     Status status = STATUS_OK;
-    while (status <= STATUS_WARNING && (found = fscanf(file, "%u %u %" SCNx64 "%*[^\n]", &reference, &type, &bits)) == 3) {
+    while (status <= STATUS_WARNING) {
+        found = fscanf(file, "%u %u %" SCNx64 "%*[^\n]", &reference, &type, &bits);
+        if (found != 3) break;
         double value;
         memcpy(&value, &bits, sizeof value);
         status = set_value(me, reference, (VariableType)type, value);

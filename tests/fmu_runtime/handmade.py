@@ -88,6 +88,8 @@ def compile_by_hand(
     both = ca.vertcat(s["x"], s["y"])
     initial = ca.vertcat(s["x"] - x_given, r)
     g = vec(relations(e)) if relations else ca.SX(0, 1)
+    by_parameter = ca.jacobian(dx, ca.vertcat(p, d))
+    slope_rows, slope_columns = by_parameter.sparsity().get_triplet()
     functions = {
         "dependent": ([p], [d_of_p]),
         "start": ([p, d], [xs, vec(list(discrete.values())), vec(list(loops.values()))]),
@@ -95,6 +97,8 @@ def compile_by_hand(
         "derivatives": (env, [dx]),
         "jacobian": (env, [dx, ca.jacobian(dx, s["x"]), ca.jacobian(dx, s["t"]), ca.jacobian(dx, s["y"])]),
         "loop": (env, [r, ca.jacobian(r, s["y"]), ca.jacobian(r, s["x"]), ca.jacobian(r, s["t"])]),
+        "slopes": (env, [ca.jacobian(dx, s["x"]), ca.vertcat(*by_parameter.nonzeros())]),
+        "element_slopes": (env, [ca.SX(0, 1)]),
         "variables": (env, [v]),
         "partials": ([*env, *seeds("xupdy")], [along(dx, "xupdy")]),
         "variable_partials": ([*env, *seeds("xupdy")], [along(v, "xupdy")]),
@@ -141,6 +145,10 @@ def compile_by_hand(
     lines += [
         f"#define MODEL_HAS_EVENTS {int(bool(update or relations))}",
         "#define MODEL_HAS_INITIAL 0",
+        f"#define MODEL_NSLOPE {len(slope_rows)}",
+        "#define MODEL_NELEMENT 0",
+        table("int", "MODEL_SLOPE_ROW", [str(i) for i in slope_rows]),
+        table("int", "MODEL_SLOPE_COLUMN", [str(i) for i in slope_columns]),
         table("double", "MODEL_X_NOMINAL", [repr(n) for n in nominals]),
         table("double", "MODEL_Y_NOMINAL", [repr(1.0)] * ny),
         table("int", "MODEL_INCLUSIVE", ["0"] * nm),
