@@ -52,7 +52,9 @@ def test_an_effect_of_one_s_own_is_found(trolley, tmp_path, capsys):
     out = tmp_path / "diagnosis"
     assert run(["diagnose", str(trolley), "--out", str(out), "--workers", "0"]) == 0
     said = capsys.readouterr().out
-    assert re.search(r"Verdict: air_drag \(9\d %\) at friction", said)
+    assert re.search(
+        r"Verdict: air_drag at friction \(9\d %\)\nIn words: friction grows with the square of speed\n", said
+    )
     assert "closure (held out)" in said
     answer = json.loads((out / "diagnosis.json").read_text())
     assert answer["verdict"] == {"kind": "effect", "effects": ["air_drag"], "port": "friction"}

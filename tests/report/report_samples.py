@@ -141,13 +141,13 @@ def diagnosis():
             {
                 "experiment": "load_35p5",
                 "signal": "tau_sensor",
-                "regime": {"variable": "load torque", "from": 20.0, "to": 35.5},
+                "regime": {"variable": "load torque", "from": 20.0, "to": 35.5, "unit": "N.m"},
                 "share": 0.41,
             },
             {"experiment": "load_25", "signal": "tau_sensor", "share": 0.2},
         ],
         "effects": [
-            effect("mesh_loss", 0.94, 0.93),
+            effect("mesh_loss", 0.94, 0.93) | {"description": "Friction grows with the load"},
             effect("viscous", 0.02, 0.2),
             effect("stribeck", 0.01, 0.05),
             effect("hysteresis", 0.01, -0.1, 0.2),

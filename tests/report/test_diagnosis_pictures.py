@@ -50,7 +50,9 @@ def pictures():
         SimpleNamespace(
             subject=subject,
             nominal=SimpleNamespace(fit=nominal),
-            best=SimpleNamespace(names=("viscous",), fit=SimpleNamespace(values={"effect": 1.0})),
+            best=SimpleNamespace(
+                names=("viscous",), effects=("viscous",), fit=SimpleNamespace(values={"effect": 1.0})
+            ),
             diagnosis=SimpleNamespace(verdict=Verdict("effect", ("viscous",), "torque")),
             excess=excess_map(observed, [np.zeros((1, TIME.size))], paths),
             paths=paths,
@@ -74,6 +76,8 @@ def test_shares_of_every_variable_add_up_to_the_whole(pictures):
 
 def test_missing_torque_is_found_with_the_law_over_it(pictures):
     (missing,) = pictures.missing
+    assert missing.quantity.label == "missing at torque / (N·m)"
+    assert missing.explained > 0.95
     expected = 0.3 * np.abs(missing.x) / 10
     assert missing.x.min() == pytest.approx(-10, abs=0.01)
     inner = np.abs(missing.x) > 0.5  # a piecewise-linear function cannot follow the corner at zero

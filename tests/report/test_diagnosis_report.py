@@ -5,7 +5,8 @@ import report_samples as samples
 from report_page import Page
 
 from fmuid.report import DiagnosisPictures, write_diagnosis_report
-from fmuid.report.diagnosis import verdict_text
+from fmuid.report.diagnosis import facts, verdict_text
+from fmuid.report.diagnosis_figures import effects_figure, gap_figure, range_text
 
 
 def test_a_reader_sees_where_what_and_how_much(tmp_path):
@@ -18,8 +19,9 @@ def test_a_reader_sees_where_what_and_how_much(tmp_path):
     )
     page = Page(path.read_text())
     for words in (
-        "mesh_loss (94 %) at gear_friction",
-        "load_35p5, tau_sensor, load torque 20 … 35.5 (41 %)",
+        "mesh_loss at gear_friction (94 %)",
+        "friction grows with the load",
+        "load_35p5, tau_sensor, load torque 20 … 35.5 N.m (41 %)",
         "9.4 → 6.1 refitted → 0.35 corrected",
         "0.93 (0.85 to 1.01)",
         "would separate mesh_loss from viscous by 7.2 standard deviations",
@@ -38,7 +40,8 @@ def test_what_is_not_known_is_left_out(tmp_path):
     del diagnosis["next_experiment"]
     path = write_diagnosis_report(diagnosis, tmp_path, campaign="Actuator", pictures=DiagnosisPictures())
     page = Page(path.read_text())
-    assert "Complete: nothing is missing" in page.text
+    assert "Complete (100 %): nothing is missing" in page.text
+    assert "corrected" not in page.text.split("Provenance")[0].split("How much")[0]
     assert {p.stem for p in (tmp_path / "figures").iterdir()} == {"gap"}
     assert "Next experiment" not in page.text
 
@@ -46,13 +49,52 @@ def test_what_is_not_known_is_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("kind", "effects", "words"),
     [
-        ("ambiguous", ["a", "b"], "a or b at gear_friction: these sensors"),
-        ("unknown", [], "Unknown effect at gear_friction"),
+        ("ambiguous", ["a", "b"], "a or b at gear_friction (0 %): these sensors"),
+        ("unknown", [], "Unknown effect at gear_friction (2 %): none"),
         ("insufficient", [], "Not enough data"),
-        ("effect", ["mesh_loss", "viscous"], "mesh_loss (94 %) and viscous (2 %) at gear_friction"),
+        ("effect", ["mesh_loss", "viscous"], "mesh_loss and viscous at gear_friction (96 %)"),
     ],
 )
 def test_verdicts_in_words(kind, effects, words):
     diagnosis = copy.deepcopy(samples.diagnosis())
     diagnosis["verdict"] |= {"kind": kind, "effects": effects}
     assert words in verdict_text(diagnosis)
+
+
+def test_of_an_unknown_effect_the_closest_is_named_and_nothing_is_called_corrected(tmp_path):
+    diagnosis = copy.deepcopy(samples.diagnosis())
+    diagnosis["verdict"] |= {"kind": "unknown", "effects": []}
+    diagnosis["effects"][0]["closure"]["held_out"] = 0.4
+    diagnosis["ports"] = {"gear_friction": 0.62, "torque_sensor": 0.1}
+    found = {fact.label: fact.value for fact in facts(diagnosis)}
+    assert found["What comes closest"] == (
+        "mesh_loss closes 0.40 (0.85 to 1.01) on held-out data, too little for a name (from 0.5 on); "
+        "a free function at gear_friction 0.62"
+    )
+    assert found["Gap, in noise floors"] == "9.4 → 6.1 refitted"
+    assert [b.label for b in gap_figure(diagnosis).bars] == [
+        "nominal model",
+        "nominal parameters refitted",
+        "noise floor",
+    ]
+
+
+def test_the_gap_is_drawn_effect_by_effect():
+    bars = gap_figure(samples.diagnosis(), {"mesh_loss": 2.0}).bars
+    assert [(b.label, b.value) for b in bars[2:4]] == [("with mesh_loss", 2.0), ("corrected", 0.35)]
+
+
+def test_effects_that_were_judged_are_ranked_wherever_they_stand_among_the_probabilities():
+    diagnosis = copy.deepcopy(samples.diagnosis())
+    idle = [{"id": f"idle_{k}", "probability": 0.05} for k in range(20)]
+    diagnosis["effects"] = idle + diagnosis["effects"]
+    figure = effects_figure(diagnosis)
+    assert [b.label for b in figure.bars] == ["mesh_loss", "viscous", "stribeck", "hysteresis"]
+
+
+@pytest.mark.parametrize(
+    ("ends", "text"),
+    [((-0.23673, -2.4e-6), "−0.237 … 0"), ((21.1526, 31.6057), "21.2 … 31.6"), ((0, 103.4), "0 … 103")],
+)
+def test_ranges_are_short_and_end_at_zero_where_they_mean_it(ends, text):
+    assert range_text(*ends) == text

@@ -118,12 +118,37 @@ def _files(campaign: Campaign, subject: Subject) -> list[Path]:
 
 
 def answer_of(found: Found) -> dict[str, Any]:
-    """Return the JSON object of a diagnosis, with the nominal model refitted beside the corrected one."""
-    nominal = found.subject.model.expanded(found.nominal.fit.values)
-    answer = {**found.diagnosis.to_dict(), "nominal": {"parameters": nominal}}
+    """Return the JSON object of a diagnosis, with the catalogue's words and the nominal model refitted."""
+    catalogue = found.subject.catalogue
+    described = {e.id: e.description for e in found.subject.effects}
+    units = {name: regime.unit for name, regime in catalogue.regimes.items()} | {"time": "s"}
+    answer = found.diagnosis.to_dict()
+    for effect in answer["effects"]:
+        if described.get(effect["id"]):
+            effect["description"] = described[effect["id"]]
+    for regime in (place["regime"] for place in answer["where"] if "regime" in place):
+        if units.get(regime["variable"]):
+            regime["unit"] = units[regime["variable"]]
+    answer["nominal"] = {"parameters": found.subject.model.expanded(found.nominal.fit.values)}
+    at_bounds = _at_bounds(found)
+    if at_bounds:
+        answer["notes"].append(
+            f"At a bound of the campaign, so hardly determined by these experiments: {', '.join(at_bounds)}."
+        )
     if found.subject.observed.modelled_noise:
-        answer["notes"] = [*answer["notes"], _MODELLED]
+        answer["notes"].append(_MODELLED)
     return answer
+
+
+def _at_bounds(found: Found) -> list[str]:
+    """Return the nominal parameters of the model handed out that were stopped by a bound, with their values."""
+    fitted = found.best if found.best is not None and found.diagnosis.verdict.effects else found.nominal
+    values = fitted.fit.values
+    return [
+        f"{u.name} = {values[u.name]:.4g}"
+        for u in found.subject.nominal
+        if min(values[u.name] - u.lower, u.upper - values[u.name]) <= 0.01 * u.step
+    ]
 
 
 def _write(found: Found, campaign: Campaign, out: Path, seed: int) -> None:

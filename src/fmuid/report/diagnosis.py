@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +62,7 @@ def write_diagnosis_report(
         Section(
             "How much",
             _present(
-                pictures_of.gap_figure(diagnosis),
+                pictures_of.gap_figure(diagnosis, pictures.steps),
                 pictures_of.residuals_figure(pictures.residuals),
             ),
             _floors(diagnosis),
@@ -84,9 +84,14 @@ def write_diagnosis_report(
 
 def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     """Return verdict, place and size of the gap: what a reader needs within a minute."""
-    gap = diagnosis["gap"]
+    gap, named = diagnosis["gap"], diagnosis["verdict"]["effects"]
     sure = diagnosis["verdict"]["kind"] in ("complete", "effect")
     found = [Fact("Verdict", verdict_text(diagnosis), "good" if sure else "warn")]
+    meant = {e["id"]: e.get("description", "") for e in diagnosis["effects"]}
+    if any(meant.get(n) for n in named):
+        names = [f"{n}: " if len(named) > 1 else "" for n in named]
+        words = [n + _lowered(meant[i]) for n, i in zip(names, named, strict=True) if meant.get(i)]
+        found.append(Fact("In words", "; ".join(words)))
     where = sorted(diagnosis["where"], key=lambda w: -w["share"])
     if where and gap["present"]:
         top = where[0]
@@ -95,41 +100,70 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     present = "a gap beyond the noise" if gap["present"] else "no gap beyond the noise"
     p_value = "p < 0.001" if gap["p_value"] < 1e-3 else f"p = {gap['p_value']:.2g}"
     found.append(Fact("Is there a gap", f"{present} ({p_value})"))
-    found.append(
-        Fact(
-            "Gap, in noise floors",
-            f"{gap['nominal']:.3g} → {gap['nominal_refit']:.3g} refitted → {gap['corrected']:.3g} corrected",
-        )
-    )
-    closures: dict[str, list[str]] = {}  # effects that were fitted together share one
-    for effect in diagnosis["effects"]:
-        closure = effect.get("closure", {})
-        if effect["id"] in diagnosis["verdict"]["effects"] and closure.get("held_out") is not None:
-            low, high = closure.get("interval") or (None, None)
-            interval = "" if low is None or high is None else f" ({low:.2f} to {high:.2f})"
-            closures.setdefault(f"{closure['held_out']:.2f}{interval}", []).append(effect["id"])
-    for value, names in closures.items():
+    corrected = f" → {gap['corrected']:.3g} corrected" if named else ""
+    sizes = f"{gap['nominal']:.3g} → {gap['nominal_refit']:.3g} refitted{corrected}"
+    found.append(Fact("Gap, in noise floors", sizes))
+    for value, names in _closures(diagnosis, named).items():
         found.append(Fact(f"Closed on held-out data by {' + '.join(names)}", value))
+    if diagnosis["verdict"]["kind"] == "unknown":
+        found += _closest(diagnosis)
     return tuple(found)
 
 
+def _closures(diagnosis: Mapping[str, Any], names: Sequence[str]) -> dict[str, list[str]]:
+    """Return what effects close on held-out data, in words; effects that were fitted together share one."""
+    by_id = {e["id"]: e.get("closure", {}) for e in diagnosis["effects"]}
+    closures: dict[str, list[str]] = {}
+    for name in names:
+        closure = by_id.get(name, {})
+        if closure.get("held_out") is not None:
+            low, high = closure.get("interval") or (None, None)
+            interval = "" if low is None or high is None else f" ({low:.2f} to {high:.2f})"
+            closures.setdefault(f"{closure['held_out']:.2f}{interval}", []).append(name)
+    return closures
+
+
+def _closest(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
+    """Return what comes closest to an explanation where nothing explains it."""
+    from fmuid.diagnosis.decide import CLOSURE_THAT_NAMES
+
+    judged = [e for e in diagnosis["effects"] if e.get("closure", {}).get("held_out") is not None]
+    ranked = sorted(judged, key=lambda e: -e["closure"]["held_out"])
+    found = []
+    for value, names in list(_closures(diagnosis, [e["id"] for e in ranked]).items())[:1]:
+        too_little = ranked[0]["closure"]["held_out"] < CLOSURE_THAT_NAMES
+        least = f", too little for a name (from {CLOSURE_THAT_NAMES:g} on)" if too_little else ""
+        found.append(f"{' + '.join(names)} closes {value} on held-out data{least}")
+    ports = diagnosis.get("ports") or {}
+    if ports:
+        port = max(ports, key=lambda name: ports[name])
+        found.append(f"a free function at {port} {ports[port]:.2f}")
+    return (Fact("What comes closest", "; ".join(found)),) if found else ()
+
+
 def verdict_text(diagnosis: Mapping[str, Any]) -> str:
-    """Return the verdict as one line."""
+    """Return the verdict as one line, with the probability that what it says is true."""
     verdict = diagnosis["verdict"]
     names, port = list(verdict["effects"]), verdict["port"]
     probability = {e["id"]: e["probability"] for e in diagnosis["effects"]}
+    said = names or [{"complete": "none"}.get(verdict["kind"], "unknown")]
+    sure = f" ({100 * sum(probability.get(n, 0.0) for n in said):.0f} %)"
     at = f" at {port}" if port else ""
     match verdict["kind"]:
         case "complete":
-            return "Complete: nothing is missing that these experiments could show"
+            return f"Complete{sure}: nothing is missing that these experiments could show"
         case "effect":
-            return " and ".join(f"{n} ({100 * probability.get(n, 0.0):.0f} %)" for n in names) + at
+            return " and ".join(names) + at + sure
         case "ambiguous":
-            return " or ".join(names) + f"{at}: these sensors and experiments cannot tell them apart"
+            return " or ".join(names) + f"{at}{sure}: these sensors and experiments cannot tell them apart"
         case "unknown":
-            return f"Unknown effect{at}: none of the catalogue explains it"
+            return f"Unknown effect{at}{sure}: none of the catalogue explains it"
         case _:
             return "Not enough data to say"
+
+
+def _lowered(sentence: str) -> str:
+    return sentence[:1].lower() + sentence[1:]
 
 
 def _present(*items: Figure | Table | None) -> tuple[Figure | Table, ...]:

@@ -7,7 +7,7 @@ may be empty (too little data, no effect found); its picture is then left out.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -57,10 +57,8 @@ class RegimeBins:
     @property
     def labels(self) -> tuple[str, ...]:
         """One text a bin."""
-        zero = 1e-3 * float(np.ptp(self.edges))
-        rounded = [0.0 if abs(e) < zero else float(f"{e:.3g}") for e in self.edges.tolist()]
-        texts = [f"{e:g}".replace("-", "−") for e in rounded]
-        return tuple(f"{a} … {b}" for a, b in pairwise(texts))
+        span = float(np.ptp(self.edges))
+        return tuple(range_text(a, b, span) for a, b in pairwise(self.edges.tolist()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,6 +87,8 @@ class MissingQuantity:
         (n,) estimates by bins of `variable`, and their standard errors (None if unknown).
     laws
         (label, x (m,), y (m,)); the first one belongs to the winning effect.
+    explained
+        Share of the residual's energy that a function of `variable` explains, if known.
     """
 
     variable: Axis
@@ -97,15 +97,20 @@ class MissingQuantity:
     y: FloatArray
     standard_error: FloatArray | None = None
     laws: tuple[tuple[str, FloatArray, FloatArray], ...] = ()
+    explained: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiagnosisPictures:
-    """Everything the report draws that is not in the diagnosis' JSON."""
+    """Everything the report draws that is not in the diagnosis' JSON.
+
+    `steps` are the gaps that part of the verdict's effects leave, by their names.
+    """
 
     residuals: tuple[ResidualPair, ...] = ()
     excess: ExcessEnergy | None = None
     missing: tuple[MissingQuantity, ...] = ()
+    steps: Mapping[str, float] = field(default_factory=dict)
 
 
 def residuals_figure(pairs: Sequence[ResidualPair]) -> LineFigure | None:
@@ -166,10 +171,11 @@ def missing_figure(missing: Sequence[MissingQuantity]) -> LineFigure | None:
         for k, (label, x, y) in enumerate(m.laws):
             role: Role = "final" if k == 0 else "alternative"
             series.append(Series(label, x, y, role))
-        panels.append(Panel(f"over {m.variable.name}", m.variable, m.quantity, tuple(series)))
+        explains = "" if m.explained is None else f": explains {100 * m.explained:.0f} %"
+        panels.append(Panel(f"over {m.variable.name}{explains}", m.variable, m.quantity, tuple(series)))
     caption = (
-        "Points: what must be added at the verdict's port to explain the residual, with standard errors; angles "
-        "are within a turn."
+        "Points: what a function of one variable must add at the verdict's port, with standard errors; angles are "
+        "within a turn. It explains so much of the residual's energy. Line: what the verdict's effects add."
     )
     return LineFigure("missing", "What is missing at the port", tuple(panels), caption, min(len(panels), 3))
 
@@ -178,11 +184,9 @@ def effects_figure(diagnosis: Mapping[str, Any], most: int = 12) -> BarFigure | 
     """Return the effects ranked by probability, with held-out closure and its interval."""
     named = set(diagnosis["verdict"]["effects"])
     bars = []
-    for effect in sorted(diagnosis["effects"], key=lambda e: -e["probability"])[:most]:
-        closure = effect.get("closure", {}).get("held_out")
-        if closure is None:
-            continue
-        interval = effect["closure"].get("interval")
+    judged = [e for e in diagnosis["effects"] if e.get("closure", {}).get("held_out") is not None]
+    for effect in sorted(judged, key=lambda e: (-e["probability"], -e["closure"]["held_out"]))[:most]:
+        closure, interval = effect["closure"]["held_out"], effect["closure"].get("interval")
         role: Role = "final" if effect["id"] in named else "floor"
         bars.append(
             Bar(
@@ -203,7 +207,8 @@ def effects_figure(diagnosis: Mapping[str, Any], most: int = 12) -> BarFigure | 
         Axis("closure of the gap on held-out data"),
         ((1.0, "all of the gap"),),
         "Part of the gap each effect closes on runs that were not fitted, beyond refitting the nominal "
-        "parameters; lines are its bootstrap interval. Blue: the verdict.",
+        "parameters; lines are its bootstrap interval. Blue: the verdict; of several effects, what they close "
+        "together.",
         limits=(max(-1.0, low), 1.25),
     )
 
@@ -223,28 +228,30 @@ def ports_figure(diagnosis: Mapping[str, Any]) -> BarFigure | None:
         bars,
         Axis("closure of the gap on held-out data"),
         ((1.0, "all of the gap"),),
-        "A free function of speed, angle, load or time acting at each port. Blue: the verdict's port.",
+        "A free function of one of speed, angle, load or time acting at each port; an effect may depend on "
+        "several of them. Blue: the verdict's port.",
         limits=(min(0.0, max(-1.0, *(b.value for b in bars))), 1.25),
     )
 
 
-def gap_figure(diagnosis: Mapping[str, Any]) -> BarFigure:
-    """Return the gap, step by step, down to the noise floor."""
+def gap_figure(diagnosis: Mapping[str, Any], steps: Mapping[str, float] | None = None) -> BarFigure:
+    """Return the gap, step by step, down to the noise floor; `steps` are gaps that some of the effects leave."""
     gap = diagnosis["gap"]
-    values = (gap["nominal"], gap["nominal_refit"], gap["corrected"])
-    bars = (
-        Bar("nominal model", values[0], "start", note=f"{values[0]:.3g}"),
-        Bar("nominal parameters refitted", values[1], "before", note=f"{values[1]:.3g}"),
-        Bar("corrected", values[2], "final", note=f"{values[2]:.3g}"),
-        Bar("noise floor", 1.0, "floor", note="1"),
-    )
+    bars = [
+        Bar("nominal model", gap["nominal"], "start"),
+        Bar("nominal parameters refitted", gap["nominal_refit"], "before"),
+    ]
+    if diagnosis["verdict"]["effects"]:
+        bars += [Bar(f"with {names}", left, "alternative") for names, left in (steps or {}).items()]
+        bars.append(Bar("corrected", gap["corrected"], "final"))
+    bars.append(Bar("noise floor", 1.0, "floor"))
     return BarFigure(
         "gap",
         "From the gap to the noise floor",
-        bars,
+        tuple(replace(b, note=f"{b.value:.3g}") for b in bars),
         Axis("gap, in multiples of the noise floor"),
         caption="Root of the mean squared whitened residual above what noise alone gives.",
-        limits=(0.0, 1.15 * max(*values, 1.0)),
+        limits=(0.0, 1.15 * max(b.value for b in bars)),
     )
 
 
@@ -276,7 +283,7 @@ def effects_table(diagnosis: Mapping[str, Any]) -> Table:
         "score",
         "closure, fitted",
         "closure, held out",
-        "from",
+        "90 % from",
         "to",
         "parameters ± standard error",
     )
@@ -298,4 +305,11 @@ def regime_text(place: Mapping[str, Any]) -> str:
     if not regime:
         return "whole run"
     low, high = regime.get("from", -np.inf), regime.get("to", np.inf)
-    return f"{regime.get('variable', '')} {low:.4g} … {high:.4g}".strip()
+    return f"{regime.get('variable', '')} {range_text(low, high)} {regime.get('unit', '')}".strip()
+
+
+def range_text(low: float, high: float, span: float | None = None) -> str:
+    """Return "low … high" to three digits; an end that is next to nothing beside `span` (high - low) is zero."""
+    span = high - low if span is None else span
+    ends = [0.0 if abs(end) < 1e-3 * span < np.inf else float(f"{end:.3g}") for end in (low, high)]
+    return " … ".join(f"{end:g}".replace("-", "−") for end in ends)

@@ -40,7 +40,16 @@ def pictures_of(found: Found) -> DiagnosisPictures:
     if isinstance(nominal, SimulationError):
         raise nominal
     after = corrected[0] if corrected and not isinstance(corrected[0], SimulationError) else None
-    return DiagnosisPictures(_residuals(found, nominal, after), _excess(found), _missing(found, nominal, after))
+    missing = sorted(_missing(found, nominal, after), key=lambda m: -(m.explained or 0.0))
+    return DiagnosisPictures(_residuals(found, nominal, after), _excess(found), tuple(missing), _steps(found))
+
+
+def _steps(found: Found) -> dict[str, float]:
+    """Return the gaps that the first effects of the verdict leave without the later ones."""
+    if found.best is None:
+        return {}
+    parts = [found.best.effects[:k] for k in range(1, len(found.best.effects))]
+    return {" + ".join(c.effects): c.gap for part in parts for c in found.candidates if c.effects == part}
 
 
 def _residuals(found: Found, before: Prediction, after: Prediction | None) -> tuple[ResidualPair, ...]:
@@ -90,7 +99,7 @@ def _missing(found: Found, nominal: Prediction, after: Prediction | None) -> tup
     port = found.subject.catalogue.ports.get(found.diagnosis.verdict.port or "")
     if port is None or port.input is None:
         return ()
-    quantity = Axis("missing", port.unit)
+    quantity = Axis(f"missing at {port.name}", port.unit)
     label = "" if found.best is None else " + ".join(found.best.names)  # whose law it is, also in "A or B"
     missing = []
     for regime in found.subject.catalogue.regimes.values():
@@ -99,9 +108,9 @@ def _missing(found: Found, nominal: Prediction, after: Prediction | None) -> tup
         knots = quantile_knots(path, _KNOTS)
         solved = _ordinates(found, port, path, knots, nominal, after)
         if solved is not None:
-            values, errors, law = solved
+            values, errors, law, explained = solved
             laws = () if law is None else ((label, knots, law),)
-            missing.append(MissingQuantity(_axis(regime), quantity, knots, values, errors, laws))
+            missing.append(MissingQuantity(_axis(regime), quantity, knots, values, errors, laws, explained))
     return tuple(missing)
 
 
@@ -116,8 +125,12 @@ def _ordinates(
     knots: FloatArray,
     nominal: Prediction,
     after: Prediction | None,
-) -> tuple[FloatArray, FloatArray, FloatArray | None] | None:
-    """Fit the (K,) ordinates of a piecewise-linear function beside the nominal parameters, linearly."""
+) -> tuple[FloatArray, FloatArray, FloatArray | None, float] | None:
+    """Fit the (K,) ordinates of a piecewise-linear function beside the nominal parameters, linearly.
+
+    Returns them with their standard errors, what the verdict's effects would have there, and the share of the
+    residual's energy that is explained.
+    """
     observed, fit = found.subject.observed, found.nominal.fit
     assert port.input is not None
     drives = [{port.input: [port.magnitude * b for b in one]} for one in hats(path, knots)]
@@ -133,11 +146,12 @@ def _ordinates(
     covariance = np.linalg.inv(a.T @ a + np.diag(prior**2))
     residual = stack(base, observed)
     solution = -covariance @ (a.T @ residual)
-    scale = max(1.0, float(np.mean((residual + a @ solution) ** 2)))
+    left = float(np.mean((residual + a @ solution) ** 2))
+    scale = max(1.0, left)
     own = slice(len(steps), None)
     errors = port.magnitude * np.sqrt(scale * np.diag(covariance)[own])
     law = None
     if after is not None:
         change = stack(observed.whiten([p - q for p, q in zip(after, nominal, strict=True)]), observed)
         law = port.magnitude * (covariance @ (a.T @ change))[own]
-    return port.magnitude * solution[own], errors, law
+    return port.magnitude * solution[own], errors, law, 1.0 - left / float(np.mean(residual**2))

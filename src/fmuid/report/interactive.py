@@ -232,8 +232,8 @@ def _map(figure: MapFigure) -> tuple[list[Spec], Spec]:
                 }
             )
     layout = {
-        "height": max(300, 140 + 26 * n_rows),
-        "margin": {"l": 10, "r": 10, "t": 50, "b": 10},
+        "height": max(300, 165 + 26 * n_rows),
+        "margin": {"l": 10, "r": 10, "t": 75, "b": 10},  # plotly's buttons above the headings
         "xaxis": {
             "tickvals": list(range(n_columns)),
             "ticktext": columns,
