@@ -17,6 +17,7 @@ from typing import Literal
 
 from fmu_build.sources import source_files
 from fmuid.errors import BuildError, ModelicaError
+from fmuid.files import make_folder
 
 Compiler = Literal["rumoca", "omc"]
 
@@ -73,7 +74,7 @@ def build(
     state = _state(file, class_name, folders, fmi, compiler)
     if target.is_file() and stamp.is_file() and stamp.read_text() == f"{state} {_digest(target)}":
         return target
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     if compiler == "rumoca":
         from fmu_build.compiler import compile_modelica
         from fmu_build.packaging import package

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from fmu_build import source_checks
-from fmu_build.places import locate
+from fmu_build.places import declared, locate
 from fmu_build.sources import source_files, source_root
 from fmuid.errors import ModelicaError
+from fmuid.suggest import suggestion
 
 Node = Mapping[str, Any]
 _LONG = 400  # of a message: what follows are its consequences
@@ -224,6 +225,11 @@ def _front_end_error(
         place = re.search(r"×\s*(.*?)\n.*?\[[^\]]*?:(\d+):\d+\]", message, re.DOTALL)
         if place:
             return ModelicaError(place.group(1), where=f"{file.name}:{place.group(2)}")
+    known = declared(files)
+    if class_name not in known and "resolve/parse failed" in error:
+        same = [k for k in known if k.rpartition(".")[2] == class_name.rpartition(".")[2]]
+        fix = f"did you mean '{same[0]}'?" if same else suggestion(class_name, known)
+        raise ModelicaError(f"there is no model '{class_name}'", where=file.name, fix=fix)
     message = error.split("\nRelated failures")[0].replace(f"{file.resolve().parent}/", "")
     message = re.sub(r"^\w+ failed: (?:\S+ failed in \w+: )?", "", " ".join(message.split()))
     own = re.search(r"\s*\[(\w+\.mo:\d+):\d+\]$", message)

@@ -29,6 +29,24 @@ def blanked(text: str) -> str:
     return BLANKED.sub(lambda m: re.sub(r"[^\n]", " ", m.group(0)), text)
 
 
+def declared(files: Sequence[Path]) -> list[str]:
+    """Return the qualified names of all models and blocks that are written out in some files."""
+    found = []
+    for path in files:
+        text = blanked(path.read_text(encoding="utf-8", errors="replace"))
+        within = re.search(r"\bwithin\s+([\w.]+)\s*;", text)
+        outer = [within.group(1)] if within else []
+        for begin in re.finditer(rf"\b({_KINDS})\s+(\w+)(?!\w|\s*=)|\bend\s+(\w+)\s*;", text):
+            kind, name, end = begin.groups()
+            if name and kind != "type":
+                outer.append(name)
+                if kind in ("model", "block", "class"):
+                    found.append(".".join(outer))
+            elif end and outer and outer[-1] == end:
+                outer.pop()
+    return found
+
+
 def locate(message: str, class_name: str, files: Sequence[Path]) -> str | None:
     """Place of a front end's message as ``file:line``.
 

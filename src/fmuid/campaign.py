@@ -22,6 +22,7 @@ FloatArray = NDArray[np.float64]
 Causality = Literal["input", "output"]
 Interpolation = Literal["hold", "linear"]
 Sampling = Literal["hold", "linear", "preceding"]
+Interface = Literal["co-simulation", "model exchange"]
 
 
 def read_only(values: ArrayLike) -> FloatArray:
@@ -198,6 +199,9 @@ class ModelSpec:
     by FMU variable. `interpolation` says when input sample k acts: ``hold`` on [t_k, t_{k+1}), ``linear``
     between the samples, ``preceding`` on (t_{k-1}, t_k] (a recorder that writes a row after each step).
 
+    `interface` is how the FMU is simulated: ``co-simulation`` (by the solver inside it) or ``model exchange`` (by
+    fmuid's, to its tolerance); None for co-simulation where the FMU has it.
+
     Several FMUs may stand for it: those that `coupling` connects, `fmu` being what errors name; or those of an
     SSP file.
     """
@@ -208,6 +212,7 @@ class ModelSpec:
     initial: Mapping[str, float] = field(default_factory=dict)
     interpolation: Sampling = "hold"
     coupling: Coupling | None = None
+    interface: Interface | None = None
 
     @property
     def files(self) -> tuple[Path, ...]:

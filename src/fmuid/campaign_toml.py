@@ -48,6 +48,7 @@ class _ModelTable(CoupledTable):
     map: dict[str, str] = {}
     initial: dict[str, Any] = {}
     interpolation: Literal["hold", "linear", "preceding"] = "hold"
+    interface: Literal["co-simulation", "model exchange"] | None = None
 
 
 class _ParameterTable(Table):
@@ -139,8 +140,14 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None) -
     """
     path = Path(path)
     file = path / FILE_NAME if path.is_dir() else path
+    if file.is_file() and file.suffix != ".toml":
+        fix = "name a folder with a campaign.toml, or make one with: fmuid init"
+        raise CampaignError("is no campaign", where=path, fix=fix)
     document = convert(read_toml(file), _Document, str(file))
     head = convert(document.campaign, _CampaignTable, f"{file} [campaign]")
+    if head.name and (head.name in (".", "..") or "/" in head.name or "\\" in head.name):  # runs/NAME is written
+        where = f"{file} [campaign] name"
+        raise CampaignError(f"'{head.name}' is no name of a folder", where=where, fix="leave out / and ..")
     folder = file.parent
     if measurements is not None:
         recorded = read_measurements(Path(measurements))
@@ -199,13 +206,17 @@ def _effects(
 
 def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
     table = convert(raw, _ModelTable, where)
+    coupling = coupling_of(table, folder, where)
+    if table.interface and (coupling is not None or table.fmu.endswith(".ssp")):
+        raise CampaignError("interface goes with one FMU", where=where, fix="leave it out for coupled ones")
     return ModelSpec(
         setup=setup,
         fmu=folder / (table.fmu or "+".join(table.fmus)),
         map=frozen_mapping(table.map),
         initial=frozen_mapping(numbers(table.initial, f"{where} initial")),
         interpolation=table.interpolation,
-        coupling=coupling_of(table, folder, where),
+        coupling=coupling,
+        interface=table.interface,
     )
 
 
@@ -258,6 +269,8 @@ class _Roles:
             used = tuple(i for i in everything if i not in held_out)
         else:
             used = expand(table.identification, measurements, everything, f"{where} identification")
+        if not used:
+            raise CampaignError("no run is left to identify with", where=where, fix="name some in identification")
         # A repeat that one role names by its id does not come along in the other.
         used = tuple(i for i in used if i not in named or i in (table.identification or ()))
         for experiment_id in used:
@@ -456,6 +469,9 @@ def _solver(raw: str | _Table, where: str) -> tuple[str, dict[str, Any]]:
     name = options.pop("name", None)
     if not isinstance(name, str):
         raise CampaignError("solver has no name", where=where, fix='write solver = { name = "bobyqa", ... }')
+    starts = options.get("starts", 1)
+    if type(starts) is not int or starts < 1:
+        raise CampaignError(f"solver starts {starts!r} times", where=where, fix="write a whole number from 1 on")
     return name, options
 
 

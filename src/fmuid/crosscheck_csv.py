@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,8 @@ from fmuid.files import write_atomically
 from fmuid.units import check_unit, conversion
 
 MAX_BYTES = 2_000_000_000
-_TIMES = ("time", "t", "timestamp", "timestamps")
+TIMES = ("time", "t", "timestamp", "timestamps", "datetime")
+"""Names of a time axis, in any case."""
 _DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab"}
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 # "tau [N.m]", "tau[N.m]", "tau (N.m)": a name and its unit; but lossTable[1,2] and der(v) are names.
@@ -90,6 +92,9 @@ def read_csv(path: str | Path) -> Table:
         units = {n: u for n, u in zip(names, below, strict=True) if u}
         notes.append(f"units are in line {skip + 1}")
         skip += 1
+    text, dated = _dates_as_seconds(text, skip, delimiter)
+    if dated:
+        notes.append("time counts from the first date")
     values, decimal_comma = _read_numbers(text, skip, names, path, delimiter)
     if decimal_comma:
         notes.append("decimal commas")
@@ -98,6 +103,7 @@ def read_csv(path: str | Path) -> Table:
             f"has {len(values)} row(s) of values", where=path, fix="a run has at least 2 samples"
         )
     unit = units.pop(names[0], "s")
+    unit = "s" if dated else unit
     time = _in_seconds(values[:, 0], unit, path)
     if unit != "s":
         notes.append(f"time converted from {unit} to s")
@@ -140,7 +146,7 @@ def _delimiter(text: str) -> str:
     first = next((line for line in text.splitlines() if line.strip()), "")
     for delimiter in _DELIMITERS:
         cell = first.split(delimiter, 1)[0].strip().strip('"')
-        if delimiter in first and name_and_unit(cell)[0].casefold() in _TIMES:
+        if delimiter in first and name_and_unit(cell)[0].casefold() in TIMES:
             return delimiter
     return ","
 
@@ -148,7 +154,7 @@ def _delimiter(text: str) -> str:
 def _read_header(header: list[str], path: Path) -> tuple[list[str], dict[str, str]]:
     cells = [name_and_unit(cell) for cell in header]
     names = [name for name, _ in cells]
-    if names[0].casefold() not in _TIMES:
+    if names[0].casefold() not in TIMES:
         raise MeasurementsError(
             f"the first column is '{names[0][:40]}'", where=path, fix="the first column is 'time', in s"
         )
@@ -173,6 +179,26 @@ def _units_row(text: str, skip: int, names: list[str], delimiter: str) -> list[s
             check_unit(cell or "1")
         return cells
     return []
+
+
+def _dates_as_seconds(text: str, skip: int, delimiter: str) -> tuple[str, bool]:
+    """Return the text with times that are dates (ISO 8601) in s from the first one, and whether they are dates."""
+    lines = text.split("\n", skip + 1)
+    first = lines[skip].partition(delimiter)[0].strip(' "\r') if len(lines) > skip else ""
+    if "-" not in first or ":" not in first:
+        return text, False
+    lines = text.split("\n")
+    rows = [
+        (cell.strip(' "\r'), mark + rest) for cell, mark, rest in (s.partition(delimiter) for s in lines[skip:])
+    ]
+    try:
+        start = datetime.fromisoformat(first)
+        seconds = [repr((datetime.fromisoformat(c) - start).total_seconds()) if c else "" for c, _ in rows]
+    except (ValueError, TypeError):  # not all are dates, or some without a time zone
+        return text, False
+    if delimiter != "," and not any("." in rest for _, rest in rows):
+        seconds = [s.replace(".", ",") for s in seconds]
+    return "\n".join((*lines[:skip], *(s + rest for s, (_, rest) in zip(seconds, rows, strict=True)))), True
 
 
 def _in_seconds(time: FloatArray, unit: str, path: Path) -> FloatArray:

@@ -73,6 +73,8 @@ def drift_of(
         There is no reference, a result is missing, a reference names what the FMU does not have, or the FMU
         cannot be simulated.
     """
+    if reference.suffix in (".fmu", ".ssp"):
+        raise FmuidError("is no reference", where=reference, fix="name the FMU first, then the reference")
     files = sorted(reference.glob("*.csv")) if reference.is_dir() else [reference]
     if not files:
         raise FmuidError("has no CSV files", where=reference, fix="write references with: fmuid simulate")

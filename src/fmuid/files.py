@@ -10,6 +10,21 @@ from pathlib import Path
 from fmuid.errors import FmuidError
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder, with those above it, unless it is there.
+
+    Raises
+    ------
+    FmuidError
+        It cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        what = f"cannot be a folder ({error.strerror or error})"
+        raise FmuidError(what, where=folder, fix="name a folder that can be written") from None
+
+
 def write_atomically(path: Path, content: bytes | str) -> None:
     """Write `content` to `path` so that a reader sees the old file or the new one, never half of it.
 

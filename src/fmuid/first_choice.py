@@ -19,6 +19,7 @@ _MAX_FREE = 6
 _STEP = 0.01  # relative change of a parameter to see its effect
 _LEAST_NEW = 1e-2  # of an effect, not explained by the parameters chosen before
 _LEAST_EFFECT = 1e-4  # of the largest
+_SAME = 1e-3  # of an output's range, between the FMU's solver and fmuid's
 _CLEARLY = 0.5  # share of the squared error left that makes one reading of the inputs better than the other
 
 NO_EFFECT = "moves no measured output"
@@ -101,6 +102,22 @@ def first_choice(
     return FirstChoice(free, {r: tuple(v) for r, v in held.items() if v}, interpolation, gain)
 
 
+def solver_error(
+    model: Simulator, other: Simulator, run: Experiment, mapping: Mapping[str, str], runner: Runner
+) -> float:
+    """Return by how much two simulators of one model differ.
+
+    Such as an FMU's own solver of fixed step, and one that keeps to its tolerance. It is the root mean square
+    difference over the range, of the output where it is largest; 0 where that is little.
+    """
+    try:
+        one, two = (_seen(each, run, mapping, runner) for each in (model, other))
+    except FmuidError:
+        return 0.0
+    difference = float(np.max(np.sqrt(np.mean(((one.nominal - two.nominal) / one.scale) ** 2, axis=1))))
+    return difference if difference > _SAME else 0.0
+
+
 def independent_columns(columns: Mapping[str, FloatArray]) -> list[str]:
     """Return the names of the columns that are neither small nor explained by larger ones, by pivoted QR."""
     left = {n: c.copy() for n, c in columns.items()}
@@ -123,8 +140,8 @@ class _Seen:
 
     def __init__(self, model: Simulator, task: Task, measured: FloatArray, runner: Runner) -> None:
         self._model, self._task, self._measured, self._runner = model, task, measured, runner
-        self._nominal = simulated(runner, model, task, {})
-        self._scale = np.maximum(np.ptp(self._nominal, axis=1, keepdims=True), 1e-12)
+        self.nominal = simulated(runner, model, task, {})
+        self.scale = np.maximum(np.ptp(self.nominal, axis=1, keepdims=True), 1e-12)
 
     def linear(self) -> _Seen:
         """Return the same with inputs that are linear between their samples."""
@@ -134,12 +151,12 @@ class _Seen:
         """Return the outputs' change by the parameter's relative change, (outputs, N)."""
         at = {parameter.name: (parameter.start or 0.0) * (1 + _STEP)}
         moved = simulated(self._runner, self._model, self._task, at)
-        return np.asarray((moved - self._nominal) / self._scale / _STEP)
+        return np.asarray((moved - self.nominal) / self.scale / _STEP)
 
     def left(self, free: Sequence[Variable]) -> float:
         """Return the squared error that one Gauss-Newton step leaves."""
         known = np.isfinite(self._measured)
-        error = ((self._measured - self._nominal) / self._scale)[known]
+        error = ((self._measured - self.nominal) / self.scale)[known]
         columns = np.array([self.effect(v)[known] for v in free]).T
         step = np.linalg.lstsq(columns, error, rcond=None)[0]
         return float(np.sum((error - columns @ step) ** 2))

@@ -23,15 +23,13 @@ import fmpy
 import numpy as np
 
 from fmuid import stepper
-from fmuid.campaign import FloatArray
+from fmuid.campaign import FloatArray, Interface
 from fmuid.errors import FmuError, SimulationError
 from fmuid.fmu_library import FmuLibrary, ProcessSpentError
 from fmuid.fmu_plan import PreparedTask
 from fmuid.fmu_variables import Slot, in_words, read_feedthrough, read_variables
 from fmuid.simulation import Task, Variable
 from fmuid.stepper import FUNCTIONS, Outcome
-
-Interface = Literal["co-simulation", "model exchange"]
 
 _STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 _FATAL = 4
@@ -240,7 +238,7 @@ class Fmu:
                 f"offers {' and '.join(offered) or 'scheduled execution only'}"
                 + (f", not {asked}" if asked else ""),
                 where=self.path,
-                fix="export it for co-simulation",
+                fix=f"export it for {asked or 'co-simulation'}",
             )
         chosen = asked or offered[0]
         clocks = [v.name for v in self._description.modelVariables if v.type == "Clock" and v.causality == "input"]

@@ -42,6 +42,7 @@ import numpy as np
 from fmuid import hdf5
 from fmuid.campaign import FloatArray, read_only
 from fmuid.errors import FmuidError
+from fmuid.files import make_folder
 from fmuid.problem import Evaluation, Problem
 
 JOURNAL, FILE = "history.journal", "history.h5"
@@ -129,7 +130,7 @@ class History:
         self._journal: BinaryIO | None = None
         if folder is None:
             return
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         path = folder / JOURNAL
         end = len(_MAGIC)
         if resume and path.exists():

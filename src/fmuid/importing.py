@@ -87,7 +87,7 @@ def experiment_from_table(
                 raise MeasurementsError(
                     f"no column '{name}' ({what})", where=id, fix=suggestion(name, table.columns)
                 )
-    signals = {}
+    signals: dict[str, Signal] = {}
     for name, values in table.columns.items():
         unit = units.get(name, table.units.get(name))
         if unit is None:

@@ -51,7 +51,7 @@ def load_models(campaign: Campaign) -> dict[str, Simulator]:
         for path in campaign.models[setup].files:
             if not path.is_file():
                 raise FmuError(
-                    "no such file",
+                    "is a folder, not an FMU" if path.is_dir() else "no such file",
                     where=os.path.normpath(path),
                     fix=f"build it (make fmus, or fmuid build) or correct [models.{setup}] fmu",
                 )

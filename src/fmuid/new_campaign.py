@@ -10,14 +10,20 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from fmuid.campaign import Experiment, Measurements
+import numpy as np
+
+from fmuid.campaign import Experiment, Interface, Measurements
 from fmuid.campaign_toml import FILE_NAME, load_campaign
+from fmuid.channel_noise import conversion_at
+from fmuid.coupled.loading import load_model
+from fmuid.coupled.model import CoupledModel
 from fmuid.crosscheck_csv import Table
-from fmuid.errors import CampaignError, UnitError
+from fmuid.errors import CampaignError, FmuidError, MeasurementsError, UnitError
 from fmuid.files import write_atomically
-from fmuid.first_choice import FirstChoice, first_choice
-from fmuid.importing import experiment_from_table, read_run, with_repeats
-from fmuid.measurements import write_measurements
+from fmuid.first_choice import FirstChoice, first_choice, solver_error
+from fmuid.fmu import Fmu, load_fmu
+from fmuid.importing import Run, experiment_from_table, read_run, with_repeats
+from fmuid.measurements import check_measurements, write_measurements
 from fmuid.resampling import TimeBase
 from fmuid.runners import Runner, in_process
 from fmuid.simulation import Variable
@@ -73,8 +79,6 @@ def new_campaign(
     FmuidError
         A file cannot be read, nothing in it fits the FMU, or there is a campaign already.
     """
-    from fmuid.coupled.loading import load_model
-
     target = folder / FILE_NAME
     if target.exists():
         raise CampaignError("is there already", where=target, fix="name another folder with --out")
@@ -87,7 +91,8 @@ def new_campaign(
         if file.stem in runs:
             raise CampaignError(f"two runs are called '{file.stem}'", where=file, fix="rename one file")
         run = read_run(file, signals, base)
-        table = _with_units(run.table, units or {})
+        run = replace(run, table=_with_units(run.table, units or {}))
+        table = run.table
         matched = match_columns(table, ports)
         if not any(ports[v].causality == "output" for v in matched.values()):
             raise CampaignError(
@@ -95,7 +100,7 @@ def new_campaign(
                 where=file,
                 fix=f"name the columns after its variables; {known_names(ports)}",
             )
-        runs[file.stem] = _run(table, run.resampled, matched, ports, file.stem, fmu.stem, sigmas or {})
+        runs[file.stem] = _run(file, run, matched, ports, fmu.stem, sigmas or {})
         guesses += [f"{file.name}: {note}" for note in run.notes]
         guesses += _lines(table, matched, ports, file.name)
         mapping |= {c: v for c, v in matched.items() if c != v}
@@ -105,7 +110,16 @@ def new_campaign(
                 known = dict.fromkeys(n for run in runs.values() for n in run.signals)
                 raise CampaignError(f"no signal '{name}' is used", where=what, fix=suggestion(name, known))
     runs = with_repeats(runs)
-    choice = first_choice(model, _for_identification(runs), mapping, progress, runner)
+    used = _for_identification(runs)
+    interface: Interface | None = None
+    other = _by_model_exchange(model)
+    error = solver_error(model, other, used[0], mapping, runner) if other is not None else 0.0
+    if other is not None and error:
+        model, interface = other, "model exchange"
+        guesses.append(
+            f"model exchange: the solver inside {fmu.name} is off by {100 * error:.2g} % of an output's range"
+        )
+    choice = first_choice(model, used, mapping, progress, runner)
     if not choice.free:
         raise CampaignError(
             f"no parameter of {fmu.name} moves a measured output",
@@ -114,7 +128,7 @@ def new_campaign(
         )
     guesses += _choice_lines(choice, any(run.inputs for run in runs.values()))
     write_measurements(Measurements(runs), folder / "measurements.h5")
-    write_atomically(target, _toml(folder, fmu, runs, mapping, choice))
+    write_atomically(target, _toml(folder, fmu, runs, mapping, choice, interface))
     load_campaign(folder)
     return NewCampaign(folder, tuple(dict.fromkeys(guesses)))
 
@@ -164,21 +178,40 @@ def _with_units(table: Table, units: Mapping[str, str]) -> Table:
 
 
 def _run(
-    table: Table,
-    resampled: Mapping[str, str],
+    file: Path,
+    run: Run,
     matched: Mapping[str, str],
     ports: Mapping[str, Variable],
-    id: str,
     setup: str,
     sigmas: Mapping[str, float],
 ) -> Experiment:
-    units = {c: table.units.get(c) or ports[v].unit or "1" for c, v in matched.items()}
-    kept = Table(table.time, {c: table.columns[c] for c in matched}, {})
-    inputs = [c for c, v in matched.items() if ports[v].causality == "input"]
-    known = {n: s for n, s in sigmas.items() if n in matched}
-    return experiment_from_table(
-        kept, id=id, setup=setup, inputs=inputs, units=units, sigmas=known, resampled=resampled
+    table, units = run.table, {}
+    for column, variable in matched.items():
+        units[column] = table.units.get(column) or ports[variable].unit or "1"
+        conversion_at(units[column], ports[variable].unit, f"{file}: column '{column}'")
+        if not np.isfinite(table.columns[column]).any():
+            raise MeasurementsError(f"column '{column}' has no value", where=file, fix="leave it out, or fill it")
+    made = experiment_from_table(
+        Table(table.time, {c: table.columns[c] for c in matched}, {}),
+        id=file.stem,
+        setup=setup,
+        inputs=[c for c, v in matched.items() if ports[v].causality == "input"],
+        units=units,
+        sigmas={n: s for n, s in sigmas.items() if n in matched},
+        resampled=run.resampled,
     )
+    check_measurements(Measurements({made.id: made}), file)
+    return made
+
+
+def _by_model_exchange(model: Fmu | CoupledModel) -> Fmu | None:
+    """Return the same FMU on fmuid's solver, if it can also be simulated so."""
+    if isinstance(model, CoupledModel) or model.interface == "model exchange":
+        return None
+    try:
+        return load_fmu(model.path, "model exchange")
+    except FmuidError:
+        return None
 
 
 def _for_identification(runs: Mapping[str, Experiment]) -> list[Experiment]:
@@ -220,6 +253,7 @@ def _toml(
     runs: Mapping[str, Experiment],
     mapping: Mapping[str, str],
     choice: FirstChoice,
+    interface: Interface | None,
 ) -> str:
     setup = fmu.stem
     identification = [run.id for run in _for_identification(runs)]
@@ -238,6 +272,7 @@ def _toml(
         f"map = {{ {renamed} }}" if renamed else "map = {}",
         "# Inputs between their samples: hold, linear, or preceding (a sample acts from the one before it on).",
         f"interpolation = {_text(choice.interpolation)}",
+        *(["# On fmuid's solver, not on the FMU's.", f"interface = {_text(interface)}"] if interface else []),
         "",
         "# Parameters: start and bounds in the FMU's unit. Narrow the bounds to what you know.",
     ]

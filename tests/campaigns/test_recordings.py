@@ -129,6 +129,8 @@ def test_matlab_7_3_is_hdf5(tmp_path: Path) -> None:
         ("time,u,x\ns,N,mm\n0,1.5,2\n0.1,2.5,\n", ("units are in line 2",)),
         ("Time (ms)\tu [N]\tx [mm]\n0\t1.5\t2\n100\t2.5\t\n", ("cells are separated by tabs", "time converted from ms to s")),
         ('"time";"u [N]";"x [mm]"\r\n0;1.5;2\r\n0.1;2.5;\r\n', ("cells are separated by semicolons",)),
+        ("timestamp,u,x\n2026-05-01 12:00:00,1.5,2\n2026-05-01 12:00:00.100,2.5,\n", ("time counts from the first date",)),
+        ("datetime;u;x\r\n2026-05-01T12:00:00Z;1,5;2\r\n2026-05-01T14:00:00.1+02:00;2,5;\r\n", ("cells are separated by semicolons", "time counts from the first date", "decimal commas")),
         ("time;u;x\n[ms];[N];[mm]\n0;1,5;2\n1e2;2,5;\n", ("cells are separated by semicolons", "units are in line 2", "decimal commas", "time converted from ms to s")),
     ],
 )  # fmt: skip
@@ -140,6 +142,13 @@ def test_csv_as_loggers_write_it(content: str, notes: tuple[str, ...], tmp_path:
     np.testing.assert_array_equal(table.columns["u"], [1.5, 2.5])
     np.testing.assert_array_equal(table.columns["x"], [2, np.nan])
     assert table.units in ({}, {"u": "N", "x": "mm"})
+
+
+@pytest.mark.parametrize("second", ["2026-05-01 12:00:00+02:00", "yesterday", "1.5"])
+def test_dates_that_are_none_are_refused(second: str, tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text(f"time,x\n2026-05-01 12:00:00,1\n{second},2\n")
+    with pytest.raises(MeasurementsError, match=r"line 2: '2026-05-01 12:00:00' in column 'time' is not a number"):
+        read_csv(tmp_path / "run.csv")
 
 
 def test_mixed_decimal_signs_are_refused(tmp_path: Path) -> None:
@@ -212,6 +221,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     mf4(folder / "a.mf4")
     parquet.write_table(pa.table({"time [s]": SLOW, "x [m]": SLOW}), folder / "a.parquet")
     savemat(folder / "a.mat", {"t": SLOW, "x": SLOW})
+    hdf5_in(folder / "a.h5", "s")
     (folder / "a.csv").write_text("time [ms];x\n0;1,5\n1;2,5\n")
     return {p.suffix: p.read_bytes() for p in folder.iterdir()}
 
@@ -226,7 +236,7 @@ def impatient() -> Iterator[None]:
 
 @settings(derandomize=True, max_examples=60, deadline=None, database=None, suppress_health_check=[HealthCheck.function_scoped_fixture])  # fmt: skip
 @given(
-    suffix=st.sampled_from([".csv", ".csv", ".mat", ".parquet", ".mf4"]),
+    suffix=st.sampled_from([".csv", ".csv", ".mat", ".h5", ".parquet", ".mf4"]),
     damage=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.binary(min_size=1, max_size=8)), max_size=6),
     keep=st.one_of(st.just(1.0), st.floats(0, 1)),
 )  # fmt: skip

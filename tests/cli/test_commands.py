@@ -105,7 +105,7 @@ def test_every_command_has_help_out_json_and_quiet(name: str, fmuid: Command) ->
         (["validate", "nowhere"], "nowhere: no such file; name a folder that fmuid identify wrote"),
         (["report", "nowhere"], "nowhere: no such file; name a folder that fmuid identify wrote"),
         (["report", "nowhere", "--format", "gif"], "--format: no format 'gif'; known: png, svg, pdf"),
-        (["build", "nowhere.mo", "A.B"], "nowhere.mo: no such Modelica file"),
+        (["build", "nowhere.mo", "A.B"], "nowhere.mo: no such Modelica file; check the path, or name a package that is shipped: Drives, Pendulum"),
         (["compare", "a.csv", "b.csv"], "a.csv: no such file; check the path"),
         (["compare", "a.csv", "b.csv", "--funnel-time", "1"], "--funnel-time without --funnel; give the funnel's half-width too: --funnel 0.01"),
         (["simulate", "no.fmu"], "no.fmu: cannot be read (No such file or directory); check the path"),
@@ -469,3 +469,12 @@ def test_ctrl_c_ends_with_130_and_keeps_what_was_reached(folder: Path) -> None:
     assert "Traceback" not in err
     assert "--resume" in out
     assert json.loads(Path("run/result.json").read_text())["parameters"]["m"] > 0
+
+
+def test_build_finds_the_packages_that_are_shipped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert fmuid("build", "Pendulum", "Pendulum.Setups.TorqueDriven", "--out", ".") == (0, "TorqueDriven.fmu\n", "")
+    Path("Servo.mo").write_text("model Servo\n  extends Pendulum.Setups.TorqueDriven;\nend Servo;\n")
+    assert fmuid("build", "Servo.mo", "Servo", "--root", "modelica", "--out", ".") == (0, "Servo.fmu\n", "")

@@ -14,7 +14,10 @@ from fmuid.campaign import Measurements
 from fmuid.campaign_toml import load_campaign
 from fmuid.cli.app import run
 from fmuid.crosscheck_csv import Table, write_csv
+from fmuid.fmu import load_fmu
 from fmuid.result import Result
+from fmuid.simulation import Task
+from tests.simulation.fmus import make_oscillator
 
 Command = Callable[..., tuple[int, str, str]]
 WINDING = """\
@@ -143,3 +146,31 @@ def test_init_knows_the_signals_that_options_name(
     given = fmuid("init", "run.csv", "--fmu", winding, option, "W=1")
     assert given == (2, "", f"fmuid: {option}: no signal 'W' is used; did you mean 'w'?\n")
     assert not Path("campaign").exists()
+
+
+def test_init_takes_model_exchange_where_the_solver_inside_is_coarse(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    both = ("CoSimulation", "ModelExchange")
+    fine, coarse = make_oscillator(tmp_path, 2, both), make_oscillator(tmp_path, 2, both, ("COARSE",))
+    time = np.arange(0, 2, 0.02)
+    u = 5 * np.sin(4 * time)
+    y = load_fmu(coarse, "model exchange").simulate(Task(time, {"u": u}, ("y",)), {"c": 90.0, "d": 0.8})[0]
+    write_csv(Table(time, {"u": u, "y": y}, {"u": "N"}), "run.csv")
+    assert fmuid("init", "run.csv", "--fmu", fine, "--out", "fine")[0] == 0
+    assert load_campaign("fine").models[fine.stem].interface is None
+    _, out, _ = fmuid("init", "run.csv", "--fmu", coarse, "--out", "drive")
+    assert re.search(
+        r"^model exchange: the solver inside .* is off by \d\S* % of an output's range$", out, re.MULTILINE
+    )
+    campaign = Path("drive/campaign.toml")
+    for text, error in (
+        (campaign.read_text(), 1e-3),
+        (campaign.read_text().replace("model exch", "co-simul"), None),
+    ):
+        campaign.write_text(text.replace("co-simulange", "co-simulation"))
+        assert fmuid("identify", "drive", "--out", "found", "--no-report", "--quiet")[0] == 0
+        found = Result.from_json("found").parameters
+        ratio = found["c"] / found.get("m", 1.0) / 90
+        assert abs(ratio - 1) < error if error else abs(ratio - 1) > 5e-3

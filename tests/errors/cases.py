@@ -107,6 +107,14 @@ def without_binary() -> None:
             new.writestr(name, content)
 
 
+def shared_parameter() -> None:
+    toml("[settings]", '[effects]\ncatalogue = "effects.toml"\nnominal = ["m"]\n[settings]')()
+    effect = '[effects.{}]\ndescription = ""\nport = "friction"\ntrials = [{{ d = 1 }}]\n[effects.{}.parameters]\n'
+    parameter = "d = { neutral = 0, lower = 0, upper = 9, step = 1e-3 }\n"
+    effects = "".join(effect.format(name, name) + parameter for name in ("rubbing", "drag"))
+    Path("bench/effects.toml").write_text(f'format = "fmuid-effects"\nversion = 1\n[ports.friction]\n{effects}')
+
+
 def modelica(body: str) -> Callable[[], object]:
     return write("M.mo", f"model M\n  {body}\nend M;\n")
 
@@ -117,6 +125,7 @@ def csv(rows: str, header: str = "time,u [N],x [m]") -> Callable[[], object]:
 
 GOOD = "0,1,2\n1,2,3\n"
 IMPORT = "import run.csv --setup oscillator --input u --out new.h5"
+INIT = "init run.csv --fmu Oscillator.fmu"
 BUILD = "build M.mo M --out ."
 DESCRIPTION = '<fmiModelDescription fmiVersion="{}" modelName="M" guid="1"><ModelVariables/></fmiModelDescription>'
 
@@ -132,6 +141,9 @@ CASES = [
         ("Files", "an import over a file that is there", csv(GOOD), "import run.csv --setup a --input u --out bench/measurements.h5"),
         ("Files", "a run whose name is taken", write("step.csv", "time,u [N]\n0,1\n1,2\n"), "import step.csv --setup a --input u --out bench/measurements.h5 --append"),
         ("Files", "a campaign started where one is", write("run.csv", "time,u,x\n" + GOOD), "init run.csv --fmu Oscillator.fmu --out bench"),
+        ("Files", "a file that is no campaign", nothing, "check Oscillator.fmu"),
+        ("Files", "a run folder that is a file", write("taken", ""), "identify bench --out taken"),
+        ("Files", "an FMU into a file", lambda: (modelica("Real x = 1;")(), write("taken", "")()), "build M.mo M --out taken"),
         ("campaign.toml", "text that is no TOML", toml("[settings]", "[settings"), CHECK),
         ("campaign.toml", "a file in another encoding", lambda: CAMPAIGN.write_bytes("# Prüfstand\n".encode("latin-1")), CHECK),
         ("campaign.toml", "a key that is misspelt", toml("start = 1.0", "strat = 1.0"), CHECK),
@@ -150,8 +162,26 @@ CASES = [
         ("campaign.toml", "a criterion that is none", stage('criteria = [{ signal = "position", kind = "least_square" }]'), CHECK),
         ("campaign.toml", "a criterion on a signal that is none", stage('criteria = [{ signal = "force" }]'), CHECK),
         ("campaign.toml", "a budget of nothing", toml("evaluations = 100", "evaluations = 0"), CHECK),
+        ("campaign.toml", "a budget that is no table", toml("budget = { evaluations = 100 }", "budget = 100"), CHECK),
+        ("campaign.toml", "a start value that is none", toml("start = 1.0", "start = nan"), CHECK),
+        ("campaign.toml", "a name that leads out of the run folder", toml('name = "bench"', 'name = "../other"'), CHECK),
+        ("campaign.toml", "no run to identify with", toml('identification = ["step", "sine"]', "identification = []"), CHECK),
+        ("campaign.toml", "a stage on a run that is kept for validation", stage('experiments = ["pulse"]'), CHECK),
+        ("campaign.toml", "a stage that frees nothing", stage("free = []"), CHECK),
+        ("campaign.toml", "a stage that starts outside the bounds", stage("start = { m = 10 }"), CHECK),
+        ("campaign.toml", "a `tie` in a circle", stage('tie = { d = "2*d" }'), CHECK),
+        ("campaign.toml", "a criterion outside the run", stage('criteria = [{ signal = "position", from = 2 }]'), CHECK),
+        ("campaign.toml", "an option that a criterion does not have", stage('criteria = [{ signal = "position", options = { sigm = 1 } }]'), CHECK),
+        ("campaign.toml", "a combination that is none", stage('combine = "p_norm(x)"'), CHECK),
+        ("campaign.toml", "a solver that starts no times", stage('solver = { name = "trf", starts = 0 }'), CHECK),
+        ("campaign.toml", "a solver without its name", stage("solver = { starts = 3 }"), CHECK),
+        ("campaign.toml", "a setting that is a parameter too", toml("c = 90", "m = 90"), CHECK),
+        ("campaign.toml", "a `map` of a name that is none", toml("map = { position", "map = { positio"), CHECK),
+        ("campaign.toml", "an interface that is none", toml("map = {", 'interface = "modelexchange"\nmap = {'), CHECK),
+        ("campaign.toml", "a name with a dot and no quotes", toml("[parameters.d]", "[parameters.damper.d]"), CHECK),
         ("campaign.toml", "a diagnosis without effects", nothing, "diagnose bench"),
         ("campaign.toml", "a catalogue that is not there", toml("[settings]", '[effects]\ncatalogue = "effects.toml"\nnominal = ["m"]\n[settings]'), "diagnose bench"),
+        ("campaign.toml", "a parameter that two effects have", shared_parameter, "diagnose bench"),
         ("measurements.h5", "a file that is no HDF5", write("bench/measurements.h5", "time,x\n0,1\n"), CHECK),
         ("measurements.h5", "HDF5 of another kind", attribute("/", "format", "other"), CHECK),
         ("measurements.h5", "a version of the future", attribute("/", "version", 2), CHECK),
@@ -183,6 +213,13 @@ CASES = [
         ("Recorded runs", "MATLAB data without time", lambda: savemat("run.mat", {"x": np.zeros(3)}), "import run.mat --setup a --input x"),
         ("Recorded runs", "a file that is no MF4", write("run.mf4", "time,x\n"), "import run.mf4 --setup a --input x"),
         ("Recorded runs", "columns that fit no variable of the FMU", csv(GOOD, "time,a,b"), "init run.csv --fmu Oscillator.fmu"),
+        ("Recorded runs", "two rows at one time", csv("0,1,2\n0,2,3\n1,2,3\n"), INIT),
+        ("Recorded runs", "a gap in an input", csv("0,,2\n1,2,3\n"), INIT),
+        ("Recorded runs", "a column without a value", csv("0,1,\n1,2,\n"), INIT),
+        ("Recorded runs", "a column in a unit of something else", csv(GOOD, "time,u [N],x [kg]"), INIT),
+        ("Recorded runs", "dates and other times", csv("2026-05-01 12:00:00,1,2\n1,2,3\n"), INIT),
+        ("Recorded runs", "noise of a signal that is not used", csv(GOOD), f"{INIT} --sigma xx=0.1"),
+        ("Recorded runs", "one run twice", csv(GOOD), "init run.csv run.csv --fmu Oscillator.fmu"),
         ("Units", "a unit that is none", csv(GOOD, "time,u [Nwt],x [m]"), IMPORT),
         ("Units", "a signal in a unit of something else", attribute("experiments/step/signals/position", "unit", "N.m"), CHECK),
         ("Units", "a parameter in a unit of something else", toml('unit = "kg"', 'unit = "N"'), CHECK),
@@ -200,9 +237,14 @@ CASES = [
         ("FMUs", "an output that it does not have", toml('position = "x"', 'position = "xx"'), CHECK),
         ("FMUs", "a measured input that is its output", toml("map = {", 'map = { u = "y",'), CHECK),
         ("FMUs", "a setting of what cannot be set", toml("c = 90", "y = 90"), CHECK),
+        ("FMUs", "an FMU that is a folder", toml("../Oscillator.fmu", ".."), CHECK),
+        ("FMUs", "a fraction for a whole number", nothing, "simulate Oscillator.fmu --set mode=1.5"),
+        ("FMUs", "a value that the model cannot bear", nothing, "simulate Oscillator.fmu --set m=0"),
         ("Modelica", "a source that is not there", nothing, "build Nowhere.mo Nowhere"),
         ("Modelica", "text that is no Modelica", modelica("Real x; equation x = ;"), BUILD),
         ("Modelica", "a class that is not in it", modelica("Real x = 1;"), "build M.mo N --out ."),
+        ("Modelica", "a class without its package", write("M.mo", "package P\n  model M\n    Real x = 1;\n  end M;\nend P;\n"), BUILD),
+        ("Modelica", "a library that is not there", modelica("Real x = 1;"), f"{BUILD} --root nowhere"),
         ("Modelica", "a name that is not known", modelica("Real x = y;"), BUILD),
         ("Modelica", "too few equations", modelica("Real x; Real y; equation x = y;"), BUILD),
         ("Modelica", "equations that say the same", modelica("Real x; Real y; equation x + y = time; 2*x + 2*y = 1;"), BUILD),
@@ -212,6 +254,8 @@ CASES = [
         ("Comparison", "a result that ends too early", lambda: (write("a.csv", "time,x\n0,1\n1,2\n")(), write("b.csv", "time,x\n0,1\n2,2\n")()), "compare a.csv b.csv"),
         ("Comparison", "a folder without references", lambda: Path("references").mkdir(), "compare Oscillator.fmu references"),
         ("Comparison", "a reference of another model", write("b.csv", "time,z\n0,1\n1,2\n"), "compare Oscillator.fmu b.csv"),
+        ("Comparison", "the FMU in the second place", write("b.csv", "time,x\n0,1\n1,2\n"), "compare b.csv Oscillator.fmu"),
+        ("Comparison", "a variable that the reference does not have", lambda: (write("a.csv", "time,x\n0,1\n1,2\n")(), write("b.csv", "time,x\n0,1\n1,2\n")()), "compare a.csv b.csv -v y"),
         ("Options", "a command that is none", nothing, "chek bench"),
         ("Options", "an option that is none", nothing, "identify bench --worker 2"),
         ("Options", "an argument that is missing", nothing, "check"),
@@ -219,6 +263,10 @@ CASES = [
         ("Options", "a setting without a value", nothing, "simulate bench --set m"),
         ("Options", "a stage that is none", nothing, "identify bench --stage al"),
         ("Options", "a run that is none", nothing, "simulate bench -e stp"),
+        ("Options", "a stop before the start", nothing, "simulate Oscillator.fmu --stop -1"),
+        ("Options", "a value that is no number", nothing, "simulate Oscillator.fmu --set m=heavy"),
+        ("Options", "a negative number of workers", nothing, "identify bench --workers -1"),
+        ("Options", "the start value of a parameter that is none", nothing, "simulate bench --set mm=3"),
         ("Options", "options that belong to something else", nothing, "simulate bench --stop 1"),
         ("Options", "half of a funnel", nothing, "compare a.csv b.csv --funnel-time 1"),
         ("Options", "a picture format that is none", nothing, "report bench --format gif"),

@@ -20,6 +20,7 @@ from cases import CASES, Case
 from fmuid.campaign import Experiment, Measurements, Signal
 from fmuid.cli.app import run
 from fmuid.measurements import write_measurements
+from tests.cli.conftest import TOML as CAMPAIGN
 
 PAGE = Path(__file__).parents[2] / "docs" / "errors.md"
 HEAD = """\
@@ -29,36 +30,7 @@ What is wrong is said in one line, on stderr: where, what, and what to do. The e
 page is a catalogue of wrong inputs, each with its line, and it is made and checked by a test that runs every command
 (`tests/errors`). An error that is more than one line, or a traceback, is a bug of fmuid's.
 """
-TOML = """\
-[campaign]
-name = "bench"
-make = "make bench"
-
-[models.oscillator]
-fmu = "../Oscillator.fmu"
-map = { position = "x" }
-
-[parameters.m]
-start = 1.0
-lower = 0.5
-upper = 2
-unit = "kg"
-
-[parameters.d]
-start = 0.5
-lower = 0.1
-upper = 5
-
-[settings]
-c = 90
-
-[roles]
-identification = ["step", "sine"]
-validation = ["pulse"]
-
-[stages.all]
-budget = { evaluations = 100 }
-"""
+TOML = CAMPAIGN.format(fmu="../Oscillator.fmu").replace('"bench"\n', '"bench"\nmake = "make bench"\n')
 TURNING = """\
 model Turning
   input Real turns(unit = "rad/s");

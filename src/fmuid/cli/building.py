@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from fmuid.cli.output import Json, Printer, Quiet
+from fmuid.errors import ModelicaError
 
 Fmi = Literal["2", "3"]
 Compiler = Literal["rumoca", "omc"]
@@ -22,7 +23,10 @@ def build(
     out: Annotated[Path, typer.Option(help="Folder for the FMU.")] = Path("build/fmus"),
     fmi: Annotated[Fmi, typer.Option(help="Version of FMI.")] = "2",
     compiler: Annotated[Compiler, typer.Option(help="Modelica front end; omc has to be on the PATH.")] = "rumoca",
-    root: Annotated[list[Path] | None, typer.Option(help="Folder with further libraries (repeat).")] = None,
+    root: Annotated[
+        list[Path] | None,
+        typer.Option(help="Folder with further libraries (repeat); modelica is the one that is shipped."),
+    ] = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -33,19 +37,26 @@ def build(
     from fmu_build import build as build_fmu
 
     printer = Printer(quiet, json)
+    file = _found(source)
+    if not file.exists():
+        packages = sorted(p.parent.name for p in _library().glob("*/package.mo"))
+        fix = f"check the path, or name a package that is shipped: {', '.join(packages)}"
+        raise ModelicaError("no such Modelica file", where=source, fix=fix)
     with printer.working(f"building {class_name}"):
-        path = build_fmu(_found(source), class_name, out, fmi, compiler, root or ())
+        path = build_fmu(file, class_name, out, fmi, compiler, [_found(folder) for folder in root or ()])
     printer.say(str(path))
     printer.write({"fmu": path, "class": class_name, "source": source})
 
 
-def _found(source: Path) -> Path:
-    """Return `source`, or the shipped package of that name where there is no such file."""
-    if not source.exists():
-        from importlib.resources import files
+def _found(path: Path) -> Path:
+    """Return `path`; where there is none, the shipped folder ``modelica``, or the package of that name in it."""
+    library = _library()
+    shipped = library.joinpath(*path.parts[1:]) if path.parts[:1] == ("modelica",) else library / path
+    return shipped if shipped.is_dir() and not path.exists() else path
 
-        with suppress(ModuleNotFoundError, NotADirectoryError):
-            shipped = Path(str(files("modelica") / str(source)))
-            if shipped.is_dir():
-                return shipped
-    return source
+
+def _library() -> Path:
+    """Return the folder of the Modelica packages beside the code, installed or in a clone."""
+    spec = find_spec("modelica")
+    places = (spec and spec.submodule_search_locations) or ()
+    return next(place for place in map(Path, places) if place.is_dir())

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from fmuid.crosscheck_csv import Table
     from fmuid.runners import Runner
 
+_NO_NUMBERS = ("String", "Binary", "Clock")
+
 
 def simulate(
     model: Annotated[Path, typer.Argument(metavar="FMU|SSP|CAMPAIGN", help="An .fmu or .ssp file, or campaign.")],
@@ -115,7 +117,7 @@ def _simulate_fmu(
     for name in (*values, *outputs):
         if name not in variables:
             raise FmuError(f"{path.name} has no variable '{name}'", fix=suggestion(name, variables))
-    outputs = outputs or [n for n, v in variables.items() if v.causality == "output"]
+    outputs = outputs or [n for n, v in variables.items() if v.causality == "output" and v.type not in _NO_NUMBERS]
     inputs: dict[str, FloatArray] = {}
     recorded: dict[str, FloatArray] = {}  # inputs as they are in the file
     units: dict[str, str] = {}

@@ -44,7 +44,7 @@ def load_model(model: ModelSpec | str | Path) -> Fmu | CoupledModel:
     if model.fmu.suffix == SUFFIX:
         coupling = model.coupling or Coupling()
         return load_system(model.fmu, coupling.master, coupling.main)
-    return load_fmu(model.fmu)
+    return load_fmu(model.fmu, model.interface)
 
 
 def load_system(path: str | Path, master: Master | None = None, main: str = "") -> CoupledModel:

@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Literal
 from xml.etree.ElementTree import Element
 
+from fmuid.campaign import Interface
 from fmuid.coupled.checks import unit_conversion, variable_at
 from fmuid.coupled.ssp_archive import SSC, SSD, inside, number, parse
 from fmuid.coupled.ssp_parameters import Value, bindings, linear_of
 from fmuid.coupled.structure import Connection, Linear, Place, Port
 from fmuid.errors import FmuError
-from fmuid.fmu import Fmu, Interface
+from fmuid.fmu import Fmu
 from fmuid.suggest import suggestion
 
 DESCRIPTION = "SystemStructure.ssd"

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from fmuid import hdf5
+from fmuid.crosscheck_csv import TIMES
 from fmuid.errors import MeasurementsError
 from fmuid.measurements import FORMAT
-from fmuid.recordings.recording import TIMES, Recording, Vector, by_time_base, in_seconds, left_out
+from fmuid.recordings.recording import Recording, Vector, by_time_base, in_seconds, left_out
 
 
 def read(path: Path) -> Recording:

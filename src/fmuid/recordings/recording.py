@@ -14,9 +14,6 @@ from fmuid.crosscheck_csv import Table
 from fmuid.errors import MeasurementsError, UnitError
 from fmuid.units import conversion
 
-TIMES = ("time", "t", "timestamp", "timestamps")
-"""Names of a time axis, in any case."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
