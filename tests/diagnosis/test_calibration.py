@@ -9,6 +9,7 @@ from plants import EFFECTS, REGIMES, plant
 from fmuid.diagnosis.calibration import (
     Calibration,
     Trial,
+    _Maker,
     calibrate,
     fit_curves,
     keep,
@@ -22,6 +23,7 @@ from fmuid.diagnosis.diagnose import diagnose_subject
 from fmuid.diagnosis.observed import excess
 from fmuid.diagnosis.regimes import trajectories
 from fmuid.diagnosis.result import Verdict
+from fmuid.errors import SimulationError
 
 EFFECT = Verdict("effect", ("a",))
 WEIGHTS = {"a": 0.9, "b": 0.06, "none": 0.02, "unknown": 0.02}
@@ -70,6 +72,27 @@ def test_plants_are_as_far_off_as_asked_and_as_noisy_as_what_was_measured(fitted
             assert nominal.gap > 0.25
     assert sum(t == {"none"} for t in truths) == 5
     assert any(len(t) == 2 for t in truths)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7])
+def test_as_many_plants_are_made_as_asked_for_however_few(fitted, count):
+    subject, fit, paths = fitted
+    assert len(list(simulated_plants(subject, fit, paths, count))) == count
+
+
+def test_a_plant_that_cannot_be_simulated_is_drawn_anew_but_not_for_ever(fitted, monkeypatch):
+    subject, fit, paths = fitted
+    real, calls = _Maker.plant, []
+
+    def first_fails(maker, kind):
+        calls.append(kind)
+        return None if len(calls) == 1 else real(maker, kind)
+
+    monkeypatch.setattr(_Maker, "plant", first_fails)
+    assert len(list(simulated_plants(subject, fit, paths, 2))) == 2
+    monkeypatch.setattr(_Maker, "plant", lambda *_: None)
+    with pytest.raises(SimulationError, match="can be simulated"):
+        list(simulated_plants(subject, fit, paths, 2))
 
 
 def test_calibrating_diagnoses_every_plant_and_is_kept_under_its_key(fitted, tmp_path, monkeypatch):

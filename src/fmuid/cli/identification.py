@@ -151,7 +151,7 @@ def diagnose(
     seed: Annotated[int, typer.Option(help="Of the null distribution and the bootstrap.")] = 0,
     calibrate: Annotated[
         int,
-        typer.Option(help="Diagnose so many plants simulated from the fitted model and its noise first."),
+        typer.Option(min=0, help="Diagnose so many plants simulated from the fitted model and its noise first."),
     ] = 0,
     json: Json = None,
     quiet: Quiet = False,

@@ -39,6 +39,7 @@ from fmuid.noise_spectrum import from_real_spectrum, real_spectrum
 KINDS = ("none", "one", "shape", "two", "unknown")
 SHARES = (0.25, 0.25, 0.2, 0.15, 0.15)
 GAPS = (0.5, 1.0, 3.0, 10.0)  # floors
+_DRAWS = 10  # of a plant, until one can be simulated
 _MISMATCH = 0.15  # of an effect's gap: what a law of another shape leaves
 _SPREAD = (1.5, 0.5)  # prior standard deviations of a curve's offset from 0 and of its slope from 1
 _EDGE = 1e-3  # probabilities are kept this far from 0 and 1
@@ -129,14 +130,34 @@ def simulated_plants(
         What was diagnosed, and its nominal refit.
     paths
         Samples of the regimes' variables along the nominal model's trajectory.
+    count
+        At least 1. One that cannot be simulated is drawn anew.
+
+    Raises
+    ------
+    SimulationError
+        None of a kind can be simulated.
     """
     rng = np.random.default_rng(seed)
     maker = _Maker(subject, fit, paths, rng)
-    kinds = [kind for kind, share in zip(KINDS, SHARES, strict=True) for _ in range(round(share * count))]
-    for kind in rng.permutation(kinds)[:count].tolist():
-        made = maker.plant(kind)
-        if made is not None:
-            yield made
+    kinds = [kind for kind, number in zip(KINDS, _numbers(count), strict=True) for _ in range(number)]
+    for kind in rng.permutation(kinds).tolist():
+        made = next((plant for _ in range(_DRAWS) if (plant := maker.plant(kind)) is not None), None)
+        if made is None:
+            raise SimulationError(
+                f"none of {_DRAWS} plants of the kind '{kind}' can be simulated",
+                where="calibration",
+                fix="check the bounds and trials of the catalogue's effects",
+            )
+        yield made
+
+
+def _numbers(count: int) -> list[int]:
+    """Return how many plants of each kind there are among `count`, in their shares by largest remainder."""
+    quotas = count * np.array(SHARES)
+    numbers = np.floor(quotas + 1e-9).astype(int)
+    numbers[np.argsort(numbers - quotas, kind="stable")[: count - numbers.sum()]] += 1
+    return [int(n) for n in numbers]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,6 +15,7 @@ from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.result import Verdict
 from fmuid.diagnosis.search import Say
 from fmuid.diagnosis.setting_up import Subject, carrier, subject_of
+from fmuid.errors import CampaignError
 from fmuid.files import write_atomically
 from fmuid.runners import in_process
 
@@ -68,10 +69,12 @@ def diagnose(
     Raises
     ------
     CampaignError
-        The campaign has no ``[effects]`` table.
+        The campaign has no ``[effects]`` table, or is to be calibrated on without repeated runs.
     SimulationError
-        The nominal model cannot be simulated at its start values.
+        The nominal model cannot be simulated at its start values, or no plant to calibrate on can.
     """
+    if calibrate < 0:
+        raise ValueError(f"calibrate must not be negative, but is {calibrate}")
     if not isinstance(campaign, Campaign):
         from fmuid.campaign_toml import load_campaign
 
@@ -85,7 +88,13 @@ def diagnose(
         subject = subject_of(campaign, load_model, runner=runner, experiments=experiments)
         telling: dict[str, Any] = {} if say is None else {"say": say}
         key = calibration.key_of(_files(campaign, subject), subject)
-        if calibrate and not subject.observed.modelled_noise:
+        if calibrate and subject.observed.modelled_noise:
+            raise CampaignError(
+                "runs were not repeated, so plants would have no measured noise",
+                where="calibrate",
+                fix="leave it out, or repeat runs",
+            )
+        if calibrate:
             calibration.keep(key, _calibrated(subject, calibrate, seed, telling))
         found = diagnose_subject(subject, **telling, seed=seed, calibration=calibration.kept(key))
         if out is not None:
