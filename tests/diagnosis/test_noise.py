@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fmuid.diagnosis.null import draw_noise
+from fmuid.diagnosis.null import Null, draw_noise
 from fmuid.diagnosis.observed import Observed, excess, gap
 from fmuid.errors import ProblemError
 from fmuid.noise_spectrum import (
@@ -125,6 +125,15 @@ def test_a_gap_as_large_as_the_noise_is_seen():
     null = draw_noise(observed, draws=200).null(np.zeros((sum(r.size for r in residuals), 0)), [])
     assert null.p_value(excess(residuals, observed)) < 1e-6
     assert gap(residuals, observed) > 0.25
+
+
+def test_a_score_beyond_noise_is_as_unlikely_as_that_energy():
+    null = Null(np.linspace(-1.0, 1.0, 399), np.linspace(0.0, 4.0, 399))
+    assert null.p_value(0.0) == pytest.approx(0.5, abs=0.01)
+    assert null.p_value(0.0, 1.0) == 1.0
+    assert null.p_value(0.0, 5.0) == pytest.approx(2 / 400)
+    assert null.p_value(9.0, 1.0) == pytest.approx(2.0 * null.p_value(9.0))
+    assert null.p_value(9.0) < 1e-6
 
 
 def test_what_a_model_leaves_stands_for_noise_where_nothing_was_repeated():

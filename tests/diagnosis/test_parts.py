@@ -13,7 +13,7 @@ from fmuid.diagnosis.held_out import HeldOut, advantage, closure, closure_interv
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import fit_decoys, harmonics, hats, quantile_knots
 from fmuid.diagnosis.refit import Refit, Unknown, refit
-from fmuid.diagnosis.regimes import bases, trajectories
+from fmuid.diagnosis.regimes import Regime, bases, own_bases, trajectories
 from fmuid.diagnosis.scores import alias_classes, nominal_basis, project_off, stack
 from fmuid.diagnosis.signal_effects import disturb_input, disturb_output, split_signal_parameters
 from fmuid.noise_spectrum import RepeatedRuns
@@ -202,23 +202,60 @@ def test_a_sensor_that_also_shows_another_signal_is_found_out():
     assert closure(nominal.held_out, best.held_out) > 0.8
 
 
-def test_a_shape_at_a_bound_that_nobody_thought_plausible_is_strained():
-    size = Unknown("size", 0.0, 0.0, 1.0, 1e-3)
-    shape = Unknown("shape", 1.0, 0.1, 4.0, 1e-2)
-    effect = Effect(
-        "e",
-        "",
-        "p",
-        (size, shape),
-        {"size": 0.0, "shape": 1.0},
-        ({"size": 0.1, "shape": 0.1},),
-        shapes=frozenset({"shape"}),
+@pytest.mark.parametrize(
+    ("values", "strain"),
+    [
+        ((0.5, 2.0, 5.0), False),
+        ((0.5, 4.0, 5.0), True),  # a shape that nobody thought plausible
+        ((0.5, 0.1, 9.0), False),  # both as a trial has them
+        ((0.5, 0.1, 1.0), True),  # one as a trial has it, the other as at the start
+        ((1.0, 2.0, 5.0), True),  # as large as it may be
+        ((0.0, 2.0, 5.0), False),  # off
+    ],
+)
+def test_a_law_at_bounds_that_nobody_thought_plausible_is_strained(values, strain):
+    unknowns = (
+        Unknown("size", 0.0, 0.0, 1.0, 1e-3),
+        Unknown("shape", 1.0, 0.1, 4.0, 1e-2),
+        Unknown("onset", 1.0, 1.0, 9.0, 1e-2),
     )
-    for value, strain in ((2.0, False), (4.0, True), (0.1, False)):  # a trial has the lower bound
-        values = {"size": 1.0, "shape": value}
-        fit = Refit((size, shape), values, (), (), 0.0, 0, True)
-        fitted = Fitted(("e",), ("e",), fit, lost(1.0), 1.0)
-        assert strained(fitted, [effect]) is strain
+    neutral, trial = {"size": 0.0, "shape": 1.0, "onset": 1.0}, {"size": 0.1, "shape": 0.1, "onset": 9.0}
+    effect = Effect("e", "", "p", unknowns, neutral, (trial,), shapes=frozenset({"shape", "onset"}))
+    found = dict(zip(neutral, values, strict=True))
+    fitted = Fitted(("e",), ("e",), Refit(unknowns, found, (), (), 0.0, 0, True), lost(1.0), 1.0)
+    assert strained(fitted, [effect]) is strain
+
+
+def test_a_law_of_a_confined_variable_is_sought_at_its_port_alone():
+    """A command that is weaker at some positions is a law of the command, and no friction."""
+    subject = plant({})
+    nominal = fit_effects(subject, (), {})
+    regimes = {**REGIMES, "turn": Regime("turn", "x", "angle", orders=(40,))}
+    paths = trajectories(subject.model, nominal.fit.values, regimes)
+    paths["drive"] = tuple(case.task.inputs["u"] for case in subject.model.cases)
+    regimes["drive"] = Regime("drive", "u", ports=("friction",))
+    free, own = bases(paths, regimes), own_bases(paths, regimes, "friction")
+    assert not any("drive" in over for over in free)
+    assert own.keys() == {"drive", "drive and turn"}
+    assert own_bases(paths, regimes, "reading") == {}
+    swing = own["drive and turn"][0]
+    (pushed,) = subject.model.predict_driven(nominal.fit.values, [{"port": [0.1 * s for s in swing]}])
+    runs = [
+        replace(r, values=r.values + (p - q))
+        for r, p, q in zip(
+            subject.observed.runs, pushed, subject.model.predict([nominal.fit.values])[0], strict=True
+        )
+    ]
+    observed = Observed(tuple(runs), subject.observed.noise)
+    again = fit_effects(replace(subject, observed=observed), (), {})
+    ports = tuple(PORTS.values())
+    decoys = fit_decoys(subject.model, observed, again.fit, ports, free, {"friction": own})
+    at_port = sorted((d for d in decoys if d.port == "friction"), key=lambda d: d.held_out.gap)
+    assert at_port[0].over == "drive and turn"
+    assert closure(again.held_out, at_port[0].held_out) > 0.7
+    assert at_port[1].held_out.gap > 2.0 * at_port[0].held_out.gap
+    without = fit_decoys(subject.model, observed, again.fit, ports, free)
+    assert {d.over for d in decoys} - {d.over for d in without} == set(own)
 
 
 def test_signal_parameters_are_told_from_the_model_s():

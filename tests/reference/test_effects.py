@@ -183,13 +183,17 @@ def slow_ramp(fmu, parameters: dict[str, float]) -> tuple[np.ndarray, np.ndarray
 
 
 @pytest.mark.parametrize(
-    ("parameters", "stiffening"),
-    [({}, 0.0), ({"flexspline.hardening": 0.4}, 0.4)],
+    ("onset", "exponent"),
+    [(0.0, 3.0), (4e-4, 2.0)],  # a cubic law; a stiffness that rises evenly from some wind-up on
 )
-def test_wind_up_of_the_flexspline(effect_fmus, parameters, stiffening):
-    torque, wind = slow_ramp(effect_fmus["FixedShaftWithEffects"], parameters)
-
-    assert torque == pytest.approx(25500 * wind * (1 + stiffening * (wind / 1e-3) ** 2), abs=0.3)
+def test_wind_up_of_the_flexspline(effect_fmus, onset, exponent):
+    shape = {"flexspline.hardening_onset": onset, "flexspline.hardening_exponent": exponent}
+    for size in (0.0, 0.4):
+        fmu = effect_fmus["FixedShaftWithEffects"]
+        torque, wind = slow_ramp(fmu, {"flexspline.hardening": size, **shape})
+        beyond = np.maximum(np.abs(wind) - onset, 0.0) / 1e-3
+        expected = 25500 * (wind + 1e-3 * size * np.sign(wind) * beyond**exponent)
+        assert torque == pytest.approx(expected, abs=0.3)
 
 
 def test_backlash_is_lost_motion(effect_fmus):

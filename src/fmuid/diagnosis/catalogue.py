@@ -121,6 +121,7 @@ class _Regime(Table):
     kind: Literal["speed", "angle", "value"] = "value"
     unit: str = ""
     orders: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
+    ports: tuple[str, ...] = ()
 
 
 class _Sensor(Table):
@@ -157,14 +158,35 @@ def load_catalogue(path: Path) -> Catalogue:
         name: Port(name, p.input, p.output, p.magnitude, p.unit, p.description) for name, p in file.ports.items()
     }
     effects = {name: _effect(name, e, ports, f"{path} [effects.{name}]") for name, e in file.effects.items()}
-    regimes = {n: Regime(n, r.variable, r.kind, r.unit, r.orders) for n, r in file.regimes.items()}
+    _refuse_shared(effects, path)
+    regimes = {n: Regime(n, r.variable, r.kind, r.unit, r.orders, r.ports) for n, r in file.regimes.items()}
+    for regime in regimes.values():
+        for port in regime.ports:
+            _known_port(port, ports, f"{path} [regimes.{regime.name}]")
     sensors = {n: Sensor(n, s.variable, s.noise, s.unit, s.description) for n, s in file.sensors.items()}
     return Catalogue(effects, ports, regimes, dict(file.models), sensors)
 
 
+def _known_port(port: str, ports: Mapping[str, Port], where: str) -> None:
+    if port not in ports:
+        raise CampaignError(f"unknown port '{port}'", where=where, fix=suggestion(port, ports))
+
+
+def _refuse_shared(effects: Mapping[str, Effect], path: Path) -> None:
+    """Refuse a parameter of two effects: fitted together they could not be told apart."""
+    owner: dict[str, str] = {}
+    for effect in effects.values():
+        for u in effect.unknowns:
+            if owner.setdefault(u.name, effect.id) != effect.id:
+                raise CampaignError(
+                    f"'{u.name}' is a parameter of '{owner[u.name]}', too",
+                    where=f"{path} [effects.{effect.id}]",
+                    fix="give each parameter to one effect",
+                )
+
+
 def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> Effect:
-    if raw.port not in ports:
-        raise CampaignError(f"unknown port '{raw.port}'", where=where, fix=suggestion(raw.port, ports))
+    _known_port(raw.port, ports, where)
     for trial in raw.trials:
         for key in trial:
             if key not in raw.parameters:

@@ -11,6 +11,7 @@ from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.held_out import advantage, closure
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import OWN_PAST, Decoy
+from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.scores import stack
 
 # Calibrated on the virtual rig (`make blind`), never on data whose answer is to be found.
@@ -91,18 +92,31 @@ def beyond_doubt(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
 
 
 def strained(fitted: Fitted, effects: Sequence[Effect]) -> bool:
-    """Return whether a named effect's shape ended at a bound that neither its start nor a trial has.
+    """Return whether a named effect's sizes and shapes ended at bounds that neither its start nor a trial has.
 
-    The law is then used for something else than what its effect is.
+    Bounds count together: what two trials have one by one is no law that anybody thought plausible. The law is
+    then used for something else than what its effect is.
     """
     for effect in (e for e in effects if e.id in fitted.names):
-        for u in (u for u in effect.unknowns if u.name in effect.shapes):
-            plausible = {effect.neutral[u.name], *(t[u.name] for t in effect.trials if u.name in t)}
-            value, near = fitted.fit.values[u.name], 0.01 * u.step
-            for bound in {u.lower, u.upper} - plausible:
-                if abs(value - bound) <= near:
-                    return True
+        near = {u.name: 0.01 * u.step for u in effect.unknowns}
+        at = {
+            u.name: bound
+            for u in effect.unknowns
+            for bound in _limits(effect, u)
+            if abs(fitted.fit.values[u.name] - bound) <= near[u.name]
+        }
+        plausible = [{**effect.neutral, **trial} for trial in ({}, *effect.trials)]
+        if at and not any(all(p[name] == bound for name, bound in at.items()) for p in plausible):
+            return True
     return False
+
+
+def _limits(effect: Effect, unknown: Unknown) -> set[float]:
+    """Return the bounds of a shape, or of a size: where an effect may be no larger. It may be off."""
+    bounds, neutral = {unknown.lower, unknown.upper}, effect.neutral[unknown.name]
+    if unknown.name in effect.shapes or effect.two_sided:
+        return bounds
+    return bounds - {neutral} if neutral in bounds else set()
 
 
 def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy], ports: Sequence[str]) -> Decoy | None:

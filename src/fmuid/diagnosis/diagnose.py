@@ -17,7 +17,7 @@ from fmuid.diagnosis.null import Null, draw_noise
 from fmuid.diagnosis.observed import excess, gap
 from fmuid.diagnosis.ports import Decoy, fit_decoys
 from fmuid.diagnosis.power import smallest_seen
-from fmuid.diagnosis.regimes import bases, folded, trajectories
+from fmuid.diagnosis.regimes import bases, folded, own_bases, trajectories
 from fmuid.diagnosis.result import Candidate, Diagnosis, Gap, Verdict
 from fmuid.diagnosis.scores import Score, nominal_basis
 from fmuid.diagnosis.search import Say, aliases, finished, search
@@ -99,20 +99,24 @@ def diagnose_subject(
     noise = draw_noise(observed, seed=seed)
     null = noise.null(basis, list(signatures.values()))
     surplus = excess(nominal.fit.residuals, observed)
-    p_value = null.p_value(surplus)
     by_experiment = max(
         float(np.sqrt(max(0.0, r @ r / r.size - 1.0 / n)))
         for r, n in zip(nominal.fit.residuals, observed.repeats, strict=True)
     )
-    matters = nominal.gap > decide.GAP_THAT_MATTERS or by_experiment > 3 * decide.GAP_THAT_MATTERS
-    largest = max((s.drop for s in scores), default=0.0)
-    present = matters and (p_value < decide.SIGNIFICANCE or largest > decide.SCORE_MARGIN * null.threshold())
+    matters, largest = nominal.gap > decide.GAP_THAT_MATTERS, 0.0
+    # Without repeats the floor is a mean over the experiments, some of which always lie above it, and what scores
+    # reach by chance is not known.
+    if not observed.modelled_noise:
+        matters = matters or by_experiment > 3 * decide.GAP_THAT_MATTERS
+        largest = max((s.drop for s in scores), default=0.0)
+    p_value = null.p_value(surplus, largest / decide.SCORE_MARGIN)
+    present = matters and p_value < decide.SIGNIFICANCE
     needed = decide.GAP_THAT_MATTERS**2 * sum(
         n * r.size for n, r in zip(observed.repeats, nominal.fit.residuals, strict=True)
     )
     threshold = max(decide.SCORE_MARGIN * null.threshold(), needed)
     seen = smallest_seen(scores, subject.effects, nominal.fit, observed, threshold=threshold)
-    powerless = len(observed.folds) < 2 or (largest <= null.threshold() if present else not seen)
+    powerless = len(observed.folds) < 2 or not (present or seen)
     candidates, best = search(subject, nominal, scores, noise, say, present=present)
     done = present and best is not None and finished(subject, best, scores, noise)
     decoys: tuple[Decoy, ...] = ()
@@ -126,8 +130,9 @@ def diagnose_subject(
         doubtful = True  # a law beyond its shape, or two where one may do
     if present and doubtful:
         say("free functions at every port", 0.75)
-        families = bases(paths, subject.catalogue.regimes)
-        decoys = fit_decoys(model, observed, nominal.fit, tuple(subject.catalogue.ports.values()), families)
+        regimes, ports = subject.catalogue.regimes, subject.catalogue.ports
+        own = {name: own_bases(paths, regimes, name) for name in ports}
+        decoys = fit_decoys(model, observed, nominal.fit, tuple(ports.values()), bases(paths, regimes), own)
     say("deciding", 0.95)
     return _conclude(
         subject,
@@ -179,7 +184,7 @@ def _conclude(
         or not decide.names(nominal, best, finished=done)
     )
     place = _strongest(nominal, best, named, decoys) if unknown else None
-    if powerless and (not present or place is None):
+    if powerless:
         verdict, chosen = Verdict("insufficient"), nominal
     elif not present:
         verdict, chosen = Verdict("complete"), nominal

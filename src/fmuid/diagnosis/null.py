@@ -25,8 +25,19 @@ class Null:
     excess: FloatArray
     largest_drop: FloatArray
 
-    def p_value(self, excess: float) -> float:
-        """Return the share of draws with at least this excess energy, by a fitted normal beyond the last draw."""
+    def p_value(self, excess: float, drop: float = 0.0) -> float:
+        """Return how likely noise alone leaves this excess energy, or a score as large as `drop`.
+
+        Of the excess by the share of draws with at least as much, a fitted normal beyond the last draw; with a
+        drop, twice the smaller of the two shares (Bonferroni).
+        """
+        energy = self._of_excess(excess)
+        if drop <= 0.0:
+            return energy
+        reached = float(np.sum(self.largest_drop >= drop) + 1) / (len(self.largest_drop) + 1)
+        return min(1.0, 2.0 * min(energy, reached))
+
+    def _of_excess(self, excess: float) -> float:
         above = float(np.mean(self.excess >= excess))
         tail = float(norm.sf(excess, self.excess.mean(), max(self.excess.std(), 1e-12)))
         return max(above, tail) if above > 0 else min(tail, 1.0 / (len(self.excess) + 1))

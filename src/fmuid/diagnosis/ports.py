@@ -112,20 +112,23 @@ def fit_decoys(
     base: Refit,
     ports: Sequence[Port],
     bases: Mapping[str, Basis],
+    own: Mapping[str, Mapping[str, Basis]] | None = None,
 ) -> tuple[Decoy, ...]:
-    """Fit every basis at every port, linearly, beside the nominal parameters of `base`.
+    """Fit every basis at every port, linearly, beside the nominal parameters of `base`; those of `own` at theirs.
 
     Ports whose responses cannot be simulated are left out. A sensor may also misread by what other signals, or its
     own past, are.
     """
     decoys = _at_sensors(model, observed, base, ports, bases)
-    for port in _distinct(model, observed, base, ports, bases):
+    distinct = _distinct(model, observed, base, ports, bases)
+    for port in (p for p in ports if p.input is not None):
+        families = {**(bases if port in distinct else {}), **(own or {}).get(port.name, {})}
         drives = [
-            {port.input or "": [port.magnitude * b for b in one]} for basis in bases.values() for one in basis
+            {port.input or "": [port.magnitude * b for b in one]} for basis in families.values() for one in basis
         ]
         outcomes = model.predict_driven(base.values, drives)
         begin = 0
-        for over, basis in bases.items():
+        for over, basis in families.items():
             part = outcomes[begin : begin + len(basis)]
             begin += len(basis)
             good = [p for p in part if not isinstance(p, SimulationError)]

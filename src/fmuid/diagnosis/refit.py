@@ -165,10 +165,10 @@ def refit(
     (residuals,) = evaluate([x])
     cost = float(np.sum(stack(residuals) ** 2))
     damping, converged = 1e-3, len(x) == 0
-    jacobian = differentiate(x, residuals)
     for _ in range(max_iterations):
         if converged:
             break
+        jacobian = differentiate(x, residuals)
         j = np.concatenate([w * p for w, p in zip(weight, jacobian, strict=True)]) * steps
         r = stack(residuals)
         gradient, normal = j.T @ r, j.T @ j
@@ -202,11 +202,8 @@ def refit(
         x, residuals, cost = trial, trial_residuals, trial_cost
         damping = max(damping / 10.0, 1e-9)
         converged = gained < max(0.5, tolerance * cost)
-        if not converged or tangents is None:
-            jacobian = differentiate(x, residuals)
-    if tangents is not None:
-        # The search follows the exact slope. What is predicted from the result is as far away as a plausible step,
-        # where the slope of an effect that begins somewhere (a backlash) is another one.
-        jacobian = differentiate(x, residuals, last=True)
+    # The search follows the exact slope. What is predicted from the result is as far away as a plausible step,
+    # where the slope of an effect that begins somewhere (a backlash) is another one.
+    jacobian = differentiate(x, residuals, last=True)
     values = {n: float(v) for n, v in zip(names, x, strict=True)}
     return Refit(tuple(unknowns), values, residuals, jacobian, cost, evaluations, converged)

@@ -11,8 +11,6 @@ from fmuid.campaign import FloatArray, read_only
 from fmuid.diagnosis.model import CampaignModel
 from fmuid.diagnosis.ports import Basis, harmonics, hats, quantile_knots, times
 
-_MANY_TURNS = 100.0  # rad
-
 
 @dataclass(frozen=True, slots=True)
 class Regime:
@@ -28,6 +26,8 @@ class Regime:
         ``speed`` (its sign is the direction), ``angle`` (in rad; laws repeat every turn) or ``value``.
     orders
         Periods a turn, for an angle.
+    ports
+        The only ports where functions of it act; at any if there are none.
     """
 
     name: str
@@ -35,6 +35,7 @@ class Regime:
     kind: str = "value"
     unit: str = ""
     orders: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
+    ports: tuple[str, ...] = ()
 
 
 def trajectories(
@@ -66,21 +67,20 @@ def bases(
 ) -> dict[str, Basis]:
     """Return families of functions that an unnamed effect may be: of speed, of angle, of load, of time.
 
-    Functions of angle and time come also with the sign of the speed, as friction has it.
+    Functions of angle and time come also with the sign of the speed, as friction has it. Regimes that are confined
+    to ports are in `own_bases`.
     """
     speed = next((paths[r.name] for r in regimes.values() if r.kind == "speed"), None)
     direction = None if speed is None else [np.tanh(w / (1e-2 * max(np.abs(w).max(), 1e-9))) for w in speed]
     found: dict[str, Basis] = {}
     for regime in regimes.values():
         path = paths[regime.name]
+        if regime.ports:
+            continue
         if regime.kind == "angle":
-            turning = [np.ptp(p) > np.pi / max(regime.orders) for p in path]
-            active = [np.full(len(p), float(t)) for p, t in zip(path, turning, strict=True)]
-            found[regime.name] = times(harmonics(path, regime.orders), active)
-            # On a fast shaft this is a ripple like any other: not worth runs of its own.
-            if direction is not None and max(float(np.ptp(p)) for p in path) < _MANY_TURNS:
-                both = [a * d for a, d in zip(active, direction, strict=True)]
-                found[f"{regime.name} and direction"] = times(harmonics(path, regime.orders), both)
+            found[regime.name] = _of_angle(path, regime)
+            if direction is not None:
+                found[f"{regime.name} and direction"] = times(found[regime.name], direction)
         else:
             found[regime.name] = hats(path, quantile_knots(path, knots))
         if regime.kind == "speed":  # knots say nothing of speeds that one experiment alone reaches
@@ -91,3 +91,31 @@ def bases(
         since = [t - t[0] for t in time]
         found["time and direction"] = times(hats(since, np.linspace(0.0, longest, 5)), direction)
     return found
+
+
+def own_bases(
+    paths: Mapping[str, tuple[FloatArray, ...]], regimes: Mapping[str, Regime], port: str, *, knots: int = 9
+) -> dict[str, Basis]:
+    """Return families of functions that an unnamed effect may be at `port` alone: of the regimes confined to it.
+
+    Each comes by itself and in proportion to it over every angle, as the torque of a motor's current has it.
+    """
+    angles = [r for r in regimes.values() if r.kind == "angle" and not r.ports]
+    found: dict[str, Basis] = {}
+    for regime in (r for r in regimes.values() if port in r.ports):
+        path = paths[regime.name]
+        size = max(float(np.abs(p).max()) for p in path) or 1.0
+        found[regime.name] = hats(path, quantile_knots(path, knots))
+        for angle in angles:
+            found[f"{regime.name} and {angle.name}"] = times(
+                _of_angle(paths[angle.name], angle), [p / size for p in path]
+            )
+    return found
+
+
+def _of_angle(path: Sequence[FloatArray], regime: Regime) -> Basis:
+    """Return harmonics of an angle, in the experiments that turn far enough to tell them from a constant."""
+    turning = [np.ptp(p) > np.pi / max(regime.orders) for p in path]
+    return times(
+        harmonics(path, regime.orders), [np.full(len(p), float(t)) for p, t in zip(path, turning, strict=True)]
+    )
