@@ -195,15 +195,17 @@ def parallel(repeats: int, *, dask: bool = True) -> tuple[list[Parallel], str]:
 
 
 def _on_dask(jobs: list[Job], repeats: int) -> Times:
-    from distributed import Client, LocalCluster
+    from distributed import LocalCluster
 
-    from fmuid.remote import on_executor
+    from fmuid.remote import dask_executor, on_executor
 
     with (
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        Client(cluster) as client,
+        dask_executor(cluster.scheduler_address) as executor,
     ):
-        run: Runner = on_executor(client.get_executor())
+        run: Runner = on_executor(executor)
+        for _ in range(3):  # the workers start their processes, and it is seen how long a simulation takes
+            run(jobs)
         return in_turn({"": lambda: run(jobs)}, repeats, time.perf_counter)[""]
 
 

@@ -1,16 +1,20 @@
 """Simulations on executors of other makes: a process pool of the standard library's, a Dask cluster.
 
-A job names model and task by their hashes. A worker that does not hold one of them answers so, and gets it with
-the job once more: what is large travels once to each worker, whoever distributes the jobs. In each of these
-workers simulations run in supervised processes of its own (`fmuid.workers`), so an FMU that crashes, hangs or
-allocates without end costs one evaluation and no worker of the cluster.
+Jobs go out in batches, as many in one task as fill a fifth of a second. A job names model and task by their
+hashes. A worker that does not hold one of them answers so, and gets it with the job once more: what is large
+travels once to each worker, whoever distributes the jobs. In each of these workers simulations run in supervised
+processes of its own (`fmuid.workers`), so an FMU that crashes, hangs or allocates without end costs one evaluation
+and no worker of the cluster.
 """
 
 from __future__ import annotations
 
 import importlib
+import math
 import multiprocessing
+import sys
 import threading
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -19,12 +23,15 @@ from importlib.metadata import version
 from multiprocessing.util import Finalize
 from typing import Any
 
+import numpy as np
+
 from fmuid.errors import FmuidError
 from fmuid.parcels import Parcel, packed
 from fmuid.runners import Job, Outcome, Runner, on_threads
-from fmuid.workers import WorkerPool
+from fmuid.workers import WorkerPool, available_processors, memory_share
 
 _CONNECT_LIMIT = 15  # s
+_TASK = 0.2  # s that a task may take if it is more than one job
 _MOST_HELD = 512 * 2**20  # bytes that a worker of the executor holds before it begins anew
 
 
@@ -35,8 +42,22 @@ class Raised:
     error: Exception
 
 
-Answer = Outcome | Raised | None
-"""Of a worker of the executor; None if model or task is not there yet."""
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """Outcomes of a batch, None where model or task is not there yet, and the seconds that those there took."""
+
+    outcomes: list[Outcome | None]
+    seconds: float
+
+    @property
+    def simulated(self) -> int:
+        """Number of jobs that were done."""
+        return sum(outcome is not None for outcome in self.outcomes)
+
+
+Answer = Simulated | Raised
+Limits = tuple[float | None, int | None]
+"""Of time and memory, as of a `WorkerPool`."""
 
 
 def on_executor(
@@ -61,48 +82,74 @@ def on_executor(
         return executor.run
     if isinstance(executor, ThreadPoolExecutor):
         return on_threads(executor)
-    parcels: dict[int, tuple[Parcel, Any]] = {}  # by id of the thing, which is kept so that the id stays its own
+    return _Batches(executor, (time_limit, memory_limit)).run
 
-    def parcel(thing: Any) -> Parcel:
-        if id(thing) not in parcels:
-            parcels[id(thing)] = packed(thing), thing
-        return parcels[id(thing)][0]
 
-    def submit(job: Job, enclosed: bool) -> Future[Answer]:
-        both = [parcel(thing) for thing in job[:2]]
-        content = {p.digest: p for p in both} if enclosed else {}
-        digests = both[0].digest, both[1].digest
-        return executor.submit(simulate_supervised, digests, dict(job[2]), content, (time_limit, memory_limit))
+class _Batches:
+    """A runner on an executor: jobs go to it in tasks long enough that handing them out costs little."""
 
-    def run(jobs: Sequence[Job]) -> list[Outcome]:
+    def __init__(self, executor: Executor, limits: Limits) -> None:
+        self._executor, self._limits = executor, limits
+        self._parcels: dict[
+            int, tuple[Parcel, Any]
+        ] = {}  # by id of the thing, which is kept so that it stays its own
+        self._seconds = math.inf  # that a job took last
+
+    def run(self, jobs: Sequence[Job]) -> list[Outcome]:
+        """Simulate `jobs`; see `fmuid.runners.Runner`."""
+        share = -(-len(jobs) // max(1, _places(self._executor) or len(jobs)))
+        size = max(1, min(share, int(_TASK / max(self._seconds, 1e-6))))
+        answers: dict[int, Outcome | None] = {}
         futures: list[Future[Answer]] = []
         try:
-            futures += [submit(job, enclosed=False) for job in jobs]
-            answers = [future.result() for future in futures]
-            again = {k: submit(jobs[k], enclosed=True) for k, answer in enumerate(answers) if answer is None}
-            futures += again.values()
-            answers = [again[k].result() if k in again else answer for k, answer in enumerate(answers)]
+            for enclosed in (False, True):  # the second time with what was missing where the first ones came
+                due = [k for k in range(len(jobs)) if answers.get(k) is None]
+                batches = [due[i : i + size] for i in range(0, len(due), size)]
+                asked = [self._submit([jobs[k] for k in batch], enclosed) for batch in batches]
+                futures += asked
+                found = [future.result() for future in asked]
+                for batch, answer in zip(batches, found, strict=True):
+                    if isinstance(answer, Raised):
+                        raise answer.error
+                    answers |= zip(batch, answer.outcomes, strict=True)
+                times = [a.seconds / n for a in found if not isinstance(a, Raised) and (n := a.simulated)]
+                self._seconds = float(np.median(times)) if times else self._seconds
         except FmuidError:
             raise
         except Exception as error:  # answers raise nothing: it is the executor's
             raise FmuidError(
                 f"has lost its workers ({type(error).__name__}: {error})",
-                where=type(executor).__name__,
+                where=type(self._executor).__name__,
                 fix="look at their logs; with --resume nothing is simulated twice",
             ) from error
         finally:
             for future in futures:
                 future.cancel()
-        return [_outcome(answer) for answer in answers]
+        return [_given(answers[k]) for k in range(len(jobs))]
 
-    return run
+    def _submit(self, jobs: Sequence[Job], enclosed: bool) -> Future[Answer]:
+        parcels = [tuple(self._parcel(thing) for thing in job[:2]) for job in jobs]
+        content = {p.digest: p for both in parcels for p in both} if enclosed else {}
+        named = [(a.digest, b.digest, dict(job[2])) for (a, b), job in zip(parcels, jobs, strict=True)]
+        return self._executor.submit(simulate_supervised, named, content, self._limits)
+
+    def _parcel(self, thing: Any) -> Parcel:
+        if id(thing) not in self._parcels:
+            self._parcels[id(thing)] = packed(thing), thing
+        return self._parcels[id(thing)][0]
 
 
-def _outcome(answer: Answer) -> Outcome:
-    assert answer is not None  # what was missing was enclosed
-    if isinstance(answer, Raised):
-        raise answer.error
-    return answer
+def _places(executor: Executor) -> int:
+    """Return how many tasks the executor runs at once, 0 if it does not tell."""
+    client = getattr(executor, "_client", None)
+    if client is not None:  # Dask's
+        return sum(client.nthreads().values())
+    return int(getattr(executor, "_max_workers", 0))
+
+
+def _given(outcome: Outcome | None) -> Outcome:
+    assert outcome is not None  # what was missing was enclosed
+    return outcome
 
 
 @contextmanager
@@ -153,7 +200,7 @@ class _Held:
     """What one worker of the executor holds."""
 
     parcels: dict[str, Parcel] = field(default_factory=dict)
-    pools: dict[tuple[float | None, int | None], WorkerPool] = field(default_factory=dict)
+    pools: dict[Limits, WorkerPool] = field(default_factory=dict)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def clear(self, *, at_exit: bool = False) -> None:
@@ -163,35 +210,46 @@ class _Held:
             pool.shutdown(wait=at_exit, cancel_futures=at_exit)
         self.pools.clear()
 
-    def pool(self, limits: tuple[float | None, int | None]) -> WorkerPool:
+    def pool(self, limits: Limits) -> WorkerPool:
         """Return the pool with these limits."""
         if limits not in self.pools:
             # Dask's workers are daemons, which multiprocessing lets have no children; ours leave with them.
             multiprocessing.current_process().daemon = False
             Finalize(None, self.clear, kwargs={"at_exit": True}, exitpriority=10)  # before its own clearing up
-            self.pools[limits] = WorkerPool(time_limit=limits[0], memory_limit=limits[1])
+            memory = limits[1] if limits[1] is not None else memory_share(available_processors())
+            self.pools[limits] = WorkerPool(_threads(), time_limit=limits[0], memory_limit=memory)
         return self.pools[limits]
 
 
 _held = _Held()
 
 
+def _threads() -> int:
+    """Return how many tasks this worker of the executor runs at once: only Dask's run more than one."""
+    distributed: Any = sys.modules.get("distributed")
+    try:
+        return int(distributed.get_worker().state.nthreads) if distributed else 1
+    except ValueError:  # not one of Dask's
+        return 1
+
+
 def simulate_supervised(
-    digests: tuple[str, str],
-    parameters: Mapping[str, float],
-    enclosed: Mapping[str, Parcel],
-    limits: tuple[float | None, int | None],
+    jobs: Sequence[tuple[str, str, Mapping[str, float]]], enclosed: Mapping[str, Parcel], limits: Limits
 ) -> Answer:
-    """Simulate in a supervised process of this worker."""
+    """Simulate jobs (digests of model and task, parameters) in a supervised process of this worker."""
     with _held.lock:
         if sum(len(p.content) for p in _held.parcels.values()) > _MOST_HELD:
             _held.clear()
         _held.parcels |= enclosed
-        if not _held.parcels.keys() >= set(digests):
-            return None
-        simulator, task = (_held.parcels[digest] for digest in digests)
+        there = {
+            k: (_held.parcels[model], _held.parcels[task], parameters)
+            for k, (model, task, parameters) in enumerate(jobs)
+            if {model, task} <= _held.parcels.keys()
+        }
         pool = _held.pool(limits)
+    begun = time.perf_counter()
     try:
-        return pool.run_packed(simulator, task, parameters)
+        found = dict(zip(there, pool.run_packed(list(there.values())), strict=True))
     except Exception as error:
         return Raised(error)
+    return Simulated([found.get(k) for k in range(len(jobs))], time.perf_counter() - begun)

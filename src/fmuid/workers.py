@@ -15,7 +15,7 @@ import itertools
 import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import FIRST_EXCEPTION, Executor, Future, wait
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
@@ -75,7 +75,7 @@ class WorkerPool(Executor):
             raise FmuidError(f"{workers} workers", where="worker pool", fix="ask for one or more")
         limits = Limits(
             time_limit,
-            memory_limit if memory_limit is not None else _memory_share(self.workers),
+            memory_limit if memory_limit is not None else memory_share(self.workers),
             recycle_after,
             recycle_growth,
         )
@@ -94,13 +94,14 @@ class WorkerPool(Executor):
         """
         return self._wait([self._call(*job) for job in jobs])
 
-    def run_packed(self, simulator: Parcel, task: Parcel, parameters: Mapping[str, float]) -> Outcome:
+    def run_packed(self, jobs: Sequence[tuple[Parcel, Parcel, Mapping[str, float]]]) -> list[Outcome]:
         """Simulate what another process has packed; see `run`."""
-        return self._wait([self._call(simulator, task, parameters)])[0]
+        return self._wait([self._call(*job) for job in jobs])
 
     def _wait(self, calls: list[Call]) -> list[Outcome]:
         futures = self._enqueue(calls)
         try:
+            wait(futures, return_when=FIRST_EXCEPTION)  # woken once, not by every evaluation
             return [outcome_of(future) for future in futures]
         except BaseException:
             for future in futures:
@@ -179,7 +180,8 @@ def available_processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _memory_share(workers: int) -> int:
+def memory_share(workers: int) -> int:
+    """Return the bytes that each of so many workers may take, 0 (no limit) where the machine does not tell."""
     try:
         return int(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2 // workers)
     except (AttributeError, OSError, ValueError):

@@ -101,6 +101,19 @@ def test_a_bad_evaluation_costs_itself_only(build, executor, fault, message):
         assert np.array_equal(outcome, expected)
 
 
+@pytest.mark.parametrize("executor", ["processes", "dask"], indirect=True)
+def test_short_jobs_travel_together(build, executor, monkeypatch):
+    fmu, submitted, submit = load_fmu(build(2)), [], executor.submit
+    monkeypatch.setattr(executor, "submit", lambda *a: submitted.append(len(a[1])) or submit(*a))
+    run = on_executor(executor)
+    for c in (100.0, 110.0, 120.0):
+        submitted.clear()
+        jobs = [(fmu, TASK, {"c": c + i}) for i in range(40)]
+        outcomes = run(jobs)
+    assert sorted(submitted) == [20, 20]  # one task for each of two workers
+    assert np.array_equal(outcomes, in_process(jobs))
+
+
 def test_mistakes_are_raised(build, executor):
     with pytest.raises(FmuError, match="no variable 'cc'"):
         on_executor(executor)([(load_fmu(build(2)), TASK, {"cc": 1.0})])
