@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 from typing import Any
 
 from mkdocs.structure.files import File, Files
@@ -34,6 +35,10 @@ def _commands() -> str:
     command = get_command(app)
     with contextlib.redirect_stdout(io.StringIO()):
         text = get_docs_for_click(obj=command, ctx=typer.Context(command), name="fmuid", title="Command line")
+    for name, one in command.commands.items():  # Typer cuts the sentences
+        sentence = " ".join((one.help or "").split("\n\n")[0].split())
+        text = re.sub(rf"^\* `{name}`: .*$", f"* `{name}`: {sentence}", text, flags=re.MULTILINE)
+    text = re.sub(r"^Example: (.*)$", r"```sh\n\1\n```", text, flags=re.MULTILINE)
     return text.replace("\n# `fmuid`", "\n# Command line", 1)
 
 
