@@ -1,8 +1,9 @@
 """Identification to an equal cost: fmuid and its peers on the same FMU and data, wall time and simulations.
 
-Three parameters of the actuator from one PRBS run of 0.5 s at 1 kHz. Everybody starts at the same point with the
-same bounds and stops at a root mean square error within 1 % of the least. Setting up (extracting, instantiating)
-counts, imports do not. Each peer runs in an environment of its own, made from ``benchmarks/peers/*.txt``.
+Three parameters from one run: of the stiff actuator, under a PRBS of 0.5 s at 1 kHz, and of a pendulum with
+friction, under torque steps over 4 s at 500 Hz. Everybody starts at the same point with the same bounds and stops
+at a root mean square error within 1 % of the least. Setting up (extracting, instantiating) counts, imports do not.
+Each peer runs in an environment of its own, made from ``benchmarks/peers/*.txt``.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -43,8 +44,40 @@ PEERS = (  # name shown, environment (None: this one), script, arguments
     ("ModestPy 0.1.1, genetic algorithm + pattern search", "modestpy", "with_modestpy.py", ("GA_LEGACY+PS",)),
     ("FMPy 0.3.32 and SciPy's least squares by hand", None, "with_fmpy.py", ()),
 )
-TRUTH = {"d_S": 3.0, "J_S": 3.5e-3, "d_G": 80.0}
-START = {"d_S": (2.0, 0.1, 20.0), "J_S": (3e-3, 1e-3, 1e-2), "d_G": (50.0, 5.0, 300.0)}
+
+
+@dataclass(frozen=True)
+class Subject:
+    """An FMU, its run, and the parameters to find: true value; start, lower and upper bound."""
+
+    fmu: str
+    time: np.ndarray
+    inputs: Mapping[str, np.ndarray]
+    output: str
+    noise: float
+    parameters: Mapping[str, tuple[float, tuple[float, float, float]]]
+
+
+def stiff() -> Subject:
+    """Return the actuator with its shaft fixed: most of the time goes into the steps inside the FMU."""
+    parameters = {
+        "d_S": (3.0, (2.0, 0.1, 20.0)),
+        "J_S": (3.5e-3, (3e-3, 1e-3, 1e-2)),
+        "d_G": (80.0, (50.0, 5.0, 300.0)),
+    }
+    return Subject("FixedShaft", 1e-3 * np.arange(501), {"i_cmd": prbs(501, 0.8)}, "tau_sensor", 0.1, parameters)
+
+
+def light() -> Subject:
+    """Return the pendulum, whose simulation costs little beside a loop over its 2000 samples in Python."""
+    time = 2e-3 * np.arange(2001)
+    torque = np.repeat([0.14, -0.09, 0.16, -0.14, 0.05, -0.15, 0.1, 0.0], 251)[: len(time)]
+    parameters = {
+        "m": (1.2, (0.9, 0.3, 3.0)),
+        "friction.K_v": (0.08, (0.15, 0.01, 1.0)),
+        "friction.K_c": (0.15, (0.25, 0.01, 1.0)),
+    }
+    return Subject("TorqueDriven", time, {"tau_ref": torque}, "q", 0.01, parameters)
 
 
 class OverError(Exception):
@@ -77,15 +110,17 @@ class Finish:
     missing: str = ""
 
 
-def race(limit: float) -> Race:
+def race(subject: Subject, limit: float) -> Race:
     """Return the job: the least cost is found first, by running fmuid to its end."""
-    t, u = 1e-3 * np.arange(501), prbs(501, 0.8)
-    path = ROOT / "build" / "fmus" / "FixedShaft.fmu"
+    path = ROOT / "build" / "fmus" / f"{subject.fmu}.fmu"
+    task = Task(subject.time, subject.inputs, (subject.output,))
     with Fmu(path) as fmu:
-        true = fmu.simulate(Task(t, {"i_cmd": u}, ("tau_sensor",)), TRUTH)[0]
-    measured = true + np.random.default_rng(0).normal(0.0, 0.1, len(t))
-    job = Race(str(path), t.tolist(), {"i_cmd": u.tolist()}, "tau_sensor", measured.tolist(), START, 0.0, limit)
-    return Race(**{**asdict(job), "target": 1.01 * with_fmuid(job).cost})
+        true = fmu.simulate(task, {name: value for name, (value, _) in subject.parameters.items()})[0]
+    measured = true + np.random.default_rng(0).normal(0.0, subject.noise, len(true))
+    inputs = {name: u.tolist() for name, u in subject.inputs.items()}
+    start = {name: bounds for name, (_, bounds) in subject.parameters.items()}
+    job = Race(str(path), subject.time.tolist(), inputs, subject.output, measured.tolist(), start, 0.0, limit)
+    return replace(job, target=1.01 * with_fmuid(job).cost)
 
 
 def with_fmuid(job: Race) -> Finish:
@@ -138,9 +173,13 @@ def with_peer(peer: tuple[str, str | None, str, tuple[str, ...]], file: Path, li
         return Finish(name, missing=f"failed: {last[:120]}")
 
 
-def measure(folder: Path, *, limit: float = 40.0, repeats: int = 5) -> list[Finish]:
-    """Run everybody; fmuid several times, its median counts."""
-    job = race(limit)
+def measure(folder: Path, *, limit: float = 40.0, repeats: int = 5) -> dict[str, list[Finish]]:
+    """Run everybody on both subjects; fmuid several times, its median counts."""
+    subjects = {"the actuator": stiff(), "the pendulum": light()}
+    return {what: _all_on(race(subject, limit), folder, limit, repeats) for what, subject in subjects.items()}
+
+
+def _all_on(job: Race, folder: Path, limit: float, repeats: int) -> list[Finish]:
     file = folder / "race.json"
     file.write_text(json.dumps(asdict(job)))
     own = sorted((with_fmuid(job) for _ in range(repeats)), key=lambda f: f.seconds)
@@ -151,16 +190,15 @@ def measure(folder: Path, *, limit: float = 40.0, repeats: int = 5) -> list[Fini
     return finishes
 
 
-def page(finishes: Sequence[Finish]) -> str:
-    """Return the table."""
-    ours, rows = finishes[0], []
-    for f in finishes:
-        if f.missing:
-            rows.append([f.name, "missing", "", f.missing, ""])
-            continue
-        times, note = f.seconds / ours.seconds, "" if f.reached else " (stopped there)"
-        reached = "" if f.reached else "at least "
-        rows.append(
-            [f.name, f"{f.seconds:.3g}{note}", str(f.simulations), f"{f.cost:.4f}", f"{reached}{times:.3g}"]
-        )
-    return table(["tool", "wall time (s)", "simulations", "error reached (N.m)", "times fmuid's"], rows)
+def page(races: Mapping[str, Sequence[Finish]]) -> str:
+    """Return the table, from what ran to who took part; fmuid is the first of each."""
+    rows = []
+    for what, finishes in races.items():
+        for f in finishes:
+            if f.missing:
+                rows.append([what, f.name, "missing", "", f.missing, ""])
+                continue
+            note, reached = ("", "") if f.reached else (" (stopped there)", "at least ")
+            times = f"{reached}{f.seconds / finishes[0].seconds:.3g}"
+            rows.append([what, f.name, f"{f.seconds:.3g}{note}", str(f.simulations), f"{f.cost:.4f}", times])
+    return table(["run of", "tool", "wall time (s)", "simulations", "error reached", "times fmuid's"], rows)

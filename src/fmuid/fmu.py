@@ -252,7 +252,7 @@ class Fmu:
 
     def _load(self) -> FmuLibrary:
         if self._library is None:
-            self._folder = extract(self.path)
+            self._folder = extract(self.path, without=_NOT_RUN)
             weakref.finalize(self, _remove, self._folder, os.getpid())
             platform = fmpy.platform if self.version == 2 else fmpy.platform_tuple
             identifier = self._described.modelIdentifier
@@ -422,6 +422,7 @@ def load_fmu(path: str | Path, interface: Interface | None = None) -> Fmu:
 
 
 MAX_EXTRACTED = 4e9  # bytes
+_NOT_RUN = ("sources/", "documentation/")
 _VERSION = re.compile(rb"""fmiVersion\s*=\s*["']([^"']*)""")
 
 
@@ -472,8 +473,15 @@ def _remove(folder: Path, process: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def extract(path: Path) -> Path:
+def extract(path: Path, without: tuple[str, ...] = ()) -> Path:
     """Return a new folder with the content of an FMU or another archive, which the caller removes.
+
+    Parameters
+    ----------
+    path
+        The archive.
+    without
+        How the names of members begin that are left out.
 
     Raises
     ------
@@ -484,7 +492,7 @@ def extract(path: Path) -> Path:
     try:
         _check_members(path)  # the file may have changed since
         with zipfile.ZipFile(path) as archive:
-            archive.extractall(folder)
+            archive.extractall(folder, [name for name in archive.namelist() if not name.startswith(without)])
     except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)
         if isinstance(error, OSError | zipfile.BadZipFile | zlib.error | RuntimeError):  # the last: encrypted

@@ -42,8 +42,8 @@ def test_a_missing_peer_is_said_to_be_missing(tmp_path, monkeypatch):
     (tmp_path / "job.json").write_text("{}")
     absent = identification.with_peer(("Tool 1.0", "tool", "race.py", ()), tmp_path / "job.json", 1.0)
     broken = identification.with_peer(("Tool 2.0", None, "nothing.py", ()), tmp_path / "job.json", 1.0)
-    page = identification.page([identification.Finish("fmuid", 1.0, 10, 0.1, True), absent, broken])
-    assert "| Tool 1.0 | missing |  | no environment in build/nowhere/tool |" in page
+    page = identification.page({"a run": [identification.Finish("fmuid", 1.0, 10, 0.1, True), absent, broken]})
+    assert "| a run | Tool 1.0 | missing |  | no environment in build/nowhere/tool |" in page
     assert re.search(r"\| Tool 2.0 \| missing \|  \| failed: .*nothing.py", page)
 
 
@@ -75,6 +75,6 @@ def test_everything_runs(tmp_path, fmus):
     page = (tmp_path / "benchmarks.md").read_text()
     assert "quick mode" in page
     assert (tmp_path / "figures" / "benchmarks-scaling.png").stat().st_size > 5000
-    rows = [line for line in page.splitlines() if line.startswith("| fmuid")]
-    assert rows, page
+    rows = [line for line in page.splitlines() if line.startswith(("| fmuid", "| the pendulum | fmuid"))]
+    assert len(rows) == 2, page
     assert not re.search(r"\bnan\b", page)
