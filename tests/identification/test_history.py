@@ -2,6 +2,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from pathlib import Path
 
@@ -95,18 +96,24 @@ class Interrupt(Observer):
             raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize("solver", ["trf", "bobyqa", "sbplx", "crs2", "dfols", "slsqp"])
-def test_ctrl_c_keeps_what_was_reached_and_resume_goes_on_exactly(tmp_path, msd, solver):
-    whole = identify(msd(), solver=solver, with_uncertainty=False)
-    stopped = identify(msd(), solver=solver, out=tmp_path, observer=Interrupt(12))
+@pytest.mark.parametrize("starts", [1, 4])
+@pytest.mark.parametrize("solver", ["trf", "bobyqa", "sbplx", "praxis", "crs2", "dfols", "slsqp", "trf > bobyqa"])
+def test_ctrl_c_keeps_what_was_reached_and_resume_goes_on_exactly(tmp_path, msd, solver, starts):
+    options = {"starts": starts}
+    whole = identify(msd(), solver=solver, options=options, with_uncertainty=False)
+    stopped = identify(msd(), solver=solver, options=options, out=tmp_path, observer=Interrupt(12))
     assert stopped.status is Status.INTERRUPTED
     assert stopped.stages[0].cost < stopped.stages[0].start_cost
     assert Result.from_json(tmp_path) == stopped
     assert len(read_history(tmp_path)["msd"].rows) >= 12
     problem = msd()
-    resumed = identify(problem, solver=solver, out=tmp_path, resume=True, with_uncertainty=False)
+    resumed = identify(
+        problem, solver=solver, options=options, out=tmp_path, resume=True, with_uncertainty=False
+    )
     assert resumed.parameters == whole.parameters
+    assert resumed.stages[0].starts == whole.stages[0].starts
     assert resumed.stages[0].evaluations == whole.stages[0].evaluations
+    assert threading.active_count() == 1
     assert problem.cases[0].simulator.count <= whole.stages[0].evaluations - 11
     assert not (tmp_path / JOURNAL).exists()
 

@@ -4,6 +4,7 @@ import pytest
 from fmuid import CriterionSpec, ParameterSpec, Problem, Status, StopRules, Task, identify, measured_case
 from fmuid.combine import Combination, Constraint
 from fmuid.errors import ProblemError
+from fmuid.runners import in_process
 from fmuid.solvers import choose
 
 LOCAL = ["trf", "dfols", "nelder_mead", "sbplx", "cobyla", "bobyqa", "newuoa_bound", "praxis", "slsqp"]
@@ -23,6 +24,16 @@ def curve(analytic, function, names, y, *, kind="least_squares", criteria=None, 
 def rugged(time, inputs, p):
     """Rastrigin's function as one residual vector: a local minimum next to every integer."""
     return {"y": np.sqrt([10.0 + p["a"] ** 2 - 10.0 * np.cos(2 * np.pi * p["a"])] * len(time))}
+
+
+@pytest.mark.parametrize("solver", ["cobyla", "slsqp", "sbplx", "praxis", "nelder_mead", "bobyqa", "isres"])
+def test_a_constraint_that_cannot_be_kept_ends_the_search(analytic, solver):
+    constraint = Constraint.from_mapping({"expression": "a + cos(20*a)", "min": 12.0})
+    level = lambda time, inputs, p: {"y": p["a"]}  # noqa: E731
+    problem = curve(analytic, level, ["a"], np.zeros(5), constraints=[constraint])
+    stage = identify(problem, solver=solver, with_uncertainty=False).stages[0]
+    assert stage.evaluations <= 1100
+    assert "no candidate keeps every constraint" in stage.warnings
 
 
 @pytest.mark.parametrize("solver", LOCAL)
@@ -241,19 +252,90 @@ def test_an_equality_is_met(analytic, solver):
     assert found["a"] == pytest.approx(nearest, abs=1e-2)
 
 
-def test_multistart_does_not_depend_on_where_and_by_how_many_it_is_simulated(msd):
+@pytest.mark.parametrize("solver", ["bobyqa", "trf", "dfols", "sbplx > praxis", "mlsl"])
+def test_multistart_does_not_depend_on_where_and_by_how_many_it_is_simulated(msd, solver):
     from concurrent.futures import ThreadPoolExecutor
 
     def run(executor=None):
         stage = identify(
-            msd(), solver="bobyqa", options={"starts": 4}, executor=executor, seed=5, with_uncertainty=False
+            msd(),
+            solver=solver,
+            options={"starts": 4},
+            stop=StopRules(400) if solver == "mlsl" else None,
+            executor=executor,
+            seed=5,
+            with_uncertainty=False,
         ).stages[0]
-        return stage.starts, stage.parameters
+        return stage.starts, stage.parameters, stage.message
 
     here = run()
     for workers in (1, 3):
         with ThreadPoolExecutor(workers) as executor:
             assert run(executor) == here
+
+
+def test_starts_are_simulated_side_by_side(analytic):
+    batches = []
+
+    def runner(jobs):
+        batches.append(len(jobs))
+        return in_process(jobs)
+
+    problem = curve(analytic, rugged, ["a"], np.zeros(5), specs=[ParameterSpec("a", 3.0, -4.7, 5.3)])
+    problem.runner = runner
+    stage = identify(problem, solver="bobyqa", options={"starts": 8}, with_uncertainty=False).stages[0]
+    assert max(batches) == 8
+    assert sum(batches) == stage.evaluations
+    assert stage.evaluations == sum(s.evaluations for s in stage.starts)
+    assert np.mean(batches) > 3
+
+
+def test_a_budget_ends_all_starts(analytic):
+    problem = curve(analytic, rugged, ["a"], np.zeros(5), specs=[ParameterSpec("a", 3.0, -4.7, 5.3)])
+    stage = identify(
+        problem, solver="bobyqa", options={"starts": 8}, stop=StopRules(40), with_uncertainty=False
+    ).stages[0]
+    assert stage.status is Status.BUDGET
+    assert 40 <= stage.evaluations < 48
+    assert [s.status for s in stage.starts] == [Status.BUDGET] * 8
+    assert stage.cost == min(s.cost for s in stage.starts)
+
+
+def test_a_start_that_fails_costs_the_others_nothing(analytic):
+    right = lambda time, inputs, p: rugged(time, inputs, p) if p["a"] < 3.0 else None  # noqa: E731
+    problem = curve(analytic, right, ["a"], np.zeros(5), specs=[ParameterSpec("a", 2.0, -4.7, 5.3)])
+    stage = identify(problem, solver="bobyqa", options={"starts": 8}, with_uncertainty=False).stages[0]
+    assert 4 <= len(stage.starts) < 8
+    assert all(s.status is Status.CONVERGED for s in stage.starts)
+
+
+def test_a_mistake_in_one_of_many_starts_is_raised_and_leaves_no_thread(msd):
+    import threading
+
+    with pytest.raises(ProblemError, match="takes no bounds"):
+        identify(msd(), solver="lm", options={"starts": 4})
+    assert threading.active_count() == 1
+
+
+def test_every_level_of_an_order_has_its_starts(analytic):
+    criteria = [
+        CriterionSpec("y", "error_vector", stop_time=0.4, options={"priority": 1}),
+        CriterionSpec("y", "error_vector", start_time=0.6, options={"priority": 2}),
+    ]
+    # The first half has local minima and is best at integers a = 2 only; the second wants b = 1 and a = 0.
+    wavy = lambda a: np.sqrt(0.1 * (a - 2) ** 2 + 2 - 2 * np.cos(2 * np.pi * a))  # noqa: E731
+    both = lambda time, inputs, p: {"y": np.where(time < 0.5, 10 * wavy(p["a"]), p["b"] - 1 + p["a"])}  # noqa: E731
+    problem = curve(
+        analytic, both, ["a", "b"], np.zeros(20), criteria=criteria, combination=Combination("lexicographic")
+    )
+    options = {"starts": 16, "initial_step": 0.05}
+    result = identify(problem, solver="cobyla", options=options, with_uncertainty=False)
+    assert result.stages[0].solver == "lexicographic 16 x cobyla"
+    # Satisfied is satisfied: what the first leaves within its demand, the second may have.
+    assert 10 * wavy(result.parameters["a"]) <= 1.01
+    assert result.parameters["a"] == pytest.approx(2.0, abs=0.1)
+    assert result.parameters["a"] + result.parameters["b"] == pytest.approx(1.0, abs=1e-3)
+    assert len(result.stages[0].starts) == 16
 
 
 def test_time_is_a_stop_rule(analytic):

@@ -59,10 +59,10 @@ def make(name: str, options: Mapping[str, Any], problem: Problem) -> tuple[Solve
                 f"unknown solver option '{next(iter(options))}'",
                 fix=f"in a chain, write {links[0]} = {{ ... }}",
             )
-    if problem.combination.kind == "lexicographic":
-        solver = Lexicographic(solver)
     if starts > 1:
         solver = MultiStart(solver, starts)
+    if problem.combination.kind == "lexicographic":
+        solver = Lexicographic(solver)
     return solver, why
 
 

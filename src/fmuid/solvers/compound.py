@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.campaign import FloatArray
-from fmuid.errors import ProblemError, SimulationError
+from fmuid.errors import ProblemError
 from fmuid.problem import Evaluation
-from fmuid.solvers.search import Outcome, Search, Solver, Start, Status, StopSearch
+from fmuid.solvers.abreast import Abreast
+from fmuid.solvers.search import Outcome, Search, Solver, Start, Status
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +46,8 @@ class Chain:
 class MultiStart:
     """The same solver from several starts: the given one, and a scrambled Sobol sequence in the bounds.
 
-    The starts depend on the seed alone. Where each one led is kept for the waterfall plot.
+    The starts depend on the seed alone; they are searched from side by side (`fmuid.solvers.abreast`). Where each
+    one led is kept for the waterfall plot.
     """
 
     solver: Solver
@@ -76,29 +79,21 @@ class MultiStart:
 
     def solve(self, search: Search, start: FloatArray) -> Outcome:
         """See `Solver.solve`."""
-        outcome = Outcome(Status.FAILED, "no start could be simulated")
-        for point in self.points(search, start):
-            search.restart()
-            before = search.evaluations
-            try:
-                ended = self.solver.solve(search, point)
-            except SimulationError as error:  # this start is lost, not the search
-                ended = Outcome(Status.FAILED, error.what)
-            except StopSearch as stop:
-                _note(search, point, stop.outcome.status, before)
-                raise
-            best = search.best
-            if best is not None and search.reached is best:
-                outcome = ended
-            _note(search, point, ended.status, before)
-        return outcome
-
-
-def _note(search: Search, point: FloatArray, status: Status, before: int) -> None:
-    reached = search.reached
-    if reached is not None:
-        end, cost = tuple(map(float, reached.x)), reached.cost
-        search.starts.append(Start(tuple(map(float, point)), end, cost, status, search.evaluations - before))
+        points = self.points(search, start)
+        abreast = Abreast(search, [partial(self.solver.solve, start=point) for point in points])
+        try:
+            abreast.run()
+        finally:
+            for point, (branch, outcome) in zip(points, abreast.ended, strict=True):
+                if (end := branch.best) is not None:
+                    started, ended = (tuple(map(float, x)) for x in (point, end.x))
+                    cost, count = search.cost_of(end), branch.evaluations
+                    search.starts.append(Start(started, ended, cost, outcome.status, count))
+        for branch, outcome in abreast.ended:
+            if search.best is not None and branch.best is search.best:
+                search.noise_floor = branch.noise_floor
+                return outcome
+        return Outcome(Status.FAILED, "no start could be simulated")
 
 
 @dataclass(frozen=True, slots=True)

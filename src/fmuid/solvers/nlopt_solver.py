@@ -23,7 +23,6 @@ class _Algorithm:
     gradient: bool = False
     model: bool = False  # fits a model to the costs: a failed candidate would poison it
     subsidiary: bool = False
-    random: bool = False
 
 
 ALGORITHMS: Mapping[str, _Algorithm] = {
@@ -33,13 +32,13 @@ ALGORITHMS: Mapping[str, _Algorithm] = {
     "bobyqa": _Algorithm("LN_BOBYQA", model=True),
     "newuoa_bound": _Algorithm("LN_NEWUOA_BOUND", model=True),
     "praxis": _Algorithm("LN_PRAXIS", model=True),
-    "crs2": _Algorithm("GN_CRS2_LM", finite_bounds=True, random=True),
-    "isres": _Algorithm("GN_ISRES", finite_bounds=True, constraints=True, random=True),
+    "crs2": _Algorithm("GN_CRS2_LM", finite_bounds=True),
+    "isres": _Algorithm("GN_ISRES", finite_bounds=True, constraints=True),
     # The original DIRECT codes know hidden constraints, that is candidates that fail.
     "direct": _Algorithm("GN_ORIG_DIRECT", finite_bounds=True),
     "direct_l": _Algorithm("GN_ORIG_DIRECT_L", finite_bounds=True),
-    "esch": _Algorithm("GN_ESCH", finite_bounds=True, random=True),
-    "mlsl": _Algorithm("G_MLSL_LDS", finite_bounds=True, subsidiary=True, random=True),
+    "esch": _Algorithm("GN_ESCH", finite_bounds=True),
+    "mlsl": _Algorithm("G_MLSL_LDS", finite_bounds=True, subsidiary=True),
     "ags": _Algorithm("GN_AGS", finite_bounds=True, model=True),
     "slsqp": _Algorithm("LD_SLSQP", constraints=True, gradient=True, model=True),
 }
@@ -47,6 +46,8 @@ _ALIASES = {"neldermead": "nelder_mead", "newuoa": "newuoa_bound", "direct-l": "
 _OPTIONS = ("initial_step", "tolerance", "cost_tolerance", "population", "local", "evaluations")
 _LOWEST_LEVEL = 1e-6  # to which the largest goal is taken: its step follows from it
 _GLOBAL_EVALUATIONS = 200  # a parameter, for global solvers without any stop rule: they never converge
+_IDLE = 300  # times that a solver may ask for what it knows, one after the other
+_PENALTY_EVALUATIONS = 500  # a parameter: where constraints cannot be kept, an augmented Lagrangian has no end
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,9 +122,8 @@ class NloptSolver:
             level = max(search.cost_of(evaluation), _LOWEST_LEVEL) if evaluation.ok else 1.0
             lower, upper = np.append(lower, 0.0), np.append(upper, 10.0 * level)
             here, step = np.append(x, level), np.append(step, 0.1 * level + 1e-12)
-        random = algorithm.random or algorithm.subsidiary
-        if random:
-            nlopt.srand(search.seed + 1)  # 0 would mean: by the clock
+        # Also local ones draw, as PRAXIS where it is ill-conditioned. 0 would mean: by the clock.
+        nlopt.srand(search.seed + 1)
         for each in {id(opt): opt, id(inner): inner}.values():
             each.set_lower_bounds(lower)
             each.set_upper_bounds(upper)
@@ -143,8 +143,8 @@ class NloptSolver:
         if opt is not inner:
             opt.set_local_optimizer(inner)
         limit = self.options.get("evaluations")
-        if limit is None and algorithm.finite_bounds and search.stop == StopRules():
-            limit = _GLOBAL_EVALUATIONS * (n + 1)
+        if limit is None and search.stop == StopRules() and (algorithm.finite_bounds or opt is not inner):
+            limit = (_GLOBAL_EVALUATIONS if algorithm.finite_bounds else _PENALTY_EVALUATIONS) * (n + 1)
         if limit is not None:
             opt.set_maxeval(int(limit))
         opt.set_min_objective(functions.objective)
@@ -159,6 +159,8 @@ class NloptSolver:
             return Outcome(Status.CONVERGED, "no further progress in floating point")
         except (nlopt.ForcedStop, nlopt.exception) as error:
             functions.reraise()
+            if functions.stuck:
+                return Outcome(Status.CONVERGED, "the solver no longer moves")
             return Outcome(Status.FAILED, f"NLopt gave up {error}".strip())
         functions.reraise()
         code = opt.last_optimize_result()
@@ -181,11 +183,17 @@ class _Functions:
         scale = search.cost_of(first) if first.ok else 1.0
         self.scale = 1.0 / scale if scale > 0.0 else 1.0
         self.raised: BaseException | None = None
+        self.seen = self.idle = 0
 
     def reraise(self) -> None:
         """Raise what a callback raised."""
         if self.raised is not None:
             raise self.raised
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the solver asks for what it knows, again and again; COBYLA may where no constraint is kept."""
+        return self.idle >= _IDLE
 
     def count(self, evaluation: Evaluation, *, equality: bool) -> int:
         """Return the number of constraints of a kind, epigraph ones included."""
@@ -245,6 +253,10 @@ class _Functions:
 
     def _evaluate(self, x: FloatArray) -> Evaluation:
         evaluation = self.search.evaluate(x[: len(self.search)])
+        self.idle = self.idle + 1 if self.search.evaluations == self.seen else 0
+        self.seen = self.search.evaluations
+        if self.stuck:
+            self.opt.force_stop()
         if not evaluation.ok and self.algorithm.model:
             raise CandidateFailedError(evaluation.x)
         return evaluation

@@ -67,6 +67,8 @@ Record = Callable[[Evaluation, str, bool], None]
 """Told of every evaluation: the evaluation, its purpose, whether it is the best so far."""
 Recall = Callable[[FloatArray, bool], Evaluation | None]
 """Gives an evaluation back that an earlier, interrupted run made; the flag asks for residuals too."""
+Simulate = Callable[[Sequence[tuple[FloatArray, str]]], list[Evaluation]]
+"""Evaluates points; the text is the purpose of each."""
 Goals = Callable[[Evaluation], FloatArray]
 """(k,) numbers of an evaluation."""
 
@@ -96,7 +98,7 @@ class Search:
         self.failures = 0
         self.seconds = 0.0
         self.best: Evaluation | None = None
-        self.reached: Evaluation | None = None  # best since `restart`
+        self.reached: Evaluation | None = None  # best since `refocus`
         self.starts: list[Start] = []
         self.cost_of: Callable[[Evaluation], float] = lambda evaluation: evaluation.cost
         self.limits_of: Goals = lambda _: np.zeros(0)
@@ -106,19 +108,17 @@ class Search:
             self.goals_of = lambda evaluation: problem.root_weights**2 * evaluation.criteria
         self.noise_floor: NoiseFloor | None = None  # a solver that measured it leaves it here
         self._record, self.recall = record, recall
+        self._simulate: Simulate = lambda wanted: problem.evaluate_many([x for x, _ in wanted])
+        self._remembered = _REMEMBERED
         self._recent: OrderedDict[bytes, Evaluation] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self.problem.space)
 
-    def restart(self) -> None:
-        """Forget what was reached (not what is best), as a new start does."""
-        self.reached = None
-
     def refocus(self, cost_of: Callable[[Evaluation], float], limits_of: Goals) -> None:
         """Minimise something else from now on, subject to further limits (each at most 0)."""
         self.cost_of, self.limits_of, self.goals_of = cost_of, limits_of, None
-        self.reached = None
+        self.reached, self.starts = None, []
         if self.best is not None:
             self._compare(self.best)
 
@@ -139,25 +139,33 @@ class Search:
         StopSearch
             A stop rule holds.
         """
-        if purpose != "uncertainty":
-            self._check_budget()
-        points = [np.clip(np.asarray(x, dtype=np.float64), self.lower, self.upper) for x in points]
-        found = {key: e for x in points if (e := self._recent.get(key := x.tobytes())) is not None}
+        return self.evaluate_all([(x, purpose) for x in points])
+
+    def evaluate_all(self, wanted: Sequence[tuple[FloatArray, str]]) -> list[Evaluation]:
+        """Evaluate points with a purpose each; see `evaluate_many`."""
+        self._check_budget()
+        points = [np.clip(np.asarray(x, dtype=np.float64), self.lower, self.upper) for x, _ in wanted]
+        keys = [x.tobytes() for x in points]
+        purposes: dict[bytes, str] = {}
+        for key, (_, purpose) in zip(keys, wanted, strict=True):
+            if purposes.get(key) != "search":
+                purposes[key] = purpose
+        found = {key: e for key in purposes if (e := self._recent.get(key)) is not None}
         recalled = set()
-        for x in points:
-            key = x.tobytes()
+        for key, x in zip(keys, points, strict=True):
             if key not in found and (old := self.recall(x, self.needs_residuals)) is not None:
                 found[key] = old
                 recalled.add(key)
-        new = {x.tobytes(): x for x in points if x.tobytes() not in found}
+        new = {key: x for key, x in zip(keys, points, strict=True) if key not in found}
         if new:
-            results = self.problem.evaluate_many(list(new.values()))
-            found |= dict(zip(new, results, strict=True))
-        for key in dict.fromkeys(x.tobytes() for x in points):
+            found |= zip(new, self._simulate([(x, purposes[key]) for key, x in new.items()]), strict=True)
+        for key, purpose in purposes.items():
             if key in new or key in recalled:
                 self._count(found[key], purpose, recorded=key in recalled)
                 self._remember(key, found[key])
-        return [found[x.tobytes()] for x in points]
+            elif purpose == "search":
+                self._compare(found[key])
+        return [found[key] for key in keys]
 
     def cost(self, x: FloatArray) -> float:
         """Return the cost at `x`, NaN where the simulation fails."""
@@ -219,7 +227,7 @@ class Search:
 
     def _remember(self, key: bytes, evaluation: Evaluation) -> None:
         self._recent[key] = evaluation
-        while len(self._recent) > _REMEMBERED:
+        while len(self._recent) > self._remembered:
             self._recent.popitem(last=False)
 
 
