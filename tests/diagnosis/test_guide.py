@@ -69,6 +69,7 @@ def test_an_effect_of_one_s_own_is_found(trolley, tmp_path, capsys):
     record(other, drag=0.3)
     assert run(["validate", str(out / "diagnosis.json"), str(other), "--json", str(tmp_path / "v.json")]) == 0
     gaps = json.loads((tmp_path / "v.json").read_text())["gaps"]
+    assert "corrected: with air_drag" in capsys.readouterr().out
     assert gaps["all"]["nominal"] > 0.5
     assert gaps["all"]["corrected"] < 0.25
     assert gaps["all"]["closure"] > 0.7
@@ -136,10 +137,34 @@ def test_a_mistake_in_the_table_is_one_line(trolley, tmp_path, capsys, table, me
     assert said.count("\n") == 1
 
 
-def test_a_diagnosis_that_is_none_is_refused(trolley, tmp_path, capsys):
-    (tmp_path / "d.json").write_text("{}")
-    assert run(["validate", str(tmp_path / "d.json"), str(trolley)]) == 2
-    assert "is no diagnosis" in capsys.readouterr().err
+VALID = {
+    "format": "fmuid-diagnosis",
+    "version": 1,
+    "verdict": {"kind": "effect", "effects": ["air_drag"]},
+    "nominal": {"parameters": {"m": 1.0}},
+    "model": {"parameters": {"m": 1.0, "drag": 0.1}},
+}
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"format": "other"}, "is no diagnosis"),
+        ({"verdict": None}, "no verdict"),
+        ({"nominal": {}}, "no parameter values in 'nominal'"),
+        ({"model": {"parameters": {"m": "1"}}}, "no parameter values in 'model'"),
+        ({"model": {"parameters": {"gear.mesh_eta1": 0.9}}}, "trolley: neither the campaign"),
+    ],
+)
+def test_a_diagnosis_that_is_none_or_of_another_model_is_refused_in_one_line(
+    trolley, tmp_path, capsys, changed, message
+):
+    record(trolley)
+    (tmp_path / "d.json").write_text(json.dumps(VALID | changed))
+    assert run(["validate", str(tmp_path / "d.json"), str(trolley), "--workers", "0"]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
 
 
 def test_ctrl_c_ends_a_diagnosis(trolley, tmp_path, capsys, monkeypatch):

@@ -22,8 +22,17 @@ def print_diagnosis(diagnosis: Mapping[str, Any], printer: Printer) -> None:
     printer.table(header, rows)
 
 
-def print_validation(found: DiagnosisValidation, printer: Printer) -> None:
-    """Print errors by run and signal, then gaps by run."""
+def print_validation(found: DiagnosisValidation, answer: Mapping[str, Any], printer: Printer) -> None:
+    """Print what the corrected model is, errors by run and signal, then gaps by run."""
+    from fmuid.diagnosis.validation import closure
+
+    named = answer["verdict"]["effects"]
+    if not named:
+        printer.say("corrected: nothing, for the diagnosis names no effect; both are the nominal model refitted")
+    elif answer["verdict"]["kind"] == "ambiguous":
+        printer.say(f"corrected: with the first of {', '.join(named)}, which could not be told apart")
+    else:
+        printer.say(f"corrected: with {' and '.join(named)}")
     rows = [
         [
             c.experiment,
@@ -34,10 +43,11 @@ def print_validation(found: DiagnosisValidation, printer: Printer) -> None:
             c.rmse_corrected,
             f"{100 * c.nrmse_nominal:.3g} %",
             f"{100 * c.nrmse_corrected:.3g} %",
+            f"{100 * closure(c.rmse_nominal, c.rmse_corrected):.3g} %",
         ]
         for c in found.comparisons
     ]
-    errors = ["RMSE refitted", "corrected", "NRMSE refitted", "corrected"]
+    errors = ["RMSE refitted", "corrected", "NRMSE refitted", "corrected", "closed"]
     printer.table(["run", "signal", "unit", "noise", *errors], rows)
     printer.say("")
     if not found.gaps:

@@ -225,7 +225,7 @@ def _diagnosis_validation(
         raise FmuidError("no campaign to validate on", where=file, fix="give one as second argument")
     with printer.working("simulating the runs"):
         found = validate_diagnosis(answer, load_campaign(campaign), experiments=experiments, runner=runner)
-    print_validation(found, printer)
+    print_validation(found, answer, printer)
     return {"diagnosis": file, "campaign": campaign, **found.to_dict()}
 
 

@@ -67,7 +67,7 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
     Raises
     ------
     FmuidError
-        The file is missing or holds something else.
+        The file is missing or holds something else, or lacks its verdict or a model's values.
     """
     try:
         answer = json.loads(path.read_text())
@@ -77,6 +77,14 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
         raise FmuidError("is no JSON", where=path, fix="name a file that fmuid diagnose wrote") from None
     if not isinstance(answer, dict) or answer.get("format") != "fmuid-diagnosis" or answer.get("version") != 1:
         raise FmuidError("is no diagnosis, version 1", where=path, fix="name a file that fmuid diagnose wrote")
+    verdict = answer.get("verdict")
+    if not isinstance(verdict, dict) or not {"kind", "effects"} <= verdict.keys():
+        raise FmuidError("no verdict", where=path, fix="diagnose again")
+    for part in ("nominal", "model"):
+        model = answer.get(part)
+        values = model.get("parameters") if isinstance(model, dict) else None
+        if not isinstance(values, dict) or not all(type(v) in (int, float) for v in values.values()):
+            raise FmuidError(f"no parameter values in '{part}'", where=path, fix="diagnose again")
     return answer
 
 
@@ -101,17 +109,24 @@ def validate_diagnosis(
     Raises
     ------
     FmuidError
-        The diagnosis has no nominal model, or the campaign none that carries the effects.
+        The diagnosis is of another model: it has parameters that neither campaign nor catalogue nor FMUs know.
     SimulationError
         A run cannot be simulated.
     """
     from fmuid.coupled.loading import load_model
 
-    if "nominal" not in answer:
-        raise FmuidError("the diagnosis has no nominal model", where="nominal", fix="diagnose again")
     chosen = experiments or campaign.validation or tuple(campaign.measurements.experiments)
-    model, _, _ = model_of(campaign, load_model, runner=runner, experiments=chosen)
-    outcomes = model.predict([answer["nominal"]["parameters"], answer["model"]["parameters"]])
+    model, catalogue, known = model_of(campaign, load_model, runner=runner, experiments=chosen)
+    points = [answer["nominal"]["parameters"], answer["model"]["parameters"]]
+    known |= {*campaign.parameters, *(u.name for e in catalogue.effects.values() for u in e.unknowns)}
+    foreign = sorted({name for point in points for name in point} - known)
+    if foreign:
+        raise FmuidError(
+            f"neither the campaign nor its catalogue or FMUs know '{foreign[0]}', which the diagnosis has",
+            where=campaign.name,
+            fix="validate on runs of the model that was diagnosed",
+        )
+    outcomes = model.predict(points)
     predictions = []
     for outcome in outcomes:
         if isinstance(outcome, SimulationError):
