@@ -103,12 +103,9 @@ def diagnose_subject(
         float(np.sqrt(max(0.0, r @ r / r.size - 1.0 / n)))
         for r, n in zip(nominal.fit.residuals, observed.repeats, strict=True)
     )
-    matters, largest = nominal.gap > decide.GAP_THAT_MATTERS, 0.0
-    # Without repeats the floor is a mean over the experiments, some of which always lie above it, and what scores
-    # reach by chance is not known.
-    if not observed.modelled_noise:
-        matters = matters or by_experiment > 3 * decide.GAP_THAT_MATTERS
-        largest = max((s.drop for s in scores), default=0.0)
+    matters = nominal.gap > decide.GAP_THAT_MATTERS or by_experiment > 3 * decide.GAP_THAT_MATTERS
+    # Without repeats nobody knows what scores reach by chance: the energy over all experiments alone tells.
+    largest = 0.0 if observed.modelled_noise else max((s.drop for s in scores), default=0.0)
     p_value = null.p_value(surplus, largest / decide.SCORE_MARGIN)
     present = matters and p_value < decide.SIGNIFICANCE
     needed = decide.GAP_THAT_MATTERS**2 * sum(
