@@ -43,6 +43,8 @@ _SETTINGS: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.formatter.limits": (-4, 5),
+    "axes.formatter.use_mathtext": True,
     "grid.color": "#E6E6E6",
     "grid.linewidth": 0.5,
     "axes.axisbelow": True,
@@ -170,7 +172,8 @@ def _panel(axes: Axes, panel: Panel, handles: dict[str, Any]) -> None:
         )
     _label(axes, panel.x, panel.y)
     if not panel.x.log and panel.series:
-        axes.locator_params(axis="x", nbins=7)
+        alone = axes.get_position().width > 0.5  # numbers of seven digits do not run into each other
+        axes.locator_params(axis="x", nbins=7 if alone else 5)
         spans = [s.x[np.isfinite(s.x)] for s in panel.series]
         if all(not s.points for s in panel.series) and any(x.size for x in spans):
             axes.set_xlim(min(x.min() for x in spans if x.size), max(x.max() for x in spans if x.size))

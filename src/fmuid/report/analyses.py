@@ -26,7 +26,8 @@ def front_items(result: StageResult) -> list[Figure | Table]:
             Series("estimate", np.array([front.chosen[i]]), np.array([front.chosen[k]]), "start", points=True),
         )
         name, other = front.objectives[i], front.objectives[k]
-        panels.append(Panel(f"{name} against {other}", Axis(name), Axis(other), series))
+        x, y = (Axis(f"{objective}, over its demand") for objective in (name, other))
+        panels.append(Panel(f"{name} against {other}", x, y, series))
     title = f"Pareto front: {result.name}"
     caption = (
         "Objectives over their demands, at most 1 is satisfied. No point is beaten in everything; from one to the "
