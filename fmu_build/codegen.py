@@ -56,6 +56,8 @@ class Expressions:
     terminate: SX
     reinit: SX
     asserts: list[SX]
+    outputs: Sequence[bool]
+    """Which of v are outputs of the model."""
 
 
 def column(items: Sequence[SX]) -> SX:
@@ -133,6 +135,8 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
 
     add_partials("partials", environment, "x u p d y", e.dx)
     add_partials("variable_partials", environment, "x u p d y", e.v)
+    outputs = [v if is_output else SX(0.0) for v, is_output in zip(e.v, e.outputs, strict=True)]
+    add_partials("output_partials", environment, "x u p d y", outputs)
     add_partials("loop_partials", environment, "x u p d", e.residuals)
     add_partials("dependent_partials", [column(ports.p)], "p", e.dependent)
     add_partials("start_partials", [column(ports.p), column(ports.d)], "p d", e.x_start)
@@ -166,6 +170,7 @@ def c_header(
     inclusive: Sequence[bool],
     asserts: Sequence[tuple[str, bool]],
     slopes: Sequence[Sequence[Slope]],
+    outputs: Sequence[bool],
 ) -> str:
     """Return the text of ``model.h``: sizes, tables and prototypes."""
     lines = ["#ifndef MODEL_H", "#define MODEL_H", ""]
@@ -187,6 +192,7 @@ def c_header(
         "static const char* const MODEL_ASSERT_MESSAGE[] = {"
         + (", ".join(_string(text) for text, _ in asserts) or '""')
         + "};",
+        f"static const int MODEL_OUTPUT[] = {{{_integers(outputs)}}};",
         f"#define MODEL_NSLOPE {len(slopes[0])}",
         f"#define MODEL_NELEMENT {len(slopes[1])}",
         f"static const int MODEL_SLOPE_ROW[] = {{{_integers(i for own in slopes for i, _, _ in own)}}};",

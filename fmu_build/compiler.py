@@ -144,6 +144,8 @@ def _generate(
         known = dict(zip(map(key, ports.d), dependent, strict=False))
         dependent += codegen.as_ports(known, [value])
     asserts = [rewrite(a.condition) for a in equations.asserts]
+    shown = {v.location.index for v in interface.variables if v.causality == "output" and v.location.vector == "v"}
+    outputs = [i in shown for i in range(len(interface.evaluated))]
     expressions = codegen.Expressions(
         dependent=dependent,
         x_start=[s.value for s in conditions.starts],
@@ -162,6 +164,7 @@ def _generate(
         terminate=happenings.terminate,
         reinit=happenings.reinit,
         asserts=continuous(asserts),
+        outputs=outputs,
     )
     functions = codegen.make_functions(scope.graph, ports, expressions)
     has_events = bool(ports.z or ports.m or scope.time_events or equations.whens)
@@ -179,6 +182,7 @@ def _generate(
         [r.inclusive for r in scope.relations],
         messages,
         codegen.parameter_slopes(scope.graph, ports, expressions),
+        outputs,
     )
     model = CompiledModel(
         name=flat.class_name.rpartition(".")[2],

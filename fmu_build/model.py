@@ -52,6 +52,7 @@ element_slopes      ENV                            the same for elements of arra
 variables           ENV                            v (nv)
 partials            ENV, sx, su, sp, sd, sy        directional derivative of dx (nx)
 variable_partials   ENV, sx, su, sp, sd, sy        directional derivative of v (nv)
+output_partials     ENV, sx, su, sp, sd, sy        the same where v is an output (``MODEL_OUTPUT[i]`` is 1), 0 elsewhere
 loop_partials       ENV, sx, su, sp, sd            directional derivative of r (ny) with y held: sy solves
                                                    dr/dy sy = - this
 dependent_partials  p, sp                          directional derivative of d (nd)
@@ -91,7 +92,7 @@ so that calling it again with pz = z fires nothing. At initialisation: z = pz = 
 ``terminate`` is 1, the simulation ends as the model asked.
 
 ``model.h`` also has ``MODEL_HAS_EVENTS``, ``MODEL_HAS_INITIAL``, ``static const double MODEL_X_NOMINAL[]``,
-``MODEL_Y_NOMINAL[]``, ``static const int MODEL_INCLUSIVE[]``, ``MODEL_SLOPE_ROW[]``, ``MODEL_SLOPE_COLUMN[]``, ``static const char* const MODEL_ASSERT_MESSAGE[]`` (text
+``MODEL_Y_NOMINAL[]``, ``static const int MODEL_INCLUSIVE[]``, ``MODEL_SLOPE_ROW[]``, ``MODEL_SLOPE_COLUMN[]``, ``MODEL_OUTPUT[]``, ``static const char* const MODEL_ASSERT_MESSAGE[]`` (text
 and source line), ``static const int MODEL_ASSERT_WARNING[]`` (1: warn and go on), each with at least one entry.
 """
 

@@ -203,11 +203,11 @@ int derivatives_along(Instance *me, double t, const double *x, const double *u, 
     return CALL(partials);
 }
 
-/* The same of v, into s->v; s->y is that of `derivatives_along` at the same point. */
-int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s) {
+/* The same of v, or of its outputs alone, into s->v; s->y is that of `derivatives_along` at the same point. */
+int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s, int outputs) {
     environment_along(me, &t, x, u, s);
     me->res[0] = s->v;
-    return CALL(variable_partials);
+    return outputs ? CALL(output_partials) : CALL(variable_partials);
 }
 
 /* Failed assertions at the current point; one with level warning is told once a run. */

@@ -112,7 +112,7 @@ void input_at(Instance *me, double t);
 int evaluate_derivatives(Instance *me);
 int evaluate_variables(Instance *me);
 int derivatives_along(Instance *me, double t, const double *x, const double *u, Direction *s);
-int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s);
+int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s, int outputs);
 Status check_assertions(Instance *me);
 
 /* starts.c */
@@ -149,6 +149,7 @@ Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t 
                                   size_t n_known, const double *seed, double *sensitivity);
 Status pick_derivative(Instance *me, unsigned reference, const Direction *s, double *value);
 int is_slope(unsigned reference);
+int is_hidden(unsigned reference);
 int parameter_direction(unsigned reference, Direction *s, double *start);
 Status set_experiment(Instance *me, int tolerance_defined, double tolerance, double start, int stop_defined,
                       double stop);

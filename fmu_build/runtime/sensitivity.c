@@ -290,12 +290,16 @@ int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, d
     double y[LENGTH(NY)];
     memcpy(y, now->y, sizeof y);
     int slopes = NY > 0; /* derivatives of dx are seldom asked for, but bring those of loops */
-    for (size_t i = 0; i < n; i++) slopes |= is_slope(variables[i]);
+    int outputs = 1;   /* what a run is compared by is cheaper than all that the model computes */
+    for (size_t i = 0; i < n; i++) {
+        slopes |= is_slope(variables[i]);
+        outputs &= !is_hidden(variables[i]);
+    }
     for (size_t j = 0; j < q->n && status <= STATUS_WARNING; j++) {
         Direction *s = &q->along[j];
         for (int row = 0; row < NX; row++) s->x[row] = q->now[row * q->n + j];
         if ((slopes && derivatives_along(me, now->t, now->x, now->u, s)) ||
-            variables_along(me, now->t, now->x, now->u, s))
+            variables_along(me, now->t, now->x, now->u, s, outputs))
             return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", now->t);
         for (size_t i = 0; i < n && status <= STATUS_WARNING; i++)
             status = pick_derivative(me, variables[i], s, &values[i * q->n + j]);

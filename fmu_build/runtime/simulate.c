@@ -262,6 +262,12 @@ Status pick_derivative(Instance *me, unsigned reference, const Direction *s, dou
 /* Is the variable the derivative of a state? */
 int is_slope(unsigned reference) { return reference < MODEL_N_VARIABLES && VARIABLE[reference].vector == VECTOR_DX; }
 
+/* Is the variable one of v, but no output? */
+int is_hidden(unsigned reference) {
+    if (reference >= MODEL_N_VARIABLES || VARIABLE[reference].vector != VECTOR_V) return 0;
+    return !MODEL_OUTPUT[VARIABLE[reference].index];
+}
+
 /* The unit direction of a real parameter (into s->p) or start value (into start); 0: the variable is neither. */
 int parameter_direction(unsigned reference, Direction *s, double *start) {
     if (reference >= MODEL_N_VARIABLES || VARIABLE[reference].type != TYPE_REAL) return 0;
@@ -305,7 +311,7 @@ Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t 
     if (now->phase == PHASE_INITIALIZATION) failed = failed || initial_states_along(me, start, &s);
     failed = relations_for_input(me, kept) || failed;
     failed = failed || derivatives_along(me, now->t, now->x, now->u, &s);
-    failed = failed || variables_along(me, now->t, now->x, now->u, &s);
+    failed = failed || variables_along(me, now->t, now->x, now->u, &s, 0);
     memcpy(now->m, kept, sizeof kept);
     if (failed) return report(me, STATUS_ERROR, "t = %.9g: the directional derivative cannot be computed", now->t);
     for (size_t k = 0; k < n_unknown; k++) {

@@ -102,6 +102,7 @@ def compile_by_hand(
         "variables": (env, [v]),
         "partials": ([*env, *seeds("xupdy")], [along(dx, "xupdy")]),
         "variable_partials": ([*env, *seeds("xupdy")], [along(v, "xupdy")]),
+        "output_partials": ([*env, *seeds("xupdy")], [along(v, "xupdy")]),
         "loop_partials": ([*env, *seeds("xupd")], [along(r, "xupd")]),
         "dependent_partials": ([p, seed["p"]], [along(d_of_p, "p")]),
         "start_partials": ([p, d, *seeds("pd")], [along(xs, "pd")]),
@@ -145,6 +146,7 @@ def compile_by_hand(
     lines += [
         f"#define MODEL_HAS_EVENTS {int(bool(update or relations))}",
         "#define MODEL_HAS_INITIAL 0",
+        table("int", "MODEL_OUTPUT", ["1"] * nv),
         f"#define MODEL_NSLOPE {len(slope_rows)}",
         "#define MODEL_NELEMENT 0",
         table("int", "MODEL_SLOPE_ROW", [str(i) for i in slope_rows]),
