@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from types import TracebackType
 from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn
+from rich.progress import BarColumn, ProgressColumn, Task, TextColumn
 from rich.text import Text
 
 from fmuid.observer import Observer
@@ -15,36 +14,24 @@ from fmuid.observer import Progress as Report
 from fmuid.problem import Problem
 from fmuid.result import StageResult
 from fmuid.solvers.search import Status, StopRules
+from fmuid.waiting import MovingLine
 
 
-class TerminalProgress(Observer):
+class TerminalProgress(MovingLine, Observer):
     """A line that moves for the stage under way, and a line that stays for each one done.
 
     Use it as a context manager; without a terminal only the lines that stay are printed.
     """
 
     def __init__(self, console: Console | None = None) -> None:
-        self.console = console or Console(stderr=True)
-        self._bar = Progress(
-            SpinnerColumn(),
+        super().__init__(
+            console,
             TextColumn("{task.description}"),
             BarColumn(bar_width=10),
             TextColumn("{task.fields[evaluations]} evaluations, cost {task.fields[cost]}"),
             _TimeLeft(),
-            console=self.console,
-            transient=True,
-            disable=not self.console.is_terminal,
         )
         self._task = None if self._bar.disable else self._bar.add_task("", visible=False, **_fields())
-
-    def __enter__(self) -> TerminalProgress:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bar.stop()
 
     def started(self, problem: Problem, solver: str, why: str, stop: StopRules) -> None:  # noqa: ARG002
         """See `Observer.started`."""

@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 from types import TracebackType
+from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn
 from rich.text import Text
 
 
-class Waiting:
-    """What is being done, how much is behind, the time left. Use it as a context manager, call it with shares."""
+class MovingLine:
+    """A line of columns that is gone at the end, nothing without a terminal. Use it as a context manager."""
 
-    def __init__(self, what: str = "", console: Console | None = None) -> None:
-        console = console or Console(stderr=True)
+    def __init__(self, console: Console | None, *columns: ProgressColumn) -> None:
+        self.console = console or Console(stderr=True)
         self._bar = Progress(
             SpinnerColumn(),
-            BarColumn(bar_width=20),
-            _TimeLeft(),
-            TextColumn("{task.description}", markup=False),
-            console=console,
+            *columns,
+            console=self.console,
             transient=True,
-            disable=not console.is_terminal,
+            disable=not self.console.is_terminal,
         )
-        self._task = self._bar.add_task(what, total=None)
 
-    def __enter__(self) -> Waiting:
+    def __enter__(self) -> Self:
         self._bar.start()
         return self
 
@@ -33,6 +31,16 @@ class Waiting:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._bar.stop()
+
+
+class Waiting(MovingLine):
+    """What is being done, how much is behind, the time left. Call it with shares."""
+
+    def __init__(self, what: str = "", console: Console | None = None) -> None:
+        super().__init__(
+            console, BarColumn(bar_width=20), _TimeLeft(), TextColumn("{task.description}", markup=False)
+        )
+        self._task = self._bar.add_task(what, total=None)
 
     def __call__(self, share: float, what: str | None = None) -> None:
         """Show the share of the work that is behind, and what is being done now."""

@@ -85,7 +85,8 @@ def identify(
         if with_report and not interrupted:
             from fmuid.report import write_report
 
-            summary["report"] = write_report(folder, campaign=loaded, runner=runner)
+            with printer.working("writing the report") as shown:
+                summary["report"] = write_report(folder, campaign=loaded, runner=runner, progress=shown)
             printer.say(f"\nreport: {summary['report']}")
         if result.status not in (Status.INTERRUPTED, Status.FAILED):
             summary |= _write_back(result, loaded, folder, printer, runner)
@@ -208,8 +209,8 @@ def report(
     if unknown:
         raise FmuidError(f"no format '{unknown[0]}'", where="--format", fix="known: png, svg, pdf")
     printer = Printer(quiet, json)
-    with printer.working("simulating and drawing"), supervised(workers, time_limit, memory_limit) as runner:
-        page = write_report(run, out, formats=formats, runner=runner)
+    with printer.working("") as shown, supervised(workers, time_limit, memory_limit) as runner:
+        page = write_report(run, out, formats=formats, runner=runner, progress=shown)
     printer.say(str(page))
     printer.write({"run": run, "report": page})
 

@@ -9,7 +9,7 @@ import os
 import pickle
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Literal, get_args
@@ -47,8 +47,13 @@ def save_figure(figure: Figure, folder: Path, formats: Sequence[Format] = ("png"
     return paths
 
 
-def save_figures(figures: Sequence[Figure], folder: Path, formats: Sequence[Format] = ("png",)) -> None:
-    """Write many figures as `save_figure` does, on several processors.
+def save_figures(
+    figures: Sequence[Figure],
+    folder: Path,
+    formats: Sequence[Format] = ("png",),
+    progress: Callable[[float], None] | None = None,
+) -> None:
+    """Write many figures as `save_figure` does, on several processors; `progress` takes the share that is behind.
 
     Raises
     ------
@@ -65,7 +70,10 @@ def save_figures(figures: Sequence[Figure], folder: Path, formats: Sequence[Form
             assert helper.stdin is not None
             helper.stdin.write(pickle.dumps(figures[k :: helpers + 1]))
             helper.stdin.close()
-        for figure in figures[:: helpers + 1]:
+        mine = figures[:: helpers + 1]
+        for k, figure in enumerate(mine):
+            if progress is not None:
+                progress(k / len(mine))
             save_figure(figure, folder, formats)
         for helper in started:
             assert helper.stderr is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,10 +55,16 @@ class Document:
     footer: str = ""
 
 
-def write_document(document: Document, out: Path, formats: tuple[Format, ...] = ("png",)) -> Path:
+def write_document(
+    document: Document,
+    out: Path,
+    formats: tuple[Format, ...] = ("png",),
+    progress: Callable[[float], None] | None = None,
+) -> Path:
     """Write ``index.html``, ``figures/*`` and ``data/*.csv`` into `out` and return the path of the HTML.
 
     The HTML holds everything it shows (plotly.js included, once) and asks no network; it is written last.
+    `progress` takes the share of the drawing that is behind.
 
     Raises
     ------
@@ -73,7 +80,7 @@ def write_document(document: Document, out: Path, formats: tuple[Format, ...] = 
             else:
                 drawn.append(item)
                 save_data(item, out / "data")
-    save_figures(drawn, out / "figures", formats)
+    save_figures(drawn, out / "figures", formats, progress)
     path = out / "index.html"
     write_atomically(path, rendered(document))
     return path

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,8 @@ from fmuid.simulation import Simulator
 from fmuid.solvers import Status
 from fmuid.validation import RunScore, validate
 
+_SIMULATED = 0.3  # of the time that a report takes, until figures are drawn
+
 
 def write_report(
     run_folder: str | Path,
@@ -34,6 +36,7 @@ def write_report(
     simulators: Mapping[str, Simulator] | None = None,
     formats: tuple[Format, ...] = ("png",),
     runner: Runner = in_process,
+    progress: Callable[[float, str], None] = lambda *_: None,
 ) -> Path:
     """Write the report of an identification run and return the path of its ``index.html``.
 
@@ -49,6 +52,8 @@ def write_report(
         File formats of the figures: png, svg, pdf.
     runner
         What simulates; in this process by default.
+    progress
+        Called with the share of the work that is behind, and what is done next.
 
     Raises
     ------
@@ -69,6 +74,7 @@ def write_report(
     models = simulators or {}
     sections = [_estimates_section(result, campaign)]
     validation: tuple[RunScore, ...] = ()
+    progress(0.0, "simulating the runs")
     if campaign is not None:
         seen, validation = _fit_sections(result, campaign, models, runner)
         sections += seen
@@ -76,7 +82,9 @@ def write_report(
     searches = [s for s in searches if np.isfinite(s.cost).any()]
     if searches:
         sections.append(Section("Search", (figures.cost_figure(searches), _stages_table(result))))
-    sections += [stage_section(s, recorded.get(s.name), campaign, models) for s in result.stages]
+    for k, stage in enumerate(result.stages):
+        progress(_SIMULATED * (1 + k) / (1 + len(result.stages)), f"simulating stage {stage.name}")
+        sections.append(stage_section(stage, recorded.get(stage.name), campaign, models))
     sections.append(Section("Provenance", (provenance_table(_provenance(result)),)))
     document = Document(
         f"Identification: {result.title or result.campaign}",
@@ -84,7 +92,11 @@ def write_report(
         facts(result, validation),
         tuple(s for s in sections if s.items or s.text),
     )
-    return write_document(document, folder / "report" if out is None else Path(out), formats)
+
+    def drawing(share: float) -> None:
+        progress(_SIMULATED + (1 - _SIMULATED) * share, "drawing")
+
+    return write_document(document, folder / "report" if out is None else Path(out), formats, drawing)
 
 
 def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:

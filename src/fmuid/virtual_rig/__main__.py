@@ -3,28 +3,20 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
-from fmuid.errors import FmuidError
-from fmuid.measurements import write_measurements
+from fmuid.module_command import run_module, write_campaign
 from fmuid.virtual_rig.plan import carry_out, load_plan
 
 
-def main(arguments: list[str]) -> int:
+def main(arguments: Sequence[str]) -> int:
     """Make the measurements of one campaign folder; return the exit code."""
-    if len(arguments) != 1 or arguments[0].startswith("-"):
-        print("usage: python -m fmuid.virtual_rig CAMPAIGN", file=sys.stderr)
-        return 2
-    folder = Path(arguments[0])
-    target = (folder if folder.is_dir() else folder.parent) / "measurements.h5"
-    try:
-        measurements = carry_out(load_plan(folder))
-        write_measurements(measurements, target)
-    except FmuidError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    print(f"{target}: {len(measurements)} runs")
-    return 0
+
+    def command(given: Sequence[str]) -> None:
+        write_campaign(given[0], carry_out(load_plan(Path(given[0]))))
+
+    return run_module("fmuid.virtual_rig CAMPAIGN", arguments, command)
 
 
 if __name__ == "__main__":
