@@ -22,7 +22,7 @@ from typing import Any, Literal
 import fmpy
 import numpy as np
 
-from fmuid import stepper
+from fmuid import resets, stepper
 from fmuid.campaign import FloatArray, Interface
 from fmuid.errors import FmuError, SimulationError
 from fmuid.fmu_library import FmuLibrary, ProcessSpentError
@@ -55,7 +55,8 @@ class Fmu:
       exact (the states' start values) or approx (a guess that the FMU may change), before initialisation.
     * Integer, Boolean and enumeration variables are set by their FMI type and take whole numbers only.
     * The first simulation is repeated after a reset (for up to half a second); an FMU whose reset is missing,
-      fails or changes the predictions is instantiated anew for every simulation. `renewal` tells which.
+      fails or changes the predictions is instantiated anew for every simulation. `renewal` tells which. One that
+      crashes does so in one of a pool's worker processes; the others instantiate.
     * After a failed simulation the next one gets a new instance, after fmi2Fatal a new copy of the library:
       predictions depend on the parameters alone, not on what was simulated before.
     * Simulations of one object exclude each other; for parallel ones use processes (`fmuid.workers`).
@@ -172,6 +173,8 @@ class Fmu:
         """
         with self._lock:
             prepared = self.prepare(task, parameters)
+            if self._renewal is None and resets.deadly(self.token):
+                self._renewal = "instantiate"
             if self._renewal is None:
                 return self._first(prepared)
             return self._simulate(prepared)
@@ -306,7 +309,7 @@ class Fmu:
             n = len(prepared.task.time)
             n = min(n, max(2, int(n * _CHECK_BUDGET / max(elapsed, 1e-9))))
             same = False
-            with suppress(SimulationError):
+            with suppress(SimulationError), resets.first(self.token):
                 again = self._simulate(prepared, n)
                 same = np.array_equal(again, predictions[:, :n])
             if self._renewal is None:

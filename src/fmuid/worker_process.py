@@ -16,6 +16,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from fmuid import resets
 from fmuid.errors import FmuidError
 from fmuid.fmu_library import ProcessSpentError
 from fmuid.parcels import unpacked
@@ -43,6 +44,7 @@ def main(connection: Connection, folder: str) -> None:
 
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # FMUs may crash a thousand times
     tempfile.tempdir = folder
+    resets.keep_notes(Path(folder))
     threading.Thread(target=_leave_with_parent, args=(folder,), daemon=True).start()
     kept: dict[int, Any] = {}
     memory, weighed = resident_memory(os.getpid()), time.monotonic()

@@ -20,9 +20,10 @@ from multiprocessing import connection as mp_connection
 from pathlib import Path
 from typing import Any
 
-from fmuid import worker_process
+from fmuid import resets, worker_process
 from fmuid.errors import FmuidError, SimulationError
 from fmuid.fmu_variables import in_words
+from fmuid.scratch import Scratch
 from fmuid.worker_process import resident_memory
 
 _START_LIMIT = 60.0  # s for a worker to come up
@@ -106,7 +107,7 @@ class Supervisor:
         self._context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
         if "forkserver" in methods:  # imported once, not by every worker
             self._context.set_forkserver_preload(["__main__", "fmuid.fmu", "fmuid.worker_process"])
-        self._folder = Path(tempfile.mkdtemp(prefix="fmuid-workers-"))
+        self._scratch = Scratch("fmuid-workers-")
         self.messages: dict[int, bytes] = {}
         self._lock = threading.Lock()
         self._pending: deque[Call] = deque()
@@ -137,7 +138,7 @@ class Supervisor:
             self._abandoning |= abandon
             thread = self._thread
         if thread is None:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self._scratch.remove()
             return
         self._wake()
         if wait and thread is not threading.current_thread():
@@ -163,7 +164,7 @@ class Supervisor:
             self._fail_all(FmuidError("it has been shut down", where="worker pool"), cancel=True)
             for worker in list(self._team):
                 self._dismiss(worker)
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self._scratch.remove()
 
     def _turn(self) -> bool:
         """Hand out work, wait for something to happen, and deal with it; False when all is over."""
@@ -266,12 +267,13 @@ class Supervisor:
             self._failed_starts += 1
         head = worker.calls.popleft() if worker.calls else None
         self._take_back(worker)
+        in_reset = resets.ended(worker.folder)
         self._dismiss(worker)
         if head is None:
             if self._failed_starts >= _MAX_FAILED_STARTS:
                 raise FmuidError("worker processes do not start", **_START_HINT)
             return
-        if worker.done and not head.retried and worker.killed != "time":
+        if (worker.done or in_reset) and not head.retried and worker.killed != "time":
             head.retried = True
             with self._lock:
                 self._pending.appendleft(head)
@@ -322,7 +324,7 @@ class Supervisor:
 
     def _recruit(self) -> None:
         ours, theirs = self._context.Pipe()
-        folder = Path(tempfile.mkdtemp(dir=self._folder))
+        folder = Path(tempfile.mkdtemp(dir=self._scratch.path))
         process = self._context.Process(
             target=worker_process.main, args=(theirs, str(folder)), name="fmuid worker", daemon=True
         )

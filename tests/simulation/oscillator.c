@@ -4,7 +4,7 @@
  *     model exchange: `count` counts the falls of x through `level`, each a state event that adds `kick` to v; `ticks` counts time events
  *
  * Co-simulation integrates with the explicit midpoint rule, 1 ms at most. `fault` makes it misbehave at t >= 0.1.
- * Compile with -DFMI=2 or 3 and perhaps -DRESET_FAILS, -DRESET_FORGETS_STATE, -DRESET_FORGETS_PARAMETERS, -DONCE,
+ * Compile with -DFMI=2 or 3 and perhaps -DRESET_FAILS, -DRESET_CRASHES, -DRESET_FORGETS_STATE, -DRESET_FORGETS_PARAMETERS, -DONCE,
  * -DBAD=fault (where c > 140), -DTIRES=n (dies at the n-th instantiation), -DLIMIT=x, -DSTUCK, -DRESTLESS (events without end).
  */
 #include <math.h>
@@ -155,6 +155,9 @@ Status F(Reset)(Handle c)
     (void)old;
 #ifdef RESET_FAILS
     return ERROR;
+#endif
+#ifdef RESET_CRASHES
+    abort();
 #endif
     defaults(s);
 #ifdef RESET_FORGETS_STATE

@@ -17,9 +17,10 @@ import pytest
 from fmus import FAULTS
 
 from fmuid.errors import FmuError, FmuidError, SimulationError
-from fmuid.fmu import load_fmu
+from fmuid.fmu import Fmu, load_fmu
 from fmuid.remote import on_executor
 from fmuid.runners import in_process
+from fmuid.scratch import Scratch
 from fmuid.simulation import Task
 from fmuid.workers import WorkerPool
 
@@ -69,6 +70,18 @@ def test_results_do_not_depend_on_the_number_of_workers(build, pool):
     expected = in_process([(load_fmu(build(2)), *job[1:]) for job in jobs])
     for outcome, reference in zip(pool.run(jobs), expected, strict=True):
         assert np.array_equal(outcome, reference)
+
+
+def test_a_reset_that_crashes_costs_no_evaluation(build):
+    fmu = load_fmu(build(2, defines=("RESET_CRASHES",)))
+    jobs = [(fmu, TASK, {"c": 100.0 + i}) for i in range(6)]
+    expected = [Fmu(build(2)).simulate(*job[1:]) for job in jobs]
+    with WorkerPool(2) as pool:
+        for _ in range(2):
+            for outcome, reference in zip(pool.run(jobs), expected, strict=True):
+                assert np.array_equal(outcome, reference)
+        (failed,) = pool.run([(fmu, TASK, {"fault": FAULTS["crash"]})])
+        assert isinstance(failed, SimulationError)
 
 
 def test_an_fmu_for_one_simulation_a_process(build):
@@ -131,6 +144,19 @@ def test_nothing_is_left_behind(build, tmp_path, monkeypatch):
         pool.submit(os.getpid)
 
 
+def test_what_killed_owners_left_is_cleared_up(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    here = Scratch("fmuid-workers-")
+    for name in ("fmuid-workers-old", "fmuid-workers-new", "else"):
+        (tmp_path / name / "w").mkdir(parents=True)
+    for folder in (here.path, tmp_path / "fmuid-workers-old", tmp_path / "else"):
+        os.utime(folder, (0, 0))
+    with WorkerPool(1) as pool:
+        pool.submit(os.getpid).result()
+    assert {p.name for p in tmp_path.iterdir()} == {here.path.name, "fmuid-workers-new", "else"}
+    here.remove()
+
+
 def test_a_script_without_a_guard_is_told_so(tmp_path):
     script = tmp_path / "unguarded.py"
     script.write_text(
@@ -145,8 +171,9 @@ def script(build) -> subprocess.Popen[str]:
     source = f"""
         import os
         import numpy as np
-        from fmuid.fmu import load_fmu
-        from fmuid.simulation import Task
+        from fmuid.fmu import Fmu, load_fmu
+        from fmuid.scratch import Scratch
+from fmuid.simulation import Task
         from fmuid.workers import WorkerPool
         fmu = load_fmu({str(build(2))!r})
         task = Task(np.arange(301) * 1e-3, {{}}, ("y",))

@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from fmuid import resets
 from fmuid.campaign import FloatArray
 from fmuid.coupled.checks import check_connections, check_ports
 from fmuid.coupled.graph import find_loop, loop_text, stepping_order
@@ -328,13 +329,17 @@ class CoupledModel:
 
     def _first(self, layout: Layout, values: Mapping[str, Mapping[str, float]]) -> FloatArray:
         """Simulate, and see whether a reset brings the FMUs back to where they began."""
+        for fmu in self.components.values():
+            if resets.deadly(fmu.token):
+                fmu.renew("instantiate")
         begun = time.perf_counter()
         predictions = self._simulate(layout, values)
         elapsed = time.perf_counter() - begun
         n = len(layout.task.time)
         n = min(n, max(2, int(n * _CHECK_BUDGET / max(elapsed, 1e-9))))
         same = False
-        with suppress(SimulationError):
+        new = [fmu.token for fmu in self.components.values() if fmu.renewal is None]
+        with suppress(SimulationError), resets.first(*new):
             same = np.array_equal(self._simulate(layout, values, n), predictions[:, :n])
         how: Literal["reset", "instantiate"] = "reset" if same else "instantiate"
         for fmu in self.components.values():

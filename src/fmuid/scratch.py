@@ -1,0 +1,63 @@
+"""A folder for temporary files; what owners that were killed have left is cleared up by the next one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from pathlib import Path
+
+_YOUNG = 600.0  # s in which a folder may not be locked yet
+
+
+class Scratch:
+    """A new folder, its owner's until `remove` or its end: a lock says so that no kill can leave behind.
+
+    Parameters
+    ----------
+    prefix
+        Of its name. Folders of the same prefix beside it whose owner is gone are removed.
+    """
+
+    def __init__(self, prefix: str) -> None:
+        for folder in Path(tempfile.gettempdir()).glob(f"{prefix}*"):
+            _remove_if_abandoned(folder)
+        self.path = Path(tempfile.mkdtemp(prefix=prefix))
+        self._lock = _locked(self.path)
+
+    def remove(self) -> None:
+        """Remove the folder with all that is in it."""
+        shutil.rmtree(self.path, ignore_errors=True)
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+
+def _locked(folder: Path) -> int | None:
+    """Return an open descriptor that holds the folder's lock; None if another has it, or nothing tells."""
+    if sys.platform == "win32":
+        return None
+    import fcntl
+
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(descriptor)
+            return None
+        return descriptor
+    return None
+
+
+def _remove_if_abandoned(folder: Path) -> None:
+    with suppress(OSError):
+        if time.time() - folder.stat().st_mtime < _YOUNG:
+            return
+        lock = _locked(folder)
+        if lock is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+            os.close(lock)
