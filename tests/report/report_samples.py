@@ -14,6 +14,7 @@ from fmuid.plots.data import (
     Series,
 )
 from fmuid.report.diagnosis_figures import (
+    Branch,
     DiagnosisPictures,
     ExcessEnergy,
     MissingQuantity,
@@ -191,15 +192,11 @@ def pictures():
     ):
         x = np.linspace(low, high, 13)
         y = 0.002 * abs(x)
-        law = ("mesh_loss", np.linspace(low, high, 200), 0.002 * abs(np.linspace(low, high, 200)))
         missing.append(
             MissingQuantity(
                 Axis(name, unit),
                 Axis("missing gear friction torque", "N.m"),
-                x,
-                y + rng.normal(0, 0.003, 13),
-                np.full(13, 0.004),
-                (law,),
+                (Branch(x, y + rng.normal(0, 0.003, 13), np.full(13, 0.004), (("mesh_loss", y),)),),
             )
         )
     return DiagnosisPictures((pair, fixed, free), excess, tuple(missing))

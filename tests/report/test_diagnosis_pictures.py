@@ -15,49 +15,64 @@ from fmuid.report.diagnosis_pictures import pictures_of
 
 TIME = np.arange(2000) * 0.01
 SPEED = 10 * np.sin(TIME)
+LOAD = 5 * np.cos(0.3 * TIME)
 FRICTION = 0.3 * np.abs(SPEED) / 10  # what the model below lacks, N.m
 
 
 class Model:
-    """Predicts nothing at all, or with the effect just what it adds; a drive at the port comes straight through."""
+    """Predicts nothing at all, or with an effect a share of what is lacking; a port's drive comes straight through."""
 
     cases = (SimpleNamespace(id="run", channels=(SimpleNamespace(unit="N.m"),)),)
 
+    def __init__(self, lacking):
+        self.lacking = lacking
+
     def predict(self, points):
-        return [(np.atleast_2d(0.9 * FRICTION if "effect" in p else 0 * FRICTION),) for p in points]
+        return [(np.atleast_2d(p.get("effect", 0.0) * self.lacking),) for p in points]
 
     def predict_driven(self, values, drives):
         return [(np.atleast_2d(d["port_torque"][0]),) for d in drives]
 
 
-@pytest.fixture(scope="module")
-def pictures():
+def fitted(name, share):
+    return SimpleNamespace(names=(name,), effects=(name,), fit=SimpleNamespace(values={"effect": share}))
+
+
+def draw(lacking, verdict, *candidates):
     rng = np.random.default_rng(0)
-    values = FRICTION + rng.normal(0, 0.02, (5, 1, TIME.size))
+    values = lacking + rng.normal(0, 0.02, (5, 1, TIME.size))
     observed = Observed.from_runs([RepeatedRuns("run", "bench", TIME, ("tau",), values)])
     residuals = observed.residuals([np.zeros((1, TIME.size))])
     nominal = Refit((), {}, residuals, (np.zeros((residuals[0].size, 0)),), 0.0, 1, True)
-    paths = {"speed": (SPEED,), "time": (TIME,)}
+    paths = {"speed": (SPEED,), "load": (LOAD,), "time": (TIME,)}
     subject = SimpleNamespace(
-        model=Model(),
+        model=Model(lacking),
         observed=observed,
         catalogue=SimpleNamespace(
             ports={"torque": Port("torque", "port_torque", None, 0.01, "N.m")},
-            regimes={"speed": Regime("speed", "w", "speed", "rad/s")},
+            regimes={
+                "load": Regime("load", "tau", "value", "N.m"),
+                "speed": Regime("speed", "w", "speed", "rad/s"),
+                "elsewhere": Regime("elsewhere", "x", ports=("another",)),
+            },
         ),
     )
     return pictures_of(
         SimpleNamespace(
             subject=subject,
             nominal=SimpleNamespace(fit=nominal),
-            best=SimpleNamespace(
-                names=("viscous",), effects=("viscous",), fit=SimpleNamespace(values={"effect": 1.0})
-            ),
-            diagnosis=SimpleNamespace(verdict=Verdict("effect", ("viscous",), "torque")),
+            best=candidates[0],
+            candidates=candidates,
+            diagnosis=SimpleNamespace(verdict=verdict),
             excess=excess_map(observed, [np.zeros((1, TIME.size))], paths),
             paths=paths,
         )
     )
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    return draw(FRICTION, Verdict("effect", ("viscous",), "torque"), fitted("viscous", 0.9))
 
 
 def test_residuals_are_in_units_before_and_after(pictures):
@@ -74,15 +89,36 @@ def test_shares_of_every_variable_add_up_to_the_whole(pictures):
         assert pictures.excess.share[:, a:b].sum() == pytest.approx(1.0)
 
 
-def test_missing_torque_is_found_with_the_law_over_it(pictures):
-    (missing,) = pictures.missing
+def test_missing_torque_is_found_with_the_law_over_it_and_what_explains_most_comes_first(pictures):
+    missing, other = pictures.missing
+    assert (missing.variable.name, other.variable.name) == ("speed", "load")
     assert missing.quantity.label == "missing at torque / (N·m)"
     assert missing.explained > 0.95
-    expected = 0.3 * np.abs(missing.x) / 10
-    assert missing.x.min() == pytest.approx(-10, abs=0.01)
-    inner = np.abs(missing.x) > 0.5  # a piecewise-linear function cannot follow the corner at zero
-    np.testing.assert_allclose(missing.y[inner], expected[inner], atol=0.02)
-    label, _, law = missing.laws[0]
+    assert 0.5 < other.explained < 0.95  # a constant explains much of a friction without sign
+    (branch,) = missing.branches
+    expected = 0.3 * np.abs(branch.x) / 10
+    assert branch.x.min() == pytest.approx(-10, abs=0.01)
+    inner = np.abs(branch.x) > 0.5  # a piecewise-linear function cannot follow the corner at zero
+    np.testing.assert_allclose(branch.y[inner], expected[inner], atol=0.02)
+    label, law = branch.laws[0]
     assert label == "viscous"
     np.testing.assert_allclose(law[inner], 0.9 * expected[inner], atol=0.02)
-    assert np.all(missing.standard_error < 0.01)
+    assert np.all(branch.standard_error < 0.01)
+
+
+def test_a_torque_that_changes_sign_with_the_direction_is_shown_for_each_of_them():
+    pictures = draw(0.05 * LOAD * np.sign(SPEED), Verdict("effect", ("mesh",), "torque"), fitted("mesh", 1.0))
+    missing = pictures.missing[0]
+    assert missing.variable.name == "load"
+    assert missing.explained > 0.95
+    for branch, sign in zip(missing.branches, (1, -1), strict=True):
+        assert branch.direction == ("forward" if sign > 0 else "backward")
+        np.testing.assert_allclose(branch.y[:-1], sign * 0.05 * branch.x[:-1], atol=0.02)
+
+
+def test_every_law_of_an_a_or_b_is_drawn():
+    verdict = Verdict("ambiguous", ("viscous", "drag"), "torque")
+    candidates = fitted("viscous", 0.9), fitted("third", 0.1), fitted("drag", 0.7)
+    (branch,) = draw(FRICTION, verdict, *candidates).missing[0].branches
+    assert [name for name, _ in branch.laws] == ["viscous", "drag"]
+    assert branch.laws[1][1].max() == pytest.approx(0.7 / 0.9 * branch.laws[0][1].max(), rel=1e-3)

@@ -74,6 +74,27 @@ class ExcessEnergy:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Branch:
+    """What is missing over one variable, in one direction of motion if that matters.
+
+    Parameters
+    ----------
+    x, y, standard_error
+        (n,) estimates by knots of the variable, and their standard errors (None if unknown).
+    laws
+        (label, y (n,)) of models with effects; the first one is the corrected model.
+    direction
+        ``forward``, ``backward`` or empty.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    standard_error: FloatArray | None = None
+    laws: tuple[tuple[str, FloatArray], ...] = ()
+    direction: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class MissingQuantity:
     """What has to be added at the winning port, estimated, over one variable, and the winning law over it.
 
@@ -83,20 +104,15 @@ class MissingQuantity:
         Speed, angle or load.
     quantity
         Such as ``Axis("missing gear friction torque", "N.m")``.
-    x, y, standard_error
-        (n,) estimates by bins of `variable`, and their standard errors (None if unknown).
-    laws
-        (label, x (m,), y (m,)); the first one belongs to the winning effect.
+    branches
+        One, or one a direction of motion.
     explained
-        Share of the residual's energy that a function of `variable` explains, if known.
+        Share of the residual's energy that such a function of `variable` explains, if known.
     """
 
     variable: Axis
     quantity: Axis
-    x: FloatArray
-    y: FloatArray
-    standard_error: FloatArray | None = None
-    laws: tuple[tuple[str, FloatArray, FloatArray], ...] = ()
+    branches: tuple[Branch, ...]
     explained: float | None = None
 
 
@@ -161,22 +177,31 @@ def excess_figure(excess: ExcessEnergy | None) -> MapFigure | None:
     )
 
 
+_LAWS: tuple[Role, ...] = ("final", "alternative", "reference")
+
+
 def missing_figure(missing: Sequence[MissingQuantity]) -> LineFigure | None:
     """Return the missing torque (or deflection) over speed, angle and load, with the winning law over it."""
     if not missing:
         return None
     panels = []
     for m in missing:
-        series = [Series("estimated", m.x, m.y, "measurement", m.standard_error, points=True)]
-        for k, (label, x, y) in enumerate(m.laws):
-            role: Role = "final" if k == 0 else "alternative"
-            series.append(Series(label, x, y, role))
-        explains = "" if m.explained is None else f": explains {100 * m.explained:.0f} %"
-        panels.append(Panel(f"over {m.variable.name}{explains}", m.variable, m.quantity, tuple(series)))
-    caption = (
-        "Points: what a function of one variable must add at the verdict's port, with standard errors; angles are "
-        "within a turn. It explains so much of the residual's energy. Line: what the verdict's effects add."
+        series = []
+        for branch in m.branches:
+            backward = branch.direction == "backward"
+            label = ", ".join(filter(None, ("estimated", branch.direction)))
+            dots: Role = "before" if backward else "measurement"
+            series.append(Series(label, branch.x, branch.y, dots, branch.standard_error, points=True))
+            for k, (name, y) in enumerate(branch.laws):
+                series.append(Series(name, branch.x, y, _LAWS[min(k, len(_LAWS) - 1)]))
+        panels.append(Panel(f"over {m.variable.name}", m.variable, m.quantity, tuple(series)))
+    shares = ", ".join(
+        f"{100 * m.explained:.0f} % by {m.variable.name}" for m in missing if m.explained is not None
     )
+    caption = (
+        "Points: what a function of one variable, in each direction of motion, must add at the verdict's port, "
+        "with standard errors; angles are within a turn. Lines: what the effects add."
+    ) + (f" Energy of the residual explained so: {shares}." if shares else "")
     return LineFigure("missing", "What is missing at the port", tuple(panels), caption, min(len(panels), 3))
 
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmuid.campaign import FloatArray
+from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.diagnose import Found
 from fmuid.diagnosis.model import Prediction
-from fmuid.diagnosis.ports import Port, hats, quantile_knots
-from fmuid.diagnosis.regimes import Regime
+from fmuid.diagnosis.ports import Basis, Port, hats, quantile_knots, times
+from fmuid.diagnosis.regimes import Regime, folded
 from fmuid.diagnosis.scores import stack
 from fmuid.errors import SimulationError
 from fmuid.plots.data import Axis
 from fmuid.report.diagnosis_figures import (
+    Branch,
     DiagnosisPictures,
     ExcessEnergy,
     MissingQuantity,
@@ -23,25 +26,47 @@ from fmuid.report.diagnosis_figures import (
 )
 
 _KNOTS = 11
+_ONE_WAY = 0.05  # share of the samples that go the rarer way, below which directions are not told apart
 _PRIOR = 1.0 / 30.0  # an ordinate that no signal shows stays within thirty magnitudes of zero
 
 
 def pictures_of(found: Found) -> DiagnosisPictures:
-    """Return the arrays behind the pictures of a diagnosis; simulates the campaign some thirty times.
+    """Return the arrays behind the pictures of a diagnosis; simulates the campaign some sixty times.
 
     Raises
     ------
     SimulationError
         The refitted nominal model cannot be simulated.
     """
-    named = found.best is not None and bool(found.diagnosis.verdict.effects)
-    points = [found.nominal.fit.values] + ([found.best.fit.values] if named and found.best else [])
-    nominal, *corrected = found.subject.model.predict(points)
+    models = _named(found)
+    nominal, *with_effects = found.subject.model.predict(
+        [found.nominal.fit.values, *(m.fit.values for m in models)]
+    )
     if isinstance(nominal, SimulationError):
         raise nominal
-    after = corrected[0] if corrected and not isinstance(corrected[0], SimulationError) else None
-    missing = sorted(_missing(found, nominal, after), key=lambda m: -(m.explained or 0.0))
-    return DiagnosisPictures(_residuals(found, nominal, after), _excess(found), tuple(missing), _steps(found))
+    laws = {
+        " + ".join(model.names): outcome
+        for model, outcome in zip(models, with_effects, strict=True)
+        if not isinstance(outcome, SimulationError)
+    }
+    after = next(iter(laws.values()), None)
+    missing = _missing(found, nominal, laws)
+    return DiagnosisPictures(_residuals(found, nominal, after), _excess(found), missing, _steps(found))
+
+
+def _named(found: Found) -> list[Fitted]:
+    """Return the models that the verdict speaks of, the corrected one first; in an "A or B" the others as well."""
+    verdict = found.diagnosis.verdict
+    if found.best is None or not verdict.effects:
+        return []
+    others = [
+        c
+        for c in found.candidates
+        if verdict.kind == "ambiguous"
+        and set(c.names) <= set(verdict.effects) - set(found.best.names)
+        and len(c.names) == len(found.best.names)
+    ]
+    return [found.best, *others]
 
 
 def _steps(found: Found) -> dict[str, float]:
@@ -91,49 +116,64 @@ def _excess(found: Found) -> ExcessEnergy | None:
     return ExcessEnergy(energy.rows, bins, share)
 
 
-def _missing(found: Found, nominal: Prediction, after: Prediction | None) -> tuple[MissingQuantity, ...]:
+def _missing(found: Found, nominal: Prediction, laws: Mapping[str, Prediction]) -> tuple[MissingQuantity, ...]:
     """Return what a free function of each regime variable has to add at the verdict's port.
 
-    The law of the verdict's effect is drawn as the free function that moves the nominal model as the effect does.
+    A law is drawn as the free function that moves the nominal model as its effects do.
     """
     port = found.subject.catalogue.ports.get(found.diagnosis.verdict.port or "")
     if port is None or port.input is None:
         return ()
     quantity = Axis(f"missing at {port.name}", port.unit)
-    label = "" if found.best is None else " + ".join(found.best.names)  # whose law it is, also in "A or B"
     missing = []
     for regime in found.subject.catalogue.regimes.values():
-        turn = 2 * np.pi if regime.kind == "angle" else None
-        path = [p if turn is None else p % turn for p in found.paths[regime.name]]
-        knots = quantile_knots(path, _KNOTS)
-        solved = _ordinates(found, port, path, knots, nominal, after)
-        if solved is not None:
-            values, errors, law, explained = solved
-            laws = () if law is None else ((label, knots, law),)
-            missing.append(MissingQuantity(_axis(regime), quantity, knots, values, errors, laws, explained))
-    return tuple(missing)
+        if regime.ports and port.name not in regime.ports:
+            continue
+        parts = _parts(found, regime)
+        basis = tuple(b for _, _, own in parts for b in own)
+        solved = _ordinates(found, port, basis, nominal, list(laws.values()))
+        if solved is None:
+            continue
+        values, errors, lines, explained = solved
+        ends = np.cumsum([len(knots) for _, knots, _ in parts])
+        branches = []
+        for (direction, knots, _), end in zip(parts, ends, strict=True):
+            own = slice(end - len(knots), end)
+            named = tuple((name, line[own]) for name, line in zip(laws, lines, strict=True))
+            branches.append(Branch(knots, values[own], errors[own], named, direction))
+        missing.append(MissingQuantity(Axis(regime.name, regime.unit), quantity, tuple(branches), explained))
+    return tuple(sorted(missing, key=lambda m: -(m.explained or 0.0)))
 
 
-def _axis(regime: Regime) -> Axis:
-    return Axis(regime.name, regime.unit)
+def _parts(found: Found, regime: Regime) -> list[tuple[str, FloatArray, Basis]]:
+    """Return piecewise-linear functions of a regime and their knots, for each direction if it goes both ways."""
+    path = folded(found.paths, found.subject.catalogue.regimes)[regime.name]
+    speed = next((r.name for r in found.subject.catalogue.regimes.values() if r.kind == "speed"), None)
+    if regime.kind != "speed" and speed is not None:
+        forward = [w > 0.0 for w in found.paths[speed]]
+        share = np.mean(np.concatenate(forward))
+        if _ONE_WAY <= share <= 1.0 - _ONE_WAY:
+            ways = {"forward": forward, "backward": [~f for f in forward]}
+            return [(name, *_functions(path, taken)) for name, taken in ways.items()]
+    return [("", *_functions(path, [np.ones(len(p), dtype=bool) for p in path]))]
+
+
+def _functions(path: Sequence[FloatArray], taken: Sequence[NDArray[np.bool_]]) -> tuple[FloatArray, Basis]:
+    knots = quantile_knots([p[t] for p, t in zip(path, taken, strict=True) if t.any()], _KNOTS)
+    return knots, times(hats(path, knots), [t.astype(float) for t in taken])
 
 
 def _ordinates(
-    found: Found,
-    port: Port,
-    path: Sequence[FloatArray],
-    knots: FloatArray,
-    nominal: Prediction,
-    after: Prediction | None,
-) -> tuple[FloatArray, FloatArray, FloatArray | None, float] | None:
-    """Fit the (K,) ordinates of a piecewise-linear function beside the nominal parameters, linearly.
+    found: Found, port: Port, basis: Basis, nominal: Prediction, laws: Sequence[Prediction]
+) -> tuple[FloatArray, FloatArray, list[FloatArray], float] | None:
+    """Fit the (K,) ordinates of functions at a port beside the nominal parameters, linearly.
 
-    Returns them with their standard errors, what the verdict's effects would have there, and the share of the
-    residual's energy that is explained.
+    Returns them with their standard errors, what the models with effects would have there, and the share of the
+    residual's energy that is explained; None if one cannot be simulated.
     """
     observed, fit = found.subject.observed, found.nominal.fit
     assert port.input is not None
-    drives = [{port.input: [port.magnitude * b for b in one]} for one in hats(path, knots)]
+    drives = [{port.input: [port.magnitude * b for b in one]} for one in basis]
     outcomes = found.subject.model.predict_driven(fit.values, drives)
     moved = [o for o in outcomes if not isinstance(o, SimulationError)]
     if len(moved) < len(outcomes):
@@ -142,16 +182,15 @@ def _ordinates(
     columns = [stack([a - b for a, b in zip(observed.residuals(m), base, strict=True)], observed) for m in moved]
     steps = np.array([u.step for u in fit.unknowns])
     a = np.hstack([stack(fit.jacobian, observed) * steps, np.stack(columns, axis=1)])
-    prior = np.concatenate([np.full(len(steps), 1e-3), np.full(len(knots), _PRIOR)])
+    prior = np.concatenate([np.full(len(steps), 1e-3), np.full(len(basis), _PRIOR)])
     covariance = np.linalg.inv(a.T @ a + np.diag(prior**2))
     residual = stack(base, observed)
     solution = -covariance @ (a.T @ residual)
     left = float(np.mean((residual + a @ solution) ** 2))
-    scale = max(1.0, left)
     own = slice(len(steps), None)
-    errors = port.magnitude * np.sqrt(scale * np.diag(covariance)[own])
-    law = None
-    if after is not None:
-        change = stack(observed.whiten([p - q for p, q in zip(after, nominal, strict=True)]), observed)
-        law = port.magnitude * (covariance @ (a.T @ change))[own]
-    return port.magnitude * solution[own], errors, law, 1.0 - left / float(np.mean(residual**2))
+    errors = port.magnitude * np.sqrt(max(1.0, left) * np.diag(covariance)[own])
+    lines = []
+    for law in laws:
+        change = stack(observed.whiten([p - q for p, q in zip(law, nominal, strict=True)]), observed)
+        lines.append(port.magnitude * (covariance @ (a.T @ change))[own])
+    return port.magnitude * solution[own], errors, lines, 1.0 - left / float(np.mean(residual**2))
