@@ -40,8 +40,9 @@ import msgspec
 import numpy as np
 
 from fmuid import hdf5
+from fmuid.apart import read_apart
 from fmuid.campaign import FloatArray, read_only
-from fmuid.errors import FmuidError
+from fmuid.errors import FmuidError, MeasurementsError
 from fmuid.files import make_folder
 from fmuid.problem import Evaluation, Problem
 
@@ -279,7 +280,13 @@ def read_history(path: str | Path) -> Mapping[str, StageHistory]:
         for record, _ in _records(path / JOURNAL):
             history._take(record)
         return history.stages
-    file = path / FILE if path.is_dir() else path
+    try:
+        return read_apart(_read, path / FILE if path.is_dir() else path)
+    except MeasurementsError as error:
+        raise HistoryError(error.what, where=error.where, fix=error.fix) from None
+
+
+def _read(file: Path) -> Mapping[str, StageHistory]:
     with hdf5.reading(file, HistoryError, fix="run fmuid identify with --out") as source:
         if source.attrs.get("format") != FORMAT or source.attrs.get("version") != VERSION:
             raise HistoryError("is not a fmuid history of version 1", where=file, fix="record it again")
