@@ -90,6 +90,9 @@ class Constraint:
                 where=where,
                 fix='write { expression = "a - b", max = 0.0 }; or criterion = "...", and min or equal',
             )
+        for key, limit in limits.items():
+            if isinstance(limit, bool) or not isinstance(limit, int | float):
+                raise ProblemError(f"{key} of '{text}' is {limit!r}", where=where, fix="write a number")
         return cls(
             text,
             parse(str(expression), where=where) if expression is not None else None,
@@ -104,16 +107,19 @@ class Constraint:
         """Whether it must be met exactly."""
         return self.equal is not None
 
-    def check(self, labels: Sequence[str], parameters: Mapping[str, float]) -> None:
+    def check(self, labels: Sequence[str], parameters: Mapping[str, float], *, where: str | None = None) -> None:
         """Raise ProblemError if it names what does not exist."""
         if self.expression is not None:
             if missing := sorted(self.expression.names - set(parameters)):
                 raise ProblemError(
                     f"constraint '{self.text}' names unknown parameter '{missing[0]}'",
+                    where=where,
                     fix=f"known: {', '.join(parameters)}",
                 )
         elif not matching(labels, self.criterion or ""):
-            raise ProblemError(f"no criterion matches '{self.text}'", fix=f"there are: {', '.join(labels)}")
+            raise ProblemError(
+                f"no criterion matches '{self.text}'", where=where, fix=f"there are: {', '.join(labels)}"
+            )
 
     def violation(self, labels: Sequence[str], criteria: FloatArray, parameters: Mapping[str, float]) -> float:
         """Return how far it is broken: at most 0 (inequality) or exactly 0 (equality) when kept."""

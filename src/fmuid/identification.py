@@ -142,10 +142,7 @@ def identify(
         )
 
     for step in plan:  # what cannot be posed or solved is said before anything is written
-        asked = posed(step, {}, in_process)
-        make(asked.solver, asked.options, asked.problem)
-        if asked.analyses.pareto is not None:
-            Objectives.of(asked.problem, asked.analyses.pareto.objectives)
+        _check(posed(step, {}, in_process))
     limits = {"time_limit": time_limit, "memory_limit": memory_limit}
     results: list[StageResult] = []
     best: dict[str, float] = {}
@@ -176,6 +173,28 @@ def identify(
     if folder is not None:
         summary.to_json(folder / FILE)
     return summary
+
+
+def check_stages(campaign: Campaign, simulators: Mapping[str, Simulator]) -> None:
+    """Raise what `identify` would refuse to begin with; nothing is simulated.
+
+    Raises
+    ------
+    FmuidError
+        A stage cannot be posed, or not be solved as it is asked to be.
+    """
+    for stage in campaign.stages.values():
+        _check(_posed(stage, campaign, simulators, {}, in_process))
+
+
+def _check(asked: _Posed) -> None:
+    try:
+        make(asked.solver, asked.options, asked.problem)
+        if asked.analyses.pareto is not None:
+            Objectives.of(asked.problem, asked.analyses.pareto.objectives)
+    except ProblemError as error:
+        where = error.where or f"stage '{asked.problem.name}'"
+        raise ProblemError(error.what, where=where, fix=error.fix) from None
 
 
 def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:

@@ -141,7 +141,7 @@ class Problem:
             name=stage.name,
         )
         for constraint in problem.constraints:
-            constraint.check(problem.labels, problem.space.to_model(problem.space.start))
+            constraint.check(problem.labels, problem.space.to_model(problem.space.start), where=where)
         return problem
 
     @property

@@ -92,7 +92,12 @@ class SearchSpace:
     @property
     def bounded(self) -> bool:
         """Whether every free parameter has both bounds, as global solvers need."""
-        return bool(np.all(np.isfinite(self.lower)) and np.all(np.isfinite(self.upper)))
+        return not self.unbounded
+
+    @property
+    def unbounded(self) -> tuple[str, ...]:
+        """Names of the free parameters that lack a bound."""
+        return tuple(s.name for s in self.free if not np.isfinite(s.lower) or not np.isfinite(s.upper))
 
     def to_search(self, values: Mapping[str, float]) -> FloatArray:
         """Return the (n,) search point of model-space `values`."""

@@ -115,6 +115,46 @@ def shared_parameter() -> None:
     Path("bench/effects.toml").write_text(f'format = "fmuid-effects"\nversion = 1\n[ports.friction]\n{effects}')
 
 
+def coupled(connections: str, more: str = "") -> Callable[[], object]:
+    """The campaign's model is two oscillators and two wires."""
+    fmus = '{ a = "../Oscillator.fmu", b = "../Oscillator.fmu", c = "../Turning.fmu", d = "../Turning.fmu" }'
+    names = '{ position = "a.x", u = "a.u", m = "a.m", d = "a.d", c = "a.c" }'
+
+    def edit() -> None:
+        toml('fmu = "../Oscillator.fmu"', f"fmus = {fmus}\nconnections = {{ {connections} }}\n{more}")()
+        toml('map = { position = "x" }', f"map = {names}")()
+
+    return edit
+
+
+def system(elements: str, connections: str = "") -> Callable[[], object]:
+    """An SSP file."""
+    names = " ".join(
+        f'xmlns:{n}="http://ssp-standard.org/SSP1/{long}"'
+        for n, long in (("ssd", "SystemStructureDescription"), ("ssc", "SystemStructureCommon"))
+    )
+
+    def make() -> None:
+        with zipfile.ZipFile("drive.ssp", "w") as file:
+            file.write("Oscillator.fmu", "resources/Oscillator.fmu")
+            file.writestr(
+                "SystemStructure.ssd",
+                f'<ssd:SystemStructureDescription {names} name="drive" version="1.0"><ssd:System name="drive">'
+                f"<ssd:Elements>{elements}</ssd:Elements><ssd:Connections>{connections}</ssd:Connections>"
+                "</ssd:System></ssd:SystemStructureDescription>",
+            )
+
+    return make
+
+
+def part(source: str = "resources/Oscillator.fmu", kind: str = "application/x-fmu-sharedlibrary") -> str:
+    connectors = '<ssd:Connector name="u" kind="input"/><ssd:Connector name="x" kind="output"/>'
+    return (
+        f'<ssd:Component name="a" type="{kind}" source="{source}"><ssd:Connectors>{connectors}</ssd:Connectors>'
+        "</ssd:Component>"
+    )
+
+
 def modelica(body: str) -> Callable[[], object]:
     return write("M.mo", f"model M\n  {body}\nend M;\n")
 
@@ -158,7 +198,23 @@ CASES = [
         ("campaign.toml", "a stage that frees no parameter of the campaign", stage('free = ["mass"]'), CHECK),
         ("campaign.toml", "a `tie` to a name that is none", stage('tie = { d = "2*k" }'), CHECK),
         ("campaign.toml", "a `tie` that calls something", stage("tie = { d = \"__import__('os')\" }"), CHECK),
-        ("campaign.toml", "a solver that is none", stage('solver = "bobiqa"'), "identify bench --out new"),
+        ("campaign.toml", "a solver that is none", stage('solver = "bobiqa"'), CHECK),
+        ("campaign.toml", "a solver that is none in a chain", stage('solver = "crs2 > bobiqa"'), CHECK),
+        ("campaign.toml", "an option that a solver does not have", stage('solver = { name = "bobyqa", tolerances = 1e-3 }'), CHECK),
+        ("campaign.toml", "an option that is no number", stage('solver = { name = "trf", tolerance = "small" }'), CHECK),
+        ("campaign.toml", "a first step of nothing", stage('solver = { name = "dfols", initial_step = 0 }'), CHECK),
+        ("campaign.toml", "a seed that is no whole number", stage('solver = { name = "trf", seed = 1.5 }'), CHECK),
+        ("campaign.toml", "options that belong to no link of a chain", stage('solver = { name = "crs2 > bobyqa", evaluations = 100 }'), CHECK),
+        ("campaign.toml", "no local solver for MLSL", stage('solver = { name = "mlsl", local = "crs2" }'), CHECK),
+        ("campaign.toml", "a global solver without bounds", lambda: (toml("lower = 0.5\nupper = 2\n", "")(), stage('solver = "crs2"')()), CHECK),
+        ("campaign.toml", "several starts without bounds", lambda: (toml("lower = 0.5\nupper = 2\n", "")(), stage('solver = { name = "trf", starts = 4 }')()), CHECK),
+        ("campaign.toml", "a solver that takes no bounds", stage('solver = "lm"'), CHECK),
+        ("campaign.toml", "least squares with a constraint", stage('solver = "trf"\nconstraints = [{ expression = "m - d", max = 1.0 }]'), CHECK),
+        ("campaign.toml", "a constraint of a name that is none", stage('constraints = [{ expression = "m - k", max = 1.0 }]'), CHECK),
+        ("campaign.toml", "a constraint without a limit", stage('constraints = [{ expression = "m - d" }]'), CHECK),
+        ("campaign.toml", "a limit that is no number", stage('constraints = [{ expression = "m - d", max = "1" }]'), CHECK),
+        ("campaign.toml", "a constraint on a criterion that is none", stage('constraints = [{ criterion = "speed", max = 1.0 }]'), CHECK),
+        ("campaign.toml", "a front of one objective", stage('pareto = { objectives = ["*position*"] }'), CHECK),
         ("campaign.toml", "a criterion that is none", stage('criteria = [{ signal = "position", kind = "least_square" }]'), CHECK),
         ("campaign.toml", "a criterion on a signal that is none", stage('criteria = [{ signal = "force" }]'), CHECK),
         ("campaign.toml", "a budget of nothing", toml("evaluations = 100", "evaluations = 0"), CHECK),
@@ -240,6 +296,32 @@ CASES = [
         ("FMUs", "an FMU that is a folder", toml("../Oscillator.fmu", ".."), CHECK),
         ("FMUs", "a fraction for a whole number", nothing, "simulate Oscillator.fmu --set mode=1.5"),
         ("FMUs", "a value that the model cannot bear", nothing, "simulate Oscillator.fmu --set m=0"),
+        ("Coupled FMUs", "a component that is not there", coupled('"b.u" = "e.y"'), CHECK),
+        ("Coupled FMUs", "an input that is none", coupled('"b.uu" = "a.y"'), CHECK),
+        ("Coupled FMUs", "a name without its component", coupled('"u" = "a.y"'), CHECK),
+        ("Coupled FMUs", "an output that follows something", coupled('"b.x" = "a.x"'), CHECK),
+        ("Coupled FMUs", "a wire from an input", coupled('"b.u" = "a.u"'), CHECK),
+        ("Coupled FMUs", "a wire between different units", coupled('"b.u" = "a.x"'), CHECK),
+        ("Coupled FMUs", "a wire that is no text", coupled('"b.u" = 3'), CHECK),
+        ("Coupled FMUs", "an algebraic loop", coupled('"c.turns" = "d.w", "d.turns" = "c.w"'), CHECK),
+        ("Coupled FMUs", "a step of nothing", coupled("", "step = 0.0"), CHECK),
+        ("Coupled FMUs", "a step backwards", nothing, "simulate Oscillator.fmu --master step=-1"),
+        ("Coupled FMUs", "an algorithm that is none", coupled("", 'algorithm = "gauss"'), CHECK),
+        ("Coupled FMUs", "an extrapolation that is none", coupled("", 'extrapolation = "quadratic"'), CHECK),
+        ("Coupled FMUs", "an extrapolation of a component that is none", coupled("", 'extrapolation = { e = "linear" }'), CHECK),
+        ("Coupled FMUs", "a main component that is none", coupled("", 'main = "e"'), CHECK),
+        ("Coupled FMUs", "one FMU and several", toml('fmu = "../Oscillator.fmu"', 'fmu = "../Oscillator.fmu"\nfmus = { a = "../Turning.fmu" }'), CHECK),
+        ("Coupled FMUs", "connections of one FMU", toml("map = {", 'connections = { "a.u" = "b.y" }\nmap = {'), CHECK),
+        ("Coupled FMUs", "a communication step of one FMU", toml("map = {", "step = 1e-3\nmap = {"), CHECK),
+        ("Coupled FMUs", "an FMU of several that is not there", lambda: (coupled("")(), Path("Turning.fmu").unlink()), CHECK),
+        ("Coupled FMUs", "an SSP file that is not there", nothing, "simulate drive.ssp"),
+        ("Coupled FMUs", "a file that is no SSP", write("drive.ssp", "MZ"), "simulate drive.ssp"),
+        ("Coupled FMUs", "an SSP file without a system", lambda: Path("Oscillator.fmu").rename("drive.ssp"), "simulate drive.ssp"),
+        ("Coupled FMUs", "an SSP file without its FMU", system(part("resources/Plant.fmu")), "simulate drive.ssp"),
+        ("Coupled FMUs", "a component that is no FMU", system(part(kind="application/x-modelica")), "simulate drive.ssp"),
+        ("Coupled FMUs", "a component that is a file elsewhere", system(part("../../Oscillator.fmu")), "simulate drive.ssp"),
+        ("Coupled FMUs", "an SSP connection that leads nowhere", system(part(), '<ssd:Connection startElement="a" startConnector="x" endElement="b" endConnector="u"/>'), "simulate drive.ssp"),
+        ("Coupled FMUs", "a word for the master that is none", system(part()), "simulate drive.ssp --master stp=1e-3"),
         ("Modelica", "a source that is not there", nothing, "build Nowhere.mo Nowhere"),
         ("Modelica", "text that is no Modelica", modelica("Real x; equation x = ;"), BUILD),
         ("Modelica", "a class that is not in it", modelica("Real x = 1;"), "build M.mo N --out ."),

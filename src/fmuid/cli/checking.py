@@ -23,19 +23,22 @@ def check(
     json: Json = None,
     quiet: Quiet = False,
 ) -> int:
-    """Check a campaign before a run: files, names, units, signals, and whether each parameter has an effect.
+    """Check a campaign before a run: files, names, units, signals, solvers, whether each parameter has an effect.
 
     What makes a run impossible ends with exit code 2; findings of level error with 1.
 
     Example: fmuid check campaigns/force_feedback
     """
     from fmuid.campaign_toml import load_campaign
+    from fmuid.identification import check_stages
     from fmuid.model_check import check_effects, check_signals, load_models, match_models
     from fmuid.shown import counted
 
     loaded = load_campaign(campaign)
     models = load_models(loaded)
     findings = match_models(loaded, models) + check_signals(loaded)
+    if not any(f.level == "error" for f in findings):
+        check_stages(loaded, models)
     effects: tuple[Effect, ...] = ()
     printer = Printer(quiet, json)
     if simulate:

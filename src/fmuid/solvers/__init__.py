@@ -15,7 +15,7 @@ from fmuid.problem import Problem
 from fmuid.solvers.compound import Chain, Lexicographic, MultiStart
 from fmuid.solvers.least_squares import DfoLs, TrustRegion
 from fmuid.solvers.nlopt_solver import _ALIASES, ALGORITHMS, NloptSolver
-from fmuid.solvers.search import Outcome, Search, Solver, Start, Status, StopRules, StopSearch
+from fmuid.solvers.search import Outcome, Search, Solver, Start, Status, StopRules, StopSearch, number_of
 from fmuid.suggest import suggestion
 
 __all__ = [
@@ -40,11 +40,13 @@ def make(name: str, options: Mapping[str, Any], problem: Problem) -> tuple[Solve
     Raises
     ------
     ProblemError
-        The name or an option is unknown.
+        The name or an option is unknown, or the solver cannot take the problem.
     """
     options = dict(options)
-    starts = int(options.pop("starts", 1))
-    options.pop("seed", None)  # of the search, not of the solver
+    starts, seed = options.pop("starts", 1), options.pop("seed", 0)  # the latter is the search's
+    for key, value, least in (("starts", starts, 1), ("seed", seed, 0)):
+        if not isinstance(value, int) or value < least:
+            raise ProblemError(f"solver option {key} is {value!r}", fix=f"write a whole number from {least} on")
     why = "asked for"
     if name == "auto":
         name, why = choose(problem)
@@ -53,7 +55,7 @@ def make(name: str, options: Mapping[str, Any], problem: Problem) -> tuple[Solve
         solver = _single(links[0], options)
     else:
         # In a chain, options = { crs2 = { evaluations = 500 }, ... } belong to a link each.
-        solver = Chain(tuple(_single(link, dict(options.pop(link, {}))) for link in links))
+        solver = Chain(tuple(_single(link, _of_link(link, options.pop(link, {}))) for link in links))
         if options:
             raise ProblemError(
                 f"unknown solver option '{next(iter(options))}'",
@@ -63,6 +65,7 @@ def make(name: str, options: Mapping[str, Any], problem: Problem) -> tuple[Solve
         solver = MultiStart(solver, starts)
     if problem.combination.kind == "lexicographic":
         solver = Lexicographic(solver)
+    solver.check(problem)
     return solver, why
 
 
@@ -79,14 +82,18 @@ def choose(problem: Problem) -> tuple[str, str]:
     return "sbplx", "criteria with kinks: a simplex search needs no smoothness"
 
 
+def _of_link(link: str, options: Any) -> dict[str, Any]:
+    if not isinstance(options, Mapping):
+        raise ProblemError(f"options of '{link}' are {options!r}", fix=f"in a chain, write {link} = {{ ... }}")
+    return dict(options)
+
+
 def _single(name: str, options: dict[str, Any]) -> Solver:
     match name:
         case "trf" | "lm" | "least_squares":
-            tolerance = float(options.pop("tolerance", 1e-10))
-            if options:
-                raise ProblemError(
-                    f"solver '{name}' has no option '{next(iter(options))}'", fix="it has: tolerance"
-                )
+            tolerance = number_of(options, "tolerance", 1e-10, solver=name)
+            if unknown := options.keys() - {"tolerance"}:
+                raise ProblemError(f"solver '{name}' has no option '{min(unknown)}'", fix="it has: tolerance")
             return TrustRegion("lm" if name == "lm" else "trf", tolerance)
         case "dfols":
             return DfoLs(options)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fmuid.campaign import FloatArray
 from fmuid.errors import ProblemError
-from fmuid.problem import Evaluation
+from fmuid.problem import Evaluation, Problem
 from fmuid.solvers.abreast import Abreast
 from fmuid.solvers.search import Outcome, Search, Solver, Start, Status
 
@@ -30,6 +30,11 @@ class Chain:
     def needs_residuals(self) -> bool:
         """Whether any link does."""
         return any(link.needs_residuals for link in self.links)
+
+    def check(self, problem: Problem) -> None:
+        """See `Solver.check`."""
+        for link in self.links:
+            link.check(problem)
 
     def solve(self, search: Search, start: FloatArray) -> Outcome:
         """See `Solver.solve`."""
@@ -63,14 +68,19 @@ class MultiStart:
         """Whether the solver does."""
         return self.solver.needs_residuals
 
+    def check(self, problem: Problem) -> None:
+        """See `Solver.check`."""
+        self.solver.check(problem)
+        if not problem.space.bounded:
+            raise ProblemError(
+                "several starts need both bounds of every free parameter",
+                fix=f"give lower and upper of {', '.join(problem.space.unbounded)}",
+            )
+
     def points(self, search: Search, start: FloatArray) -> list[FloatArray]:
         """Return the start points."""
         from scipy.stats import qmc
 
-        if not search.problem.space.bounded:
-            raise ProblemError(
-                "several starts need both bounds of every free parameter", fix="give lower and upper"
-            )
         sobol = qmc.Sobol(len(search), rng=np.random.default_rng(search.seed))
         # Sobol sequences are balanced at powers of two only; draw one and use its beginning.
         unit = sobol.random_base2(max(1, int(np.ceil(np.log2(max(self.starts - 1, 1))))))
@@ -112,6 +122,10 @@ class Lexicographic:
     def needs_residuals(self) -> bool:
         """Whether the inner solver does."""
         return self.solver.needs_residuals
+
+    def check(self, problem: Problem) -> None:
+        """See `Solver.check`."""
+        self.solver.check(problem)
 
     def solve(self, search: Search, start: FloatArray) -> Outcome:
         """See `Solver.solve`."""

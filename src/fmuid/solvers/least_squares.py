@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,9 @@ import numpy as np
 from fmuid.campaign import FloatArray, frozen_mapping
 from fmuid.derivatives import Differences, NoiseFloor, noise_floor
 from fmuid.errors import ProblemError, SimulationError
-from fmuid.problem import Evaluation
+from fmuid.problem import Evaluation, Problem
 from fmuid.solvers.box import CandidateFailedError, around_failures
-from fmuid.solvers.search import Outcome, Search, Status, StopSearch
+from fmuid.solvers.search import Outcome, Search, Status, StopSearch, number_of
 
 _FLAT = 3.0  # times the noise of the cost: a smaller change is none
 _FLAT_TRIALS = 2
@@ -47,16 +48,17 @@ class TrustRegion:
     tolerance: float = 1e-10
     needs_residuals: bool = field(default=True, init=False)
 
+    def check(self, problem: Problem) -> None:
+        """See `Solver.check`."""
+        _require_smooth(problem, self.name)
+        if self.name == "lm" and np.any(np.isfinite([problem.space.lower, problem.space.upper])):
+            raise ProblemError("solver 'lm' takes no bounds", fix="use 'trf', or remove the bounds")
+
     def solve(self, search: Search, start: FloatArray) -> Outcome:
         """See `Solver.solve`."""
         from scipy.optimize import least_squares
 
-        _require_smooth(search, self.name)
-        bounds: tuple[Any, Any] = (search.lower, search.upper)
-        if self.name == "lm":
-            if np.any(np.isfinite(search.lower)) or np.any(np.isfinite(search.upper)):
-                raise ProblemError("solver 'lm' takes no bounds", fix="use 'trf', or remove the bounds")
-            bounds = (-np.inf, np.inf)
+        bounds: tuple[Any, Any] = (-np.inf, np.inf) if self.name == "lm" else (search.lower, search.upper)
         first = _start(search, start)
         derivative = partial(search.evaluate_many, purpose="derivative")
         floor = search.noise_floor = noise_floor(search.problem, first.x, evaluate=derivative)
@@ -185,17 +187,30 @@ class DfoLs:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "options", frozen_mapping(self.options))
+        if unknown := self.options.keys() - {"initial_step", "tolerance"}:
+            raise ProblemError(
+                f"solver 'dfols' has no option '{min(unknown)}'", fix="it has: initial_step, tolerance"
+            )
+
+    @property
+    def _radii(self) -> tuple[float, float]:
+        """First and last radius of the trust region."""
+        first = number_of(self.options, "initial_step", 0.1, solver=self.name)
+        return first, number_of(self.options, "tolerance", _SMALLEST_RADIUS, solver=self.name)
+
+    def check(self, problem: Problem) -> None:
+        """See `Solver.check`."""
+        if find_spec("dfols") is None:
+            raise ProblemError("solver 'dfols' is not installed", fix="pip install DFO-LS")
+        _require_smooth(problem, self.name)
+        _ = self._radii
 
     def solve(self, search: Search, start: FloatArray) -> Outcome:
         """See `Solver.solve`."""
-        try:
-            import dfols
-        except ImportError:
-            raise ProblemError("solver 'dfols' is not installed", fix="pip install DFO-LS") from None
-        _require_smooth(search, self.name)
+        import dfols
+
         first = _start(search, start)
-        step = float(self.options.get("initial_step", 0.1))
-        smallest = float(self.options.get("tolerance", _SMALLEST_RADIUS))
+        step, smallest = self._radii
 
         def residuals(point: FloatArray) -> FloatArray:
             evaluation = search.evaluate(point)
@@ -223,8 +238,8 @@ class DfoLs:
         return around_failures(search, first.x, run)
 
 
-def _require_smooth(search: Search, name: str) -> None:
-    if search.problem.combination.kind != "weighted_sum" or search.problem.constraints:
+def _require_smooth(problem: Problem, name: str) -> None:
+    if problem.combination.kind != "weighted_sum" or problem.constraints:
         raise ProblemError(
             f"solver '{name}' minimises sums of squares without constraints",
             fix='use combine = "weighted_sum" without constraints, or another solver such as cobyla',

@@ -10,9 +10,9 @@ import numpy as np
 
 from fmuid.campaign import FloatArray, frozen_mapping
 from fmuid.errors import ProblemError, SimulationError
-from fmuid.problem import Evaluation
+from fmuid.problem import Evaluation, Problem
 from fmuid.solvers.box import CandidateFailedError, around_failures
-from fmuid.solvers.search import FEASIBLE, Outcome, Search, Status, StopRules
+from fmuid.solvers.search import FEASIBLE, Outcome, Search, Status, StopRules, number_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,15 @@ ALGORITHMS: Mapping[str, _Algorithm] = {
     "slsqp": _Algorithm("LD_SLSQP", constraints=True, gradient=True, model=True),
 }
 _ALIASES = {"neldermead": "nelder_mead", "newuoa": "newuoa_bound", "direct-l": "direct_l", "sqp": "slsqp"}
-_OPTIONS = ("initial_step", "tolerance", "cost_tolerance", "population", "local", "evaluations")
+_LOCAL = tuple(name for name, a in ALGORITHMS.items() if not (a.finite_bounds or a.gradient))  # of MLSL
+_OPTIONS: Mapping[str, float] = {  # and what a value is like
+    "initial_step": 0.1,
+    "tolerance": 1e-7,
+    "cost_tolerance": 1e-12,
+    "population": 50,
+    "local": 0,
+    "evaluations": 1000,
+}
 _LOWEST_LEVEL = 1e-6  # to which the largest goal is taken: its step follows from it
 _GLOBAL_EVALUATIONS = 200  # a parameter, for global solvers without any stop rule: they never converge
 _IDLE = 300  # times that a solver may ask for what it knows, one after the other
@@ -76,18 +84,26 @@ class NloptSolver:
                 raise ProblemError(
                     f"solver '{self.name}' has no option '{key}'", fix=f"it has: {', '.join(_OPTIONS)}"
                 )
+            if key != "local":
+                self._number(key, _OPTIONS[key])
+        local = self.options.get("local", "sbplx")
+        if local not in _LOCAL:
+            raise ProblemError(f"'{local}' is no local solver", fix=f"local is one of: {', '.join(_LOCAL)}")
+
+    def _number(self, key: str, default: float) -> float:
+        return number_of(self.options, key, default, solver=self.name)
+
+    def check(self, problem: Problem) -> None:
+        """See `Solver.check`."""
+        if ALGORITHMS[self.name].finite_bounds and not problem.space.bounded:
+            raise ProblemError(
+                f"solver '{self.name}' needs both bounds of every free parameter",
+                fix=f"give lower and upper of {', '.join(problem.space.unbounded)}",
+            )
 
     def solve(self, search: Search, start: FloatArray) -> Outcome:
         """See `Solver.solve`."""
         algorithm = ALGORITHMS[self.name]
-        if algorithm.finite_bounds and not search.problem.space.bounded:
-            open_ended = [
-                s.name for s in search.problem.space.free if not np.isfinite(s.lower) or not np.isfinite(s.upper)
-            ]
-            raise ProblemError(
-                f"solver '{self.name}' needs both bounds of every free parameter",
-                fix=f"give lower and upper of {', '.join(open_ended)}",
-            )
         first = search.evaluate(start)
         if first.failure is not None and (algorithm.model or not algorithm.finite_bounds):
             raise SimulationError(f"the start point fails ({first.failure})", fix="choose other start values")
@@ -116,7 +132,7 @@ class NloptSolver:
             opt = nlopt.opt(nlopt.AUGLAG, n)  # augmented Lagrangian around a solver without constraints
             functions.opt = opt
         here = x
-        step = np.minimum(float(self.options.get("initial_step", 0.1)), 0.4 * (upper - lower))
+        step = np.minimum(self._number("initial_step", 0.1), 0.4 * (upper - lower))
         if epigraph:
             evaluation = search.evaluate(x)
             level = max(search.cost_of(evaluation), _LOWEST_LEVEL) if evaluation.ok else 1.0
@@ -127,10 +143,10 @@ class NloptSolver:
         for each in {id(opt): opt, id(inner): inner}.values():
             each.set_lower_bounds(lower)
             each.set_upper_bounds(upper)
-            tolerance = float(self.options.get("tolerance", 1e-7))
+            tolerance = self._number("tolerance", 1e-7)
             each.set_xtol_rel(tolerance)
             each.set_xtol_abs(0.1 * tolerance)  # search coordinates are of order one, but may be 0
-            each.set_ftol_rel(float(self.options.get("cost_tolerance", 1e-12)))
+            each.set_ftol_rel(self._number("cost_tolerance", 1e-12))
             if not algorithm.finite_bounds:
                 each.set_initial_step(step)
         if algorithm.subsidiary:

@@ -75,12 +75,14 @@ class Objectives:
             if not len(own):
                 raise ProblemError(
                     f"no criterion matches the objective '{name}'",
-                    where=problem.name,
+                    where=f"stage '{problem.name}'",
                     fix=f"there are: {', '.join(problem.labels)}",
                 )
         if len(names) < 2:
             raise ProblemError(
-                "a Pareto front needs two objectives or more", where=problem.name, fix="add a criterion"
+                "a Pareto front needs two objectives or more",
+                where=f"stage '{problem.name}'",
+                fix="add a criterion",
             )
         return cls(names, tuple(rows), problem.root_weights**2)
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import enum
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from fmuid.campaign import FloatArray
 from fmuid.derivatives import NoiseFloor
+from fmuid.errors import ProblemError
 from fmuid.problem import Evaluation, Problem
 
 FEASIBLE = 1e-6  # a constraint broken by less counts as kept
@@ -244,6 +245,16 @@ class Solver(Protocol):
         """Whether it works on the residual vector, not on the cost alone."""
         ...
 
+    def check(self, problem: Problem) -> None:
+        """Raise what makes it impossible to solve a problem.
+
+        Raises
+        ------
+        ProblemError
+            The solver cannot take the problem's bounds, constraints or cost.
+        """
+        ...
+
     def solve(self, search: Search, start: FloatArray) -> Outcome:
         """Search from the (n,) `start`; what is reached is in ``search.reached`` and ``search.best``.
 
@@ -253,3 +264,19 @@ class Solver(Protocol):
             A stop rule holds.
         """
         ...
+
+
+def number_of(options: Mapping[str, Any], key: str, default: float, *, solver: str) -> float:
+    """Return a solver's option that is a positive number.
+
+    Raises
+    ------
+    ProblemError
+        It is none.
+    """
+    value = options.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+        raise ProblemError(
+            f"option {key} of solver '{solver}' is {value!r}", fix=f"write a positive number, such as {default:g}"
+        )
+    return float(value)
