@@ -51,7 +51,7 @@ Several runs of one experiment share a simulation. Aims: below 1.05 for the PRBS
 ## Derivatives
 
 The Jacobian of the linear stage by forward sensitivities and by differences, in evaluations of the stage.
-Differences of a simulation with adaptive steps carry its noise as well.
+Differences of a simulation with adaptive steps carry its noise as well. Aim: below central differences.
 
 {derivatives}
 
@@ -88,7 +88,9 @@ to its largest value. Aim: at most 2 in the eccentric-load run.
 
 ## Workers
 
-Twenty runs of 30 s of the eccentric-load model.
+Twenty runs of 30 s of the eccentric-load model. Aim: two workers at least 1.8 times one. On the Dask cluster runs
+travel in batches, and each of its workers simulates in a process of its own that it watches over: what a run
+predicts goes through one more process and the scheduler.
 
 {parallel}
 
