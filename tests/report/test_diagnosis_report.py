@@ -92,6 +92,16 @@ def test_effects_that_were_judged_are_ranked_wherever_they_stand_among_the_proba
     assert [b.label for b in figure.bars] == ["mesh_loss", "viscous", "stribeck", "hysteresis"]
 
 
+def test_effects_that_only_together_are_the_verdict_share_a_bar():
+    diagnosis = copy.deepcopy(samples.diagnosis())
+    diagnosis["verdict"]["effects"] = ["viscous", "mesh_loss"]
+    bars = effects_figure(diagnosis).bars
+    assert [b.label for b in bars] == ["viscous + mesh_loss", "stribeck", "hysteresis"]
+    assert bars[0].note == "probability 0.96"
+    diagnosis["verdict"]["kind"] = "ambiguous"
+    assert [b.label for b in effects_figure(diagnosis).bars][:2] == ["mesh_loss", "viscous"]
+
+
 @pytest.mark.parametrize(
     ("ends", "text"),
     [((-0.23673, -2.4e-6), "−0.237 … 0"), ((21.1526, 31.6057), "21.2 … 31.6"), ((0, 103.4), "0 … 103")],

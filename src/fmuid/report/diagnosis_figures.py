@@ -189,7 +189,7 @@ def missing_figure(missing: Sequence[MissingQuantity]) -> LineFigure | None:
         series = []
         for branch in m.branches:
             backward = branch.direction == "backward"
-            label = ", ".join(filter(None, ("estimated", branch.direction)))
+            label = "estimated, backward" if backward else "estimated"
             dots: Role = "before" if backward else "measurement"
             series.append(Series(label, branch.x, branch.y, dots, branch.standard_error, points=True))
             for k, (name, y) in enumerate(branch.laws):
@@ -207,33 +207,32 @@ def missing_figure(missing: Sequence[MissingQuantity]) -> LineFigure | None:
 
 def effects_figure(diagnosis: Mapping[str, Any], most: int = 12) -> BarFigure | None:
     """Return the effects ranked by probability, with held-out closure and its interval."""
-    named = set(diagnosis["verdict"]["effects"])
-    bars = []
+    named = tuple(diagnosis["verdict"]["effects"])
+    together = named if diagnosis["verdict"]["kind"] == "effect" else ()  # one model has them all
     judged = [e for e in diagnosis["effects"] if e.get("closure", {}).get("held_out") is not None]
+    bars: dict[tuple[str, ...], Bar] = {}
     for effect in sorted(judged, key=lambda e: (-e["probability"], -e["closure"]["held_out"]))[:most]:
-        closure, interval = effect["closure"]["held_out"], effect["closure"].get("interval")
-        role: Role = "final" if effect["id"] in named else "floor"
-        bars.append(
-            Bar(
-                effect["id"],
-                closure,
-                role,
-                None if interval is None else (interval[0], interval[1]),
-                f"probability {effect['probability']:.2g}",
-            )
+        members = together if effect["id"] in together else (effect["id"],)
+        probability = sum(e["probability"] for e in judged if e["id"] in members)
+        interval = effect["closure"].get("interval")
+        bars[members] = Bar(
+            " + ".join(members),
+            effect["closure"]["held_out"],
+            "final" if effect["id"] in named else "floor",
+            None if interval is None else (interval[0], interval[1]),
+            f"probability {probability:.2g}",
         )
     if not bars:
         return None
-    low = min(0.0, *(b.interval[0] if b.interval else b.value for b in bars))
+    low = min(0.0, *(b.interval[0] if b.interval else b.value for b in bars.values()))
     return BarFigure(
         "effects",
         "Effects, ranked",
-        tuple(bars),
+        tuple(bars.values()),
         Axis("closure of the gap on held-out data"),
         ((1.0, "all of the gap"),),
         "Part of the gap each effect closes on runs that were not fitted, beyond refitting the nominal "
-        "parameters; lines are its bootstrap interval. Blue: the verdict; of several effects, what they close "
-        "together.",
+        "parameters; lines are its bootstrap interval. Blue: the verdict.",
         limits=(max(-1.0, low), 1.25),
     )
 
