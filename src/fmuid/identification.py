@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from fmuid.observer import Observer, Progress
 from fmuid.problem import Evaluation, Problem
 from fmuid.provenance import fingerprint, hashes_of, versions
 from fmuid.result import FILE, CriterionValue, Estimate, Result, StageResult, at_bound, finite
-from fmuid.runners import Runner, in_process
+from fmuid.runners import Runner, in_process, simulating
 from fmuid.search_space import SEPARATOR
 from fmuid.simulation import Simulator
 from fmuid.solvers import Outcome, Search, Solver, Status, StopRules, StopSearch, make
@@ -143,11 +142,13 @@ def identify(
 
     for step in plan:  # what cannot be posed or solved is said before anything is written
         _check(posed(step, {}, in_process))
-    limits = {"time_limit": time_limit, "memory_limit": memory_limit}
     results: list[StageResult] = []
     best: dict[str, float] = {}
     known = Known()
-    with _runner(executor, workers, limits) as runner, History(folder, resume=resume) as history:
+    with (
+        simulating(executor, workers, time_limit=time_limit, memory_limit=memory_limit) as runner,
+        History(folder, resume=resume) as history,
+    ):
         run = _Run(history, observer or Observer(), seed, specs)
         for step in plan:
             asked = posed(step, best, runner)
@@ -376,19 +377,6 @@ def _posed(
     problem = Problem.of_stage(campaign, step, simulators, best=best, runner=runner)
     stop = StopRules(step.max_evaluations, step.max_seconds)
     return _Posed(problem, step.solver, step.solver_options, stop, step.analyses)
-
-
-@contextmanager
-def _runner(executor: Executor | None, workers: int, limits: Mapping[str, Any]) -> Iterator[Runner]:
-    if executor is not None:
-        from fmuid.remote import on_executor
-
-        yield on_executor(executor, **{name: limit for name, limit in limits.items() if limit is not None})
-        return
-    from fmuid.workers import runner_on
-
-    with runner_on(workers, **limits) as runner:
-        yield runner
 
 
 def _campaign(what: Campaign | str | Path) -> Campaign:

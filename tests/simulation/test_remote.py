@@ -154,7 +154,9 @@ def test_no_scheduler_and_no_workers_are_one_line(monkeypatch):
         pass
 
 
-def test_the_command_line_on_a_cluster(build: Callable[..., Path], tmp_path: Path, cluster: LocalCluster) -> None:
+def test_the_command_line_on_a_cluster(
+    build: Callable[..., Path], tmp_path: Path, cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from fmuid import Experiment, Measurements, Signal, write_measurements
 
     (x,) = load_fmu(build(2)).simulate(Task(TASK.time, TASK.inputs, ("x",)), {"c": 130.0})
@@ -162,17 +164,37 @@ def test_the_command_line_on_a_cluster(build: Callable[..., Path], tmp_path: Pat
         "u": Signal("u", TASK.inputs["u"], "N", "input"),
         "x": Signal("x", x + 1e-4 * np.random.default_rng(0).standard_normal(x.size), "m", "output", 1e-4),
     }
-    write_measurements(
-        Measurements({"run": Experiment("run", "bench", TASK.time, signals)}), tmp_path / "measurements.h5"
-    )
+    runs = {n: Experiment(n, "bench", TASK.time, signals) for n in ("run", "held")}
+    write_measurements(Measurements(runs), tmp_path / "measurements.h5")
     (tmp_path / "campaign.toml").write_text(
-        f'[models.bench]\nfmu = "{build(2)}"\n[parameters.c]\nstart = 100\nlower = 50\nupper = 300\n[stages.all]\n'
+        f'[models.bench]\nfmu = "{build(2)}"\n[parameters.c]\nstart = 100\nlower = 50\nupper = 300\n'
+        '[roles]\nvalidation = ["held"]\n[stages.all]\n'
     )
-    found = {}
+    found, validation = {}, {}
     for where in (("--workers", "1"), ("--dask", cluster.scheduler_address)):
         out = tmp_path / where[0].strip("-")
-        arguments = ["identify", tmp_path, "--no-report", "--quiet", "--time-limit", "20", "--out", out, *where]
+        summary = tmp_path / f"{out.name}.json"
+        arguments = [
+            "identify",
+            tmp_path,
+            "--quiet",
+            "--json",
+            summary,
+            "--time-limit",
+            "20",
+            "--out",
+            out,
+            *where,
+        ]
+        if where[0] == "--dask":  # nothing is simulated by processes of this machine's own
+            monkeypatch.setattr("fmuid.workers.Supervisor", None)
+            monkeypatch.setattr("fmuid.runners.simulate", None)
         assert command([str(a) for a in arguments]) == 0
         found[where[0]] = json.loads((out / "result.json").read_text())["parameters"]
+        validation[where[0]] = json.loads(summary.read_text())["validation"]
+        assert (out / "report" / "index.html").exists()
+        assert (out / "identified" / "parameters.ssv").exists()
     assert found["--dask"] == found["--workers"]
+    assert validation["--dask"] == validation["--workers"]
+    assert validation["--dask"][0]["experiment"] == "held"
     assert found["--dask"]["c"] == pytest.approx(130.0, rel=0.01)

@@ -54,6 +54,7 @@ def identify(
     from fmuid.campaign_toml import load_campaign
     from fmuid.identification import identify as run
     from fmuid.remote import dask_executor
+    from fmuid.runners import simulating
     from fmuid.solvers import Status, StopRules
     from fmuid.workers import available_processors
 
@@ -61,35 +62,36 @@ def identify(
     folder = out or Path("runs") / loaded.name
     stop = StopRules(evaluations, seconds) if evaluations or seconds else None
     printer = Printer(quiet, json)
-    with dask_executor(dask) if dask else nullcontext() as executor, _progress(quiet) as observer:
-        result = run(
-            loaded,
-            out=folder,
-            stages=stage,
-            solver=solver,
-            stop=stop,
-            resume=resume,
-            executor=executor,
-            workers=available_processors() if workers is None else workers,
-            time_limit=time_limit,
-            memory_limit=in_bytes(memory_limit),
-            observer=observer,
-            seed=seed,
-        )
-    printer.say(str(result))
-    summary: dict[str, Any] = {"out": folder, "result": json_library.loads(result.to_json())}
-    interrupted = result.status is Status.INTERRUPTED
-    with supervised(None if dask else workers, time_limit, memory_limit) as runner:
-        if not interrupted and loaded.validation:
-            summary |= _validation(_validated(result, printer, runner), printer)
-        if with_report and not interrupted:
-            from fmuid.report import write_report
+    limits: dict[str, Any] = {"time_limit": time_limit, "memory_limit": in_bytes(memory_limit)}
+    with dask_executor(dask) if dask else nullcontext() as executor:
+        with _progress(quiet) as observer:
+            result = run(
+                loaded,
+                out=folder,
+                stages=stage,
+                solver=solver,
+                stop=stop,
+                resume=resume,
+                executor=executor,
+                workers=available_processors() if workers is None else workers,
+                **limits,
+                observer=observer,
+                seed=seed,
+            )
+        printer.say(str(result))
+        summary: dict[str, Any] = {"out": folder, "result": json_library.loads(result.to_json())}
+        interrupted = result.status is Status.INTERRUPTED
+        with simulating(executor, workers, **limits) as runner:
+            if not interrupted and loaded.validation:
+                summary |= _validation(_validated(result, printer, runner), printer)
+            if with_report and not interrupted:
+                from fmuid.report import write_report
 
-            with printer.working("writing the report") as shown:
-                summary["report"] = write_report(folder, campaign=loaded, runner=runner, progress=shown)
-            printer.say(f"\nreport: {summary['report']}")
-        if result.status not in (Status.INTERRUPTED, Status.FAILED):
-            summary |= _write_back(result, loaded, folder, printer, runner)
+                with printer.working("writing the report") as shown:
+                    summary["report"] = write_report(folder, campaign=loaded, runner=runner, progress=shown)
+                printer.say(f"\nreport: {summary['report']}")
+            if result.status not in (Status.INTERRUPTED, Status.FAILED):
+                summary |= _write_back(result, loaded, folder, printer, runner)
     if interrupted:
         # Whoever presses Ctrl-C does not wait for figures.
         printer.say(f"\ngo on with: fmuid identify {campaign} --out {folder} --resume")
@@ -149,6 +151,8 @@ def diagnose(
         Path | None, typer.Option(help="Diagnose these measurements, not the campaign's own.")
     ] = None,
     workers: Workers = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
     seed: Annotated[int, typer.Option(help="Of the null distribution and the bootstrap.")] = 0,
     calibrate: Annotated[
         int,
@@ -176,6 +180,8 @@ def diagnose(
             out=folder,
             experiments=experiment or (),
             workers=workers,
+            time_limit=time_limit,
+            memory_limit=in_bytes(memory_limit),
             say=lambda what, share: shown(share, what),
             seed=seed,
             calibrate=calibrate,

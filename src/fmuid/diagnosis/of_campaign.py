@@ -33,6 +33,8 @@ def diagnose(
     out: str | Path | None = None,
     experiments: Sequence[str] = (),
     workers: int | None = None,
+    time_limit: float | None = None,
+    memory_limit: int | None = None,
     say: Say | None = None,
     seed: int = 0,
     calibrate: int = 0,
@@ -52,6 +54,9 @@ def diagnose(
         Ids or globs, instead of the campaign's choice.
     workers
         Worker processes to simulate in; the number of processors by default, 0 for none.
+    time_limit, memory_limit
+        Seconds and resident bytes that one simulation may take in a worker process; those of a `WorkerPool` by
+        default.
     say
         Hears what is being done and the share of the work that is behind, 0 to 1.
     seed
@@ -82,7 +87,7 @@ def diagnose(
     from fmuid.coupled.loading import load_model
     from fmuid.workers import runner_on
 
-    with runner_on(workers) as runner:
+    with runner_on(workers, time_limit=time_limit, memory_limit=memory_limit) as runner:
         if say is not None:
             say("noise floor", 0.0)
         subject = subject_of(campaign, load_model, runner=runner, experiments=experiments)
