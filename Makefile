@@ -15,6 +15,8 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constr
 ACTUATOR := FixedShaft FreeShaft EccentricLoad
 SETUPS := $(foreach setup,$(ACTUATOR) LinearAxisOpenLoop LinearAxisClosedLoop,$(setup) $(setup)WithEffects)
 PENDULUM := $(foreach setup,TorqueDriven PositionDriven,build/fmus/$(setup).fmu build/fmus/$(setup)WithEffects.fmu)
+# The actuator and its speed controller apart, to be coupled (docs/coupled.md).
+COUPLED := build/fmus/EccentricLoadPlant.fmu build/fmus/SpeedController.fmu
 FMUS := $(SETUPS:%=build/fmus/%.fmu) $(PENDULUM)
 MODELICA := $(shell find modelica -name '*.mo')
 EXPORT := $(shell find fmu_build -name '*.py' -o -name '*.[ch]')
@@ -25,7 +27,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed blind bench docs clean
+.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed blind bench docs clean
 all: identify
 
 setup: $(READY)
@@ -44,6 +46,11 @@ build/fmus/%.fmu: $(MODELICA) $(EXPORT) | $(READY)
 
 $(PENDULUM): build/fmus/%.fmu: $(MODELICA) $(EXPORT) | $(READY)
 	$(BIN)/fmuid build modelica/Pendulum/Setups/$*.mo Pendulum.Setups.$* --root modelica --out $(@D)
+	@touch $@
+
+coupled: $(COUPLED)
+build/fmus/SpeedController.fmu: $(MODELICA) $(EXPORT) | $(READY)
+	$(BIN)/fmuid build modelica/Drives/Signals/SpeedController.mo Drives.Signals.SpeedController --out $(@D)
 	@touch $@
 
 $(FORCE_FEEDBACK)/measurements.h5: $(FORCE_FEEDBACK)/rig.toml $(RIG) | $(READY)

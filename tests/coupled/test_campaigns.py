@@ -78,15 +78,17 @@ extrapolation = "{extrapolation}"
 """
 
 
-def write_campaign(folder: Path, drive: Mapping[str, Path], model: str) -> Path:
-    """Write a campaign with runs of the single FMU at the truth."""
+def write_campaign(
+    folder: Path, drive: Mapping[str, Path], model: str, starts: tuple[float, float] = (1.0, 1.0)
+) -> Path:
+    """Write a campaign with runs of the single FMU at the truth, each from its own speed."""
     rng = np.random.default_rng(3)
     whole = load_fmu(drive["whole"])
     runs = {}
-    for name, frequency in (("fast", 1.0), ("slow", 0.5)):
+    for name, frequency, start in (("fast", 1.0, starts[0]), ("slow", 0.5, starts[1])):
         reference = 30 * np.sin(2 * np.pi * frequency * TIME)
         task = Task(
-            TIME, {"w_ref": reference}, ("w_motor", "tau_sensor"), {"J_L": 0.45, "w_motor_start": 1.0}, "linear"
+            TIME, {"w_ref": reference}, ("w_motor", "tau_sensor"), {"J_L": 0.45, "w_motor_start": start}, "linear"
         )
         predicted = whole.simulate(task, TRUTH)
         signals = {"w_ref": Signal("w_ref", reference, "rad/s", "input")}
@@ -118,6 +120,25 @@ def test_a_campaign_with_coupled_fmus_recovers_the_truth(campaign_folder, tmp_pa
         assert abs(result.parameters[name] - TRUTH[name]) < 4 * error + 1e-3 * TRUTH[name], name
     scores = validate(result, campaign)
     assert scores["slow", "w"].rmse == pytest.approx(NOISE["w"], rel=0.2)
+
+
+def test_every_run_may_start_from_a_speed_of_its_own(drive, tmp_path):
+    files = {n: os.path.relpath(p, tmp_path) for n, p in drive.items()}
+    write_campaign(tmp_path, drive, TABLE.format(step=1e-3, extrapolation="linear", **files), (2.0, -3.0))
+    text = (tmp_path / "campaign.toml").read_text()
+    text = text.replace('initial = { "plant.w_motor_start" = 1.0 }\n', "").replace(
+        "map = { ", 'map = { w_start = "plant.w_motor_start", '
+    )
+    text = text.replace('validation = ["slow"]', "").replace(
+        'free = ["mgr", "kp"]', 'free = ["mgr", "kp", "w_start"]'
+    )
+    text += '[parameters.w_start]\nstart = 0\nlower = -10\nupper = 10\nunit = "rad/s"\nper = "experiment"\n'
+    (tmp_path / "campaign.toml").write_text(text)
+    stage = identify(tmp_path).stages[0]
+    for name, value in {"w_start@fast": 2.0, "w_start@slow": -3.0, "mgr": 21.0, "kp": 0.026}.items():
+        error = stage[name].standard_error
+        assert abs(stage[name].value - value) < 4 * error + 1e-3 * abs(value), name
+    assert stage["w_start@fast"].standard_error < 0.1
 
 
 def test_check_finds_what_is_wrong_and_what_moves(campaign_folder, capsys):
