@@ -475,6 +475,10 @@ def test_build_finds_the_packages_that_are_shipped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert fmuid("build", "Pendulum", "Pendulum.Setups.TorqueDriven", "--out", ".") == (0, "TorqueDriven.fmu\n", "")
+    assert fmuid("build", "Pendulum", "Pendulum.Setups.TorqueDriven", "--out", ".") == (
+        0,
+        "TorqueDriven.fmu\n",
+        "",
+    )
     Path("Servo.mo").write_text("model Servo\n  extends Pendulum.Setups.TorqueDriven;\nend Servo;\n")
     assert fmuid("build", "Servo.mo", "Servo", "--root", "modelica", "--out", ".") == (0, "Servo.fmu\n", "")

@@ -107,9 +107,7 @@ def test_ctrl_c_keeps_what_was_reached_and_resume_goes_on_exactly(tmp_path, msd,
     assert Result.from_json(tmp_path) == stopped
     assert len(read_history(tmp_path)["msd"].rows) >= 12
     problem = msd()
-    resumed = identify(
-        problem, solver=solver, options=options, out=tmp_path, resume=True, with_uncertainty=False
-    )
+    resumed = identify(problem, solver=solver, options=options, out=tmp_path, resume=True, with_uncertainty=False)
     assert resumed.parameters == whole.parameters
     assert resumed.stages[0].starts == whole.stages[0].starts
     assert resumed.stages[0].evaluations == whole.stages[0].evaluations
