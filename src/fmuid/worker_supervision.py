@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import multiprocessing
 import os
 import pickle
@@ -129,6 +130,7 @@ class Supervisor:
             if self._thread is None:
                 self._thread = threading.Thread(target=self._supervise, name="fmuid workers", daemon=True)
                 self._thread.start()
+                atexit.register(self.shutdown, wait=True, abandon=True)  # no thread goes on in a dying interpreter
         self._wake()
 
     def shutdown(self, wait: bool, abandon: bool) -> None:
@@ -165,6 +167,7 @@ class Supervisor:
             for worker in list(self._team):
                 self._dismiss(worker)
             self._scratch.remove()
+            atexit.unregister(self.shutdown)
 
     def _turn(self) -> bool:
         """Hand out work, wait for something to happen, and deal with it; False when all is over."""

@@ -157,6 +157,19 @@ def test_what_killed_owners_left_is_cleared_up(tmp_path, monkeypatch):
     here.remove()
 
 
+def test_a_pool_that_nobody_closed_ends_with_the_interpreter(tmp_path):
+    script = tmp_path / "open.py"
+    script.write_text(
+        "from fmuid.workers import WorkerPool\n"
+        "if __name__ == '__main__':\n    pool = WorkerPool(1)\n    print(pool.submit(pow, 2, 3).result())\n"
+    )
+    (tmp_path / "tmp").mkdir()
+    environment = {**os.environ, "TMPDIR": str(tmp_path / "tmp")}
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120, env=environment)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "8\n", "")
+    assert not list((tmp_path / "tmp").glob("fmuid-workers-*"))
+
+
 def test_a_script_without_a_guard_is_told_so(tmp_path):
     script = tmp_path / "unguarded.py"
     script.write_text(
@@ -171,9 +184,8 @@ def script(build) -> subprocess.Popen[str]:
     source = f"""
         import os
         import numpy as np
-        from fmuid.fmu import Fmu, load_fmu
-        from fmuid.scratch import Scratch
-from fmuid.simulation import Task
+        from fmuid.fmu import load_fmu
+        from fmuid.simulation import Task
         from fmuid.workers import WorkerPool
         fmu = load_fmu({str(build(2))!r})
         task = Task(np.arange(301) * 1e-3, {{}}, ("y",))
