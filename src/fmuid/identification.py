@@ -321,7 +321,7 @@ def _result(
     )
     return StageResult(
         name=problem.name,
-        status=outcome.status if best is not None else Status.FAILED,
+        status=outcome.status if best is not None or outcome.status is Status.INTERRUPTED else Status.FAILED,
         message=outcome.message,
         solver=solver.name,
         why=why,
