@@ -61,6 +61,13 @@ def test_verdicts_in_words(kind, effects, words):
     assert words in verdict_text(diagnosis)
 
 
+def test_a_verdict_that_is_not_likely_is_no_good_news():
+    diagnosis = copy.deepcopy(samples.diagnosis())
+    assert facts(diagnosis)[0].tone == "good"
+    diagnosis["effects"][0]["probability"] = 0.15
+    assert facts(diagnosis)[0].tone == "warn"
+
+
 def test_of_an_unknown_effect_the_closest_is_named_and_nothing_is_called_corrected(tmp_path):
     diagnosis = copy.deepcopy(samples.diagnosis())
     diagnosis["verdict"] |= {"kind": "unknown", "effects": []}

@@ -85,7 +85,7 @@ def write_diagnosis_report(
 def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     """Return verdict, place and size of the gap: what a reader needs within a minute."""
     gap, named = diagnosis["gap"], diagnosis["verdict"]["effects"]
-    sure = diagnosis["verdict"]["kind"] in ("complete", "effect")
+    sure = diagnosis["verdict"]["kind"] in ("complete", "effect") and _probability(diagnosis) > 0.5
     found = [Fact("Verdict", verdict_text(diagnosis), "good" if sure else "warn")]
     meant = {e["id"]: e.get("description", "") for e in diagnosis["effects"]}
     if any(meant.get(n) for n in named):
@@ -145,9 +145,7 @@ def verdict_text(diagnosis: Mapping[str, Any]) -> str:
     """Return the verdict as one line, with the probability that what it says is true."""
     verdict = diagnosis["verdict"]
     names, port = list(verdict["effects"]), verdict["port"]
-    probability = {e["id"]: e["probability"] for e in diagnosis["effects"]}
-    said = names or [{"complete": "none"}.get(verdict["kind"], "unknown")]
-    sure = f" ({100 * sum(probability.get(n, 0.0) for n in said):.0f} %)"
+    sure = f" ({100 * _probability(diagnosis):.0f} %)"
     at = f" at {port}" if port else ""
     match verdict["kind"]:
         case "complete":
@@ -160,6 +158,13 @@ def verdict_text(diagnosis: Mapping[str, Any]) -> str:
             return f"Unknown effect{at}{sure}: none of the catalogue explains it"
         case _:
             return "Not enough data to say"
+
+
+def _probability(diagnosis: Mapping[str, Any]) -> float:
+    """Return the probability of what the verdict says."""
+    verdict = diagnosis["verdict"]
+    said = verdict["effects"] or [{"complete": "none"}.get(verdict["kind"], "unknown")]
+    return sum(float(e["probability"]) for e in diagnosis["effects"] if e["id"] in said)
 
 
 def _lowered(sentence: str) -> str:
