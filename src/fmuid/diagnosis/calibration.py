@@ -243,7 +243,8 @@ def shipped() -> Calibration:
     """Return the calibration that comes with the package, from plants of the actuator's FMU."""
     return _read(
         (files("fmuid.diagnosis") / "calibration.json").read_text(),
-        "of the Harmonic Drive actuator, the default (--calibrate 60 makes them from this model and its noise)",
+        "of the Harmonic Drive actuator, the default (of repeated runs, --calibrate 60 makes them from this model "
+        "and its noise)",
     )
 
 
