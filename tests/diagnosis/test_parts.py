@@ -8,7 +8,7 @@ from plants import EFFECTS, NOMINAL, PORTS, REGIMES, TWIN, plant
 
 from fmuid.diagnosis.candidates import Fitted, fit_effects, score_further
 from fmuid.diagnosis.catalogue import Effect
-from fmuid.diagnosis.decide import strained
+from fmuid.diagnosis.decide import names, strained
 from fmuid.diagnosis.held_out import HeldOut, advantage, closure, closure_interval, leave_each_out
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import fit_decoys, harmonics, hats, quantile_knots
@@ -224,6 +224,15 @@ def test_a_law_at_bounds_that_nobody_thought_plausible_is_strained(values, strai
     found = dict(zip(neutral, values, strict=True))
     fitted = Fitted(("e",), ("e",), Refit(unknowns, found, (), (), 0.0, 0, True), lost(1.0), 1.0)
     assert strained(fitted, [effect]) is strain
+
+
+@pytest.mark.parametrize(("held_out", "named"), [(0.1, False), (0.45, True)])
+def test_what_finishes_a_weak_gap_is_not_named_if_unknown_is_likelier(held_out, named):
+    nominal, best = (
+        Fitted(effects, effects, Refit((), {}, (), (), 0.0, 0, True), lost(loss), left)
+        for effects, loss, left in [((), 1.0, 0.4), (("e",), (1.0 - held_out) ** 2, 0.2)]
+    )
+    assert names(nominal, best, finished=True) is named
 
 
 def test_a_law_of_a_confined_variable_is_sought_at_its_port_alone():

@@ -77,12 +77,13 @@ def worth_adding(before: Fitted, after: Fitted) -> bool:
 def names(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
     """Return whether `best` closes enough of the gap for its effects to be named.
 
-    Of a weak gap much is chance, and where one experiment alone shows it, leaving that out leaves nothing to
-    learn from: there it is enough that with the effects the model is complete.
+    Of a weak gap much is chance, and where one experiment alone shows it, leaving that out leaves little to
+    learn from: there it is enough that with the effects the model is complete, unless *unknown* is likelier.
     """
     trained = 1.0 - best.gap / nominal.gap if nominal.gap > 0.0 else 0.0
     held_out = closure(nominal.held_out, best.held_out)
-    return held_out >= CLOSURE_THAT_NAMES or (finished and trained >= CLOSURE_THAT_FINISHES)
+    likely = held_out * len(best.names) >= _doubt(held_out)
+    return held_out >= CLOSURE_THAT_NAMES or (likely and finished and trained >= CLOSURE_THAT_FINISHES)
 
 
 def beyond_doubt(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
@@ -163,7 +164,7 @@ def probabilities(
                 weight[name] = max(weight[name], 0.15 * shift)
     elif best is not None:
         closed = float(np.clip(closure(nominal.held_out, best.held_out), 0.0, 1.0))
-        weight["unknown"] = 0.95 if unknown else max(0.02, (1.0 - closed) ** 2)
+        weight["unknown"] = 0.95 if unknown else max(0.02, _doubt(closed))
         share = max(1e-3, 0.05 if unknown else closed)
         for candidate in candidates:
             if len(candidate.names) != len(best.names):
@@ -176,3 +177,8 @@ def probabilities(
         weight["unknown"] = 1.0
     total = sum(weight.values())
     return {name: w / total for name, w in weight.items()}
+
+
+def _doubt(closed: float) -> float:
+    """Return what *unknown* weighs beside effects that close so much of the held-out gap, and weigh as much."""
+    return (1.0 - closed) ** 2
