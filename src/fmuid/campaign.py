@@ -266,6 +266,10 @@ class ParameterSpec:
     truth: float | None = None
     description: str = ""
 
+    def __post_init__(self) -> None:
+        for name in ("start", "lower", "upper"):  # NumPy's numbers are no JSON
+            object.__setattr__(self, name, float(getattr(self, name)))
+
 
 @dataclass(frozen=True, slots=True)
 class CriterionSpec:

@@ -93,8 +93,8 @@ def test_objectives_that_agree_have_one_best_point(analytic):
 
 def test_a_budget_leaves_a_part_of_the_front_and_says_so(analytic):
     asked = problem(analytic, fonseca, "ab", ("f", "g"))
-    stage = identify(asked, analyses=FRONT, stop=StopRules(evaluations=600)).stages[0]
-    assert stage.front.message.startswith("incomplete (600 evaluations)")
+    stage = identify(asked, analyses=FRONT, stop=StopRules(evaluations=400)).stages[0]
+    assert stage.front.message.startswith("incomplete (400 evaluations)")
     assert 2 <= len(stage.front.points) < 9
 
 

@@ -100,6 +100,28 @@ def test_min_max_balances_criteria_that_compete(analytic, solver):
     assert result.parameters["a"] == pytest.approx(0.0, abs=0.02)
 
 
+def test_cobyla_goes_on_where_it_stops_short_in_a_narrow_valley(analytic):
+    def valley(time, inputs, p):
+        across, along = 50 * (p["b"] - p["a"] ** 2), 1 + (p["a"] - 2) ** 2
+        return {"y": np.where(time < 0.55, along + across, along - across)}
+
+    criteria = [
+        CriterionSpec("y", "error_vector", stop_time=0.5),
+        CriterionSpec("y", "error_vector", start_time=0.6),
+    ]
+    specs = [ParameterSpec("a", np.float64(5.2), -10, 10), ParameterSpec("b", np.float64(-1.7), -10, 10)]
+    problem = curve(
+        analytic,
+        valley,
+        "ab",
+        np.zeros(10),
+        criteria=criteria,
+        specs=specs,
+        combination=Combination("min_max"),
+    )
+    assert identify(problem, with_uncertainty=False).stages[0].cost == pytest.approx(1.0, abs=1e-3)
+
+
 @pytest.mark.parametrize("solver", ["cobyla", "slsqp", "bobyqa"])
 def test_constraints_on_parameters_are_kept(analytic, solver):
     # Nearest point of a + b = 1 to (2, 1) is (1, 0).

@@ -54,6 +54,7 @@ _OPTIONS: Mapping[str, float] = {  # and what a value is like
 }
 _LOWEST_LEVEL = 1e-6  # to which the largest goal is taken: its step follows from it
 _GLOBAL_EVALUATIONS = 200  # a parameter, for global solvers without any stop rule: they never converge
+_RESTARTS, _SHORTER, _GAIN = 4, 0.3, 1e-3  # of COBYLA: how often, with which share of the step, for which gain
 _IDLE = 300  # times that a solver may ask for what it knows, one after the other
 _PENALTY_EVALUATIONS = 500  # a parameter: where constraints cannot be kept, an augmented Lagrangian has no end
 
@@ -107,9 +108,27 @@ class NloptSolver:
         first = search.evaluate(start)
         if first.failure is not None and (algorithm.model or not algorithm.finite_bounds):
             raise SimulationError(f"the start point fails ({first.failure})", fix="choose other start values")
-        return around_failures(
-            search, start, lambda x, lower, upper: self._run(search, algorithm, first, x, lower, upper)
-        )
+        own = self._number("initial_step", _OPTIONS["initial_step"])
+
+        def run(x: FloatArray, scale: float) -> Outcome:
+            return around_failures(
+                search, x, lambda x, lower, upper: self._run(search, algorithm, first, x, lower, upper, scale)
+            )
+
+        outcome = run(start, own)
+        if self.name == "cobyla" and "evaluations" not in self.options:
+            # It may stop short of a minimum where goals meet in a narrow valley: go on with smaller steps.
+            for k in range(1, _RESTARTS + 1):
+                before = search.reached
+                if outcome.status is not Status.CONVERGED or before is None:
+                    break
+                outcome = run(before.x, own * _SHORTER**k)
+                after = search.reached
+                assert after is not None
+                gain = search.cost_of(before) - search.cost_of(after)
+                if search.feasible(before) and gain <= _GAIN * abs(search.cost_of(before)):
+                    break
+        return outcome
 
     def _run(
         self,
@@ -119,6 +138,7 @@ class NloptSolver:
         x: FloatArray,
         lower: FloatArray,
         upper: FloatArray,
+        initial_step: float,
     ) -> Outcome:
         import nlopt
 
@@ -132,7 +152,7 @@ class NloptSolver:
             opt = nlopt.opt(nlopt.AUGLAG, n)  # augmented Lagrangian around a solver without constraints
             functions.opt = opt
         here = x
-        step = np.minimum(self._number("initial_step", 0.1), 0.4 * (upper - lower))
+        step = np.minimum(initial_step, 0.4 * (upper - lower))
         if epigraph:
             evaluation = search.evaluate(x)
             level = max(search.cost_of(evaluation), _LOWEST_LEVEL) if evaluation.ok else 1.0
