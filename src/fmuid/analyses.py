@@ -87,6 +87,10 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | Non
             )
     if spec.pareto is not None:
         found.front = _front(search, spec.pareto, best, record)
+        if found.front.beats_chosen:
+            found.warnings.append(
+                "the front has a point that beats the estimate: search on, or from several starts"
+            )
     return found
 
 

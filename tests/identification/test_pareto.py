@@ -98,6 +98,15 @@ def test_a_budget_leaves_a_part_of_the_front_and_says_so(analytic):
     assert 2 <= len(stage.front.points) < 9
 
 
+def test_a_front_that_beats_the_estimate_is_a_warning(analytic):
+    aside = lambda time, inputs, p: fonseca(time, inputs, {"a": p["a"], "b": p["b"] + 1})  # noqa: E731
+    asked = problem(analytic, aside, "ab", ("f", "g"))
+    stage = identify(asked, solver="sbplx", options={"evaluations": 3}, analyses=FRONT).stages[0]
+    assert any(w.startswith("the front has a point that beats the estimate") for w in stage.warnings)
+    whole = identify(problem(analytic, fonseca, "ab", ("f", "g")), analyses=FRONT).stages[0]
+    assert not any("beats" in w for w in whole.warnings)
+
+
 def test_an_interrupted_front_goes_on_exactly(analytic, tmp_path):
     whole = identify(problem(analytic, fonseca, "ab", ("f", "g")), analyses=FRONT).stages[0]
 

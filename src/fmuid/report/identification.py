@@ -174,7 +174,7 @@ def _estimates_table(
     for e in _in_order(result, campaign):
         row: list[Cell] = [e.name, pretty_unit(e.unit or ""), first[e.name], e.value, e.standard_error]
         row += e.interval or (None, None)
-        row += [None if e.inherited is None else 100 * e.inherited] if inherited else []
+        row += [None if e.inherited is None else round(100 * e.inherited)] if inherited else []
         if truths:
             row += [e.truth, None if e.relative_error is None else 100 * e.relative_error]
         row += [values.get(e.name) for values in published.values()]

@@ -42,6 +42,15 @@ class Front:
     evaluations: int
     message: str
 
+    @property
+    def beats_chosen(self) -> bool:
+        """Whether a point is better than the stage's estimate by more than a hundredth, and worse in nothing."""
+        return any(
+            all(v <= c * (1.0 + _EQUAL) for v, c in zip(p.values, self.chosen, strict=True))
+            and any(v < 0.99 * c for v, c in zip(p.values, self.chosen, strict=True))
+            for p in self.points
+        )
+
     def __str__(self) -> str:
         """Return the front as a table."""
         names = list(self.points[0].parameters) if self.points else []
