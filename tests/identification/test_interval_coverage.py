@@ -1,0 +1,53 @@
+"""The tool that measures how often intervals hold the truth."""
+
+import numpy as np
+import pytest
+
+from fmuid import CriterionSpec, ParameterSpec
+from fmuid.errors import ProblemError
+from fmuid.interval_coverage import interval_coverage, main
+from tests.identification.test_held import LEVEL, SLOPE, campaign, line
+
+
+@pytest.fixture
+def bench(analytic):
+    return {"bench": analytic(line, ["a", "b", "c", "load"])}
+
+
+def test_intervals_of_a_line_hold_the_truth(bench):
+    both = SLOPE.__class__("both", ("loaded",), ("a", "b"))
+    truth = {n: ParameterSpec(n, 1.0, truth=v) for n, v in (("a", 2.0), ("b", 0.5))}
+    for colour in (0.0, 0.6):
+        found = interval_coverage(campaign(both, **truth), "both", draws=60, colour=colour, simulators=bench)
+        assert found.names == ("a", "b")
+        assert np.all(found.shares >= 0.85), (colour, found.shares)
+        rms = np.sqrt(np.mean(found.deviations**2, axis=0))
+        assert np.all((rms > 0.75) & (rms < 1.35)), (colour, rms)
+        assert "inside, of 60" in str(found)
+
+
+def test_intervals_around_what_is_not_the_truth_do_not_hold_it(bench):
+    # Judged over the first half only, by a model whose slope is held at 1 instead of 0.5: the level takes it up.
+    wrong = LEVEL.__class__("wrong", ("loaded",), ("a",), criteria=(CriterionSpec("y", stop_time=5.0),))
+    right = campaign(wrong, a=ParameterSpec("a", 1.0, truth=2.0), b=ParameterSpec("b", 0.5))
+    assert interval_coverage(right, "wrong", draws=20, simulators=bench).shares[0] > 0.8
+    biased = {"bench": Biased(bench["bench"])}
+    assert interval_coverage(right, "wrong", draws=5, simulators=biased).shares[0] == 0.0
+
+
+class Biased:
+    """A model that is another one after its first run, in which the measurements are made."""
+
+    def __init__(self, model):
+        self.model, self.variables, self.runs = model, model.variables, 0
+
+    def simulate(self, task, parameters):
+        self.runs += 1
+        return self.model.simulate(task, dict(parameters) | ({"b": 1.0} if self.runs > 1 else {}))
+
+
+def test_mistakes_are_one_line(bench, capsys):
+    with pytest.raises(ProblemError, match="no stage 'slop'"):
+        interval_coverage(campaign(LEVEL, SLOPE), "slop", simulators=bench)
+    assert main(["nowhere", "level"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
