@@ -312,6 +312,13 @@ def test_starts_are_simulated_side_by_side(analytic):
     assert np.mean(batches) > 3
 
 
+def test_random_searches_side_by_side_draw_different_numbers(analytic):
+    problem = curve(analytic, rugged, ["a"], np.zeros(5), specs=[ParameterSpec("a", 3.0, -4.7, 5.3)])
+    options = {"starts": 3, "evaluations": 30}
+    stage = identify(problem, solver="crs2", options=options, with_uncertainty=False).stages[0]
+    assert len({s.end for s in stage.starts}) == 3
+
+
 def test_a_budget_ends_all_starts(analytic):
     problem = curve(analytic, rugged, ["a"], np.zeros(5), specs=[ParameterSpec("a", 3.0, -4.7, 5.3)])
     stage = identify(

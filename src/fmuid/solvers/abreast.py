@@ -23,10 +23,14 @@ Wanted = Sequence[tuple[FloatArray, str]]
 
 
 class Branch(Search):
-    """One of several searches of the same problem. It counts and compares what is its own; `ask` evaluates."""
+    """One of several searches of the same problem. It counts and compares what is its own; `ask` evaluates.
 
-    def __init__(self, trunk: Search, ask: Simulate) -> None:
-        super().__init__(trunk.problem, trunk.stop, seed=trunk.seed, needs_residuals=trunk.needs_residuals)
+    Each draws its own random numbers.
+    """
+
+    def __init__(self, trunk: Search, number: int, ask: Simulate) -> None:
+        seed = trunk.seed + number
+        super().__init__(trunk.problem, trunk.stop, seed=seed, needs_residuals=trunk.needs_residuals)
         self.cost_of, self.limits_of, self.goals_of = trunk.cost_of, trunk.limits_of, trunk.goals_of
         self._remembered = _REMEMBERED
         self._simulate = ask
@@ -38,8 +42,8 @@ class Branch(Search):
 class _Strand:
     """A search in a thread, run from one wish to the next."""
 
-    def __init__(self, trunk: Search, run: Callable[[Search], Outcome]) -> None:
-        self.branch = Branch(trunk, self._ask)
+    def __init__(self, trunk: Search, number: int, run: Callable[[Search], Outcome]) -> None:
+        self.branch = Branch(trunk, number, self._ask)
         self.outcome: Outcome | None = None
         self.error: BaseException | None = None
         self._run = run
@@ -93,7 +97,7 @@ class Abreast:
 
     def __init__(self, trunk: Search, runs: Sequence[Callable[[Search], Outcome]]) -> None:
         self._trunk = trunk
-        self._strands = [_Strand(trunk, run) for run in runs]
+        self._strands = [_Strand(trunk, number, run) for number, run in enumerate(runs)]
 
     def run(self) -> None:
         """Run all of them to their ends.
