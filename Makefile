@@ -27,7 +27,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed blind bench docs clean
+.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed blind bench coverage docs clean
 all: identify
 
 setup: $(READY)
@@ -100,6 +100,12 @@ blind: $(FMUS)
 	$(BIN)/python -m fmuid.diagnosis.blind_check --labels $(LABELS) --count $(COUNT) \
 	  $(FIRST:%=--first %) $(SEED:%=--seed %) --page docs/blind.md --notes docs/blind_notes.md \
 	  --command "make blind COUNT=$(COUNT)$(FIRST:%= FIRST=%)$(SEED:%= SEED=%)"
+
+# How often 95 % intervals of the linear stage hold the truth, under white and under coloured noise: ten minutes.
+DRAWS ?= 200
+coverage: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
+	$(BIN)/python -m fmuid.interval_coverage $(FORCE_FEEDBACK) linear $(DRAWS)
+	$(BIN)/python -m fmuid.interval_coverage $(FORCE_FEEDBACK) linear $(DRAWS) 0.8
 
 lint: $(DEVELOPER)
 	$(BIN)/ruff check .

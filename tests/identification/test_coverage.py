@@ -1,9 +1,25 @@
 """How often 95 % intervals hold the truth: the paper's linear stage on the actuator's FMU, over many noises."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from fmuid import CriterionSpec, ParameterSpec, Problem, Task, identify, load_fmu, measured_case
+from fmuid import (
+    CriterionSpec,
+    ParameterSpec,
+    Problem,
+    Task,
+    identify,
+    load_campaign,
+    load_fmu,
+    measured_case,
+)
+from fmuid.interval_coverage import interval_coverage
+
+CAMPAIGN = Path(__file__).parents[2] / "campaigns" / "force_feedback"
 
 TRUTH = {"d_S": 2.66, "J_S": 0.003039, "d_G": 70.625}  # as the paper identified them
 SIGMA = 0.1  # N.m, of the torque sensor
@@ -66,3 +82,15 @@ def test_intervals_of_the_linear_stage_hold_the_truth(runs, coloured, kind, whit
 
     found = coverage(runs, noise, whiten, draws=200)
     assert all(0.90 <= share <= 0.98 for share in found.values()), found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("colour", [0.0, 0.8])
+def test_intervals_of_the_campaigns_own_linear_stage_hold_the_truth(fmus, colour):
+    """Fewer noises than `make coverage` draws; docs/identification.md has its figures."""
+    if not (CAMPAIGN / "measurements.h5").exists():
+        subprocess.run([sys.executable, "-m", "fmuid.virtual_rig", str(CAMPAIGN)], check=True)
+    found = interval_coverage(load_campaign(CAMPAIGN), "linear", draws=30, colour=colour, seed=1)
+    assert len(found.names) == 11
+    assert 0.90 <= np.mean(found.shares) <= 0.98, str(found)
+    assert np.mean(np.sqrt(np.mean(found.deviations**2, axis=0))) == pytest.approx(1.0, abs=0.15)
