@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 import os
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -26,8 +25,11 @@ from fmuid.importing import Run, experiment_from_table, read_run, with_repeats
 from fmuid.measurements import check_measurements, write_measurements
 from fmuid.resampling import TimeBase
 from fmuid.runners import Runner, in_process
+from fmuid.signal_catalogue import FILE_NAME as CATALOGUE_NAME
+from fmuid.signal_catalogue import signal_catalogue
 from fmuid.simulation import Variable
 from fmuid.suggest import known_names, suggestion
+from fmuid.toml_tables import toml_text
 from fmuid.units import conversion
 
 _MAX_NAMES = 8  # of parameters that are held, in one line
@@ -57,7 +59,7 @@ def new_campaign(
 
     Columns become signals by the name or, where that is unique, the unit of the FMU's inputs and outputs.
     Which parameters are free and how inputs act between samples: see `fmuid.first_choice`. The last run is kept
-    for validation.
+    for validation. Beside it goes a catalogue of the effects that any FMU's signals may have.
 
     Parameters
     ----------
@@ -79,9 +81,10 @@ def new_campaign(
     FmuidError
         A file cannot be read, nothing in it fits the FMU, or there is a campaign already.
     """
-    target = folder / FILE_NAME
-    if target.exists():
-        raise CampaignError("is there already", where=target, fix="name another folder with --out")
+    target, catalogue = folder / FILE_NAME, folder / CATALOGUE_NAME
+    for file in (target, catalogue):
+        if file.exists():
+            raise CampaignError("is there already", where=file, fix="name another folder with --out")
     model = load_model(fmu)
     ports = {n: v for n, v in model.variables.items() if v.causality in ("input", "output")}
     guesses: list[str] = []
@@ -128,6 +131,7 @@ def new_campaign(
         )
     guesses += _choice_lines(choice, any(run.inputs for run in runs.values()))
     write_measurements(Measurements(runs), folder / "measurements.h5")
+    write_atomically(catalogue, signal_catalogue(runs.values(), mapping, ports))
     write_atomically(target, _toml(folder, fmu, runs, mapping, choice, interface))
     load_campaign(folder)
     return NewCampaign(folder, tuple(dict.fromkeys(guesses)))
@@ -259,20 +263,20 @@ def _toml(
     identification = [run.id for run in _for_identification(runs)]
     validation = [r.id for r in runs.values() if r.repeat_of is None and r.id not in identification]
     path = Path(os.path.relpath(fmu.resolve(), folder.resolve())).as_posix()
-    renamed = ", ".join(f"{_text(k)} = {_text(v)}" for k, v in mapping.items())
+    renamed = ", ".join(f"{toml_text(k)} = {toml_text(v)}" for k, v in mapping.items())
     lines = [
         "# A campaign: which model, which parameters, which runs. See docs/formats.md.",
         "[campaign]",
-        f"name = {_text(folder.resolve().name)}",
+        f"name = {toml_text(folder.resolve().name)}",
         'measurements = "measurements.h5"',
         "",
         "# The model of each setup. `map` names the FMU's variable for a signal, setting or parameter.",
-        f"[models.{_text(setup)}]",
-        f"fmu = {_text(path)}",
+        f"[models.{toml_text(setup)}]",
+        f"fmu = {toml_text(path)}",
         f"map = {{ {renamed} }}" if renamed else "map = {}",
         "# Inputs between their samples: hold, linear, or preceding (a sample acts from the one before it on).",
-        f"interpolation = {_text(choice.interpolation)}",
-        *(["# On fmuid's solver, not on the FMU's.", f"interface = {_text(interface)}"] if interface else []),
+        f"interpolation = {toml_text(choice.interpolation)}",
+        *(["# On fmuid's solver, not on the FMU's.", f"interface = {toml_text(interface)}"] if interface else []),
         "",
         "# Parameters: start and bounds in the FMU's unit. Narrow the bounds to what you know.",
     ]
@@ -287,12 +291,16 @@ def _toml(
     lines += [
         "# Which runs the fit sees, and which only judge it. Repeats come along.",
         "[roles]",
-        f"identification = [{', '.join(map(_text, identification))}]",
-        f"validation = [{', '.join(map(_text, validation))}]",
+        f"identification = [{', '.join(map(toml_text, identification))}]",
+        f"validation = [{', '.join(map(toml_text, validation))}]",
         "",
         "# One stage: every free parameter, all runs for identification, least squares on every output.",
         "[stages.all]",
         "budget = { evaluations = 500 }",
+        "",
+        "# For `fmuid diagnose`: what the model may lack. The free parameters are refitted with every effect.",
+        "[effects]",
+        f"catalogue = {toml_text(CATALOGUE_NAME)}",
     ]
     return "\n".join(lines) + "\n"
 
@@ -302,19 +310,14 @@ def _parameter_lines(variable: Variable) -> list[str]:
     low, high = (start / 10, start * 10) if start > 0 else (start * 10, -start * 10)
     low = max(low, variable.min if variable.min is not None else low)
     high = min(high, variable.max if variable.max is not None else high)
-    lines = [f"[parameters.{_text(variable.name)}]"]
+    lines = [f"[parameters.{toml_text(variable.name)}]"]
     if variable.description:
         lines[0] += f" # {' '.join(variable.description.split())}"
     lines += [f"start = {start!r}"]
     if low < high:
         lines += [f"lower = {low!r}", f"upper = {high!r}"]
     if variable.unit:
-        lines.append(f"unit = {_text(variable.unit)}")
+        lines.append(f"unit = {toml_text(variable.unit)}")
     if low > 0:
         lines.append('scale = "log"')
     return [*lines, ""]
-
-
-def _text(value: str) -> str:
-    """Return `value` as a TOML basic string."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import tomllib
@@ -117,3 +118,8 @@ def finite(name: str, value: float, where: str) -> float:
     if not math.isfinite(number):
         raise CampaignError(f"'{name}' is {number:g}", where=where, fix="write a finite number")
     return number
+
+
+def toml_text(value: str) -> str:
+    """Return `value` as a TOML basic string."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -61,6 +61,18 @@ def test_verdicts_in_words(kind, effects, words):
     assert words in verdict_text(diagnosis)
 
 
+@pytest.mark.parametrize(
+    ("present", "words"), [(True, "record a run with another input"), (False, "larger inputs")]
+)
+def test_where_the_data_cannot_tell_it_is_said_what_to_record(present, words):
+    diagnosis = copy.deepcopy(samples.diagnosis())
+    diagnosis["verdict"] |= {"kind": "insufficient", "effects": []}
+    diagnosis["gap"]["present"] = present
+    diagnosis["smallest_seen"] = {}
+    (advice,) = [fact.value for fact in facts(diagnosis) if fact.label == "What to do"]
+    assert words in advice
+
+
 def test_a_verdict_that_is_not_likely_is_no_good_news():
     diagnosis = copy.deepcopy(samples.diagnosis())
     assert facts(diagnosis)[0].tone == "good"

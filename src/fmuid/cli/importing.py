@@ -189,6 +189,7 @@ def init(
     for line in made.guesses:
         printer.say(line)
     printer.say(f"{out / 'campaign.toml'}: look it through, then run: fmuid check {out}; fmuid identify {out}")
+    printer.say(f"{out / 'effects.toml'}: what may be wrong with the signals, for: fmuid diagnose {out}")
     printer.write({"out": out, "guesses": made.guesses})
 
 

@@ -87,6 +87,8 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     gap, named = diagnosis["gap"], diagnosis["verdict"]["effects"]
     sure = diagnosis["verdict"]["kind"] in ("complete", "effect") and _probability(diagnosis) > 0.5
     found = [Fact("Verdict", verdict_text(diagnosis), "good" if sure else "warn")]
+    if diagnosis["verdict"]["kind"] == "insufficient":
+        found.append(Fact("What to do", _more_data(diagnosis)))
     meant = {e["id"]: e.get("description", "") for e in diagnosis["effects"]}
     if any(meant.get(n) for n in named):
         names = [f"{n}: " if len(named) > 1 else "" for n in named]
@@ -108,6 +110,13 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     if diagnosis["verdict"]["kind"] == "unknown":
         found += _closest(diagnosis)
     return tuple(found)
+
+
+def _more_data(diagnosis: Mapping[str, Any]) -> str:
+    """Return what to record where the data cannot tell: see `powerless` in `diagnose_subject`."""
+    if diagnosis["gap"]["present"] or diagnosis.get("smallest_seen"):
+        return "record a run with another input; a single one, even repeated, leaves nothing to judge on"
+    return "record runs with other or larger inputs, and more repeats; no effect of a plausible size would be seen"
 
 
 def _closures(diagnosis: Mapping[str, Any], names: Sequence[str]) -> dict[str, list[str]]:
