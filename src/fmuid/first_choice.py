@@ -20,7 +20,7 @@ _STEP = 0.01  # relative change of a parameter to see its effect
 _LEAST_NEW = 1e-2  # of an effect, not explained by the parameters chosen before
 _LEAST_EFFECT = 1e-4  # of the largest
 _SAME = 1e-3  # of an output's range, between the FMU's solver and fmuid's
-_CLEARLY = 0.5  # share of the squared error left that makes one reading of the inputs better than the other
+_CLEARLY = 0.1  # share of the squared error left that makes one reading of the inputs better than the other
 
 NO_EFFECT = "moves no measured output"
 EXPLAINED = "what it does, the free ones do together: whichever of them is known should be held instead"
@@ -61,7 +61,7 @@ def first_choice(
     """Choose from the sensitivities at the start values of the first three runs.
 
     Free are the parameters with the most independent effects on the outputs (QR with column pivoting of the
-    relative sensitivities). Inputs are linear between their samples, not held, where that leaves less than half of
+    relative sensitivities). Inputs are linear between their samples, not held, where that leaves less than a tenth of
     the squared error after one Gauss-Newton step of the free parameters: as where an output answers at once to an
     input that was sampled together with it.
     """
