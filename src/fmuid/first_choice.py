@@ -61,9 +61,9 @@ def first_choice(
     """Choose from the sensitivities at the start values of the first three runs.
 
     Free are the parameters with the most independent effects on the outputs (QR with column pivoting of the
-    relative sensitivities). Inputs are linear between their samples, not held, where that leaves less than a tenth of
-    the squared error after one Gauss-Newton step of the free parameters: as where an output answers at once to an
-    input that was sampled together with it.
+    relative sensitivities). Inputs are linear between their samples, not held, where that leaves less than a tenth
+    of the squared error after one Gauss-Newton step of the free parameters: as where an output answers at once to
+    an input that was sampled together with it.
     """
     parameters = [
         v
