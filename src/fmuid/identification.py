@@ -20,12 +20,13 @@ from fmuid.observer import Observer, Progress
 from fmuid.problem import Evaluation, Problem
 from fmuid.provenance import fingerprint, hashes_of, versions
 from fmuid.result import FILE, CriterionValue, Estimate, Result, StageResult, at_bound, finite
-from fmuid.runners import Runner, in_process, simulating
+from fmuid.runners import Runner, in_process
 from fmuid.search_space import SEPARATOR
 from fmuid.simulation import Simulator
 from fmuid.solvers import Outcome, Search, Solver, Status, StopRules, StopSearch, make
 from fmuid.solvers.pareto import Objectives
 from fmuid.uncertainty import Uncertainty
+from fmuid.workers import runner_on
 
 _ALIKE = 0.99
 _INTERRUPTED = Outcome(Status.INTERRUPTED, "stopped by the user")
@@ -146,7 +147,7 @@ def identify(
     best: dict[str, float] = {}
     known = Known()
     with (
-        simulating(executor, workers, time_limit=time_limit, memory_limit=memory_limit) as runner,
+        runner_on(workers, executor=executor, time_limit=time_limit, memory_limit=memory_limit) as runner,
         History(folder, resume=resume) as history,
     ):
         run = _Run(history, observer or Observer(), seed, specs)

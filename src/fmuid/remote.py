@@ -90,9 +90,8 @@ class _Batches:
 
     def __init__(self, executor: Executor, limits: Limits) -> None:
         self._executor, self._limits = executor, limits
-        self._parcels: dict[
-            int, tuple[Parcel, Any]
-        ] = {}  # by id of the thing, which is kept so that it stays its own
+        # By id of the thing, which is kept so that the id stays its own.
+        self._parcels: dict[int, tuple[Parcel, Any]] = {}
         self._seconds = math.inf  # that a job took last
 
     def run(self, jobs: Sequence[Job]) -> list[Outcome]:

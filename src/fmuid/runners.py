@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from fmuid.campaign import FloatArray
@@ -61,33 +60,3 @@ def on_threads(executor: ThreadPoolExecutor) -> Runner:
             raise
 
     return run
-
-
-@contextmanager
-def simulating(
-    executor: Executor | None = None,
-    workers: int | None = 0,
-    *,
-    time_limit: float | None = None,
-    memory_limit: int | None = None,
-) -> Iterator[Runner]:
-    """Yield what simulates: on `executor`, else in so many worker processes (None: one a processor; 0: here).
-
-    `time_limit` (s) and `memory_limit` (bytes) are those of a `WorkerPool` by default.
-
-    Raises
-    ------
-    FmuidError
-        A limit without workers.
-    """
-    asked = {"time_limit": time_limit, "memory_limit": memory_limit}
-    limits: dict[str, Any] = {name: limit for name, limit in asked.items() if limit is not None}
-    if executor is not None:
-        from fmuid.remote import on_executor
-
-        yield on_executor(executor, **limits)
-        return
-    from fmuid.workers import runner_on
-
-    with runner_on(workers, **limits) as runner:
-        yield runner

@@ -155,9 +155,15 @@ class WorkerPool(Executor):
 
 @contextmanager
 def runner_on(
-    workers: int | None = None, *, time_limit: float | None = None, memory_limit: int | None = None
+    workers: int | None = None,
+    *,
+    executor: Executor | None = None,
+    time_limit: float | None = None,
+    memory_limit: int | None = None,
 ) -> Iterator[Runner]:
-    """Yield what simulates: a `WorkerPool` of so many processes (None: one a processor), this process for 0.
+    """Yield what simulates: on `executor`, else in so many worker processes (None: one a processor; 0: here).
+
+    `time_limit` (s) and `memory_limit` (bytes) are those of a `WorkerPool` by default.
 
     Raises
     ------
@@ -166,7 +172,11 @@ def runner_on(
     """
     asked = {"time_limit": time_limit, "memory_limit": memory_limit}
     limits: dict[str, Any] = {name: limit for name, limit in asked.items() if limit is not None}
-    if workers != 0:
+    if executor is not None:
+        from fmuid.remote import on_executor
+
+        yield on_executor(executor, **limits)
+    elif workers != 0:
         with WorkerPool(workers, **limits) as pool:
             yield pool.run
     elif limits:

@@ -54,9 +54,8 @@ def identify(
     from fmuid.campaign_toml import load_campaign
     from fmuid.identification import identify as run
     from fmuid.remote import dask_executor
-    from fmuid.runners import simulating
     from fmuid.solvers import Status, StopRules
-    from fmuid.workers import available_processors
+    from fmuid.workers import available_processors, runner_on
 
     loaded = load_campaign(campaign)
     folder = out or Path("runs") / loaded.name
@@ -81,7 +80,7 @@ def identify(
         printer.say(str(result))
         summary: dict[str, Any] = {"out": folder, "result": json_library.loads(result.to_json())}
         interrupted = result.status is Status.INTERRUPTED
-        with simulating(executor, workers, **limits) as runner:
+        with runner_on(workers, executor=executor, **limits) as runner:
             if not interrupted and loaded.validation:
                 summary |= _validation(_validated(result, printer, runner), printer)
             if with_report and not interrupted:

@@ -44,7 +44,7 @@ ALGORITHMS: Mapping[str, _Algorithm] = {
 }
 _ALIASES = {"neldermead": "nelder_mead", "newuoa": "newuoa_bound", "direct-l": "direct_l", "sqp": "slsqp"}
 _LOCAL = tuple(name for name, a in ALGORITHMS.items() if not (a.finite_bounds or a.gradient))  # of MLSL
-_OPTIONS: Mapping[str, float] = {  # and what a value is like
+_OPTIONS: Mapping[str, float] = {  # the default, or what a value is like; of `local` the name counts
     "initial_step": 0.1,
     "tolerance": 1e-7,
     "cost_tolerance": 1e-12,
@@ -86,13 +86,13 @@ class NloptSolver:
                     f"solver '{self.name}' has no option '{key}'", fix=f"it has: {', '.join(_OPTIONS)}"
                 )
             if key != "local":
-                self._number(key, _OPTIONS[key])
+                self._number(key)
         local = self.options.get("local", "sbplx")
         if local not in _LOCAL:
             raise ProblemError(f"'{local}' is no local solver", fix=f"local is one of: {', '.join(_LOCAL)}")
 
-    def _number(self, key: str, default: float) -> float:
-        return number_of(self.options, key, default, solver=self.name)
+    def _number(self, key: str) -> float:
+        return number_of(self.options, key, _OPTIONS[key], solver=self.name)
 
     def check(self, problem: Problem) -> None:
         """See `Solver.check`."""
@@ -108,7 +108,7 @@ class NloptSolver:
         first = search.evaluate(start)
         if first.failure is not None and (algorithm.model or not algorithm.finite_bounds):
             raise SimulationError(f"the start point fails ({first.failure})", fix="choose other start values")
-        own = self._number("initial_step", _OPTIONS["initial_step"])
+        own = self._number("initial_step")
 
         def run(x: FloatArray, scale: float) -> Outcome:
             return around_failures(
@@ -163,10 +163,10 @@ class NloptSolver:
         for each in {id(opt): opt, id(inner): inner}.values():
             each.set_lower_bounds(lower)
             each.set_upper_bounds(upper)
-            tolerance = self._number("tolerance", 1e-7)
+            tolerance = self._number("tolerance")
             each.set_xtol_rel(tolerance)
             each.set_xtol_abs(0.1 * tolerance)  # search coordinates are of order one, but may be 0
-            each.set_ftol_rel(self._number("cost_tolerance", 1e-12))
+            each.set_ftol_rel(self._number("cost_tolerance"))
             if not algorithm.finite_bounds:
                 each.set_initial_step(step)
         if algorithm.subsidiary:
