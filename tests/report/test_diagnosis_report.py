@@ -4,6 +4,7 @@ import pytest
 import report_samples as samples
 from report_page import Page
 
+from fmuid.diagnosis.told import told
 from fmuid.report import DiagnosisPictures, write_diagnosis_report
 from fmuid.report.diagnosis import facts, verdict_text
 from fmuid.report.diagnosis_figures import effects_figure, gap_figure, range_text
@@ -71,6 +72,24 @@ def test_where_the_data_cannot_tell_it_is_said_what_to_record(present, words):
     diagnosis["smallest_seen"] = {}
     (advice,) = [fact.value for fact in facts(diagnosis) if fact.label == "What to do"]
     assert words in advice
+
+
+@pytest.mark.parametrize(
+    ("p_value", "words"),
+    [(2e-5, "a gap beyond the noise, too small to matter (p < 0.001)"), (0.2, "no gap beyond")],
+)
+def test_a_gap_too_small_to_matter_is_not_called_none(p_value, words):
+    diagnosis = copy.deepcopy(samples.diagnosis())
+    diagnosis["verdict"] |= {"kind": "complete", "effects": [], "port": None}
+    diagnosis["gap"] |= {"present": False, "p_value": p_value}
+    assert {fact.label: fact.value for fact in facts(diagnosis)}["Is there a gap"].startswith(words)
+
+
+def test_the_smallest_gain_that_would_have_been_seen_is_told_from_none():
+    diagnosis = copy.deepcopy(samples.diagnosis())
+    diagnosis["verdict"] |= {"kind": "complete", "effects": [], "port": None}
+    diagnosis["smallest_seen"] = {"sensor_gain": {"tau_sensor.gain": 1.0132}}
+    assert "Would have been seen, at least this large: sensor_gain (tau_sensor.gain = 1.013)" in told(diagnosis)
 
 
 def test_a_verdict_that_is_not_likely_is_no_good_news():

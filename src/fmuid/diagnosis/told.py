@@ -38,7 +38,7 @@ def likeliest(diagnosis: Mapping[str, Any]) -> list[list[str]]:
 
 
 def _smallest(seen: Mapping[str, Mapping[str, float]]) -> str:
-    return "; ".join(f"{e} ({', '.join(f'{n} = {v:.2g}' for n, v in own.items())})" for e, own in seen.items())
+    return "; ".join(f"{e} ({', '.join(f'{n} = {v:.4g}' for n, v in own.items())})" for e, own in seen.items())
 
 
 def _row(effect: Mapping[str, Any]) -> list[str]:

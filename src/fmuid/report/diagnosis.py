@@ -99,9 +99,8 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
         top = where[0]
         place = f"{top['experiment']}, {top['signal']}, {pictures_of.regime_text(top)}"
         found.append(Fact("Where most of it lies", f"{place} ({100 * top['share']:.0f} %)"))
-    present = "a gap beyond the noise" if gap["present"] else "no gap beyond the noise"
     p_value = "p < 0.001" if gap["p_value"] < 1e-3 else f"p = {gap['p_value']:.2g}"
-    found.append(Fact("Is there a gap", f"{present} ({p_value})"))
+    found.append(Fact("Is there a gap", f"{_gap_text(gap)} ({p_value})"))
     corrected = f" → {gap['corrected']:.3g} corrected" if named else ""
     sizes = f"{gap['nominal']:.3g} → {gap['nominal_refit']:.3g} refitted{corrected}"
     found.append(Fact("Gap, in noise floors", sizes))
@@ -110,6 +109,18 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     if diagnosis["verdict"]["kind"] == "unknown":
         found += _closest(diagnosis)
     return tuple(found)
+
+
+def _gap_text(gap: Mapping[str, Any]) -> str:
+    from fmuid.diagnosis.decide import SIGNIFICANCE
+
+    if gap["present"]:
+        return "a gap beyond the noise"
+    return (
+        "a gap beyond the noise, too small to matter"
+        if gap["p_value"] < SIGNIFICANCE
+        else "no gap beyond the noise"
+    )
 
 
 def _more_data(diagnosis: Mapping[str, Any]) -> str:
