@@ -119,8 +119,20 @@ class Differences:
 
     @property
     def tolerance(self) -> float:
-        """Relative accuracy of a Jacobian: smaller singular values are none."""
+        """Relative accuracy of a column of a Jacobian."""
         return max(1e-6, 5.0 * self.floor.central_step**2)
+
+    def column_scale(self, jacobian: FloatArray) -> FloatArray:
+        """Return the columns' divisors, (n,), after which each column of an (m, n) Jacobian has an error of `tolerance`.
+
+        So scaled, it tells by its singular values what is determined, whatever the units and the values of the
+        parameters are (Stewart, SIAM Review 26:567, 1984). A column no larger than what scatter of the simulator
+        leaves of it, at the largest step, stays small.
+        """
+        norms = np.linalg.norm(jacobian, axis=0)
+        scatter = 0.0 if self.exact else self.floor.residual / _LARGEST_STEP * math.sqrt(len(jacobian))
+        least = np.maximum(scatter, np.finfo(float).eps * np.max(norms, initial=1e-100))
+        return np.asarray(np.maximum(norms, least / self.tolerance))
 
     def adopt(self, floor: NoiseFloor) -> None:
         """Follow a noise floor measured elsewhere; steps only grow."""

@@ -19,14 +19,14 @@ _LARGEST_DENOMINATOR = 4
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
-    """Outcome of the singular value decomposition of a scaled Jacobian.
+    """Outcome of the singular value decomposition of a Jacobian with columns of equal error.
 
     Parameters
     ----------
     rank
         Number of independent combinations that the experiments determine.
     singular_values
-        (n,) of the Jacobian, scaled to relative changes of the parameters, largest first.
+        (n,) of that Jacobian, largest first: the root of the number of parameters at most.
     undetermined
         Parameters that are not determined one by one.
     combinations
@@ -58,6 +58,7 @@ def identifiability(
     problem: Problem,
     x: FloatArray,
     jacobian: FloatArray,
+    scale: FloatArray,
     *,
     tolerance: float = 1e-6,
     covariance: FloatArray | None = None,
@@ -68,38 +69,40 @@ def identifiability(
     ----------
     jacobian
         (m, n) derivative of the residuals in search space.
+    scale
+        (n,) divisors of its columns after which each has an error of `tolerance` (`Differences.column_scale`).
     tolerance
-        Singular values below this share of the largest count as zero: the accuracy of the Jacobian.
+        Singular values below this count as zero.
     covariance
         (n, n) in search space, if known: a direction that is uncertain by more than 100 % counts as
         undetermined too.
     """
     names = problem.space.names
     relative = _relative_scale(problem, x)
-    scaled = jacobian * relative
-    _, singular, directions = np.linalg.svd(scaled, full_matrices=len(scaled) < len(x))
+    _, singular, axes = np.linalg.svd(jacobian / scale, full_matrices=len(jacobian) < len(x))
     singular = np.pad(singular, (0, len(x) - len(singular)))
-    determined = singular > tolerance * max(singular[0], np.finfo(float).tiny)
-    if covariance is not None and np.all(determined):
+    undetermined_axes = axes[singular <= tolerance * math.sqrt(len(x))] / scale
+    if covariance is not None and len(undetermined_axes) == 0:
         # In practice: where the spread exceeds both the value and its start.
         size = np.maximum(np.abs(relative), 1.0)
         spread, axes = np.linalg.eigh(covariance / np.outer(size, size))
-        if spread[-1] > 1.0:
-            directions = axes.T * (size / relative)
-            directions = np.linalg.qr(directions.T)[0].T
-            determined = spread <= 1.0
+        undetermined_axes = axes.T[spread > 1.0] * size
     values = tuple(float(s) for s in singular)
-    rank = int(np.sum(determined))
+    rank = len(x) - len(undetermined_axes)
     if rank == len(x):
         return Identifiability(rank, values)
-    null = directions[~determined]
+    # Orthonormal in relative changes: first what is not determined, then the row space.
+    moves = undetermined_axes / relative
+    moves /= np.linalg.norm(moves, axis=1, keepdims=True)
+    directions = np.linalg.qr(moves.T, mode="complete")[0].T
+    null, row_space = directions[: len(moves)], directions[len(moves) :]
     undetermined = [i for i in range(len(x)) if np.max(np.abs(null[:, i])) > _PIVOT]
     if rank == 0:
         return Identifiability(0, values, tuple(names[i] for i in undetermined))
-    products = _reduced(directions[determined])
+    products = _reduced(row_space)
     slope = problem.space.slope(x)
     # The same row space in model space itself, for sums: d r / d p = (d r / d relative) / (p change).
-    sums = _reduced(directions[determined] / (relative * slope))
+    sums = _reduced(row_space / (relative * slope))
     rows, write = _simplest(problem, x, names, products, sums)
     combinations = [write(names, row) for row in rows if np.sum(np.abs(row) > _PIVOT) > 1]
     return Identifiability(rank, values, tuple(names[i] for i in undetermined), tuple(combinations))

@@ -99,15 +99,17 @@ def uncertainty_of(
     here = best if best.predictions and best.residuals.size else evaluate([best.x])[0]
     differences = Differences(problem, floor, central=True)
     j, tolerance = differences.jacobian(evaluate, here), differences.tolerance
-    first = identifiability(problem, best.x, j, tolerance=tolerance)
-    bread = np.linalg.pinv(j.T @ j, rcond=tolerance**2, hermitian=True)
+    scale = differences.column_scale(j)
+    first = identifiability(problem, best.x, j, scale, tolerance=tolerance)
+    scaled = j / scale
+    bread = np.linalg.pinv(scaled.T @ scaled, rcond=tolerance**2, hermitian=True) / np.outer(scale, scale)
     meat, whiteness = score_covariance(problem, here, j)
     n, m = len(best.x), len(here.residuals)
     correction = m / max(m - n, 1)
     covariance = correction * bread @ meat @ bread
     if n > 1 and first.complete:
         covariance = _widened(problem, evaluate, here, j, covariance)
-    found = identifiability(problem, best.x, j, tolerance=tolerance, covariance=covariance)
+    found = identifiability(problem, best.x, j, scale, tolerance=tolerance, covariance=covariance)
     found = found if first.complete else first
     # Residuals that are no samples (whitened ones, features) count one by one.
     others = sum(

@@ -158,6 +158,24 @@ def test_an_offset_near_zero_is_determined(analytic):
     assert stage["a"].interval[0] < 0.0 < stage["a"].interval[1]
 
 
+@pytest.mark.parametrize("scatter", [1e-4, 1e-3])  # of an output of 130, as an integrator's tolerance leaves it
+@pytest.mark.parametrize("farthest", [0.5, 10.0])
+def test_a_small_offset_is_determined_by_a_simulator_that_scatters(analytic, scatter, farthest):
+    def settling(time, inputs, p):
+        samples = np.arange(time.size)
+        noise = scatter * np.sin(1e7 * (p["gain"] * (samples + 1) + p["T"] * samples + p["offset"]) + samples**2)
+        return {"y": 100 * p["gain"] * (1 - np.exp(-time / p["T"])) + p["offset"] + noise}
+
+    truth = {"gain": 1.3, "T": 1.7, "offset": 0.3}
+    noise = 0.1 * np.random.default_rng(0).standard_normal(TIME.size)
+    specs = [ParameterSpec("gain", 1.0, 0.1, 10), ParameterSpec("T", 1.0, 0.1, 10)]
+    specs += [ParameterSpec("offset", 0.0, -farthest, farthest)]
+    _, stage = fitted(analytic, settling, truth, settling(TIME, {}, truth)["y"] + noise, specs=specs)
+    assert stage.uncertainty.identifiability.complete
+    assert stage["offset"].standard_error == pytest.approx(0.0336, rel=0.1)  # of a simulator that does not scatter
+    assert stage["offset"].interval[0] < 0.3 < stage["offset"].interval[1]
+
+
 def test_a_parameter_at_its_bound_gets_no_interval(analytic):
     specs = [ParameterSpec("a", 0.5, 0.0, 1.0), ParameterSpec("b", 1.0)]
     _, stage = fitted(analytic, line, ["a", "b"], 2 + 0.5 * TIME, specs=specs)
