@@ -123,7 +123,7 @@ class Differences:
         return max(1e-6, 5.0 * self.floor.central_step**2)
 
     def column_scale(self, jacobian: FloatArray) -> FloatArray:
-        """Return the columns' divisors, (n,), after which each column of an (m, n) Jacobian has an error of `tolerance`.
+        """Return divisors, (n,), after which each column of an (m, n) Jacobian has an error of `tolerance`.
 
         So scaled, it tells by its singular values what is determined, whatever the units and the values of the
         parameters are (Stewart, SIAM Review 26:567, 1984). A column no larger than what scatter of the simulator
