@@ -153,7 +153,7 @@ fmi3Status fmi3ExitConfigurationMode(fmi3Instance instance) { return refuse(inst
             double value = 0.0;                                                                                  \
             const Status status = get_value(me, vr[i], kind, &value);                                            \
             if (status > STATUS_WARNING) return (fmi3Status)status;                                              \
-            values[i] = (type)(kind == TYPE_BOOLEAN ? value != 0.0 : value);                                     \
+            values[i] = (type)(kind == TYPE_BOOLEAN ? value != 0.0 : kind == TYPE_INTEGER ? round(value) : value); \
         }                                                                                                        \
         return fmi3OK;                                                                                           \
     }

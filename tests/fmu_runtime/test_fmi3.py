@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import casadi as ca
 import fmpy
+import handmade
 import numpy as np
 import pytest
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 from fmpy.validation import validate_fmu
+
+from fmu_build.packaging import package
 
 
 @pytest.mark.parametrize("name", ["pendulum", "bouncing_ball", "sampled_counter", "relay"])
@@ -30,6 +36,17 @@ def test_same_results_as_fmi2(built, kind):
     two, three = run(2), run(3)
     for name in ("phi", "J", "through"):
         np.testing.assert_array_equal(two[name], three[name])
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_whole_number_that_rounding_left_just_below_is_itself(tmp_path, fmi):
+    model = handmade.compile_by_hand(
+        "Whole", states={"x": 0.0}, rhs=lambda e: [ca.SX(1)], discrete={"count": 3 - 1e-12}
+    )
+    whole = [replace(v, type="Integer") if v.name == "count" else v for v in model.variables]
+    path = package(replace(model, variables=tuple(whole)), tmp_path, fmi=fmi)
+    result = fmpy.simulate_fmu(str(path), stop_time=1.0, output_interval=1.0, output=["count"])
+    assert result["count"].tolist() == [3, 3]
 
 
 def test_bouncing_ball_in_model_exchange(built):
