@@ -33,7 +33,6 @@ from fmuid.stepper import FUNCTIONS, Outcome
 
 _STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 _FATAL = 4
-_SLICE = 0.1  # s between looks at Ctrl-C
 _CHECK_BUDGET = 0.5  # s for seeing whether a reset is as good as a new instance
 _MAX_PREPARED = 64 * 2**20  # bytes of signals kept laid out, oldest out first
 
@@ -87,7 +86,6 @@ class Fmu:
         self._library: FmuLibrary | None = None
         self._folder: Path | None = None
         self._instance: int | None = None
-        self._run: Callable[[stepper.Plan, int, float], int] | None = None
         self._instantiated = False  # ever, in this process
         self._used = False  # the instance has simulated and needs a reset
         self._renewal: Literal["reset", "instantiate"] | None = None
@@ -346,10 +344,7 @@ class Fmu:
         fatal = False
         finished = False
         try:
-            run = self._run = self._run or stepper.runner()
-            outcome = run(plan, 0, _SLICE)
-            while outcome == Outcome.PAUSED:
-                outcome = run(plan, 1, _SLICE)
+            outcome = stepper.run_to_end(_run(), plan)
             if outcome == Outcome.DONE:
                 finished = True
                 return predictions
@@ -474,6 +469,16 @@ def _check_version(path: Path) -> None:
 def _remove(folder: Path, process: int) -> None:
     if os.getpid() == process:  # not in a fork, whose parent still needs it
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _run() -> Callable[[stepper.Plan, int, float], int]:
+    compiled = stepper.library()
+    if compiled is None:
+        from fmuid.stepper_python import run
+
+        return run
+    found: Callable[[stepper.Plan, int, float], int] = compiled.fmuid_run
+    return found
 
 
 def extract(path: Path, without: tuple[str, ...] = ()) -> Path:

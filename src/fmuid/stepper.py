@@ -23,7 +23,10 @@ from contextlib import suppress
 from ctypes import POINTER, c_char_p, c_double, c_int32, c_int64, c_size_t, c_void_p
 from enum import IntEnum
 from pathlib import Path
+from typing import TypeVar
 
+T = TypeVar("T")
+_SLICE = 0.1  # s between looks at Ctrl-C
 FUNCTIONS = (
     "RESET",
     "SETUP_EXPERIMENT",
@@ -227,11 +230,9 @@ def library() -> ctypes.CDLL | None:
     return stepper
 
 
-def runner() -> Callable[[Plan, int, float], int]:
-    """Return ``run(plan, resume, slice)``: simulate, or go on; Outcome.PAUSED after about `slice` seconds."""
-    compiled = library()
-    if compiled is not None:
-        run: Callable[[Plan, int, float], int] = compiled.fmuid_run
-    else:
-        from fmuid.stepper_python import run
-    return run
+def run_to_end(run: Callable[[T, int, float], int], subject: T) -> int:
+    """Return the outcome of ``run(subject, resume, slice)``, which pauses so that Ctrl-C is seen."""
+    outcome = run(subject, 0, _SLICE)
+    while outcome == Outcome.PAUSED:
+        outcome = run(subject, 1, _SLICE)
+    return outcome

@@ -263,6 +263,6 @@ def test_a_run_that_pauses_for_ctrl_c_goes_on_where_it_was(made, monkeypatch, wh
     if where == "python":
         monkeypatch.setenv("FMUID_STEPPER", "python")
     stepper.library.cache_clear()
-    monkeypatch.setattr("fmuid.coupled.model._SLICE", 0.0)
+    monkeypatch.setattr("fmuid.stepper._SLICE", 0.0)
     assert np.array_equal(model.simulate(task, {"gain.k": -1.0}), whole)
     stepper.library.cache_clear()

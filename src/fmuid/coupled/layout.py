@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from ctypes import POINTER, c_double, c_int32, c_int64, c_void_p
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid import stepper
 from fmuid.campaign import FloatArray
 from fmuid.coupled.structure import Connection, Linear, Master, Place
 from fmuid.errors import FmuError
@@ -255,19 +254,6 @@ class Layout:
         array = (kind * max(1, len(items)))(*items)
         self._kept.append(array)
         return len(items), ctypes.cast(array, POINTER(kind))
-
-
-def runner() -> Callable[[System, int, float], int]:
-    """Return ``run(system, resume, slice)``: simulate, or go on; Outcome.PAUSED after about `slice` seconds."""
-    compiled = stepper.library()
-    if compiled is None:
-        from fmuid.coupled.master_python import run
-
-        return run
-    compiled.fmuid_run_coupled.argtypes = [POINTER(System), c_int32, c_double]
-    compiled.fmuid_run_coupled.restype = c_int32
-    found: Callable[[System, int, float], int] = compiled.fmuid_run_coupled
-    return found
 
 
 def _steps(wiring: Wiring, task: Task, where: object) -> NDArray[np.int32]:

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from ctypes import POINTER, c_double, c_int32
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -18,17 +19,16 @@ from fmuid import resets
 from fmuid.campaign import FloatArray
 from fmuid.coupled.checks import check_connections, check_ports
 from fmuid.coupled.graph import find_loop, loop_text, stepping_order
-from fmuid.coupled.layout import Layout, System, Wiring, runner
+from fmuid.coupled.layout import Layout, System, Wiring
 from fmuid.coupled.structure import Connection, Linear, Master, Place, Port
 from fmuid.errors import FmuError, SimulationError
 from fmuid.fmu import Fmu
 from fmuid.fmu_library import ProcessSpentError
 from fmuid.simulation import Task, Variable
-from fmuid.stepper import FUNCTIONS, Outcome
+from fmuid.stepper import FUNCTIONS, Outcome, library, run_to_end
 from fmuid.suggest import suggestion
 
 _FATAL = 4
-_SLICE = 0.1  # s between looks at Ctrl-C
 _CHECK_BUDGET = 0.5  # s for seeing whether resets are as good as new instances
 _MAX_LAYOUTS = 64 * 2**20  # bytes of signals kept laid out, oldest out first
 
@@ -366,7 +366,7 @@ class CoupledModel:
                     fmu.engage(plan)
                 except (FmuError, ProcessSpentError) as refusal:
                     raise self._located(refusal, name) from None
-            outcome = Outcome(_run(system))
+            outcome = Outcome(run_to_end(_master(), system))
             if outcome == Outcome.DONE:
                 finished = True
                 return predictions
@@ -400,9 +400,13 @@ class CoupledModel:
         return type(error)(what, where=f"{self.path.name}, component '{component}'", fix=error.fix)
 
 
-def _run(system: System) -> int:
-    run = runner()
-    outcome = run(system, 0, _SLICE)
-    while outcome == Outcome.PAUSED:
-        outcome = run(system, 1, _SLICE)
-    return outcome
+def _master() -> Callable[[System, int, float], int]:
+    compiled = library()
+    if compiled is None:
+        from fmuid.coupled.master_python import run
+
+        return run
+    compiled.fmuid_run_coupled.argtypes = [POINTER(System), c_int32, c_double]
+    compiled.fmuid_run_coupled.restype = c_int32
+    found: Callable[[System, int, float], int] = compiled.fmuid_run_coupled
+    return found
