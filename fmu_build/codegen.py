@@ -151,6 +151,14 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
     return out
 
 
+# An exponent is mostly a parameter, and mostly one of these; libm's pow takes longer than the rest of an equation.
+_POWER = """#include <math.h>
+static inline double power(double x, double y) {
+  return y==1. ? x : y==2. ? x*x : y==0. ? 1. : y==.5 && x>=0. ? sqrt(x) : y==-1. ? 1./x : pow(x, y);
+}
+"""
+
+
 def c_source(functions: Functions) -> str:
     """C text of all functions; the same bytes for the same functions."""
     generator = ca.CodeGenerator("model", {"with_header": False, "casadi_int": "long long int"})
@@ -159,7 +167,7 @@ def c_source(functions: Functions) -> str:
     source = str(generator.dump())
     for name, sign in (("fmin", "<"), ("fmax", ">")):  # libm's are calls that compilers may not inline
         source = source.replace(f"return {name}(x, y);", f"return x{sign}y || isnan(y) ? x : y;")
-    return source
+    return _POWER + source.replace("=pow(", "=power(")
 
 
 def c_header(

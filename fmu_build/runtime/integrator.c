@@ -121,6 +121,8 @@ static double estimate(const Step *step, int i) {
     return larger(fabs(step->k[7][i]), fabs(other));
 }
 
+enum { PACKED = NX > 7 }; /* from about here on most of the factors is zero */
+
 /* Stages, x1 and error estimate of one step; the largest error in units of the tolerance, NaN if a stage failed. */
 static double try_step(Instance *me, double t, double h) {
     Step *step = &me->s.step;
@@ -131,6 +133,9 @@ static double try_step(Instance *me, double t, double h) {
     for (int i = 0; i < NX * NX; i++) matrix[i] = -me->jacobian[i];
     for (int i = 0; i < NX; i++) matrix[i * NX + i] += 1.0 / (h * GAMMA);
     if (lu_factor(NX, matrix, me->pivot)) return NAN;
+    int start[2 * NX + 1], row[PACKED ? NX * NX : 1];
+    double value[PACKED ? NX * NX : 1];
+    if (PACKED) lu_pack(NX, matrix, start, row, value);
 
     for (int stage = 0; stage < STAGES; stage++) {
         double *restrict b = k[stage];
@@ -152,7 +157,8 @@ static double try_step(Instance *me, double t, double h) {
         }
         if (D[stage] != 0.0)
             for (int i = 0; i < NX; i++) b[i] += h * D[stage] * me->dfdt[i];
-        lu_solve(NX, matrix, me->pivot, b);
+        if (PACKED) lu_solve_packed(NX, matrix, me->pivot, start, row, value, b);
+        else lu_solve(NX, matrix, me->pivot, b);
     }
     double error = 0.0;
     for (int i = 0; i < NX; i++) {

@@ -12,56 +12,79 @@ static int switches_at(Instance *me, double t, const double *x, double *value) {
     return model_switches(me->arg, me->res, me->iw, me->w, 0);
 }
 
-/* The state tau after the start of a rejected step: by its first derivatives, or by what the step itself computed. */
-static void predict(const Instance *me, const double *second, int from_step, double tau, double *x) {
+/* The state tau after the start of the last step: by its first derivatives, or (`second` NULL) by its dense output. */
+static void predict(const Instance *me, const double *second, double tau, double *x) {
     const Step *step = &me->s.step;
-    if (from_step) {
+    if (!second) {
         dense_output(step, step->t0 + tau, x);
         return;
     }
     for (int i = 0; i < NX; i++) x[i] = step->x0[i] + tau * (me->f0[i] + 0.5 * tau * second[i]);
 }
 
+/* A stretch of the last step at whose end a switching function has another sign than in `signs`. */
+typedef struct {
+    double before, after; /* since the start of the step */
+    double low[LENGTH(MODEL_NSWITCH)], high[LENGTH(MODEL_NSWITCH)]; /* the functions at both */
+} Bracket;
+
+/* Moves one end of the bracket to tau; 1: the functions cannot be evaluated there. */
+static int cut(Instance *me, const double *second, const double *signs, double tau, Bracket *b) {
+    double now[LENGTH(MODEL_NSWITCH)], x[LENGTH(NX)];
+    predict(me, second, tau, x);
+    if (switches_at(me, me->s.step.t0 + tau, x, now)) return 1;
+    int changed = 0;
+    for (int i = 0; i < MODEL_NSWITCH; i++) changed |= signs[i] * now[i] < 0.0;
+    *(changed ? &b->after : &b->before) = tau;
+    memcpy(changed ? b->high : b->low, now, sizeof now);
+    return 0;
+}
+
+/* Narrows the bracket to `width`: in turn from either side of where straight lines say that the first of the functions
+ * crosses, in the middle where they say nothing. */
+static void narrow(Instance *me, const double *second, const double *signs, double width, Bracket *b) {
+    enum { TRIALS = 14 };
+    for (int trial = 0; trial < TRIALS && b->after - b->before > width; trial++) {
+        const double room = b->after - b->before;
+        double first = 1.0;
+        for (int i = 0; i < MODEL_NSWITCH; i++)
+            if (signs[i] * b->high[i] < 0.0) first = fmin(first, b->low[i] / (b->low[i] - b->high[i]));
+        first += trial % 2 ? -0.03 : 0.03;
+        if (!(first > 0.0 && first < 1.0)) first = 0.5;
+        if (cut(me, second, signs, b->before + first * room, b)) return;
+    }
+}
+
 /* Part of the rejected step of size h after which the first switching function has changed its sign; 1: none has.
  * Only a proposal for the step size: behind a kink a long step is far off, so the first guess extrapolates from the
  * start; `again` takes the dense output of the attempt, which then was short. */
 double first_kink(Instance *me, double h, int again) {
-    enum { SAMPLES = 4, BISECTIONS = 14 };
+    enum { SAMPLES = 4, TRIES = 3 };
+    static const double FINE = 2e-5; /* parts of the step */
     Step *step = &me->s.step;
-    double start[LENGTH(MODEL_NSWITCH)], now[LENGTH(MODEL_NSWITCH)], at_end[LENGTH(MODEL_NSWITCH)] = {0};
-    double x[LENGTH(NX)], second[LENGTH(NX)], part = 1.0;
+    double start[LENGTH(MODEL_NSWITCH)], curvature[LENGTH(NX)], part = 1.0;
     if (MODEL_NSWITCH == 0 || switches_at(me, step->t0, step->x0, start)) return 1.0;
     for (int i = 0; i < NX; i++)
         if (!isfinite(step->x1[i])) return 1.0;
-    memcpy(second, me->dfdt, sizeof second);
+    memcpy(curvature, me->dfdt, sizeof curvature);
     for (int j = 0; j < NX; j++)
-        for (int i = 0; i < NX; i++) second[i] += me->jacobian[j * NX + i] * me->f0[j];
+        for (int i = 0; i < NX; i++) curvature[i] += me->jacobian[j * NX + i] * me->f0[j];
+    const double *second = again ? NULL : curvature;
     step->h = h; /* for the dense output */
-    for (int attempt = 0; attempt < 3; attempt++) {
-        double before = 0.0, after = 1.0;
-        int found = 0;
-        for (int trial = 1; trial <= SAMPLES + BISECTIONS && (found || trial <= SAMPLES); trial++) {
-            const double middle = found ? 0.5 * (before + after) : (double)trial / SAMPLES;
-            predict(me, second, again, middle * h, x);
-            if (switches_at(me, step->t0 + middle * h, x, now)) break;
-            int changed = 0;
-            for (int i = 0; i < MODEL_NSWITCH; i++) changed |= start[i] * now[i] < 0.0;
-            found |= changed;
-            if (changed) {
-                after = middle;
-                memcpy(at_end, now, sizeof now);
-            } else {
-                before = middle;
-            }
-        }
-        if (!found) break;
-        if (after > 1e-3) {
-            part = after;
+    for (int attempt = 0; attempt < TRIES; attempt++) {
+        Bracket b = {0.0, INFINITY, {0}, {0}};
+        memcpy(b.low, start, sizeof start);
+        for (int sample = 1; sample <= SAMPLES && b.after > h; sample++)
+            if (cut(me, second, start, h * sample / SAMPLES, &b)) break;
+        if (b.after > h) break;
+        narrow(me, second, start, FINE * h, &b);
+        if (b.after > 1e-3 * h) {
+            part = b.after / h;
             break;
         }
         /* What rests at zero (a saturated bristle) changes its sign by rounding: that is no kink ahead. */
         for (int i = 0; i < MODEL_NSWITCH; i++)
-            if (start[i] * at_end[i] < 0.0) start[i] = 0.0;
+            if (start[i] * b.high[i] < 0.0) start[i] = 0.0;
     }
     step->h = 0.0;
     return part;
@@ -71,26 +94,25 @@ double first_kink(Instance *me, double h, int again) {
  * first such time where there are several; `to` if all signs at both ends are the same. `start` holds the functions at
  * the beginning if they are `known`, and on return those at `to` if that is where it ends. */
 double next_kink(Instance *me, double from, double to, double *start, int *known) {
-    enum { BISECTIONS = 10 };
+    static const double FINE = 1e-3; /* parts of the stretch */
     const Step *step = &me->s.step;
-    double now[LENGTH(MODEL_NSWITCH)], x[LENGTH(NX)];
-    double before = from + 1e-9 * (to - from), after = INFINITY; /* `from` may be a kink itself */
+    const double beginning = from + 1e-9 * (to - from); /* `from` may be a kink itself */
     const int given = *known;
     *known = 0;
-    if (MODEL_NSWITCH == 0 || !(before > from)) return to;
-    if (!given) dense_output(step, before, x);
-    if (!given && switches_at(me, before, x, start)) return to;
-    for (int trial = 0; trial <= BISECTIONS; trial++) {
-        const double t = trial == 0 ? to : 0.5 * (before + after);
-        dense_output(step, t, x);
-        if (switches_at(me, t, x, now)) return to;
-        int changed = 0;
-        for (int i = 0; i < MODEL_NSWITCH; i++) changed |= start[i] * now[i] < 0.0;
-        if (changed) after = t;
-        else if (trial == 0) break;
-        else before = t;
+    if (MODEL_NSWITCH == 0 || !(beginning > from)) return to;
+    double x[LENGTH(NX)];
+    if (!given) {
+        dense_output(step, beginning, x);
+        if (switches_at(me, beginning, x, start)) return to;
     }
-    *known = after > to;
-    if (*known) memcpy(start, now, sizeof now);
-    return fmin(after, to);
+    Bracket b = {beginning - step->t0, INFINITY, {0}, {0}};
+    memcpy(b.low, start, sizeof b.low);
+    if (cut(me, NULL, start, to - step->t0, &b)) return to;
+    if (b.after == INFINITY) {
+        *known = 1;
+        memcpy(start, b.low, sizeof b.low);
+        return to;
+    }
+    narrow(me, NULL, start, FINE * (to - from), &b);
+    return fmin(step->t0 + b.after, to);
 }

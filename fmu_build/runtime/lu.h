@@ -48,7 +48,39 @@ static inline void lu_solve(int n, const double *a, const int *pivot, double *b)
     }
 }
 
-/* The same for m right-hand sides at once, `b` with n rows of m; what is zero in the factors costs nothing. */
+/* Lists what is not zero in the factors, for many solutions: `row` and `value` (n x n) column by column, of L from the
+ * first column to the last and then of U from the last to the first; column k of the 2 n begins at start[k]. */
+static inline void lu_pack(int n, const double *a, int *start, int *row, double *value) {
+    int k = 0;
+    for (int column = 0; column < 2 * n; column++) {
+        const int lower = column < n, c = lower ? column : 2 * n - 1 - column;
+        start[column] = k;
+        for (int i = lower ? c + 1 : 0; i < (lower ? n : c); i++) {
+            row[k] = i;
+            value[k] = a[c * n + i];
+            k += value[k] != 0.0;
+        }
+    }
+    start[2 * n] = k;
+}
+
+/* As `lu_solve`, to the same bits, with the lists of `lu_pack`. */
+static inline void lu_solve_packed(int n, const double *a, const int *pivot, const int *start, const int *row,
+                                   const double *value, double *b) {
+    for (int c = 0; c < n; c++) {
+        const double swap = b[pivot[c]];
+        b[pivot[c]] = b[c];
+        b[c] = swap;
+    }
+    for (int column = 0; column < 2 * n; column++) {
+        const int c = column < n ? column : 2 * n - 1 - column;
+        if (column >= n) b[c] *= a[c * n + c];
+        const double x = b[c];
+        for (int k = start[column]; k < start[column + 1]; k++) b[row[k]] -= value[k] * x;
+    }
+}
+
+/* As `lu_solve` for m right-hand sides at once, `b` with n rows of m; what is zero in the factors costs nothing. */
 static inline void lu_solve_many(int n, const double *a, const int *pivot, size_t m, double *b) {
     for (int c = 0; c < n; c++) {
         double *row = b + c * m, *other = b + pivot[c] * m;
