@@ -5,6 +5,7 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
@@ -28,6 +29,10 @@ from fmuid.search_space import SEPARATOR
 from fmuid.simulation import Simulator, Task
 from fmuid.suggest import suggestion
 from fmuid.units import Conversion
+
+_T = TypeVar("_T")
+_Set = tuple[str, str, Conversion]
+"""What is set on a model: the variable, the name of the parameter it takes, and the conversion between them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,17 +75,24 @@ class Channel:
         with np.errstate(invalid="ignore"):
             return np.asarray(np.nansum(self.repeats, axis=0) / np.where(self.count > 0, self.count, np.nan))
 
+    @property
+    def plain(self) -> bool:
+        """Whether the sensor shows the model's output as it is."""
+        return not self.sensor and not self.differentiated
+
     def sensed(self, time: FloatArray, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
         """Return what the sensor shows for the model's (N,) output `y`."""
+        shown = self.scaled(time, y, values)
+        return shown + self.sensor["offset"](values) if "offset" in self.sensor else shown
+
+    def scaled(self, time: FloatArray, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
+        """Return what the sensor shows of changes `y`, (..., N), of the model's output: all but the offset."""
         if self.differentiated:
-            y = np.asarray(np.gradient(y, time))
-        if not self.sensor:
-            return y
+            y = np.asarray(np.gradient(y, time, axis=-1))
         if "delay" in self.sensor:
-            y = np.interp(time - self.sensor["delay"](values), time, y)
-        gain = self.sensor["gain"](values) if "gain" in self.sensor else 1.0
-        offset = self.sensor["offset"](values) if "offset" in self.sensor else 0.0
-        return gain * y + offset
+            moved = time - self.sensor["delay"](values)
+            y = np.apply_along_axis(lambda row: np.interp(moved, time, row), -1, y)
+        return self.sensor["gain"](values) * y if "gain" in self.sensor else y
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,13 +113,14 @@ class Case:
     experiments: tuple[str, ...] = ()
     setup: str = ""
     lead: int = 0
+    _reached: dict[tuple[str, ...], tuple[_Set, ...]] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def time(self) -> FloatArray:
         """(N,) times of the measured samples, s."""
         return self.task.time[self.lead :]
 
-    def values(self, values: Mapping[str, float]) -> dict[str, float]:
+    def values(self, values: Mapping[str, _T]) -> dict[str, _T]:
         """Return the parameters as this case sees them: ``name@case`` under its plain name."""
         shared = {n: v for n, v in values.items() if SEPARATOR not in n}
         if len(shared) == len(values):
@@ -117,17 +130,24 @@ class Case:
 
     def start_values(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return what is set on the model, by variable, in the model's units."""
-        own = self.values(values)
         return {
-            variable: convert.factor * own[name] + convert.offset
-            for name, (variable, convert) in self.setting.items()
-            if name in own
+            variable: convert.factor * values[name] + convert.offset
+            for variable, name, convert in self.reached(tuple(values))
         }
+
+    def reached(self, names: tuple[str, ...]) -> tuple[_Set, ...]:
+        """Return what the parameters `names` set on the model."""
+        if names not in self._reached:
+            own = self.values({name: name for name in names})
+            self._reached[names] = tuple(
+                (variable, own[name], convert) for name, (variable, convert) in self.setting.items() if name in own
+            )
+        return self._reached[names]
 
     def sensed(self, prediction: FloatArray, values: Mapping[str, float]) -> FloatArray:
         """Return the (channels, N) sensor readings that belong to the model's outputs `prediction`."""
         prediction = prediction[:, self.lead :]
-        if not any(channel.sensor or channel.differentiated for channel in self.channels):
+        if all(channel.plain for channel in self.channels):
             return prediction
         own = self.values(values)
         return np.array([c.sensed(self.time, y, own) for c, y in zip(self.channels, prediction, strict=True)])

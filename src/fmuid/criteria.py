@@ -24,6 +24,7 @@ Samples where the measurement is NaN are left out everywhere.
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -64,8 +65,9 @@ class Target:
 class Criterion:
     """A criterion prepared for one signal of one case.
 
-    `rows` are the sample indices its residuals belong to if it has one residual a sample, else None.
-    `priority` orders criteria of a lexicographic combination, 1 first.
+    `rows` are the sample indices its residuals belong to if it has one residual a sample, else None. If it is
+    `affine`, residuals are such a function of the prediction, and several predictions, (..., N), may be given at
+    once. `priority` orders criteria of a lexicographic combination, 1 first.
     """
 
     label: str
@@ -77,6 +79,7 @@ class Criterion:
     residuals: Residuals
     rows: Rows | None = None
     priority: int = 1
+    affine: bool = False
 
 
 User = Callable[[FloatArray, FloatArray, FloatArray], Any]
@@ -124,16 +127,19 @@ def prepare(spec: CriterionSpec, target: Target) -> Criterion:
         residuals=lambda prediction: raw(prediction) / spec.demand,
         rows=rows if by_sample else None,
         priority=priority,
+        affine=spec.kind in ("least_squares", "error_vector", "integral_squared") and not whitened(spec),
     )
 
 
 def value(residuals: FloatArray) -> float:
     """Return a criterion's value, the root mean square of its residuals (m,)."""
-    return float(np.sqrt(np.mean(np.square(residuals))))
+    return math.sqrt(np.sum(np.square(residuals)) / len(residuals))
 
 
 def _residuals(kind: str, target: Target, rows: Rows, options: dict[str, Any], where: str) -> Residuals:
     time, measured = target.time[rows], target.mean[rows]
+    # Where no sample is left out between the first and the last one, no copy is needed.
+    chosen = slice(rows[0], rows[-1] + 1) if len(rows) == rows[-1] + 1 - rows[0] else rows
     match kind:
         case "least_squares":
             whiten = options.pop("whiten", "sigma")
@@ -146,16 +152,16 @@ def _residuals(kind: str, target: Target, rows: Rows, options: dict[str, Any], w
             else:
                 sigma = target.sigma[rows]
             weight = np.sqrt(target.count[rows]) / sigma  # n repeats at once weigh as n residuals would
-            return lambda p: weight * (p[rows] - measured)
+            return lambda p: weight * (p[..., chosen] - measured)
         case "error_vector":
-            return lambda p: p[rows] - measured
+            return lambda p: p[..., chosen] - measured
         case "maximum":
             return lambda p: np.max(np.abs(p[rows] - measured), keepdims=True)
         case "quantile":
             q = _positive(options.pop("q", 0.95), "q", where)
             return lambda p: np.atleast_1d(np.quantile(np.abs(p[rows] - measured), q))
         case "integral_absolute" | "integral_squared" | "integral_time_absolute":
-            return _integral(kind, time, rows, measured)
+            return _integral(kind, time, chosen, measured)
         case "magnitude" | "phase":
             return _spectral(kind, target, rows, options, where)
     if kind in features.FEATURES:
@@ -196,13 +202,13 @@ def _whitened(target: Target, rows: Rows, where: str) -> Residuals:
     return residuals
 
 
-def _integral(kind: str, time: FloatArray, rows: Rows, measured: FloatArray) -> Residuals:
+def _integral(kind: str, time: FloatArray, rows: Rows | slice, measured: FloatArray) -> Residuals:
     step = np.gradient(time) if len(time) > 1 else np.ones(1)
     if kind == "integral_time_absolute":
         step = step * (time - time[0])
     step = step / np.sum(step)
     if kind == "integral_squared":
-        return lambda p: np.sqrt(step) * (p[rows] - measured) * np.sqrt(len(rows))
+        return lambda p: np.sqrt(step) * (p[..., rows] - measured) * np.sqrt(len(measured))
     return lambda p: np.array([step @ np.abs(p[rows] - measured)])
 
 

@@ -16,7 +16,6 @@ import numpy as np
 
 from fmuid.campaign import FloatArray
 from fmuid.errors import SimulationError
-from fmuid.exact_derivatives import ExactDerivatives
 from fmuid.problem import Evaluation, Problem
 
 EvaluateMany = Callable[[Sequence[FloatArray]], list[Evaluation]]
@@ -113,7 +112,7 @@ class Differences:
     def __init__(self, problem: Problem, floor: NoiseFloor, *, central: bool) -> None:
         self.floor, self.central = floor, central
         self.exact = False  # whether the last one was
-        self._exact = ExactDerivatives(problem)
+        self._exact = problem.exact
         self._lower, self._upper = problem.space.lower, problem.space.upper
         self.steps = [floor.central_step if central else floor.forward_step] * len(problem.space)
 

@@ -1,105 +1,132 @@
 """The exact Jacobian of a problem, where its models differentiate their own runs (forward sensitivities).
 
-One run of each case gives the derivatives of its outputs by everything that the free parameters set on the model.
-What lies around the simulation (scales, ties, units, sensors, criteria) costs next to nothing and is
-differentiated by central differences of its own, with the simulation in them replaced by its tangent.
+One run of each case gives its outputs and their derivatives by everything that the free parameters set on the
+model. What lies around the simulation is linear in it (scales, units, most criteria) or costs next to nothing
+(ties, sensors, other criteria) and is differentiated by central differences of its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fmuid.campaign import FloatArray
-from fmuid.cases import Case
+from fmuid.cases import Case, Channel
 from fmuid.errors import SimulationError
-from fmuid.problem import Evaluation, Problem
+from fmuid.runners import Job
+from fmuid.search_space import Move
 from fmuid.simulation import Task, differentiates
 
-_STEP = 1e-6  # of the differences around the simulation, in search units
-_End = tuple[float, Mapping[str, float]]
-"""A point close to another: how far it is along one search coordinate, and every parameter there."""
-Direction = tuple[dict[str, float], float]
-"""How a model's variables move with one search coordinate: their proportions, and their size."""
+if TYPE_CHECKING:
+    from fmuid.problem import Evaluation, Problem
 
-
-def direction(above: Mapping[str, float], below: Mapping[str, float], width: float) -> Direction:
-    """Return how a model's variables move from one point to another that is `width` away along one coordinate."""
-    slopes = {name: (above[name] - below[name]) / width for name in above if above[name] != below[name]}
-    size = max(map(abs, slopes.values()), default=0.0)
-    return {name: round(slope / size, 9) for name, slope in slopes.items()}, size
-
-
-def _of_ends(case: Case, above: _End, below: _End) -> Direction:
-    return direction(case.start_values(above[1]), case.start_values(below[1]), above[0] - below[0])
+_KEPT = 4_000_000  # numbers of Jacobians, 32 MB
 
 
 class ExactDerivatives:
-    """Jacobians of a problem's residuals by forward sensitivities; remembers what it asks the models for."""
+    """Jacobians of a problem's residuals by forward sensitivities; remembers the last ones."""
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        self._tasks: dict[tuple[int, tuple[tuple[tuple[str, float], ...], ...]], Task] = {}
+        self._slopes: list[Mapping[str, float]] = []  # what the tasks are for
+        self._tasks: list[Task] | None = None
+        self._found: OrderedDict[bytes, FloatArray] = OrderedDict()
 
     def jacobian(self, here: Evaluation) -> FloatArray | None:
         """Return d residuals / d search point, (m, n), at `here`; None where a model cannot tell."""
-        problem = self._problem
-        ends = self._ends(here.x)
-        jobs, directions = [], []
-        for k, case in enumerate(problem.cases):
-            own = [_of_ends(case, *pair) for pair in ends]
-            names = {name for along, _ in own for name in along}
-            if names and not differentiates(case.simulator, names):
-                return None
-            jobs.append((case.simulator, self._task(k, case, own), case.start_values(here.parameters)))
-            directions.append(own)
+        key = here.x.tobytes()
+        if key not in self._found:
+            self.simulate([(here.x, here.parameters)])
+        return self._found.get(key)
+
+    def simulate(self, points: Sequence[tuple[FloatArray, Mapping[str, float]]]) -> None:
+        """Simulate (n,) search points with all parameters' values: Jacobians and predictions are remembered.
+
+        Nothing is simulated where a model cannot tell its derivatives.
+        """
+        problem, jobs = self._problem, list[Job]()
+        moves = [problem.space.moves(x, values) for x, values in points]
+        for (_, values), there in zip(points, moves, strict=True):
+            tasks = self._differentiated([move.slopes for move in there], tuple(values))
+            if tasks is None:
+                return
+            jobs += [(c.simulator, t, c.start_values(values)) for c, t in zip(problem.cases, tasks, strict=True)]
         outcomes = problem.runner(jobs)
-        blocks = []
-        for case, outcome, own in zip(problem.cases, outcomes, directions, strict=True):
-            if isinstance(outcome, SimulationError):
-                return None
-            blocks.append(self._block(case, np.asarray(outcome), own, ends))
-        lengths = [s.stop - s.start for s in problem.slices]
-        return np.asarray(np.concatenate(blocks) * np.repeat(problem.root_weights, lengths)[:, None])
+        for (x, values), there in zip(points, moves, strict=True):
+            own, jobs = jobs[: len(problem.cases)], jobs[len(problem.cases) :]
+            runs, outcomes = outcomes[: len(own)], outcomes[len(own) :]
+            blocks: list[FloatArray] = []
+            for k, (case, (_, task, starts), run) in enumerate(zip(problem.cases, own, runs, strict=True)):
+                if isinstance(run, SimulationError):
+                    break
+                problem.remember(k, starts, run[: len(task.outputs)].copy())
+                blocks += _blocks(case, task, np.asarray(run), there, values)
+            else:
+                slope, jacobian = problem.space.slope(x)[:, None], np.empty((problem.slices[-1].stop, len(x)))
+                for rows, weight, block in zip(problem.slices, problem.root_weights, blocks, strict=True):
+                    jacobian[rows] = (weight * slope * block).T
+                self._keep(x.tobytes(), jacobian)
 
-    def _ends(self, x: FloatArray) -> list[tuple[_End, _End]]:
-        """Return for every free parameter two points close to `x`, inside the bounds."""
-        space, ends = self._problem.space, []
-        for i in range(len(x)):
-            pair: list[_End] = []
-            for step in (_STEP, -_STEP):
-                point = x.copy()
-                point[i] = np.clip(x[i] + step, space.lower[i], space.upper[i])
-                pair.append((float(point[i] - x[i]), space.to_model(point)))
-            ends.append((pair[0], pair[1]))
-        return ends
+    def _differentiated(self, slopes: list[Mapping[str, float]], names: tuple[str, ...]) -> list[Task] | None:
+        """Return every case's task with its directions, the same again for the same; None where one has none."""
+        if slopes != self._slopes:
+            self._slopes, self._tasks = slopes, []
+            for case in self._problem.cases:
+                along = [_direction(case, s, names) for s in slopes]
+                if not differentiates(case.simulator, {name for direction in along for name in direction}):
+                    self._tasks = None
+                    break
+                self._tasks.append(replace(case.task, along=tuple(filter(None, along))))
+        return self._tasks
 
-    def _task(self, index: int, case: Case, own: list[Direction]) -> Task:
-        """Return the case's task with its directions: the same object for the same directions."""
-        along = tuple(direction for direction, _ in own if direction)
-        key = (index, tuple(tuple(direction.items()) for direction in along))
-        if key not in self._tasks:
-            self._tasks[key] = replace(case.task, along=along)
-        return self._tasks[key]
+    def _keep(self, key: bytes, jacobian: FloatArray) -> None:
+        self._found[key] = jacobian
+        while len(self._found) > 1 and sum(j.size for j in self._found.values()) > _KEPT:
+            self._found.popitem(last=False)
 
-    @staticmethod
-    def _block(
-        case: Case,
-        outcome: FloatArray,
-        own: list[Direction],
-        ends: list[tuple[_End, _End]],
-    ) -> FloatArray:
-        """Return the rows of the Jacobian that belong to one case, before the criteria's weights."""
-        n = len(case.task.outputs)
-        base, slopes = outcome[:n], iter(outcome[n:].reshape(-1, n, outcome.shape[1]))
-        columns = []
-        for (direction, size), pair in zip(own, ends, strict=True):
-            slope = size * next(slopes) if direction else np.zeros_like(base)
-            (above, more), (below, less) = (
-                (step, np.concatenate(case.residuals(case.sensed(base + step * slope, values))))
-                for step, values in pair
-            )
-            columns.append((more - less) / (above - below))
-        return np.column_stack(columns)
+
+def _direction(case: Case, slopes: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
+    """Return how the case's model moves with one of the parameters `names`, by variable; empty if it does not."""
+    return {variable: unit.factor * slopes[n] for variable, n, unit in case.reached(names) if slopes.get(n)}
+
+
+def _blocks(
+    case: Case, task: Task, run: FloatArray, moves: Sequence[Move], values: Mapping[str, float]
+) -> Iterator[FloatArray]:
+    """Return for every criterion of a case the (n, m) derivatives of its residuals by the free parameters."""
+    time, n = case.time, len(task.outputs)
+    base, tangents = run[:n, case.lead :], run[n:, case.lead :].reshape(-1, n, len(time))
+    if len(tangents) < len(moves):  # some do not reach this model
+        rows = [k for k, move in enumerate(moves) if _direction(case, move.slopes, tuple(values))]
+        tangents, found = np.zeros((len(moves), n, len(time))), tangents
+        tangents[rows] = found
+    shown: dict[str, tuple[FloatArray, FloatArray]] = {}
+    for k, channel in enumerate(case.channels):
+        y, slopes = base[k], tangents[:, k]
+        if not channel.plain:
+            sensed = partial(_sensed, case, channel, y)
+            y, slopes = sensed(values), channel.scaled(time, slopes, case.values(values))
+            names = {name for expression in channel.sensor.values() for name in expression.names}
+            for row, move in zip(slopes, moves, strict=True):
+                if not names.isdisjoint(case.values(move.slopes)):
+                    row += move.derivative(sensed, values)
+        shown[channel.signal] = y, slopes
+    for criterion in case.criteria:
+        y, slopes = shown[criterion.signal]
+        if criterion.affine:
+            yield criterion.residuals(slopes) - criterion.residuals(np.zeros_like(y))
+        else:
+            columns = []
+            for slope, (up, down) in zip(slopes, (move.ends for move in moves), strict=True):
+                above, below = criterion.residuals(y + up * slope), criterion.residuals(y + down * slope)
+                columns.append((above - below) / (up - down))
+            yield np.array(columns)
+
+
+def _sensed(case: Case, channel: Channel, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
+    return channel.sensed(case.time, y, case.values(values))

@@ -18,6 +18,15 @@ _BINARY: Mapping[type[ast.operator], Callable[[float, float], float]] = {
     ast.Div: operator.truediv,
     ast.Pow: operator.pow,
 }
+_BINARY_SLOPES: Mapping[type[ast.operator], Callable[[float, float, float, float], float]] = {
+    ast.Add: lambda _a, da, _b, db: da + db,
+    ast.Sub: lambda _a, da, _b, db: da - db,
+    ast.Mult: lambda a, da, b, db: da * b + a * db,
+    ast.Div: lambda a, da, b, db: (da - a / b * db) / b,
+    ast.Pow: lambda a, da, b, db: (
+        (b * a ** (b - 1) * da if da else 0.0) + (a**b * math.log(a) * db if db else 0.0)
+    ),
+}
 _FUNCTIONS: Mapping[str, Callable[..., float]] = {
     "abs": abs,
     "cos": math.cos,
@@ -28,6 +37,15 @@ _FUNCTIONS: Mapping[str, Callable[..., float]] = {
     "sin": math.sin,
     "sqrt": math.sqrt,
     "tan": math.tan,
+}
+_SLOPES: Mapping[str, Callable[[float], float]] = {
+    "abs": lambda x: math.copysign(1.0, x),
+    "cos": lambda x: -math.sin(x),
+    "exp": math.exp,
+    "log": lambda x: 1.0 / x,
+    "sin": math.cos,
+    "sqrt": lambda x: 0.5 / math.sqrt(x),
+    "tan": lambda x: 1.0 + math.tan(x) ** 2,
 }
 
 
@@ -54,6 +72,19 @@ class Expression:
         if isinstance(result, complex) or not math.isfinite(result):
             raise ProblemError(f"'{self.text}' is {result}", fix="change the bounds")
         return float(result)
+
+    def slope(self, values: Mapping[str, float], slopes: Mapping[str, float]) -> float:
+        """Return the derivative at the parameter `values` where some of them move with these `slopes`.
+
+        Raises
+        ------
+        ProblemError
+            There is none.
+        """
+        try:
+            return float(_dual(self._tree, values, slopes)[1])
+        except (ArithmeticError, ValueError, TypeError) as error:
+            raise ProblemError(f"'{self.text}' has no derivative ({error})", fix="change the bounds") from None
 
     def renamed(self, names: Mapping[str, str]) -> Expression:
         """Return the same expression of other parameters: `names` gives the new name of those that change."""
@@ -150,3 +181,23 @@ def _value(node: ast.expr, values: Mapping[str, float]) -> float:
         case ast.Call(func=ast.Name(id=function), args=arguments):
             return _FUNCTIONS[function](*(_value(a, values) for a in arguments))
     raise ValueError(ast.dump(node))  # `_checked` lets nothing else through
+
+
+def _dual(node: ast.expr, values: Mapping[str, float], slopes: Mapping[str, float]) -> tuple[float, float]:
+    """Return the value and the derivative, by forward differentiation; at a kink, that of one side."""
+    match node:
+        case ast.Name(id=name):
+            return values[name], slopes.get(name, 0.0)
+        case ast.UnaryOp(op=op, operand=operand):
+            a, da = _dual(operand, values, slopes)
+            return (-a, -da) if isinstance(op, ast.USub) else (a, da)
+        case ast.BinOp(left=left, op=op, right=right):
+            (a, da), (b, db) = _dual(left, values, slopes), _dual(right, values, slopes)
+            return _BINARY[type(op)](a, b), _BINARY_SLOPES[type(op)](a, da, b, db)
+        case ast.Call(func=ast.Name(id="max" | "min" as function), args=arguments):
+            pick = max if function == "max" else min
+            return pick((_dual(a, values, slopes) for a in arguments), key=operator.itemgetter(0))
+        case ast.Call(func=ast.Name(id=function), args=[argument]):
+            a, da = _dual(argument, values, slopes)
+            return _FUNCTIONS[function](a), _SLOPES[function](a) * da if da else 0.0
+    return _value(node, values), 0.0

@@ -17,6 +17,7 @@ from fmuid.cases import Case
 from fmuid.combine import Combination, Constraint
 from fmuid.criteria import value
 from fmuid.errors import ProblemError, SimulationError
+from fmuid.exact_derivatives import ExactDerivatives
 from fmuid.runners import Runner, in_process
 from fmuid.search_space import SEPARATOR, SearchSpace, expanded
 from fmuid.simulation import Simulator
@@ -144,7 +145,7 @@ class Problem:
             constraint.check(problem.labels, problem.space.to_model(problem.space.start), where=where)
         return problem
 
-    @property
+    @cached_property
     def slices(self) -> tuple[slice, ...]:
         """Where each criterion's residuals are in the residual vector; needs no simulation of its own."""
         slices, begin = [], 0
@@ -155,6 +156,11 @@ class Problem:
             slices.append(slice(begin, begin + n))
             begin += n
         return tuple(slices)
+
+    @cached_property
+    def exact(self) -> ExactDerivatives:
+        """Its exact Jacobians."""
+        return ExactDerivatives(self)
 
     @property
     def smooth(self) -> bool:
@@ -169,10 +175,19 @@ class Problem:
         """Return the evaluation of the (n,) search point `x`, a failed one if a simulation fails."""
         return self.evaluate_many([x])[0]
 
-    def evaluate_many(self, points: Sequence[FloatArray]) -> list[Evaluation]:
-        """Evaluate several candidates; what two of them share is simulated once."""
+    def evaluate_many(
+        self, points: Sequence[FloatArray], *, differentiated: Sequence[bool] = ()
+    ) -> list[Evaluation]:
+        """Evaluate several candidates; what two of them share is simulated once.
+
+        The runs of those that are `differentiated` find their Jacobians as well, where the models can tell them
+        (`exact` then has them).
+        """
         begin = clock.perf_counter()
-        values = [self.space.to_model(np.asarray(x, dtype=np.float64)) for x in points]
+        points = [np.array(x, dtype=np.float64) for x in points]
+        values = [self.space.to_model(x) for x in points]
+        if any(differentiated):
+            self.exact.simulate([(x, v) for x, v, d in zip(points, values, differentiated, strict=True) if d])
         starts = [[case.start_values(v) for case in self.cases] for v in values]
         keys = [[(i, tuple(s.values())) for i, s in enumerate(row)] for row in starts]
         wanted = {key: s for ks, row in zip(keys, starts, strict=True) for key, s in zip(ks, row, strict=True)}
@@ -186,7 +201,7 @@ class Problem:
         seconds = (clock.perf_counter() - begin) / len(points)
         found = known | outcomes
         return [
-            self._judge(np.array(x, dtype=np.float64), v, [found[k] for k in ks], seconds)
+            self._judge(x, v, [found[k] for k in ks], seconds)
             for x, v, ks in zip(points, values, keys, strict=True)
         ]
 
@@ -201,12 +216,12 @@ class Problem:
         for case, outcome in zip(self.cases, outcomes, strict=True):
             if isinstance(outcome, SimulationError):
                 return self._failed(x, values, f"{case.id}: {outcome}", seconds)
-            if not np.all(np.isfinite(outcome)):
+            if not np.isfinite(outcome).all():
                 return self._failed(x, values, f"{case.id}: the prediction is not finite", seconds)
             predictions.append(case.sensed(outcome, values))
         vectors = [r for c, p in zip(self.cases, predictions, strict=True) for r in c.residuals(p)]
         criteria = np.array([value(r) for r in vectors])
-        if not np.all(np.isfinite(criteria)):
+        if not np.isfinite(criteria).all():
             label = self.labels[int(np.argmin(np.isfinite(criteria)))]
             return self._failed(x, values, f"{label}: the prediction does not show it", seconds)
         residuals = np.concatenate([w * r for w, r in zip(self.root_weights, vectors, strict=True)])
@@ -226,9 +241,14 @@ class Problem:
         constraints = np.full(len(self.constraints), np.nan)
         return Evaluation(x, values, nothing, np.full(0, np.nan), float("nan"), constraints, why, seconds)
 
+    def remember(self, case: int, start_values: Mapping[str, float], prediction: FloatArray) -> None:
+        """Take a case's prediction with these start values as known."""
+        self._keep((case, tuple(start_values.values())), prediction)
+
     def _keep(self, key: tuple[int, tuple[float, ...]], prediction: FloatArray) -> None:
+        if key not in self._predictions:
+            self._held += prediction.size
         self._predictions[key] = prediction
-        self._held += prediction.size
         while self._held > _CACHED_SAMPLES and len(self._predictions) > 1:
             self._held -= self._predictions.popitem(last=False)[1].size
 

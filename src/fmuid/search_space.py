@@ -3,16 +3,44 @@
 from __future__ import annotations
 
 import graphlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fmuid.campaign import FloatArray, ParameterSpec, frozen_mapping
+from fmuid.campaign import FloatArray, ParameterSpec, frozen_mapping, read_only
 from fmuid.errors import ProblemError
 from fmuid.expressions import Expression, parse
 
 SEPARATOR = "@"  # "offset@run_3" is the parameter `offset` as it is in experiment run_3
+_STEP = 1e-6  # of differences of expressions, in search units
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """How the parameters move with one that is free, in model space.
+
+    Parameters
+    ----------
+    slopes
+        Derivative by it of every parameter that moves, its own of 1 included.
+    ends
+        A small distance up and one down, within its bounds.
+    """
+
+    slopes: Mapping[str, float]
+    ends: tuple[float, float]
+
+    def derivative(
+        self, function: Callable[[Mapping[str, float]], FloatArray], values: Mapping[str, float]
+    ) -> FloatArray:
+        """Return the derivative of a function of every parameter's value, by differences."""
+        above, below = (
+            function({**values, **{name: values[name] + end * slope for name, slope in self.slopes.items()}})
+            for end in self.ends
+        )
+        return (above - below) / (self.ends[0] - self.ends[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +68,9 @@ class SearchSpace:
     least: Mapping[str, float] = field(default_factory=dict)
     _order: tuple[str, ...] = field(init=False, default=())
     _unit: FloatArray = field(init=False, default_factory=lambda: np.ones(0))
-    _log: tuple[bool, ...] = field(init=False, default=())
+    _log: NDArray[np.bool_] = field(init=False, default_factory=lambda: np.zeros(0, bool))
+    _limits: tuple[FloatArray, FloatArray] = field(init=False, default=(np.ones(0), np.ones(0)))
+    _bounds: tuple[FloatArray, FloatArray] = field(init=False, default=(np.ones(0), np.ones(0)))
 
     def __post_init__(self) -> None:
         for spec in self.free:
@@ -62,9 +92,12 @@ class SearchSpace:
             raise ProblemError(f"ties in a circle: {' -> '.join(error.args[1])}", fix="break one") from None
         object.__setattr__(self, "fixed", frozen_mapping(self.fixed))
         object.__setattr__(self, "ties", frozen_mapping(self.ties))
-        object.__setattr__(self, "_log", tuple(spec.scale == "log" for spec in self.free))
+        object.__setattr__(self, "_log", np.array([spec.scale == "log" for spec in self.free], dtype=bool))
         units = [max(_reference(spec), self.least.get(spec.name, 0.0)) for spec in self.free]
         object.__setattr__(self, "_unit", np.array(units))
+        limits = tuple(read_only([getattr(s, end) for s in self.free]) for end in ("lower", "upper"))
+        object.__setattr__(self, "_limits", limits)
+        object.__setattr__(self, "_bounds", tuple(map(read_only, map(self._search, limits))))
 
     def __len__(self) -> int:
         return len(self.free)
@@ -82,12 +115,12 @@ class SearchSpace:
     @property
     def lower(self) -> FloatArray:
         """(n,) lower bounds in search space."""
-        return self._search(np.array([spec.lower for spec in self.free]))
+        return self._bounds[0]
 
     @property
     def upper(self) -> FloatArray:
         """(n,) upper bounds in search space."""
-        return self._search(np.array([spec.upper for spec in self.free]))
+        return self._bounds[1]
 
     @property
     def bounded(self) -> bool:
@@ -105,8 +138,8 @@ class SearchSpace:
 
     def to_model(self, x: FloatArray) -> dict[str, float]:
         """Return every parameter's model-space value (free, fixed and tied) at the (n,) search point `x`."""
-        free = np.clip(self._model(x), [s.lower for s in self.free], [s.upper for s in self.free])
-        return self.followed(dict(self.fixed) | {s.name: float(v) for s, v in zip(self.free, free, strict=True)})
+        free = np.minimum(np.maximum(self._model(x), self._limits[0]), self._limits[1]).tolist()
+        return self.followed(dict(self.fixed) | {s.name: v for s, v in zip(self.free, free, strict=True)})
 
     def followed(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return `values` with what is tied to them."""
@@ -118,6 +151,18 @@ class SearchSpace:
     def slope(self, x: FloatArray) -> FloatArray:
         """Return d model / d search, (n,), at `x`."""
         return np.where(self._log, self._model(x), self._unit)
+
+    def moves(self, x: FloatArray, values: Mapping[str, float]) -> list[Move]:
+        """Return how the parameters move with every free one at the (n,) search point `x` with its `values`."""
+        found = []
+        for spec, step in zip(self.free, (_STEP * self.slope(x)).tolist(), strict=True):
+            slopes = {spec.name: 1.0}
+            for name in self._order:
+                if not slopes.keys().isdisjoint(self.ties[name].names):
+                    slopes[name] = self.ties[name].slope(values, slopes)
+            value = values[spec.name]
+            found.append(Move(slopes, (min(step, spec.upper - value), max(-step, spec.lower - value))))
+        return found
 
     def _search(self, values: FloatArray) -> FloatArray:
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -13,7 +13,6 @@ from fmuid.campaign import FloatArray, read_only
 from fmuid.cases import Case
 from fmuid.diagnosis.signal_effects import disturb_input, disturb_output, split_signal_parameters
 from fmuid.errors import SimulationError
-from fmuid.exact_derivatives import Direction, direction
 from fmuid.expressions import Expression
 from fmuid.noise_spectrum import RepeatedRuns
 from fmuid.runners import Job, Outcome, Runner, in_process
@@ -24,6 +23,8 @@ Prediction = tuple[FloatArray, ...]
 
 _WIDTH = 1e-4  # of the differences around a simulation, relative: ties and sensors
 _KEPT_SAMPLES = 4_000_000  # of predictions, 32 MB
+Direction = tuple[dict[str, float], float]
+"""How a model's variables move with one parameter: their proportions, and their size."""
 _Key = tuple[int, frozenset[tuple[str, float]], tuple[tuple[str, bytes], ...]]
 
 
@@ -118,7 +119,7 @@ class CampaignModel:
         jobs, moves = [], []
         for k, case in enumerate(self.cases):
             own = [
-                direction(self._start_values(case, above), self._start_values(case, below), width)
+                _direction(self._start_values(case, above), self._start_values(case, below), width)
                 for (above, below), width in zip(ends, widths, strict=True)
             ]
             moved = {name for along, _ in own for name in along}
@@ -201,6 +202,13 @@ class CampaignModel:
         held = sum(p.size for p in self._kept.values())
         while held > _KEPT_SAMPLES:
             held -= self._kept.popitem(last=False)[1].size
+
+
+def _direction(above: Mapping[str, float], below: Mapping[str, float], width: float) -> Direction:
+    """Return how a model's variables move from one point to another that is `width` away."""
+    slopes = {name: (above[name] - below[name]) / width for name in above if above[name] != below[name]}
+    size = max(map(abs, slopes.values()), default=0.0)
+    return {name: round(slope / size, 9) for name, slope in slopes.items()}, size
 
 
 def _key(index: int, case: Case, values: Mapping[str, float], inputs: Mapping[str, FloatArray]) -> _Key:
