@@ -40,8 +40,8 @@ static int cut(Instance *me, const double *second, const double *signs, double t
     return 0;
 }
 
-/* Narrows the bracket to `width`: in turn from either side of where straight lines say that the first of the functions
- * crosses, in the middle where they say nothing. */
+/* Narrows the bracket to `width`: from either side of where straight lines say that the first of the functions crosses,
+ * then in the middle, in case they are wrong. */
 static void narrow(Instance *me, const double *second, const double *signs, double width, Bracket *b) {
     enum { TRIALS = 14 };
     for (int trial = 0; trial < TRIALS && b->after - b->before > width; trial++) {
@@ -49,8 +49,8 @@ static void narrow(Instance *me, const double *second, const double *signs, doub
         double first = 1.0;
         for (int i = 0; i < MODEL_NSWITCH; i++)
             if (signs[i] * b->high[i] < 0.0) first = fmin(first, b->low[i] / (b->low[i] - b->high[i]));
-        first += trial % 2 ? -0.03 : 0.03;
-        if (!(first > 0.0 && first < 1.0)) first = 0.5;
+        first += trial % 3 == 0 ? 0.03 : -0.03;
+        if (trial % 3 == 2 || !(first > 0.0 && first < 1.0)) first = 0.5;
         if (cut(me, second, signs, b->before + first * room, b)) return;
     }
 }
