@@ -59,9 +59,9 @@ Differences of a simulation with adaptive steps carry its noise as well. Aim: be
 
 Three parameters from one run with noise: of the actuator, a PRBS run of 0.5 s at 1 kHz, and of a pendulum with
 friction, torque steps over 4 s at 500 Hz. Everybody has the same start and bounds and stops at an error (root mean
-square, N.m and rad) within 1 % of the least, or after {limit:.0f} s. Setting up counts, imports do not. An exact
-derivative is one simulation in the count, though it costs more than a plain one (see above). Aim: a tenth of each
-peer's wall time.
+square, N.m and rad) within 1 % of the least, or after {limit:.0f} s, in a new process each time. Setting up
+counts, imports do not. An exact derivative is one simulation in the count, though it costs more than a plain one
+(see above). Aim: a tenth of each peer's wall time.
 
 {identification}
 
@@ -81,8 +81,8 @@ each other. Both simulate with `fmuid`: what is compared is the search.
 ## Integrator
 
 Time to simulate the actuator at an equal error: the FMU's own integrator through `fmuid`, and CVODES (CasADi,
-compiled, analytic Jacobian) on the same equations. The error is the root mean square of the worst output, relative
-to its largest value. Aim: at most 2 in the eccentric-load run.
+compiled, analytic Jacobian, states scaled) on the same equations. The error is the root mean square of the worst
+output, relative to its largest value. Aim: at most 2 in the eccentric-load run.
 
 {integrator}
 
