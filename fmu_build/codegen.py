@@ -76,13 +76,18 @@ def dense(rows: Sequence[Gradient], symbols: Sequence[SX]) -> SX:
 
 
 def parameter_slopes(graph: Graph, ports: Ports, e: Expressions) -> tuple[list[Slope], list[Slope]]:
-    """Partial derivatives of dx by [p; d] that are not zero: by scalars, and by elements of arrays (tables)."""
+    """Partial derivatives of dx by [p; d; z = pz], where not zero: by scalars, and by elements of tables."""
     scalars: list[Slope] = []
     elements: list[Slope] = []
+    parameters = [*ports.p, *ports.d]
     for i, row in enumerate(map(graph.gradient, e.dx)):
-        for j, symbol in enumerate([*ports.p, *ports.d]):
+        for j, symbol in enumerate(parameters):
             if key(symbol) in row:
                 (elements if symbol.name().endswith("]") else scalars).append((i, j, row[key(symbol)]))
+        for j, pair in enumerate(zip(ports.z, ports.pz, strict=True), len(parameters)):
+            found = [row[key(symbol)] for symbol in pair if key(symbol) in row]
+            if found:
+                scalars.append((i, j, sum(found[1:], found[0])))
     return scalars, elements
 
 
@@ -125,6 +130,8 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
     add("element_slopes", environment, [elements])
     add("variables", environment, [column(e.v)])
     vectors = {"x": ports.x, "u": ports.u, "p": ports.p, "d": ports.d, "y": ports.y, "xs": e.xs}
+    vectors |= {"z": ports.z, "pz": ports.pz, "t": [ports.t]}
+    discrete = " z pz" if ports.z else ""
 
     def add_partials(name: str, arguments: list[SX], along: str, results: list[SX]) -> None:
         """Exact derivative of the results along seeds of the named vectors."""
@@ -133,14 +140,17 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
         derivative = column([graph.directional(r, by_symbol) for r in results])
         add(name, [*arguments, *seeds.values()], [derivative])
 
-    add_partials("partials", environment, "x u p d y", e.dx)
-    add_partials("variable_partials", environment, "x u p d y", e.v)
+    add_partials("partials", environment, "x u p d y" + discrete, e.dx)
+    add_partials("variable_partials", environment, "x u p d y" + discrete, e.v)
     outputs = [v if is_output else SX(0.0) for v, is_output in zip(e.v, e.outputs, strict=True)]
-    add_partials("output_partials", environment, "x u p d y", outputs)
-    add_partials("loop_partials", environment, "x u p d", e.residuals)
+    add_partials("output_partials", environment, "x u p d y" + discrete, outputs)
+    add_partials("loop_partials", environment, "x u p d" + discrete, e.residuals)
     add_partials("dependent_partials", [column(ports.p)], "p", e.dependent)
-    add_partials("start_partials", [column(ports.p), column(ports.d)], "p d", e.x_start)
-    add_partials("initial_partials", [*environment, column(e.xs)], "u p d xs", conditions)
+    add_partials("start_partials", [column(ports.p), column(ports.d)], "p d", [*e.x_start, *e.z_start])
+    add_partials("initial_partials", [*environment, column(e.xs)], "u p d xs" + discrete, conditions)
+    add_partials("indicator_partials", environment, "x u p d y z pz t", e.indicators)
+    updated = [*e.z_new, *e.x_new, e.next_event]
+    add_partials("update_partials", [*environment, e.init], "x u p d y z pz t", updated)
     add("indicators", environment, [column(e.indicators)])
     add(
         "update",

@@ -45,19 +45,21 @@ initial             ENV, xs                        residual (nx+ny), Jacobian (n
 derivatives         ENV                            dx (nx)
 jacobian            ENV                            dx (nx), df/dx (nx, nx), df/dt (nx), df/dy (nx, ny); partial, y held
 loop                ENV                            r (ny), dr/dy (ny, ny), dr/dx (ny, nx), dr/dt (ny); Newton for y
-slopes              ENV                            df/dx (nx, nx); the entries of df/d[p; d] that may differ from zero, for
-                                                   scalars (MODEL_NSLOPE); y held
+slopes              ENV                            df/dx (nx, nx); the entries of df/d[p; d; z = pz] that may differ from
+                                                   zero, for scalars (MODEL_NSLOPE); y held
 element_slopes      ENV                            the same for elements of arrays (MODEL_NELEMENT); where both are is in
                                                    MODEL_SLOPE_ROW[], MODEL_SLOPE_COLUMN[]
 variables           ENV                            v (nv)
-partials            ENV, sx, su, sp, sd, sy        directional derivative of dx (nx)
-variable_partials   ENV, sx, su, sp, sd, sy        directional derivative of v (nv)
-output_partials     ENV, sx, su, sp, sd, sy        the same where v is an output (``MODEL_OUTPUT[i]`` is 1), 0 elsewhere
-loop_partials       ENV, sx, su, sp, sd            directional derivative of r (ny) with y held: sy solves
+partials            ENV, sx, su, sp, sd, sy [Z]    directional derivative of dx (nx); [Z]: if nz > 0 follow sz, spz
+variable_partials   ENV, sx, su, sp, sd, sy [Z]    directional derivative of v (nv)
+output_partials     ENV, sx, su, sp, sd, sy [Z]    the same where v is an output (``MODEL_OUTPUT[i]`` is 1), 0 elsewhere
+loop_partials       ENV, sx, su, sp, sd [Z]        directional derivative of r (ny) with y held: sy solves
                                                    dr/dy sy = - this
 dependent_partials  p, sp                          directional derivative of d (nd)
-start_partials      p, d, sp, sd                   directional derivative of xs (nx)
-initial_partials    ENV, xs, su, sp, sd, sxs       directional derivative of the residual of ``initial``, x and y held
+start_partials      p, d, sp, sd                   directional derivative of [xs; z] (nx+nz)
+initial_partials    ENV, xs, su, sp, sd, sxs [Z]   directional derivative of the residual of ``initial``, x and y held
+indicator_partials  ENV, SEEDS                     directional derivative of g (nm); SEEDS: sx, su, sp, sd, sy, sz, spz, st
+update_partials     ENV, init, SEEDS               directional derivative of update's [z; x; next_event] (nz+nx+1)
 indicators          ENV                            g (nm): relation i is true iff g_i > 0 (g_i >= 0 where
                                                    ``MODEL_INCLUSIVE[i]`` is 1)
 update              ENV, init (1)                  z (nz), x (nx), next_event (1), terminate (1), reinit (1)

@@ -32,6 +32,7 @@ C_FLAGS = (
 )
 _SHARED = (
     "equations.c",
+    "event_sensitivity.c",
     "events.c",
     "initialise.c",
     "integrator.c",

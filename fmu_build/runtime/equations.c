@@ -171,11 +171,12 @@ int evaluate_variables(Instance *me) {
     return failed;
 }
 
-/* The environment with the direction as further arguments. */
-static void environment_along(Instance *me, const double *t, const double *x, const double *u, const Direction *s) {
+/* The environment with the direction as further arguments, from arg[first] on. */
+static void environment_along(Instance *me, const double *t, const double *x, const double *u, const Direction *s,
+                              int first) {
     environment_at(me, t, x, u);
-    const double *const seeds[] = {s->x, s->u, s->p, s->d, s->y};
-    for (int i = 0; i < 5; i++) me->arg[9 + i] = seeds[i];
+    const double *const seeds[] = {s->x, s->u, s->p, s->d, s->y, s->z, s->pz, &s->t};
+    for (int i = 0; i < 8; i++) me->arg[first + i] = seeds[i];
 }
 
 /* Derivatives of the algebraic loops' unknowns along a direction, into s->y; leaves y itself solved. */
@@ -186,26 +187,47 @@ static int loops_along(Instance *me, double t, const double *x, const double *u,
     environment_at(me, &t, x, u);
     me->res[0] = r;
     me->res[1] = me->drdy;
+    if (s->t != 0.0) me->res[3] = me->drdt;
     if (CALL(loop) || lu_factor(NY, me->drdy, me->y_pivot)) return 1;
-    environment_along(me, &t, x, u, s);
+    environment_along(me, &t, x, u, s, 9);
+    me->arg[13] = s->z; /* no y among these seeds */
+    me->arg[14] = s->pz;
     me->res[0] = s->y;
     if (CALL(loop_partials)) return 1;
-    for (int i = 0; i < NY; i++) s->y[i] = -s->y[i];
+    for (int i = 0; i < NY; i++) s->y[i] = -(s->t != 0.0 ? s->y[i] + s->t * me->drdt[i] : s->y[i]);
     lu_solve(NY, me->drdy, me->y_pivot, s->y);
     return 0;
+}
+
+/* Exact derivatives of the indicators along a direction at (t, x, u), into g, with s->y. */
+int indicators_along(Instance *me, double t, const double *x, const double *u, Direction *s, double *g) {
+    if (loops_along(me, t, x, u, s)) return 1;
+    environment_along(me, &t, x, u, s, 9);
+    me->res[0] = g;
+    return CALL(indicator_partials);
+}
+
+/* The same of what an update gives at the present point, [z; x; next_event], into `updated`. */
+int update_along(Instance *me, double initial, Direction *s, double *updated) {
+    const State *now = &me->s;
+    if (loops_along(me, now->t, now->x, now->u, s)) return 1;
+    environment_along(me, &now->t, now->x, now->u, s, 10);
+    me->arg[9] = &initial;
+    me->res[0] = updated;
+    return CALL(update_partials);
 }
 
 /* Exact derivatives of dx along a direction at (t, x, u), into s->dx (and s->y). */
 int derivatives_along(Instance *me, double t, const double *x, const double *u, Direction *s) {
     if (loops_along(me, t, x, u, s)) return 1;
-    environment_along(me, &t, x, u, s);
+    environment_along(me, &t, x, u, s, 9);
     me->res[0] = s->dx;
     return CALL(partials);
 }
 
 /* The same of v, or of its outputs alone, into s->v; s->y is that of `derivatives_along` at the same point. */
 int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s, int outputs) {
-    environment_along(me, &t, x, u, s);
+    environment_along(me, &t, x, u, s, 9);
     me->res[0] = s->v;
     return outputs ? CALL(output_partials) : CALL(variable_partials);
 }

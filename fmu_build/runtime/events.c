@@ -102,6 +102,8 @@ Status event_iteration(Instance *me, int initial) {
         s->next_event = next;
         if (terminate != 0.0) s->terminate = 1;
         if (initial) return STATUS_OK;
+        const Status status = update_sensitivities(me, reinit != 0.0);
+        if (status > STATUS_WARNING) return status;
         const int again = !same(s->z, s->pz, NZ) || reinit != 0.0;
         memcpy(s->pz, s->z, sizeof s->z);
         if (reinit != 0.0) memcpy(s->x, x, NX * sizeof *x);

@@ -88,28 +88,42 @@ int dependent_parameters_along(Instance *me, const double *sp, double *sd) {
     return model_dependent_partials(me->arg, me->res, me->iw, me->w, 0);
 }
 
-/* Derivative of the initial state along s->u, s->p, s->d and the start values that were or can be set, into s->x. */
+/* Derivative of the start values [x; z] along s->p and s->d. */
+static int starts_along(Instance *me, const Direction *s, double *starts) {
+    const double *const arguments[] = {me->s.p, me->s.d, s->p, s->d};
+    for (int i = 0; i < 4; i++) me->arg[i] = arguments[i];
+    me->res[0] = starts;
+    return model_start_partials(me->arg, me->res, me->iw, me->w, 0);
+}
+
+/* The same of the discrete variables alone, into s->z and s->pz. */
+int discrete_starts_along(Instance *me, Direction *s) {
+    double starts[LENGTH(NX + NZ)];
+    if (NZ == 0) return 0;
+    if (starts_along(me, s, starts)) return 1;
+    memcpy(s->z, starts + NX, sizeof s->z);
+    memcpy(s->pz, starts + NX, sizeof s->pz);
+    return 0;
+}
+
+/* Derivative of the initial state along s->u, s->p, s->d, s->z, s->pz and the start values that were or can be set,
+ * into s->x. */
 int initial_states_along(Instance *me, const double *start, Direction *s) {
     enum { N = NX + NY };
     const State *now = &me->s;
-    double sxs[LENGTH(NX)] = {0}, r[LENGTH(N)];
-    me->arg[0] = now->p;
-    me->arg[1] = now->d;
-    me->arg[2] = s->p;
-    me->arg[3] = s->d;
-    me->res[0] = sxs;
-    if (model_start_partials(me->arg, me->res, me->iw, me->w, 0)) return 1;
+    double sxs[LENGTH(NX + NZ)] = {0}, r[LENGTH(N)];
+    if (starts_along(me, s, sxs)) return 1;
     for (int i = 0; i < NX; i++) s->x[i] = now->xs_set[i] ? start[i] : sxs[i] + start[i];
     if (!MODEL_HAS_INITIAL) return 0;
-    memcpy(sxs, s->x, sizeof sxs);
+    memcpy(sxs, s->x, sizeof s->x);
     environment_at(me, &now->t, now->x, now->u);
     me->arg[9] = now->xs;
     me->res[0] = NULL;
     me->res[1] = me->matrix;
     if (model_initial(me->arg, me->res, me->iw, me->w, 0) || lu_factor(N, me->matrix, me->pivot)) return 1;
     environment_at(me, &now->t, now->x, now->u);
-    const double *const seeds[] = {now->xs, s->u, s->p, s->d, sxs};
-    for (int i = 0; i < 5; i++) me->arg[9 + i] = seeds[i];
+    const double *const seeds[] = {now->xs, s->u, s->p, s->d, sxs, s->z, s->pz};
+    for (int i = 0; i < 7; i++) me->arg[9 + i] = seeds[i];
     me->res[0] = r;
     if (model_initial_partials(me->arg, me->res, me->iw, me->w, 0)) return 1;
     lu_solve(N, me->matrix, me->pivot, r);
@@ -142,6 +156,7 @@ Status initialise(Instance *me) {
     Status status = STATUS_OK;
     if (!MODEL_HAS_EVENTS) {
         status = solve_start(me);
+        if (status <= STATUS_WARNING) status = start_sensitivities(me);
     } else {
         /* The initial state and the relations depend on each other: repeat both until nothing changes. */
         relations(me, s->t, s->x, s->u, s->m);
@@ -157,8 +172,10 @@ Status initialise(Instance *me) {
         }
         if (status <= STATUS_WARNING && !settled)
             status = report(me, STATUS_ERROR, "t = %.9g: the discrete variables do not settle at initialisation", s->t);
+        if (status <= STATUS_WARNING) status = start_sensitivities(me);
         memcpy(s->pz, s->z, sizeof s->z);
         if (status <= STATUS_WARNING) status = event_iteration(me, 0);
+        if (status <= STATUS_WARNING) status = leave_event(me);
     }
     for (int i = 0; i < NX && status <= STATUS_WARNING; i++)
         if (!isfinite(s->x[i])) {

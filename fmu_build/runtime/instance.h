@@ -97,10 +97,10 @@ struct Instance {
 /* Messages: a failure says what, where and when; returns `status`. */
 Status report(const Instance *me, Status status, const char *format, ...);
 
-/* A direction in the independent vectors (x, u, p, d), and what follows from it. */
+/* A direction in the independent vectors (x, u, p, d, z and its pre-values, t), and what follows from it. */
 typedef struct {
-    double x[LENGTH(NX)], u[LENGTH(NU)], p[LENGTH(NP)], d[LENGTH(ND)];
-    double y[LENGTH(NY)], dx[LENGTH(NX)], v[LENGTH(NV)];
+    double x[LENGTH(NX)], u[LENGTH(NU)], p[LENGTH(NP)], d[LENGTH(ND)], z[LENGTH(NZ)], pz[LENGTH(NZ)], t;
+    double y[LENGTH(NY)], dx[LENGTH(NX)], v[LENGTH(NV)], next_event;
 } Direction;
 
 /* equations.c: evaluation of the generated functions */
@@ -113,6 +113,8 @@ int evaluate_derivatives(Instance *me);
 int evaluate_variables(Instance *me);
 int derivatives_along(Instance *me, double t, const double *x, const double *u, Direction *s);
 int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s, int outputs);
+int indicators_along(Instance *me, double t, const double *x, const double *u, Direction *s, double *g);
+int update_along(Instance *me, double initial, Direction *s, double *updated);
 Status check_assertions(Instance *me);
 
 /* starts.c */
@@ -122,6 +124,7 @@ Status read_starts(Instance *me, const char *location);
 void set_defaults(Instance *me);
 Status initialise(Instance *me);
 int dependent_parameters_along(Instance *me, const double *sp, double *sd);
+int discrete_starts_along(Instance *me, Direction *s);
 int initial_states_along(Instance *me, const double *start, Direction *s);
 
 /* events.c */
@@ -136,9 +139,10 @@ double first_kink(Instance *me, double h, int again);
 double next_kink(Instance *me, double from, double to, double *start, int *known);
 
 /* integrator.c */
-Status restart_integration(Instance *me);
+void restart_integration(Instance *me);
 Status integrate_step(Instance *me, double target, int exact);
 void dense_output(const Step *step, double t, double *x);
+double tolerance_of(const State *s, int i, double x);
 
 /* simulate.c: what the FMI functions of both versions share */
 Status do_step(Instance *me, double t, double h);
@@ -159,7 +163,15 @@ Status update_discrete_states(Instance *me, int *states_changed);
 /* sensitivity.c */
 Status start_sensitivities(Instance *me);
 Status advance_sensitivities(Instance *me, double t, int restart);
+Status enter_event(Instance *me, int inside);
+Status update_sensitivities(Instance *me, int reinit);
+Status leave_event(Instance *me);
 void free_sensitivities(Instance *me);
+
+/* event_sensitivity.c */
+Status event_time_along(Instance *me, Direction *along, size_t n, int inside);
+Status event_update_along(Instance *me, Direction *along, size_t n, int initial, int reinit);
+Status event_end_along(Instance *me, Direction *along, size_t n);
 
 /* lifecycle.c: memory, the complete state, arrays of model exchange */
 Instance *new_instance(const char *name, const char *guid, const char *resources, Listener listener,

@@ -74,10 +74,9 @@ void dense_output(const Step *step, double t, double *x) {
 }
 
 /* Starts anew at (s.t, s.x) with the present inputs; what was integrated beyond s.t is forgotten. */
-Status restart_integration(Instance *me) {
+void restart_integration(Instance *me) {
     State *s = &me->s;
     Step *step = &s->step;
-    const Status status = advance_sensitivities(me, s->t, 1);
     step->t0 = step->t1 = s->t;
     step->h = 0.0;
     memcpy(step->x0, s->x, sizeof s->x);
@@ -88,11 +87,10 @@ Status restart_integration(Instance *me) {
     step->event = 0;
     step->fresh = 1;
     step->h_old = 0.0;
-    return status;
 }
 
 /* Absolute error of x[i] that counts as one. */
-static double tolerance_of(const State *s, int i, double x) {
+double tolerance_of(const State *s, int i, double x) {
     static const double nominal[] = MODEL_X_SCALE; /* 0: not given */
     const double scale = nominal[i] > 0.0 ? nominal[i] : larger(SMALLEST_SCALE, s->step.size[i]);
     return s->tolerance * larger(scale, fabs(x));

@@ -5,7 +5,7 @@
  * linear, so a step is one factorisation for all parameters, and no error control of its own is needed. The
  * solution between the communication points is the collocation polynomial. A step is worked off only when it is
  * needed: a lookahead that a new input makes void costs nothing. Where the step runs over kinks of f, whose Jacobian
- * jumps there, it is solved in pieces between them. */
+ * jumps there, it is solved in pieces between them. What an event does to S is in event_sensitivity.c. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -20,9 +20,9 @@ struct Sensitivity {
     size_t n, n_parameters;
     unsigned *parameters;
     double *weights;  /* n rows of n_parameters: how they move together */
-    Direction *along; /* p and d as they change, the rest is work memory */
-    double *moves;    /* the same p and d in NP + ND rows of n, in one block with what follows ... */
-    unsigned char moved[LENGTH(NP + ND)]; /* ... which of them change at all ... */
+    Direction *along; /* p, d, z and pz as they change, the rest is work memory */
+    double *moves;    /* the same p, d and z in NP + ND + NZ rows of n, in one block with what follows ... */
+    unsigned char moved[LENGTH(NP + ND + NZ)]; /* ... which of them change at all ... */
     int elements;     /* ... and, if elements of arrays do, how many derivatives by those there are */
     double *start;    /* NX rows of n: at the beginning of the last step */
     double *stages;   /* RADAU * NX rows of n: at its collocation points */
@@ -142,7 +142,7 @@ static Status solve_until(Instance *me, double t) {
     double y[LENGTH(NY)]; /* loops go on from where the prediction left them */
     memcpy(y, me->s.y, sizeof y);
     const Step *step = &me->s.step;
-    const double end = step->t0 + step->h;
+    const double end = step->t1; /* what an event cuts off may be undefined */
     Status status = STATUS_OK;
     while (status == STATUS_OK && (q->pieces == 0 || (t > q->to && q->to < end))) {
         if (q->pieces > 0) memcpy(q->start, q->stages + (RADAU - 1) * NX * q->n, NX * q->n * sizeof(double));
@@ -199,10 +199,45 @@ void free_sensitivities(Instance *me) {
     me->sensitivity = NULL;
 }
 
-/* Derivatives of the initial state. */
+/* The derivatives that hold from here on, from the directions' x and z. */
+static void go_on_along(struct Sensitivity *q) {
+    for (size_t j = 0; j < q->n; j++) {
+        const Direction *s = &q->along[j];
+        for (int row = 0; row < NX; row++) q->start[row * q->n + j] = s->x[row];
+        for (int k = 0; k < NZ; k++) {
+            const int row = NP + ND + k;
+            q->moves[row * q->n + j] = s->z[k];
+            q->moved[row] |= s->z[k] != 0.0;
+        }
+    }
+    q->pieces = q->switches_known = 0;
+}
+
+/* Derivatives of the initial state and, with them, of the discrete variables. */
+static int initial_values_along(Instance *me, const double *start, Direction *s) {
+    enum { MOST = 50 };
+    double before[LENGTH(NZ)];
+    if (discrete_starts_along(me, s)) return 1;
+    for (int round = 0; round < MOST; round++) {
+        memcpy(before, s->z, sizeof before);
+        if (initial_states_along(me, start, s)) return 1;
+        if (!MODEL_HAS_EVENTS) return 0;
+        if (event_update_along(me, s, 1, 1, 0)) return 1;
+        int settled = 1;
+        for (int k = 0; k < NZ; k++) settled &= fabs(s->z[k] - before[k]) <= 1e-12 * fabs(s->z[k]);
+        if (settled) {
+            memcpy(s->pz, s->z, sizeof s->z);
+            return 0;
+        }
+    }
+    return 1;
+}
+
+/* At the initial point, the pre-values still those of before it: derivatives of what the simulation starts from. */
 Status start_sensitivities(Instance *me) {
     struct Sensitivity *q = me->sensitivity;
     if (!q || q->n == 0) return STATUS_OK;
+    memset(q->moved, 0, sizeof q->moved);
     for (size_t j = 0; j < q->n; j++) {
         Direction *s = &q->along[j], unit;
         double start[LENGTH(NX)] = {0}, unit_start[LENGTH(NX)];
@@ -216,19 +251,44 @@ Status start_sensitivities(Instance *me) {
             for (int k = 0; k < NP; k++) s->p[k] += w * unit.p[k];
             for (int k = 0; k < NX; k++) start[k] += w * unit_start[k];
         }
-        if (dependent_parameters_along(me, s->p, s->d) || initial_states_along(me, start, s))
+        if (dependent_parameters_along(me, s->p, s->d) || initial_values_along(me, start, s))
             return report(me, STATUS_ERROR, "t = %.9g: the sensitivities of the initial state cannot be computed",
                           me->s.t);
-        for (int row = 0; row < NX; row++) q->start[row * q->n + j] = s->x[row];
         for (int k = 0; k < NP + ND; k++) {
             const double move = q->moves[k * q->n + j] = k < NP ? s->p[k] : s->d[k - NP];
             q->moved[k] |= move != 0.0;
         }
     }
-    q->pieces = q->switches_known = q->elements = 0;
+    q->elements = 0;
     for (int k = MODEL_NSLOPE; k < MODEL_NSLOPE + MODEL_NELEMENT; k++)
         if (q->moved[MODEL_SLOPE_COLUMN[k]]) q->elements = MODEL_NELEMENT;
+    go_on_along(q);
     return STATUS_OK;
+}
+
+/* Before the event iteration: S at the event, seen from where it moves to. */
+Status enter_event(Instance *me, int inside) {
+    struct Sensitivity *q = me->sensitivity;
+    const Status status = advance_sensitivities(me, me->s.t, 1);
+    if (!MODEL_HAS_EVENTS || !q || q->n == 0 || status > STATUS_WARNING) return status;
+    for (size_t j = 0; j < q->n; j++)
+        for (int row = 0; row < NX; row++) q->along[j].x[row] = q->start[row * q->n + j];
+    return event_time_along(me, q->along, q->n, inside);
+}
+
+/* In the event iteration, before the pre-values and (with `reinit`) the state change. */
+Status update_sensitivities(Instance *me, int reinit) {
+    struct Sensitivity *q = me->sensitivity;
+    return q && q->n > 0 ? event_update_along(me, q->along, q->n, 0, reinit) : STATUS_OK;
+}
+
+/* After the event iteration. */
+Status leave_event(Instance *me) {
+    struct Sensitivity *q = me->sensitivity;
+    if (!MODEL_HAS_EVENTS || !q || q->n == 0) return STATUS_OK;
+    const Status status = event_end_along(me, q->along, q->n);
+    go_on_along(q);
+    return status;
 }
 
 int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, size_t n_parameters,
@@ -237,8 +297,6 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
     if (!me) return STATUS_ERROR;
     if (!(me->s.phase & (PHASE_INSTANTIATED | PHASE_INITIALIZATION)) || !me->s.is_co_simulation)
         return report(me, STATUS_ERROR, "sensitivities are chosen before a co-simulation starts");
-    if (MODEL_HAS_EVENTS && n > 0)
-        return report(me, STATUS_ERROR, "sensitivities of a model with events are not supported");
     for (size_t i = 0; i < n_parameters; i++) {
         Direction s;
         double start[LENGTH(NX)];
@@ -247,19 +305,20 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
                           parameters[i]);
     }
     free_sensitivities(me);
+    me->s.initialised = 0;
     if (n == 0) return STATUS_OK;
     struct Sensitivity *q = me->sensitivity = calloc(1, sizeof *q);
     if (q) {
         q->parameters = malloc(LENGTH(n_parameters) * sizeof *parameters);
         q->weights = malloc(LENGTH(n * n_parameters) * sizeof *weights);
         q->along = calloc(n, sizeof *q->along);
-        q->moves = calloc(n * LENGTH(NP + ND + (RADAU + 3) * NX), sizeof(double));
+        q->moves = calloc(n * LENGTH(NP + ND + NZ + (RADAU + 3) * NX), sizeof(double));
     }
     if (!q || !q->parameters || !q->weights || !q->along || !q->moves) {
         free_sensitivities(me);
         return report(me, STATUS_ERROR, "no memory for sensitivities");
     }
-    q->start = q->moves + (NP + ND) * n;
+    q->start = q->moves + (NP + ND + NZ) * n;
     q->stages = q->start + NX * n;
     q->now = q->stages + RADAU * NX * n;
     q->rest = q->now + NX * n;
@@ -287,8 +346,9 @@ int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, d
         return report(me, STATUS_ERROR, "no sensitivities were chosen before the simulation, or it has not started");
     Status status = evaluate(me, me->s.t, q->now);
     const State *now = &me->s;
-    double y[LENGTH(NY)];
+    double y[LENGTH(NY)], kept[LENGTH(NM)];
     memcpy(y, now->y, sizeof y);
+    if (relations_for_input(me, kept)) status = STATUS_ERROR;
     int slopes = NY > 0; /* derivatives of dx are seldom asked for, but bring those of loops */
     int outputs = 1;   /* what a run is compared by is cheaper than all that the model computes */
     for (size_t i = 0; i < n; i++) {
@@ -300,10 +360,11 @@ int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, d
         for (int row = 0; row < NX; row++) s->x[row] = q->now[row * q->n + j];
         if ((slopes && derivatives_along(me, now->t, now->x, now->u, s)) ||
             variables_along(me, now->t, now->x, now->u, s, outputs))
-            return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", now->t);
+            status = report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", now->t);
         for (size_t i = 0; i < n && status <= STATUS_WARNING; i++)
             status = pick_derivative(me, variables[i], s, &values[i * q->n + j]);
     }
     memcpy(me->s.y, y, sizeof y);
+    memcpy(me->s.m, kept, sizeof kept);
     return status;
 }

@@ -172,13 +172,20 @@ static void move_to(State *s, double t) {
     s->t = t;
 }
 
+/* The event iteration at the present point, `inside` a step or else between two; the integration starts anew. */
+static Status pass_event(Instance *me, int inside) {
+    Status status = enter_event(me, inside);
+    if (status <= STATUS_WARNING) status = event_iteration(me, 0);
+    if (status <= STATUS_WARNING) status = leave_event(me);
+    restart_integration(me);
+    return status;
+}
+
 static Status handle_event(Instance *me) {
     State *s = &me->s;
     dense_output(&s->step, s->step.t1, s->x);
     move_to(s, at_time_event(s, s->step.t1));
-    Status status = event_iteration(me, 0);
-    if (status <= STATUS_WARNING) status = restart_integration(me);
-    return status;
+    return pass_event(me, 1);
 }
 
 /* One communication step from t to t + h. */
@@ -197,8 +204,7 @@ Status do_step(Instance *me, double t, double h) {
     const int restart = input_changed(me) || s->changed || step->t1 < s->t;
     if (restart) {
         s->changed = 0;
-        Status status = event_iteration(me, 0);
-        if (status <= STATUS_WARNING) status = restart_integration(me);
+        const Status status = pass_event(me, 0);
         if (status > STATUS_WARNING) return status;
     }
     s->input_event = 0;
@@ -239,7 +245,7 @@ Status do_step(Instance *me, double t, double h) {
     return check_assertions(me);
 }
 
-/* The derivative of one variable, from those of the vectors; discrete variables do not change. */
+/* The derivative of one variable, from those of the vectors. */
 Status pick_derivative(Instance *me, unsigned reference, const Direction *s, double *value) {
     const VariableEntry *entry = entry_of(me, reference, TYPE_REAL);
     if (!entry) return STATUS_ERROR;
@@ -249,6 +255,7 @@ Status pick_derivative(Instance *me, unsigned reference, const Direction *s, dou
     case VECTOR_U: vector = s->u; break;
     case VECTOR_P: vector = s->p; break;
     case VECTOR_D: vector = s->d; break;
+    case VECTOR_Z: vector = s->z; break;
     case VECTOR_Y: vector = s->y; break;
     case VECTOR_DX: vector = s->dx; break;
     case VECTOR_V: vector = s->v; break;
@@ -337,9 +344,7 @@ Status set_experiment(Instance *me, int tolerance_defined, double tolerance, dou
 /* Leaves the initialization mode. */
 Status start_simulation(Instance *me) {
     State *s = &me->s;
-    Status status = s->initialised ? STATUS_OK : initialise(me);
-    if (status > STATUS_WARNING) return status;
-    status = start_sensitivities(me);
+    const Status status = s->initialised ? STATUS_OK : initialise(me);
     if (status > STATUS_WARNING) return status;
     s->step.t0 = s->step.t1 = s->t;
     restart_integration(me);

@@ -182,7 +182,7 @@ class Fmu:
         self._renewal = how
 
     def differentiates(self, names: Collection[str]) -> bool:
-        """Whether runs can be differentiated by the parameters `names`: FMUs of ``fmuid build`` without events."""
+        """Whether runs can be differentiated by the parameters `names`: FMUs of ``fmuid build``."""
         with self._lock:
             key = frozenset(names)
             if key not in self._differentiates:

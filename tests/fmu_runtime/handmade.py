@@ -76,7 +76,9 @@ def compile_by_hand(
     up = update(e, init) if update else {}
     p, d = s["p"], s["d"]
     by = {**s, "xs": x_given}
-    seed = {k: ca.SX.sym("s_" + k, by[k].numel()) for k in ("x", "u", "p", "d", "y", "xs")}
+    seed = {k: ca.SX.sym("s_" + k, by[k].numel()) for k in ("x", "u", "p", "d", "y", "xs", "z", "pz", "t")}
+    held = ["z", "pz"] if nz else []
+    moving = [*"xupdy", "z", "pz", "t"]
 
     def along(f, letters):
         slopes = (ca.jacobian(f, by[k]) @ seed[k] for k in letters if f.numel() and by[k].numel())
@@ -88,8 +90,16 @@ def compile_by_hand(
     both = ca.vertcat(s["x"], s["y"])
     initial = ca.vertcat(s["x"] - x_given, r)
     g = vec(relations(e)) if relations else ca.SX(0, 1)
-    by_parameter = ca.jacobian(dx, ca.vertcat(p, d))
+    both_z = ca.jacobian(dx, s["z"]) + ca.jacobian(dx, s["pz"]) if nz else ca.SX(nx, 0)
+    by_parameter = ca.horzcat(ca.jacobian(dx, ca.vertcat(p, d)), both_z)
     slope_rows, slope_columns = by_parameter.sparsity().get_triplet()
+    updated = [
+        vec([up.get("z", {}).get(n, s["z"][i]) for i, n in enumerate(discrete)]),
+        vec([up.get("x", {}).get(n, s["x"][i]) for i, n in enumerate(states)]),
+        ca.SX(up.get("next", math.inf)),
+        ca.SX(up.get("terminate", 0)),
+        ca.SX(up.get("reinit", 0)),
+    ]
     functions = {
         "dependent": ([p], [d_of_p]),
         "start": ([p, d], [xs, vec(list(discrete.values())), vec(list(loops.values()))]),
@@ -100,27 +110,20 @@ def compile_by_hand(
         "slopes": (env, [ca.jacobian(dx, s["x"]), ca.vertcat(*by_parameter.nonzeros())]),
         "element_slopes": (env, [ca.SX(0, 1)]),
         "variables": (env, [v]),
-        "partials": ([*env, *seeds("xupdy")], [along(dx, "xupdy")]),
-        "variable_partials": ([*env, *seeds("xupdy")], [along(v, "xupdy")]),
-        "output_partials": ([*env, *seeds("xupdy")], [along(v, "xupdy")]),
-        "loop_partials": ([*env, *seeds("xupd")], [along(r, "xupd")]),
+        "partials": ([*env, *seeds([*"xupdy", *held])], [along(dx, [*"xupdy", *held])]),
+        "variable_partials": ([*env, *seeds([*"xupdy", *held])], [along(v, [*"xupdy", *held])]),
+        "output_partials": ([*env, *seeds([*"xupdy", *held])], [along(v, [*"xupdy", *held])]),
+        "loop_partials": ([*env, *seeds([*"xupd", *held])], [along(r, [*"xupd", *held])]),
         "dependent_partials": ([p, seed["p"]], [along(d_of_p, "p")]),
-        "start_partials": ([p, d, *seeds("pd")], [along(xs, "pd")]),
+        "start_partials": ([p, d, *seeds("pd")], [along(ca.vertcat(xs, vec(list(discrete.values()))), "pd")]),
         "initial_partials": (
-            [*env, x_given, *seeds(["u", "p", "d", "xs"])],
-            [along(initial, ["u", "p", "d", "xs"])],
+            [*env, x_given, *seeds(["u", "p", "d", "xs", *held])],
+            [along(initial, ["u", "p", "d", "xs", *held])],
         ),
+        "indicator_partials": ([*env, *seeds(moving)], [along(g, moving)]),
+        "update_partials": ([*env, init, *seeds(moving)], [along(ca.vertcat(*updated[:3]), moving)]),
         "indicators": (env, [g]),
-        "update": (
-            [*env, init],
-            [
-                vec([up.get("z", {}).get(n, s["z"][i]) for i, n in enumerate(discrete)]),
-                vec([up.get("x", {}).get(n, s["x"][i]) for i, n in enumerate(states)]),
-                ca.SX(up.get("next", math.inf)),
-                ca.SX(up.get("terminate", 0)),
-                ca.SX(up.get("reinit", 0)),
-            ],
-        ),
+        "update": ([*env, init], updated),
         "asserts": (env, [vec([f(e) for f, _, _ in asserts])]),
     }
     made = {n: ca.Function("model_" + n, a, [ca.densify(x) for x in b]) for n, (a, b) in functions.items()}

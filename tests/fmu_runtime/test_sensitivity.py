@@ -204,9 +204,6 @@ def test_what_has_no_sensitivity_is_refused(fmu):
     one = fmu("pendulum")
     assert choose(one, ["energy"]) == 3
     assert "no parameter" in one.messages[-1]
-    ball = fmu("bouncing_ball")
-    assert choose(ball, ["g"]) == 3
-    assert "events" in ball.messages[-1]
     late = fmu("pendulum").start()
     assert choose(late, ["m"]) == 3
     assert "before a co-simulation starts" in late.messages[-1]
