@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
 
-from fmuid import worker_process
+from fmuid import stepper, worker_process
 from fmuid.errors import FmuidError
 from fmuid.parcels import Parcel, name_of, pickled
 from fmuid.runners import Job, Outcome, Runner, in_process, outcome_of
@@ -177,6 +177,7 @@ def runner_on(
 
         yield on_executor(executor, **limits)
     elif workers != 0:
+        stepper.library()  # compiled once for all of them; where it cannot be, that is said here
         with WorkerPool(workers, **limits) as pool:
             yield pool.run
     elif limits:

@@ -90,6 +90,23 @@ def test_no_compiler_costs_speed_and_is_said(build, empty_cache, monkeypatch):
         assert Fmu(path).simulate(Task(UNEVEN, SIGNALS, ("x",)), {}).shape == (1, 200)
 
 
+@pytest.mark.parametrize("workers", ["0", "1"])
+def test_a_command_says_in_one_line_that_there_is_no_compiler(build, empty_cache, workers):
+    path = build(2)
+    command = ["from fmuid.cli import main; main()", "simulate", str(path), "--stop", "1", "--workers", workers]
+    environment = os.environ | {"PATH": "", "TMPDIR": str(empty_cache.parent)}
+    told = subprocess.run(
+        [sys.executable, "-c", *command, "--out", str(empty_cache.parent / "out.csv")],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert told.stderr == (
+        "fmuid: warning: no working C compiler: FMUs are stepped in Python, with the same results but slower\n"
+    )
+
+
 def test_a_spoilt_library_is_made_again(empty_cache):
     assert stepper.library() is not None
     (made,) = empty_cache.iterdir()

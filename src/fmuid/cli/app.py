@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 
 import typer
@@ -67,7 +68,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 def main() -> None:
     """Entry point of the console script."""
+    warnings.formatwarning = _warning
     sys.exit(run())
+
+
+def _warning(message: Warning | str, *_where: object, **_line: object) -> str:
+    return f"fmuid: warning: {message}\n"
 
 
 def _complain(message: str, code: int = BAD_INPUT) -> int:
