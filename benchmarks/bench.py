@@ -100,8 +100,8 @@ predicts goes through one more process and the scheduler.
 
 ![time over size]({figure})
 
-Resident memory grew by {grown:.1f} MB over {evaluations} evaluations, after the first 500 (aim: below 20 MB per
-10 000).
+Resident memory of a new process grew by {grown:.1f} MB over {evaluations} evaluations, after the first 500; what
+they predict is remembered up to 12 MB (aim: below 20 MB per 10 000).
 
 ## Import
 
