@@ -24,12 +24,27 @@ def run_module(usage: str, arguments: Sequence[str], command: Callable[[Sequence
     if not least <= len(arguments) <= most or arguments[0].startswith("-"):
         print(f"usage: python -m {usage}", file=sys.stderr)
         return 2
-    try:
+
+    def work() -> Sequence[str]:
         command(arguments)
+        return ()
+
+    return ended(work)
+
+
+def ended(work: Callable[[], Sequence[str]]) -> int:
+    """Do the work, which returns a line for all that failed, and return the exit code; 130 after Ctrl-C."""
+    try:
+        failures = work()
     except FmuidError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    return 0
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+    for line in failures:
+        print(line, file=sys.stderr)
+    return int(bool(failures))
 
 
 def write_campaign(campaign: str, measurements: Measurements) -> None:

@@ -11,8 +11,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from fmuid.errors import FmuidError
 from fmuid.files import write_atomically
+from fmuid.module_command import ended
 
 
 def diagnose_blind(template: Path, measurements: Path, target: Path) -> str:
@@ -39,18 +39,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, help="for NAME.json")
     parser.add_argument("--workers", type=int)
     given = parser.parse_args(arguments)
-    try:
-        failures = diagnose_folder(
+    return ended(
+        lambda: diagnose_folder(
             given.folder, given.campaign, given.out, workers=given.workers, diagnose=diagnose_blind
         )
-    except FmuidError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    for line in failures:
-        print(line, file=sys.stderr)
-    return int(bool(failures))
+    )
 
 
 if __name__ == "__main__":

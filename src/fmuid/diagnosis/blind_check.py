@@ -23,6 +23,8 @@ from typing import Any
 from fmuid.diagnosis.blind_score import Outcome, Scored
 from fmuid.errors import FmuidError
 from fmuid.files import write_atomically
+from fmuid.module_command import ended
+from fmuid.shown import counted
 from fmuid.virtual_rig.blind import DIGEST, LABELS, kept_seed, make_blind_campaigns, truth_of
 from fmuid.virtual_rig.blind_cases import plan_cases
 from fmuid.virtual_rig.blind_further import add_suggested_run
@@ -203,20 +205,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     only = None if given.first is None else tuple(range(given.first))
     check = Check(given.out, given.labels, given.campaign, given.count, only, given.seed, given.workers)
-    try:
+
+    def work() -> Sequence[str]:
         found = check.run()
         notes = "" if given.notes is None else given.notes.read_text(encoding="utf-8")
         text = page(found, given.command, notes)
         print(text)
         if given.page is not None:
             write_atomically(given.page, text)
-    except FmuidError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted; the same command goes on", file=sys.stderr)
-        return 130
-    return int(len(found.cases) < found.made)
+        unanswered = found.made - len(found.cases)
+        return [f"{counted(unanswered, 'case')} without an answer"] if unanswered else []
+
+    return ended(work)
 
 
 if __name__ == "__main__":

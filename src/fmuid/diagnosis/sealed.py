@@ -17,6 +17,7 @@ from typing import Any
 
 from fmuid.errors import FmuidError
 from fmuid.files import write_atomically
+from fmuid.module_command import ended
 from fmuid.workers import WorkerPool
 
 _COLUMNS = (
@@ -134,20 +135,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--page", type=Path, help="Markdown page to write")
     parser.add_argument("--workers", type=int, help="cases at the same time; one a processor by default")
     given = parser.parse_args(arguments)
-    try:
+
+    def work() -> Sequence[str]:
         failures = diagnose_folder(given.folder, given.campaign, given.out, workers=given.workers)
         if given.page is not None:
             results = {p.stem: json.loads(p.read_text()) for p in sorted(given.out.glob("*.json"))}
             write_atomically(given.page, page(results, "make sealed"))
-    except FmuidError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted; the same command goes on", file=sys.stderr)
-        return 130
-    for line in failures:
-        print(line, file=sys.stderr)
-    return int(bool(failures))
+        return failures
+
+    return ended(work)
 
 
 if __name__ == "__main__":
