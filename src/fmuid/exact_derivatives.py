@@ -44,17 +44,25 @@ class ExactDerivatives:
             self.simulate([(here.x, here.parameters)])
         return self._found.get(key)
 
-    def simulate(self, points: Sequence[tuple[FloatArray, Mapping[str, float]]]) -> None:
-        """Simulate (n,) search points with all parameters' values: Jacobians and predictions are remembered.
+    def simulate(
+        self, points: Sequence[tuple[FloatArray, Mapping[str, float]]]
+    ) -> dict[tuple[int, tuple[float, ...]], FloatArray]:
+        """Simulate (n,) search points with all parameters' values, and remember their Jacobians.
 
         Nothing is simulated where a model cannot tell its derivatives.
+
+        Returns
+        -------
+        dict
+            The predictions, by number of the case and the start values of its model.
         """
         problem, jobs = self._problem, list[Job]()
+        predictions: dict[tuple[int, tuple[float, ...]], FloatArray] = {}
         moves = [problem.space.moves(x, values) for x, values in points]
         for (_, values), there in zip(points, moves, strict=True):
             tasks = self._differentiated([move.slopes for move in there], tuple(values))
             if tasks is None:
-                return
+                return {}
             jobs += [(c.simulator, t, c.start_values(values)) for c, t in zip(problem.cases, tasks, strict=True)]
         outcomes = problem.runner(jobs)
         for (x, values), there in zip(points, moves, strict=True):
@@ -64,13 +72,14 @@ class ExactDerivatives:
             for k, (case, (_, task, starts), run) in enumerate(zip(problem.cases, own, runs, strict=True)):
                 if isinstance(run, SimulationError):
                     break
-                problem.remember(k, starts, run[: len(task.outputs)].copy())
+                predictions[k, tuple(starts.values())] = run[: len(task.outputs)].copy()
                 blocks += _blocks(case, task, np.asarray(run), there, values)
             else:
                 slope, jacobian = problem.space.slope(x)[:, None], np.empty((problem.slices[-1].stop, len(x)))
                 for rows, weight, block in zip(problem.slices, problem.root_weights, blocks, strict=True):
                     jacobian[rows] = (weight * slope * block).T
                 self._keep(x.tobytes(), jacobian)
+        return predictions
 
     def _differentiated(self, slopes: list[Mapping[str, float]], names: tuple[str, ...]) -> list[Task] | None:
         """Return every case's task with its directions, the same again for the same; None where one has none."""
@@ -78,7 +87,8 @@ class ExactDerivatives:
             self._slopes, self._tasks = slopes, []
             for case in self._problem.cases:
                 along = [_direction(case, s, names) for s in slopes]
-                if not differentiates(case.simulator, {name for direction in along for name in direction}):
+                moved = {name for direction in along for name in direction}
+                if moved and not differentiates(case.simulator, moved):
                     self._tasks = None
                     break
                 self._tasks.append(replace(case.task, along=tuple(filter(None, along))))

@@ -55,7 +55,7 @@ class Fmu:
     * Integer, Boolean and enumeration variables are set by their FMI type and take whole numbers only.
     * The first simulation is repeated after a reset (for up to half a second); an FMU whose reset is missing,
       fails or changes the predictions is instantiated anew for every simulation. `renewal` tells which. One that
-      crashes does so in one of a pool's worker processes; the others instantiate.
+      crashes does so in one of a pool's worker processes; the others instantiate. FMUs of ``fmuid build`` reset.
     * After a failed simulation the next one gets a new instance, after fmi2Fatal a new copy of the library:
       predictions depend on the parameters alone, not on what was simulated before.
     * Simulations of one object exclude each other; for parallel ones use processes (`fmuid.workers`).
@@ -266,8 +266,11 @@ class Fmu:
                     fix="export it for this machine, or compile its sources with `fmpy compile`",
                 )
             self._library = FmuLibrary(library, self.version, self.interface == "model exchange", self.path)
-            if self._library.functions[FUNCTIONS.index("RESET")] is None:
+            functions = dict(zip(FUNCTIONS, self._library.functions, strict=True))
+            if functions["RESET"] is None:
                 self._renewal = "instantiate"
+            elif functions["SET_DIRECTIONS"] is not None:  # of `fmuid build`: it does all that instantiating does
+                self._renewal = "reset"
         return self._library
 
     def prepare(self, task: Task, parameters: Mapping[str, float]) -> PreparedTask:

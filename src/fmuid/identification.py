@@ -24,6 +24,7 @@ from fmuid.runners import Runner, in_process
 from fmuid.search_space import SEPARATOR
 from fmuid.simulation import Simulator
 from fmuid.solvers import Outcome, Search, Solver, Status, StopRules, StopSearch, make
+from fmuid.solvers.least_squares import TrustRegion
 from fmuid.solvers.pareto import Objectives
 from fmuid.uncertainty import Uncertainty
 from fmuid.workers import runner_on
@@ -241,7 +242,7 @@ def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
 
     first: Evaluation | None = None
     try:
-        first = search.evaluate(problem.space.start)
+        first = search.evaluate(problem.space.start, differentiated=isinstance(solver, TrustRegion))
         outcome = solver.solve(search, problem.space.start)
     except StopSearch as stopped:
         outcome = stopped.outcome

@@ -186,16 +186,19 @@ class Problem:
         begin = clock.perf_counter()
         points = [np.array(x, dtype=np.float64) for x in points]
         values = [self.space.to_model(x) for x in points]
+        at_once: dict[tuple[int, tuple[float, ...]], FloatArray] = {}
         if any(differentiated):
-            self.exact.simulate([(x, v) for x, v, d in zip(points, values, differentiated, strict=True) if d])
+            at_once = self.exact.simulate(
+                [(x, v) for x, v, d in zip(points, values, differentiated, strict=True) if d]
+            )
         starts = [[case.start_values(v) for case in self.cases] for v in values]
         keys = [[(i, tuple(s.values())) for i, s in enumerate(row)] for row in starts]
         wanted = {key: s for ks, row in zip(keys, starts, strict=True) for key, s in zip(ks, row, strict=True)}
-        known = {key: self._predictions[key] for key in wanted if key in self._predictions}
+        known = at_once | {key: self._predictions[key] for key in wanted if key in self._predictions}
         missing = [key for key in wanted if key not in known]
         jobs = [(self.cases[k[0]].simulator, self.cases[k[0]].task, wanted[k]) for k in missing]
         outcomes = dict(zip(missing, self.runner(jobs) if jobs else [], strict=True))
-        for key, outcome in outcomes.items():
+        for key, outcome in (at_once | outcomes).items():
             if not isinstance(outcome, SimulationError):
                 self._keep(key, outcome)
         seconds = (clock.perf_counter() - begin) / len(points)
@@ -240,10 +243,6 @@ class Problem:
         nothing = np.full(len(self.criteria), np.nan)
         constraints = np.full(len(self.constraints), np.nan)
         return Evaluation(x, values, nothing, np.full(0, np.nan), float("nan"), constraints, why, seconds)
-
-    def remember(self, case: int, start_values: Mapping[str, float], prediction: FloatArray) -> None:
-        """Take a case's prediction with these start values as known."""
-        self._keep((case, tuple(start_values.values())), prediction)
 
     def _keep(self, key: tuple[int, tuple[float, ...]], prediction: FloatArray) -> None:
         if key not in self._predictions:

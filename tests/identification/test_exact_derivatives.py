@@ -10,7 +10,11 @@ import pytest
 from fmuid import ParameterSpec, Problem, Task, measured_case
 from fmuid.campaign import CriterionSpec
 from fmuid.expressions import parse
+from fmuid.runners import in_process
 from fmuid.search_space import expanded
+from fmuid.solvers.least_squares import TrustRegion
+from fmuid.solvers.search import Search, Status
+from fmuid.uncertainty import uncertainty_of
 from fmuid.units import Conversion
 
 TIME = np.linspace(0.0, 2.0, 201)
@@ -115,3 +119,28 @@ def test_a_differentiated_evaluation_is_one_run_with_the_same_prediction(differe
     assert np.array_equal(here.residuals, expected.residuals)
     assert np.array_equal(jacobian, other.exact.jacobian(expected))
     assert plain.cost != here.cost
+
+
+def test_trials_bring_their_jacobians_and_noise_is_measured_when_the_cost_stops_falling(differentiating):
+    task, truth = Task(TIME, {"u": DRIVE}, ("y",)), {"gain": 1.2, "lag": 0.6, "level": 0.4}
+    measured = differentiating.simulate(task, truth)[0] + np.random.default_rng(0).normal(0.0, 0.05, TIME.size)
+    specs = [
+        ParameterSpec(name, start, 0.01, 5.0) for name, start in zip(PARAMETERS, (0.8, 0.3, 0.1), strict=True)
+    ]
+    jobs, purposes = [], []
+    problem = Problem([measured_case("run", differentiating, task, {"y": measured}, sigma={"y": 0.05})], specs)
+    problem.runner = lambda asked: jobs.extend(asked) or in_process(asked)
+    search = Search(problem, record=lambda _, purpose, __: purposes.append(purpose))
+    search.evaluate(problem.space.start, differentiated=True)
+    assert TrustRegion().solve(search, problem.space.start).status is Status.CONVERGED
+    assert search.best.parameters == pytest.approx(truth, rel=0.05)
+    falling = purposes.index("derivative")
+    assert falling >= 4
+    assert all(task.along for _, task, _ in jobs[:falling])  # these trials tell their Jacobians as well
+    assert purposes.count("derivative") == 6
+    assert len(jobs) <= search.evaluations + 2  # the last two ask for them only where they are needed
+    simulated = len(jobs)
+    found = uncertainty_of(problem, search.best, floor=search.noise_floor)
+    assert len(jobs) == simulated
+    for name, error in zip(found.names, found.standard_errors, strict=True):
+        assert abs(search.best.parameters[name] - truth[name]) < 4.0 * error

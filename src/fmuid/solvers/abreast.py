@@ -12,14 +12,11 @@ import warnings
 from collections.abc import Callable, Sequence
 from queue import SimpleQueue
 
-from fmuid.campaign import FloatArray
 from fmuid.errors import SimulationError
 from fmuid.problem import Evaluation
-from fmuid.solvers.search import Outcome, Search, Simulate, Status, StopSearch
+from fmuid.solvers.search import Outcome, Search, Simulate, Status, StopSearch, Wish
 
 _REMEMBERED = 8  # evaluations that one of many searches may ask for again
-Wanted = Sequence[tuple[FloatArray, str]]
-"""Points and the purpose of each."""
 
 
 class Branch(Search):
@@ -47,11 +44,11 @@ class _Strand:
         self.outcome: Outcome | None = None
         self.error: BaseException | None = None
         self._run = run
-        self._wishes: SimpleQueue[Wanted | None] = SimpleQueue()
+        self._wishes: SimpleQueue[Sequence[Wish] | None] = SimpleQueue()
         self._answers: SimpleQueue[list[Evaluation] | BaseException] = SimpleQueue()
         self._thread = threading.Thread(target=self._work, daemon=True)
 
-    def advance(self, answer: list[Evaluation] | BaseException | None = None) -> Wanted | None:
+    def advance(self, answer: list[Evaluation] | BaseException | None = None) -> Sequence[Wish] | None:
         """Go on with an answer, or an exception in its place, to the next wish; None at the end."""
         if answer is None:
             self._thread.start()
@@ -65,7 +62,7 @@ class _Strand:
             while self.advance(reason) is not None:
                 pass
 
-    def _ask(self, wanted: Wanted) -> list[Evaluation]:
+    def _ask(self, wanted: Sequence[Wish]) -> list[Evaluation]:
         self._wishes.put(wanted)
         answer = self._answers.get()
         if isinstance(answer, BaseException):
@@ -107,7 +104,7 @@ class Abreast:
         StopSearch
             A stop rule of the trunk holds.
         """
-        wishes: dict[int, Wanted] = {}
+        wishes: dict[int, Sequence[Wish]] = {}
         with warnings.catch_warnings():  # solvers change the filters, and end in any order
             try:
                 for k, strand in enumerate(self._strands):
@@ -121,7 +118,7 @@ class Abreast:
                     strand.end(reason)
                 raise
 
-    def _note(self, wishes: dict[int, Wanted], k: int, wish: Wanted | None) -> None:
+    def _note(self, wishes: dict[int, Sequence[Wish]], k: int, wish: Sequence[Wish] | None) -> None:
         wishes.pop(k, None)
         if wish is not None:
             wishes[k] = wish

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -59,17 +59,13 @@ class TrustRegion:
         from scipy.optimize import least_squares
 
         bounds: tuple[Any, Any] = (-np.inf, np.inf) if self.name == "lm" else (search.lower, search.upper)
-        first = _start(search, start)
-        derivative = partial(search.evaluate_many, purpose="derivative")
-        floor = search.noise_floor = noise_floor(search.problem, first.x, evaluate=derivative)
-        differences = Differences(search.problem, floor, central=False)
-        trials = _Trials(search, differences, first)
+        trials = _Trials(search, _start(search, start, differentiated=True))
         with np.errstate(all="ignore"):  # SciPy divides by zero where a parameter has no effect
             try:
                 result = least_squares(
                     trials.residuals,
-                    _strictly_inside(first.x, search.lower, search.upper),
-                    jac=lambda x: differences.jacobian(derivative, search.evaluate(x)),
+                    _strictly_inside(trials.first.x, search.lower, search.upper),
+                    jac=trials.jacobian,
                     bounds=bounds,
                     method=self.name,
                     x_scale=1.0,
@@ -82,8 +78,9 @@ class TrustRegion:
                 ended = Outcome(Status.CONVERGED, "the cost changes by no more than the simulator's noise")
             else:
                 ended = Outcome(Status.CONVERGED if result.status else Status.BUDGET, _in_words(result.status))
-        rounds = not differences.exact and floor.relative <= _EXACT
-        if rounds and ended.status is Status.CONVERGED and search.reached is search.best:
+        at_best = ended.status is Status.CONVERGED and search.reached is search.best
+        floor = None if trials.exact else trials.floor
+        if at_best and floor is not None and floor.relative <= _EXACT:
             with suppress(StopSearch, SimulationError):  # the search had ended before
                 _polish(search, floor)
         return ended
@@ -119,51 +116,87 @@ class _SettledError(Exception):
 
 
 class _Trials:
-    """The residual function, and the judgement whether the search has settled.
+    """The residual function with its Jacobian, and the judgement whether the search has settled.
 
     Near a minimum a solver that believes in a smooth cost goes on and on: what it predicts to gain is less than
-    the simulator's noise, so it finds every step bad and shrinks its region.
+    the simulator's noise, so it finds every step bad and shrinks its region. Exact derivatives need no noise
+    floor: with them it is measured when the cost no longer falls by much. Up to then most trials are accepted, so
+    they find their Jacobians in the same runs.
     """
 
-    def __init__(self, search: Search, differences: Differences, first: Evaluation) -> None:
-        self.search, self.differences, self.first = search, differences, first
+    def __init__(self, search: Search, first: Evaluation) -> None:
+        self.search, self.first = search, first
         self.flat = self.level = self.measured = 0
+        self.floor: NoiseFloor | None = None  # as it was first measured
+        self._differences: Differences | None = None
+        self.exact = search.problem.exact.jacobian(first) is not None  # the last Jacobian
+        if not self.exact:
+            self.differences(first.x)
+
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """Return the Jacobian at `x`."""
+        here = self.search.evaluate(x)
+        exact = self.search.problem.exact.jacobian(here)
+        self.exact = exact is not None
+        return exact if exact is not None else self.differences(here.x).jacobian(self._evaluate, here)
+
+    def differences(self, x: FloatArray) -> Differences:
+        """Return what takes differences; the noise floor they need is measured at `x` if it is not known."""
+        if self._differences is None:
+            self.floor = self.search.noise_floor = noise_floor(self.search.problem, x, evaluate=self._evaluate)
+            self._differences = Differences(self.search.problem, self.floor, central=False)
+        return self._differences
 
     def residuals(self, x: FloatArray) -> FloatArray:
         """Return the residuals at `x`, NaN where it fails (the solver then shrinks its region)."""
         best = self.search.reached or self.first
         again = np.array_equal(x, best.x)
-        evaluation = self.search.evaluate(x)
+        evaluation = self.search.evaluate(x, differentiated=self._differences is None)
         if not evaluation.ok:
             return np.full(len(self.first.residuals), np.nan)
         if not again:
-            change = abs(evaluation.cost - best.cost)
-            self.flat = self.flat + 1 if change <= self._meaningless(best) else 0
-            self.level = self.level + 1 if change <= _LEVEL * best.cost else 0
-            if self.flat == _FLAT_TRIALS:
-                raise _SettledError
-            if self.level > _FLAT_TRIALS and self.measured < _MEASUREMENTS:
-                self._measure(best.x)
-                self.level = 0
+            self._judge(evaluation, best)
         return evaluation.residuals
 
-    def _meaningless(self, best: Evaluation) -> float:
-        """Return the change of the cost that is none."""
-        floor = self.differences.floor
-        # Scatter of the cost: its gradient in the residuals, 2 r, times theirs.
-        noise = _FLAT * 2.0 * float(np.linalg.norm(best.residuals)) * floor.residual
-        # A hundredth of a standard error is worth an exact simulator's few steps, not a noisy one's many.
-        return max(noise, 1e-4 * best.cost / len(best.residuals)) if floor.relative > _EXACT else noise
+    def _judge(self, evaluation: Evaluation, best: Evaluation) -> None:
+        """Count the trials in a row that tell next to nothing."""
+        if self._differences is None:
+            if evaluation.cost < (1.0 - _LEVEL) * best.cost:
+                return
+            self.measured = _MEASUREMENTS  # here, where it matters
+        try:
+            floor = self.differences(best.x).floor
+        except SimulationError:
+            return  # the solver's own tolerances end the search
+        change = abs(evaluation.cost - best.cost)
+        self.flat = self.flat + 1 if change <= _meaningless(best, floor) else 0
+        self.level = self.level + 1 if change <= _LEVEL * best.cost else 0
+        if self.flat == _FLAT_TRIALS:
+            raise _SettledError
+        if self.level > _FLAT_TRIALS and self.measured < _MEASUREMENTS:
+            self._measure(best.x)
+            self.level = 0
+
+    def _evaluate(self, points: Sequence[FloatArray]) -> list[Evaluation]:
+        return self.search.evaluate_many(points, purpose="derivative")
 
     def _measure(self, x: FloatArray) -> None:
         """Measure the noise again, where the search is about to settle: it may be another than at the start."""
         self.measured += 1
-        derivative = partial(self.search.evaluate_many, purpose="derivative")
+        differences = self.differences(x)
         with suppress(SimulationError):
-            found = noise_floor(self.search.problem, x, evaluate=derivative)
-            if found.residual > self.differences.floor.residual:
-                self.differences.adopt(found)
+            found = noise_floor(self.search.problem, x, evaluate=self._evaluate)
+            if found.residual > differences.floor.residual:
+                differences.adopt(found)
                 self.search.noise_floor = found
+
+
+def _meaningless(best: Evaluation, floor: NoiseFloor) -> float:
+    """Return the change of the cost that is none."""
+    # Scatter of the cost: its gradient in the residuals, 2 r, times theirs.
+    noise = _FLAT * 2.0 * float(np.linalg.norm(best.residuals)) * floor.residual
+    # A hundredth of a standard error is worth an exact simulator's few steps, not a noisy one's many.
+    return max(noise, 1e-4 * best.cost / len(best.residuals)) if floor.relative > _EXACT else noise
 
 
 def _in_words(status: int) -> str:
@@ -246,8 +279,8 @@ def _require_smooth(problem: Problem, name: str) -> None:
         )
 
 
-def _start(search: Search, start: FloatArray) -> Evaluation:
-    first = search.evaluate(start)
+def _start(search: Search, start: FloatArray, *, differentiated: bool = False) -> Evaluation:
+    first = search.evaluate(start, differentiated=differentiated)
     if first.failure is not None:
         raise SimulationError(f"the start point fails ({first.failure})", fix="choose other start values")
     return first

@@ -6,7 +6,7 @@ import enum
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -68,8 +68,18 @@ Record = Callable[[Evaluation, str, bool], None]
 """Told of every evaluation: the evaluation, its purpose, whether it is the best so far."""
 Recall = Callable[[FloatArray, bool], Evaluation | None]
 """Gives an evaluation back that an earlier, interrupted run made; the flag asks for residuals too."""
-Simulate = Callable[[Sequence[tuple[FloatArray, str]]], list[Evaluation]]
-"""Evaluates points; the text is the purpose of each."""
+
+
+class Wish(NamedTuple):
+    """A point to evaluate, what for, and whether its Jacobian is best found in the same runs."""
+
+    x: FloatArray
+    purpose: str = "search"
+    differentiated: bool = False
+
+
+Simulate = Callable[[Sequence[Wish]], list[Evaluation]]
+"""Evaluates points."""
 Goals = Callable[[Evaluation], FloatArray]
 """(k,) numbers of an evaluation."""
 
@@ -109,7 +119,9 @@ class Search:
             self.goals_of = lambda evaluation: problem.root_weights**2 * evaluation.criteria
         self.noise_floor: NoiseFloor | None = None  # a solver that measured it leaves it here
         self._record, self.recall = record, recall
-        self._simulate: Simulate = lambda wanted: problem.evaluate_many([x for x, _ in wanted])
+        self._simulate: Simulate = lambda wanted: problem.evaluate_many(
+            [wish.x for wish in wanted], differentiated=[wish.differentiated for wish in wanted]
+        )
         self._remembered = _REMEMBERED
         self._recent: OrderedDict[bytes, Evaluation] = OrderedDict()
 
@@ -128,9 +140,9 @@ class Search:
         self.refocus(lambda evaluation: float(np.max(goals_of(evaluation))), limits_of or (lambda _: np.zeros(0)))
         self.goals_of = goals_of
 
-    def evaluate(self, x: FloatArray, purpose: str = "search") -> Evaluation:
-        """Evaluate one search point."""
-        return self.evaluate_many([x], purpose)[0]
+    def evaluate(self, x: FloatArray, *, differentiated: bool = False) -> Evaluation:
+        """Evaluate one search point; `differentiated` if its Jacobian is wanted next (`Problem.evaluate_many`)."""
+        return self.evaluate_all([Wish(x, differentiated=differentiated)])[0]
 
     def evaluate_many(self, points: Sequence[FloatArray], purpose: str = "search") -> list[Evaluation]:
         """Evaluate points, in parallel where the problem's runner can.
@@ -140,31 +152,32 @@ class Search:
         StopSearch
             A stop rule holds.
         """
-        return self.evaluate_all([(x, purpose) for x in points])
+        return self.evaluate_all([Wish(x, purpose) for x in points])
 
-    def evaluate_all(self, wanted: Sequence[tuple[FloatArray, str]]) -> list[Evaluation]:
+    def evaluate_all(self, wanted: Sequence[Wish]) -> list[Evaluation]:
         """Evaluate points with a purpose each; see `evaluate_many`."""
         self._check_budget()
-        points = [np.clip(np.asarray(x, dtype=np.float64), self.lower, self.upper) for x, _ in wanted]
-        keys = [x.tobytes() for x in points]
-        purposes: dict[bytes, str] = {}
-        for key, (_, purpose) in zip(keys, wanted, strict=True):
-            if purposes.get(key) != "search":
-                purposes[key] = purpose
-        found = {key: e for key in purposes if (e := self._recent.get(key)) is not None}
+        keys: list[bytes] = []
+        wishes: dict[bytes, Wish] = {}
+        for wish in wanted:
+            x = np.clip(np.asarray(wish.x, dtype=np.float64), self.lower, self.upper)
+            keys.append(x.tobytes())
+            if keys[-1] not in wishes or wish.purpose == "search":
+                wishes[keys[-1]] = wish._replace(x=x)
+        found = {key: e for key in wishes if (e := self._recent.get(key)) is not None}
         recalled = set()
-        for key, x in zip(keys, points, strict=True):
-            if key not in found and (old := self.recall(x, self.needs_residuals)) is not None:
+        for key, wish in wishes.items():
+            if key not in found and (old := self.recall(wish.x, self.needs_residuals)) is not None:
                 found[key] = old
                 recalled.add(key)
-        new = {key: x for key, x in zip(keys, points, strict=True) if key not in found}
+        new = {key: wish for key, wish in wishes.items() if key not in found}
         if new:
-            found |= zip(new, self._simulate([(x, purposes[key]) for key, x in new.items()]), strict=True)
-        for key, purpose in purposes.items():
+            found |= zip(new, self._simulate(list(new.values())), strict=True)
+        for key, wish in wishes.items():
             if key in new or key in recalled:
-                self._count(found[key], purpose, recorded=key in recalled)
+                self._count(found[key], wish.purpose, recorded=key in recalled)
                 self._remember(key, found[key])
-            elif purpose == "search":
+            elif wish.purpose == "search":
                 self._compare(found[key])
         return [found[key] for key in keys]
 
