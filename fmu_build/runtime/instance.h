@@ -136,13 +136,12 @@ void find_event(Instance *me, double from, double to, int samples);
 
 /* kinks.c */
 double first_kink(Instance *me, double h, int again);
-double next_kink(Instance *me, double from, double to, double *start, int *known);
+double next_kink(Instance *me, double from, double to, double *start, int *known, double *smooth);
 
 /* integrator.c */
 void restart_integration(Instance *me);
 Status integrate_step(Instance *me, double target, int exact);
 void dense_output(const Step *step, double t, double *x);
-double tolerance_of(const State *s, int i, double x);
 
 /* simulate.c: what the FMI functions of both versions share */
 Status do_step(Instance *me, double t, double h);

@@ -90,7 +90,7 @@ void restart_integration(Instance *me) {
 }
 
 /* Absolute error of x[i] that counts as one. */
-double tolerance_of(const State *s, int i, double x) {
+static double tolerance_of(const State *s, int i, double x) {
     static const double nominal[] = MODEL_X_SCALE; /* 0: not given */
     const double scale = nominal[i] > 0.0 ? nominal[i] : larger(SMALLEST_SCALE, s->step.size[i]);
     return s->tolerance * larger(scale, fabs(x));

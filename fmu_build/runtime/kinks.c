@@ -92,13 +92,15 @@ double first_kink(Instance *me, double h, int again) {
 
 /* A time in (from, to) of the last step from which on a switching function has another sign than at its beginning, the
  * first such time where there are several; `to` if all signs at both ends are the same. `start` holds the functions at
- * the beginning if they are `known`, and on return those at `to` if that is where it ends. */
-double next_kink(Instance *me, double from, double to, double *start, int *known) {
+ * the beginning if they are `known`, and on return those at `to` if that is where it ends; `smooth` receives a time
+ * close before, when all signs were still the same. */
+double next_kink(Instance *me, double from, double to, double *start, int *known, double *smooth) {
     static const double FINE = 1e-3; /* parts of the stretch */
     const Step *step = &me->s.step;
     const double beginning = from + 1e-9 * (to - from); /* `from` may be a kink itself */
     const int given = *known;
     *known = 0;
+    *smooth = to;
     if (MODEL_NSWITCH == 0 || !(beginning > from)) return to;
     double x[LENGTH(NX)];
     if (!given) {
@@ -114,5 +116,6 @@ double next_kink(Instance *me, double from, double to, double *start, int *known
         return to;
     }
     narrow(me, NULL, start, FINE * (to - from), &b);
+    *smooth = step->t0 + b.before;
     return fmin(step->t0 + b.after, to);
 }

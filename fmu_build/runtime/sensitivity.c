@@ -29,6 +29,7 @@ struct Sensitivity {
     double *now;      /* NX rows of n: where they were asked for */
     double *rest;     /* NX rows of n: work memory */
     double from, to;  /* the piece of the last step that `stages` belong to ... */
+    double smooth;    /* ... up to where f has no kink in it ... */
     int pieces;       /* ... and how many of it there were; 0: none is solved yet */
     double switches[LENGTH(MODEL_NSWITCH)]; /* their values at the end of the last piece ... */
     int switches_known;                     /* ... if f goes on from there as it was */
@@ -103,7 +104,7 @@ static Status solve_piece(Instance *me) {
     for (int i = 0; i < RADAU && !failed; i++) {
         double *stage = q->stages + i * size;
         for (size_t k = 0; k < size; k++) stage[k] = W_SUM[i] * q->start[k];
-        const double t = q->from + NODE[i] * h;
+        const double t = fmin(q->from + NODE[i] * h, q->smooth); /* not with the Jacobian behind a kink */
         dense_output(step, t, x);
         failed = slopes_at(me, t, x, h, block[i], stage);
         for (int k = 0; k < NX * NX; k++) block[i][k] *= -h;
@@ -147,7 +148,8 @@ static Status solve_until(Instance *me, double t) {
     while (status == STATUS_OK && (q->pieces == 0 || (t > q->to && q->to < end))) {
         if (q->pieces > 0) memcpy(q->start, q->stages + (RADAU - 1) * NX * q->n, NX * q->n * sizeof(double));
         q->from = q->pieces > 0 ? q->to : step->t0;
-        q->to = q->pieces < MOST ? next_kink(me, q->from, end, q->switches, &q->switches_known) : end;
+        q->smooth = end;
+        q->to = q->pieces < MOST ? next_kink(me, q->from, end, q->switches, &q->switches_known, &q->smooth) : end;
         q->pieces++;
         status = solve_piece(me);
     }

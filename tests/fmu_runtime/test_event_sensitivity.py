@@ -13,7 +13,8 @@ from fmu_build import build
 from fmuid.errors import SimulationError
 from fmuid.fmu import Fmu
 from fmuid.simulation import Task
-from tests.conftest import MODELICA
+from tests.conftest import MODELICA, build_setups
+from tests.reference.experiments import LOSSY
 
 JUMPS = Path(__file__).parent / "models" / "Jumps.mo"
 STICK_SLIP = Path(__file__).parents[1] / "fmu_build" / "models" / "StickSlip.mo"
@@ -43,12 +44,13 @@ def derivatives(fmu: Fmu, task: Task, values: Mapping[str, float]) -> np.ndarray
     return got[len(task.outputs) :].reshape(len(values), len(task.outputs), -1)
 
 
-def differences(fmu: Fmu, task: Task, values: Mapping[str, float], tolerance: float) -> np.ndarray:
+def differences(
+    fmu: Fmu, task: Task, values: Mapping[str, float], tolerance: float, step: float = 2e-6
+) -> np.ndarray:
     accurate, out = replace(task, tolerance=tolerance), []
     for name, value in values.items():
-        step = 2e-6 * abs(value)
-        ends = [fmu.simulate(accurate, {**values, name: value + sign * step}) for sign in (1, -1)]
-        out.append((ends[0] - ends[1]) / (2 * step))
+        ends = [fmu.simulate(accurate, {**values, name: value * (1 + sign * step)}) for sign in (1, -1)]
+        out.append((ends[0] - ends[1]) / (2 * step * value))
     return np.array(out)
 
 
@@ -117,6 +119,17 @@ def test_friction_by_events_under_inputs(load, interpolation):
     assert np.count_nonzero(np.abs(w) < 1e-9) > 100
     expected = differences(fmu, task, values, 1e-10)
     assert_close(derivatives(fmu, task, values), expected, list(values.values()), 1e-4)
+
+
+def test_the_actuator_with_friction_by_events():
+    """A stiff train whose friction law has a kink where it sticks: the events' ends are kinks, too."""
+    current = 0.8 * np.repeat(np.random.default_rng(3).choice([-1.0, 1.0], 6), 10)
+    time = np.arange(current.size) * 1e-3
+    task = Task(time, {"i_cmd": current}, ("tau_sensor", "w_motor"), LOSSY, tolerance=1e-6)
+    values = {"K_m": 0.7, "lossTable[2,4]": 0.086781, "lossTable[1,4]": 0.095, "lossTable[2,2]": 0.979}
+    with Fmu(build_setups(("FixedShaftWithEvents",))["FixedShaftWithEvents"]) as fmu:
+        expected = differences(fmu, task, values, 1e-12, step=1e-4)
+        assert_close(derivatives(fmu, task, values), expected, list(values.values()), 5e-5)
 
 
 def test_the_error_follows_the_tolerance(load):
