@@ -149,10 +149,10 @@ class Differences:
         SimulationError
             A parameter can be moved to neither side.
         """
-        exact = self._exact.jacobian(here)
+        exact = self._exact.jacobian(here, first)
         self.exact = exact is not None
         if exact is not None:
-            return exact[:, first:]
+            return exact
         columns: dict[int, FloatArray] = {}
         due = list(range(first, len(here.x)))
         while due:

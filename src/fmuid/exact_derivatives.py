@@ -25,7 +25,7 @@ from fmuid.simulation import Task, differentiates
 if TYPE_CHECKING:
     from fmuid.problem import Evaluation, Problem
 
-_KEPT = 4_000_000  # numbers of Jacobians, 32 MB
+_KEPT = 1_500_000  # numbers of Jacobians, 12 MB
 
 
 class ExactDerivatives:
@@ -35,19 +35,22 @@ class ExactDerivatives:
         self._problem = problem
         self._slopes: list[Mapping[str, float]] = []  # what the tasks are for
         self._tasks: list[Task] | None = None
-        self._found: OrderedDict[bytes, FloatArray] = OrderedDict()
+        self._found: OrderedDict[tuple[bytes, int], FloatArray] = OrderedDict()
 
-    def jacobian(self, here: Evaluation) -> FloatArray | None:
-        """Return d residuals / d search point, (m, n), at `here`; None where a model cannot tell."""
-        key = here.x.tobytes()
+    def jacobian(self, here: Evaluation, first: int = 0) -> FloatArray | None:
+        """Return d residuals / d search point, (m, n), at `here`; None where a model cannot tell.
+
+        Of the coordinates from `first` on.
+        """
+        key = here.x.tobytes(), first
         if key not in self._found:
-            self.simulate([(here.x, here.parameters)])
+            self.simulate([(here.x, here.parameters)], first)
         return self._found.get(key)
 
     def simulate(
-        self, points: Sequence[tuple[FloatArray, Mapping[str, float]]]
+        self, points: Sequence[tuple[FloatArray, Mapping[str, float]]], first: int = 0
     ) -> dict[tuple[int, tuple[float, ...]], FloatArray]:
-        """Simulate (n,) search points with all parameters' values, and remember their Jacobians.
+        """Simulate (n,) search points with all parameters' values, and remember their Jacobians; see `jacobian`.
 
         Nothing is simulated where a model cannot tell its derivatives.
 
@@ -58,7 +61,7 @@ class ExactDerivatives:
         """
         problem, jobs = self._problem, list[Job]()
         predictions: dict[tuple[int, tuple[float, ...]], FloatArray] = {}
-        moves = [problem.space.moves(x, values) for x, values in points]
+        moves = [problem.space.moves(x, values)[first:] for x, values in points]
         for (_, values), there in zip(points, moves, strict=True):
             tasks = self._differentiated([move.slopes for move in there], tuple(values))
             if tasks is None:
@@ -75,10 +78,11 @@ class ExactDerivatives:
                 predictions[k, tuple(starts.values())] = run[: len(task.outputs)].copy()
                 blocks += _blocks(case, task, np.asarray(run), there, values)
             else:
-                slope, jacobian = problem.space.slope(x)[:, None], np.empty((problem.slices[-1].stop, len(x)))
+                slope = problem.space.slope(x)[first:, None]
+                jacobian = np.empty((problem.slices[-1].stop, len(slope)))
                 for rows, weight, block in zip(problem.slices, problem.root_weights, blocks, strict=True):
                     jacobian[rows] = (weight * slope * block).T
-                self._keep(x.tobytes(), jacobian)
+                self._keep((x.tobytes(), first), jacobian)
         return predictions
 
     def _differentiated(self, slopes: list[Mapping[str, float]], names: tuple[str, ...]) -> list[Task] | None:
@@ -94,7 +98,7 @@ class ExactDerivatives:
                 self._tasks.append(replace(case.task, along=tuple(filter(None, along))))
         return self._tasks
 
-    def _keep(self, key: bytes, jacobian: FloatArray) -> None:
+    def _keep(self, key: tuple[bytes, int], jacobian: FloatArray) -> None:
         self._found[key] = jacobian
         while len(self._found) > 1 and sum(j.size for j in self._found.values()) > _KEPT:
             self._found.popitem(last=False)

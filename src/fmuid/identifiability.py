@@ -79,7 +79,8 @@ def identifiability(
     """
     names = problem.space.names
     relative = _relative_scale(problem, x)
-    _, singular, axes = np.linalg.svd(jacobian / scale, full_matrices=len(jacobian) < len(x))
+    triangle = np.linalg.qr(jacobian / scale, mode="r")  # with the same singular values and axes
+    _, singular, axes = np.linalg.svd(triangle, full_matrices=len(triangle) < len(x))
     singular = np.pad(singular, (0, len(x) - len(singular)))
     undetermined_axes = axes[singular <= tolerance * math.sqrt(len(x))] / scale
     if covariance is not None and len(undetermined_axes) == 0:
