@@ -156,7 +156,7 @@ def _read_header(header: list[str], path: Path) -> tuple[list[str], dict[str, st
     names = [name for name, _ in cells]
     if names[0].casefold() not in TIMES:
         raise MeasurementsError(
-            f"the first column is '{names[0][:40]}'", where=path, fix="the first column is 'time', in s"
+            f"the first column is '{names[0][:40]}'", where=path, fix="it must be 'time', in s"
         )
     if len(names) < 2:
         raise MeasurementsError("has no column beside time", where=path, fix="add the signals")

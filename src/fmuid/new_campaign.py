@@ -98,10 +98,11 @@ def new_campaign(
         table = run.table
         matched = match_columns(table, ports)
         if not any(ports[v].causality == "output" for v in matched.values()):
+            outputs = [f"{n} [{v.unit or '1'}]" for n, v in ports.items() if v.causality == "output"]
             raise CampaignError(
-                f"no column is an output of {fmu.name}",
+                f"no column is an output of {fmu.name} by its name or its unit",
                 where=file,
-                fix=f"name the columns after its variables; {known_names(ports)}",
+                fix=f"rename columns, or state their units (--unit); {known_names(outputs)}",
             )
         runs[file.stem] = _run(file, run, matched, ports, fmu.stem, sigmas or {})
         guesses += [f"{file.name}: {note}" for note in run.notes]

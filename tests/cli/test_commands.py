@@ -347,7 +347,7 @@ def test_import_and_export(folder: Path, measurements: Measurements, fmuid: Comm
         ("time,u [N],x [m]", ["--resample", "10", "--method", "spline"], "--method: no method 'spline'; known: linear, hold, mean"),
         ("time,u [N],x [m]", ["--method", "hold"], "--method without a time base; give --resample RATE or --align SIGNAL too"),
         ("time,u [N],x [m]", ["--align", "X"], "run.csv: has no signal 'X'; did you mean 'x'?"),
-        ("x [m],u [N],time", [], "run.csv: the first column is 'x'; the first column is 'time', in s"),
+        ("x [m],u [N],time", [], "run.csv: the first column is 'x'; it must be 'time', in s"),
         ("time,u [N],u [m]", [], "run.csv: column 'u' is there twice; rename one of the two"),
         ("time,u [N],", [], "run.csv: column 3 has no name; name every column"),
         ("time;u [N];x [m]", [], "run.csv line 2: has 1 cells, the header has 3; write one cell a column"),

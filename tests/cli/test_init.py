@@ -18,7 +18,7 @@ from fmuid.crosscheck_csv import Table, write_csv
 from fmuid.fmu import load_fmu
 from fmuid.result import Result
 from fmuid.simulation import Task
-from tests.simulation.fmus import make_oscillator
+from tests.simulation.fmus import FAULTS, make_oscillator
 
 Command = Callable[..., tuple[int, str, str]]
 WINDING = """\
@@ -74,7 +74,7 @@ def test_init_makes_a_campaign_that_runs(
 def test_init_without_a_fitting_column(folder: Path, oscillator: Path, fmuid: Command) -> None:
     Path("run.csv").write_text("time,a,b\n0,1,2\n1,2,3\n")
     assert fmuid("init", "run.csv", "--fmu", oscillator, "--out", "drive") == (
-        2, "", "fmuid: run.csv: no column is an output of Oscillator.fmu; name the columns after its variables; known: u, wind, x, y\n"
+        2, "", "fmuid: run.csv: no column is an output of Oscillator.fmu by its name or its unit; rename columns, or state their units (--unit); known: x [m], y [V]\n"
     )  # fmt: skip
     assert not Path("drive").exists()
 
@@ -208,3 +208,31 @@ def test_what_is_wrong_with_a_signal_is_found_from_log_files_alone(
     (found,) = [e for e in answer["effects"] if e["id"] == truth]
     (estimate,) = found["parameters"].values()
     assert estimate["value"] == pytest.approx({"position_gain": 1.1, "u_delay": 0.015}[truth], rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("fault", "limit", "message"),
+    [
+        ("hang", ("--time-limit", "2"), "took longer than the time limit of 2 s"),
+        ("devours", ("--memory-limit", "200"), "took more memory than the limit of 200 MB"),
+    ],
+)
+def test_a_diagnosis_holds_its_workers_to_the_limits(
+    fault: str,
+    limit: tuple[str, str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    fmuid: Command,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    time = np.linspace(0.0, 1.0, 101)
+    for k in range(3):
+        y = np.sin(7 * time) + np.random.default_rng(k).normal(0, 0.01, time.size)
+        write_csv(Table(time, {"u": np.sin(9 * time), "y": y}, {"u": "N"}), f"run_{k}.csv")
+    assert fmuid("init", *sorted(tmp_path.glob("*.csv")), "--fmu", make_oscillator(tmp_path, 2))[0] == 0
+    campaign = Path("campaign/campaign.toml")
+    campaign.write_text(f"{campaign.read_text()}\n[settings]\nfault = {FAULTS[fault]}\n")
+    code, _, err = fmuid("diagnose", "campaign", "--workers", "1", *limit)
+    assert code == 2
+    assert message in err
