@@ -1,10 +1,11 @@
 """Simulations on executors of other makes: a process pool of the standard library's, a Dask cluster.
 
 Jobs go out in batches, as many in one task as fill a fifth of a second. A job names model and task by their
-hashes. A worker that does not hold one of them answers so, and gets it with the job once more: what is large
-travels once to each worker, whoever distributes the jobs. In each of these workers simulations run in supervised
-processes of its own (`fmuid.workers`), so an FMU that crashes, hangs or allocates without end costs one evaluation
-and no worker of the cluster.
+hashes. What is new goes to all workers of a Dask cluster at once, elsewhere with the jobs; a worker that still
+does not hold it answers so, and it is sent once more: what is large travels once to each worker, whoever
+distributes the jobs. In each of these workers simulations run in supervised processes of its own
+(`fmuid.workers`), so an FMU that crashes, hangs or allocates without end costs one evaluation and no worker of the
+cluster.
 """
 
 from __future__ import annotations
@@ -28,10 +29,11 @@ import numpy as np
 from fmuid.errors import FmuidError
 from fmuid.parcels import Parcel, packed
 from fmuid.runners import Job, Outcome, Runner, on_threads
-from fmuid.workers import WorkerPool, available_processors, memory_share
+from fmuid.workers import WorkerPool, available_processors, memory_share, outcomes_of
 
 _CONNECT_LIMIT = 15  # s
 _TASK = 0.2  # s that a task may take if it is more than one job
+_ROUNDS = 5  # in which a worker has to get hold of what it needs
 _MOST_HELD = 512 * 2**20  # bytes that a worker of the executor holds before it begins anew
 
 
@@ -56,6 +58,8 @@ class Simulated:
 
 
 Answer = Simulated | Raised
+Named = tuple[str, str, Mapping[str, float]]
+"""A job: digests of model and task, parameters."""
 Limits = tuple[float | None, int | None]
 """Of time and memory, as of a `WorkerPool`."""
 
@@ -90,31 +94,54 @@ class _Batches:
 
     def __init__(self, executor: Executor, limits: Limits) -> None:
         self._executor, self._limits = executor, limits
+        self._client: Any = getattr(executor, "_client", None)  # Dask's
         # By id of the thing, which is kept so that the id stays its own.
         self._parcels: dict[int, tuple[Parcel, Any]] = {}
+        self._sent: set[str] = set()  # digests
         self._seconds = math.inf  # that a job took last
+        self._places = 1  # tasks that the executor runs at once
 
     def run(self, jobs: Sequence[Job]) -> list[Outcome]:
         """Simulate `jobs`; see `fmuid.runners.Runner`."""
-        share = -(-len(jobs) // max(1, _places(self._executor) or len(jobs)))
-        size = max(1, min(share, int(_TASK / max(self._seconds, 1e-6))))
-        answers: dict[int, Outcome | None] = {}
+        parcels = [tuple(self._parcel(thing) for thing in job[:2]) for job in jobs]
+        content = {p.digest: p for both in parcels for p in both}
+        named = [(a.digest, b.digest, dict(job[2])) for (a, b), job in zip(parcels, jobs, strict=True)]
+        outcomes: dict[int, Outcome] = {}
+        lacking = content.keys() - self._sent
+        for _ in range(_ROUNDS):
+            batches = self._batches([k for k in range(len(jobs)) if k not in outcomes])
+            answers = self._ask([[named[k] for k in batch] for batch in batches], {d: content[d] for d in lacking})
+            self._sent |= lacking
+            for batch, answer in zip(batches, answers, strict=True):
+                if isinstance(answer, Raised):
+                    raise answer.error
+                found = zip(batch, answer.outcomes, strict=True)
+                outcomes |= {k: outcome for k, outcome in found if outcome is not None}
+            if len(outcomes) == len(jobs):
+                return [outcomes[k] for k in range(len(jobs))]
+            lacking = {digest for k, job in enumerate(named) if k not in outcomes for digest in job[:2]}
+        raise FmuidError(
+            "workers do not keep the models that they are sent",
+            where=type(self._executor).__name__,
+            fix="look at their memory and logs",
+        )
+
+    def _batches(self, due: Sequence[int]) -> list[Sequence[int]]:
+        share = -(-len(due) // self._places)
+        number = -(-len(due) // max(1, min(share, int(_TASK / max(self._seconds, 1e-6)))))
+        return [due[i::number] for i in range(number)]  # neighbours take alike long: each batch has some of all
+
+    def _ask(self, batches: Sequence[Sequence[Named]], enclosed: Mapping[str, Parcel]) -> list[Answer]:
         futures: list[Future[Answer]] = []
         try:
-            for enclosed in (False, True):  # the second time with what was missing where the first ones came
-                due = [k for k in range(len(jobs)) if answers.get(k) is None]
-                batches = [due[i : i + size] for i in range(0, len(due), size)]
-                asked = [self._submit([jobs[k] for k in batch], enclosed) for batch in batches]
-                futures += asked
-                found = [future.result() for future in asked]
-                for batch, answer in zip(batches, found, strict=True):
-                    if isinstance(answer, Raised):
-                        raise answer.error
-                    answers |= zip(batch, answer.outcomes, strict=True)
-                times = [a.seconds / n for a in found if not isinstance(a, Raised) and (n := a.simulated)]
-                self._seconds = float(np.median(times)) if times else self._seconds
-        except FmuidError:
-            raise
+            if self._client is not None and enclosed:
+                self._client.run(hold, enclosed, on_error="return")  # who failed to will answer so
+                enclosed = {}
+            for batch in batches:
+                needed = {d: enclosed[d] for job in batch for d in job[:2] if d in enclosed}
+                futures.append(self._executor.submit(simulate_supervised, batch, needed, self._limits))
+            self._places = max(1, _places(self._executor) or sum(map(len, batches)))  # asked while they work
+            answers = [future.result() for future in futures]
         except Exception as error:  # answers raise nothing: it is the executor's
             raise FmuidError(
                 f"has lost its workers ({type(error).__name__}: {error})",
@@ -124,13 +151,9 @@ class _Batches:
         finally:
             for future in futures:
                 future.cancel()
-        return [_given(answers[k]) for k in range(len(jobs))]
-
-    def _submit(self, jobs: Sequence[Job], enclosed: bool) -> Future[Answer]:
-        parcels = [tuple(self._parcel(thing) for thing in job[:2]) for job in jobs]
-        content = {p.digest: p for both in parcels for p in both} if enclosed else {}
-        named = [(a.digest, b.digest, dict(job[2])) for (a, b), job in zip(parcels, jobs, strict=True)]
-        return self._executor.submit(simulate_supervised, named, content, self._limits)
+        times = [a.seconds / n for a in answers if isinstance(a, Simulated) and (n := a.simulated)]
+        self._seconds = float(np.median(times)) if times else self._seconds
+        return answers
 
     def _parcel(self, thing: Any) -> Parcel:
         if id(thing) not in self._parcels:
@@ -144,11 +167,6 @@ def _places(executor: Executor) -> int:
     if client is not None:  # Dask's
         return sum(client.nthreads().values())
     return int(getattr(executor, "_max_workers", 0))
-
-
-def _given(outcome: Outcome | None) -> Outcome:
-    assert outcome is not None  # what was missing was enclosed
-    return outcome
 
 
 @contextmanager
@@ -232,23 +250,28 @@ def _threads() -> int:
         return 1
 
 
-def simulate_supervised(
-    jobs: Sequence[tuple[str, str, Mapping[str, float]]], enclosed: Mapping[str, Parcel], limits: Limits
-) -> Answer:
-    """Simulate jobs (digests of model and task, parameters) in a supervised process of this worker."""
+def hold(parcels: Mapping[str, Parcel]) -> None:
+    """Keep what jobs need in this worker."""
     with _held.lock:
         if sum(len(p.content) for p in _held.parcels.values()) > _MOST_HELD:
             _held.clear()
-        _held.parcels |= enclosed
-        there = {
-            k: (_held.parcels[model], _held.parcels[task], parameters)
-            for k, (model, task, parameters) in enumerate(jobs)
-            if {model, task} <= _held.parcels.keys()
-        }
-        pool = _held.pool(limits)
+        _held.parcels |= parcels
+
+
+def simulate_supervised(jobs: Sequence[Named], enclosed: Mapping[str, Parcel], limits: Limits) -> Answer:
+    """Simulate jobs in supervised processes of this worker."""
+    if enclosed:
+        hold(enclosed)
     begun = time.perf_counter()
     try:
-        found = dict(zip(there, pool.run_packed(list(there.values())), strict=True))
+        with _held.lock:
+            there = {
+                k: (_held.parcels[model], _held.parcels[task], parameters)
+                for k, (model, task, parameters) in enumerate(jobs)
+                if {model, task} <= _held.parcels.keys()
+            }
+            futures = _held.pool(limits).submit_packed(list(there.values()))
+        found = dict(zip(there, outcomes_of(futures), strict=True))
     except Exception as error:
         return Raised(error)
     return Simulated([found.get(k) for k in range(len(jobs))], time.perf_counter() - begun)

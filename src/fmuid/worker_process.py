@@ -12,11 +12,11 @@ import tempfile
 import threading
 import time
 from contextlib import suppress
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 from fmuid import resets
+from fmuid.channel import Channel
 from fmuid.errors import FmuidError
 from fmuid.fmu_library import ProcessSpentError
 from fmuid.parcels import unpacked
@@ -36,7 +36,7 @@ def resident_memory(pid: int) -> int:
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
-def main(connection: Connection, folder: str) -> None:
+def main(connection: Channel, folder: str) -> None:
     """Answer messages until the other end closes; temporary files go to `folder`."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     with suppress(ImportError, ValueError, OSError):
@@ -46,14 +46,21 @@ def main(connection: Connection, folder: str) -> None:
     tempfile.tempdir = folder
     resets.keep_notes(Path(folder))
     threading.Thread(target=_leave_with_parent, args=(folder,), daemon=True).start()
+    with suppress(EOFError, OSError):  # the pool has let go of this worker, or is gone
+        _serve(connection)
+    sys.stdout.flush()
+    parent = multiprocessing.parent_process()
+    if parent is None or not parent.is_alive():  # else it clears up itself
+        _clear(folder)
+    os._exit(0)  # an FMU's own exit handlers have brought down more than one process
+
+
+def _serve(connection: Channel) -> None:
     kept: dict[int, Any] = {}
     memory, weighed = resident_memory(os.getpid()), time.monotonic()
     _send(connection, True, None, memory)
     while True:
-        try:
-            message = connection.recv_bytes()
-        except (EOFError, OSError):
-            break
+        message, _ = connection.receive()
         try:
             kind, *content = pickle.loads(message)
             if kind == HOLD:
@@ -74,25 +81,20 @@ def main(connection: Connection, folder: str) -> None:
         if time.monotonic() - weighed > _WEIGH_INTERVAL:
             memory, weighed = resident_memory(os.getpid()), time.monotonic()
         _send(connection, fine, result, memory)
-    kept.clear()
-    sys.stdout.flush()
-    parent = multiprocessing.parent_process()
-    if parent is None or not parent.is_alive():  # else it clears up itself
-        _clear(folder)
-    os._exit(0)  # an FMU's own exit handlers have brought down more than one process
 
 
-def _send(connection: Connection, fine: bool, content: Any, memory: int) -> None:
+def _send(connection: Channel, fine: bool, content: Any, memory: int) -> None:
+    buffers: list[pickle.PickleBuffer] = []
     try:
-        message = pickle.dumps((fine, content, memory), protocol=pickle.HIGHEST_PROTOCOL)
+        message = pickle.dumps((fine, content, memory), pickle.HIGHEST_PROTOCOL, buffer_callback=buffers.append)
         if not fine:
-            pickle.loads(message)  # some exceptions can be packed but not unpacked
+            pickle.loads(message, buffers=buffers)  # some exceptions can be packed but not unpacked
     except Exception:
         problem = FmuidError(
             f"a worker's answer cannot be sent: {content!r:.200}", fix="return values that can be pickled"
         )
-        message = pickle.dumps((False, problem, memory))
-    connection.send_bytes(message)
+        message, buffers = pickle.dumps((False, problem, memory)), []
+    connection.send(message, buffers)
 
 
 def _leave_with_parent(folder: str) -> None:

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from fmuid import resets, worker_process
+from fmuid.channel import Channel, channels
 from fmuid.errors import FmuidError, SimulationError
 from fmuid.fmu_variables import in_words
 from fmuid.scratch import Scratch
@@ -82,7 +83,7 @@ class Worker:
     """A process and what it is busy with."""
 
     process: Any
-    connection: mp_connection.Connection
+    connection: Channel
     folder: Path
     started: float = field(default_factory=time.monotonic)
     ready: bool = False
@@ -176,12 +177,12 @@ class Supervisor:
         if abandoning or (over and not any(w.calls for w in self._team)):
             return False
         self._hand_out()
-        sources = [self._wake_reader, *(w.connection for w in self._team)]
+        sources = [self._wake_reader.fileno(), *(w.connection.fileno() for w in self._team)]
         for source in mp_connection.wait(sources, self._patience()):
-            if source is self._wake_reader:
+            if source == self._wake_reader.fileno():
                 self._wake_reader.recv_bytes()
                 continue
-            worker = next((w for w in self._team if w.connection is source), None)
+            worker = next((w for w in self._team if w.connection.fileno() == source), None)
             if worker is not None:
                 self._receive(worker)
         self._enforce_limits()
@@ -226,18 +227,19 @@ class Supervisor:
         try:
             for number in call.holds:
                 if number not in worker.held:
-                    worker.connection.send_bytes(self.messages[number])
+                    worker.connection.send(self.messages[number])
                     worker.held.add(number)
-            worker.connection.send_bytes(call.message)
+            worker.connection.send(call.message)
         except OSError:
             pass  # it is dead; its connection says so in a moment
 
     def _receive(self, worker: Worker) -> None:
         try:
-            fine, content, memory = pickle.loads(worker.connection.recv_bytes())
+            message, buffers = worker.connection.receive()
         except (EOFError, OSError):
             self._bury(worker)
             return
+        fine, content, memory = pickle.loads(message, buffers=buffers)
         if not worker.ready:
             worker.ready, self._failed_starts = True, 0
             return
@@ -326,7 +328,7 @@ class Supervisor:
                     worker.process.kill()
 
     def _recruit(self) -> None:
-        ours, theirs = self._context.Pipe()
+        ours, theirs = channels()
         folder = Path(tempfile.mkdtemp(dir=self._scratch.path))
         process = self._context.Process(
             target=worker_process.main, args=(theirs, str(folder)), name="fmuid worker", daemon=True

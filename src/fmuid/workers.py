@@ -92,21 +92,11 @@ class WorkerPool(Executor):
         FmuidError
             A job is wrong whatever its parameters' values (an unknown name), or workers cannot be started.
         """
-        return self._wait([self._call(*job) for job in jobs])
+        return outcomes_of(self._enqueue([self._call(*job) for job in jobs]))
 
-    def run_packed(self, jobs: Sequence[tuple[Parcel, Parcel, Mapping[str, float]]]) -> list[Outcome]:
-        """Simulate what another process has packed; see `run`."""
-        return self._wait([self._call(*job) for job in jobs])
-
-    def _wait(self, calls: list[Call]) -> list[Outcome]:
-        futures = self._enqueue(calls)
-        try:
-            wait(futures, return_when=FIRST_EXCEPTION)  # woken once, not by every evaluation
-            return [outcome_of(future) for future in futures]
-        except BaseException:
-            for future in futures:
-                future.cancel()
-            raise
+    def submit_packed(self, jobs: Sequence[tuple[Parcel, Parcel, Mapping[str, float]]]) -> list[Future[Any]]:
+        """Begin to simulate what another process has packed; `outcomes_of` waits for it."""
+        return self._enqueue([self._call(*job) for job in jobs])
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Call ``fn(*args, **kwargs)`` in a worker; see `concurrent.futures.Executor.submit`.
@@ -151,6 +141,17 @@ class WorkerPool(Executor):
     def _enqueue(self, calls: list[Call]) -> list[Future[Any]]:
         self._supervisor.enqueue(calls)
         return [call.future for call in calls]
+
+
+def outcomes_of(futures: Sequence[Future[Any]]) -> list[Outcome]:
+    """Wait for simulations; what is left of them is cancelled if one raises something else than its failure."""
+    try:
+        wait(futures, return_when=FIRST_EXCEPTION)  # woken once, not by every evaluation
+        return [outcome_of(future) for future in futures]
+    except BaseException:
+        for future in futures:
+            future.cancel()
+        raise
 
 
 @contextmanager

@@ -119,6 +119,15 @@ def test_an_executor_like_any_other(build, pool):
         assert np.array_equal(outcome, expected)
 
 
+def test_arrays_come_back_as_they_were_made(pool):
+    for shape, order in (((3, 700_001), "C"), ((2000, 300), "F"), ((0, 4), "C"), ((), "C")):
+        made = np.random.default_rng(1).random(shape).copy(order)
+        both = pool.submit(tuple, (made, made[..., ::2] if made.ndim else made)).result()
+        for there, here in zip(both, (made, made[..., ::2] if made.ndim else made), strict=True):
+            assert np.array_equal(there, here)
+            assert there.flags.writeable
+
+
 @pytest.mark.skipif("OMP_NUM_THREADS" in os.environ, reason="what the user sets stays")
 def test_linear_algebra_of_a_worker_runs_in_one_thread(pool):
     assert pool.submit(os.getenv, "OMP_NUM_THREADS").result() == "1"
@@ -223,3 +232,19 @@ def test_workers_go_when_the_search_is_interrupted_or_killed(build, how):
     out, _ = process.communicate(timeout=10)
     assert out == ("interrupted\n" if how == signal.SIGINT else "")
     assert gone(pid)
+
+
+def test_workers_of_a_killed_search_say_nothing(tmp_path):
+    source = tmp_path / "busy.py"
+    source.write_text(
+        "from fmuid.workers import WorkerPool\nif __name__ == '__main__':\n    with WorkerPool(2) as pool:\n"
+        "        while True:\n            print(len(list(pool.map(bytes, [300_000] * 20))), flush=True)\n"
+    )
+    command = [sys.executable, str(source)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for _ in range(10):
+            process.stdout.readline()
+        process.kill()  # in the midst of answers
+        _, errors = process.communicate(timeout=30)
+    assert errors == ""

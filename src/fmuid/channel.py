@@ -1,0 +1,57 @@
+"""Messages between a pool and its workers: what arrays hold goes as it lies in memory, past the pickle."""
+
+from __future__ import annotations
+
+import pickle
+import socket
+import struct
+
+import numpy as np
+
+_HEAD = struct.Struct("<QQ")  # bytes of the message, number of buffers that follow
+
+
+class Channel:
+    """One end of a connection between two processes; `multiprocessing` can hand it to a new one."""
+
+    def __init__(self, end: socket.socket) -> None:
+        self._socket = end
+
+    def fileno(self) -> int:
+        """Return the descriptor to wait for."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """Let the other end see that nothing comes any more."""
+        self._socket.close()
+
+    def send(self, packed: bytes, buffers: list[pickle.PickleBuffer] | None = None) -> None:
+        """Send a pickled object and the buffers that its pickler left out; OSError if the other end is gone."""
+        raw = [buffer.raw() for buffer in buffers or ()]
+        sizes = struct.pack(f"<{len(raw)}Q", *(view.nbytes for view in raw))
+        self._socket.sendall(_HEAD.pack(len(packed) + len(sizes), len(raw)) + packed + sizes)
+        for view in raw:
+            self._socket.sendall(view)
+
+    def receive(self) -> tuple[memoryview, list[memoryview]]:
+        """Wait for a pickled object and its buffers; EOFError or OSError if the other end is gone."""
+        size, number = _HEAD.unpack(self._exactly(_HEAD.size))
+        packed = self._exactly(size)
+        sizes = struct.unpack_from(f"<{number}Q", packed, size - 8 * number)
+        return packed, [self._exactly(n) for n in sizes]
+
+    def _exactly(self, size: int) -> memoryview:
+        view = np.empty(size, np.uint8).data
+        missing = view
+        while missing:
+            got = self._socket.recv_into(missing)
+            if not got:
+                raise EOFError
+            missing = missing[got:]
+        return view
+
+
+def channels() -> tuple[Channel, Channel]:
+    """Return the two ends of a new connection."""
+    ours, theirs = socket.socketpair()
+    return Channel(ours), Channel(theirs)
