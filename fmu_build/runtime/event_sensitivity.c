@@ -7,8 +7,8 @@
  * it makes of x, less f dtau/dp with the f of afterwards, is S after the event. Relations that the iteration changes,
  * and not the state, need no time of their own.
  *
- * Where this is not defined, it is refused: an indicator that only grazes zero, two events at once whose times move
- * differently. */
+ * Where this is not defined, it is refused: an indicator that only grazes zero or is zero at the start, two events at
+ * once whose times move differently. */
 #include <math.h>
 #include <string.h>
 
@@ -34,6 +34,28 @@ static int grazes(Instance *me, int i, double rate, int *failed) {
 }
 
 static int differ(double a, double b) { return !(fabs(a - b) <= 1e-6 * fmax(fabs(a), fabs(b))); }
+
+/* At the initial point: no indicator may be zero there and move with a parameter, for which way decides the relation. */
+Status event_start_along(Instance *me, Direction *along, size_t n) {
+    static const double ZERO = 1e-10, ROUNDING = 1e-12;
+    State *s = &me->s;
+    double y[LENGTH(NY)], value[LENGTH(NM)], g[LENGTH(NM)];
+    if (NM == 0) return STATUS_OK;
+    memcpy(y, s->y, sizeof y);
+    int failed = solve_loop(me, s->t, s->x, s->u), open = 0;
+    environment_at(me, &s->t, s->x, s->u);
+    me->res[0] = value;
+    failed = failed || model_indicators(me->arg, me->res, me->iw, me->w, 0);
+    for (size_t j = 0; j < n && !failed; j++) {
+        failed = indicators_along(me, s->t, s->x, s->u, &along[j], g);
+        for (int i = 0; i < NM; i++) open |= fabs(value[i]) <= ZERO && fabs(g[i]) > ROUNDING;
+    }
+    memcpy(s->y, y, sizeof y);
+    if (failed) return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", s->t);
+    if (!open) return STATUS_OK;
+    return report(me, STATUS_ERROR, "t = %.9g: the sensitivities are not defined: an event indicator is zero at the "
+                  "start", s->t);
+}
 
 /* At the point where the continuous motion ends (discrete variables and relations are still those of before): the
  * derivative of the event's time along each direction into its t, and x and u seen from there. Without `inside` a

@@ -168,6 +168,7 @@ Status leave_event(Instance *me);
 void free_sensitivities(Instance *me);
 
 /* event_sensitivity.c */
+Status event_start_along(Instance *me, Direction *along, size_t n);
 Status event_time_along(Instance *me, Direction *along, size_t n, int inside);
 Status event_update_along(Instance *me, Direction *along, size_t n, int initial, int reinit);
 Status event_end_along(Instance *me, Direction *along, size_t n);

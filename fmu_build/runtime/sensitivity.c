@@ -265,7 +265,7 @@ Status start_sensitivities(Instance *me) {
     for (int k = MODEL_NSLOPE; k < MODEL_NSLOPE + MODEL_NELEMENT; k++)
         if (q->moved[MODEL_SLOPE_COLUMN[k]]) q->elements = MODEL_NELEMENT;
     go_on_along(q);
-    return STATUS_OK;
+    return MODEL_HAS_EVENTS ? event_start_along(me, q->along, q->n) : STATUS_OK;
 }
 
 /* Before the event iteration: S at the event, seen from where it moves to. */

@@ -152,6 +152,15 @@ def test_an_event_that_is_only_grazed_is_refused(load):
         derivatives(fmu, task, {"H": 0.8 - 1e-9})
 
 
+def test_an_indicator_that_is_zero_at_the_start_is_refused(load):
+    """Stuck at the start: with any speed it would slide, one way or the other."""
+    fmu, task = load("Slip"), Task(np.linspace(0.0, 0.1, 11), {}, ("s", "v"))
+    assert np.all(derivatives(fmu, task, {"F_max": 1.5, "s": 0.0})[0] == 0.0)
+    with pytest.raises(SimulationError, match="an event indicator is zero at the start"):
+        derivatives(fmu, task, {"v": 0.0})
+    assert np.any(derivatives(fmu, task, {"v": 0.01})[0, 1] != 0.0)
+
+
 def test_two_events_at_once_are_refused_where_their_times_part(load):
     fmu, task = load("Crossing"), Task(np.linspace(0.0, 1.0, 12), {}, ("w",))
     values = {"T": 0.5, "level": 0.4}
