@@ -10,6 +10,7 @@ cluster.
 
 from __future__ import annotations
 
+import asyncio
 import importlib
 import math
 import multiprocessing
@@ -32,6 +33,7 @@ from fmuid.runners import Job, Outcome, Runner, on_threads
 from fmuid.workers import WorkerPool, available_processors, memory_share, outcomes_of
 
 _CONNECT_LIMIT = 15  # s
+_REACH_LIMIT = 2.0  # s for the workers to answer this machine
 _TASK = 0.2  # s that a task may take if it is more than one job
 _ROUNDS = 5  # in which a worker has to get hold of what it needs
 _MOST_HELD = 512 * 2**20  # bytes that a worker of the executor holds before it begins anew
@@ -205,8 +207,19 @@ def _of_client(client: Any, address: str) -> Executor:
                 where=address,
                 fix=f"install fmuid {version('fmuid')} there",
             )
+    client.direct_to_workers = client.sync(_reaches, client, list(found))
     executor: Executor = client.get_executor(pure=False)
     return executor
+
+
+async def _reaches(client: Any, workers: Sequence[str]) -> bool:
+    """Return whether every worker answers: results come from them directly then, else through the scheduler."""
+    asked = asyncio.gather(*(client.rpc(worker).identity() for worker in workers))
+    try:
+        await asyncio.wait_for(asked, _REACH_LIMIT)
+    except (OSError, TimeoutError):
+        return False
+    return True
 
 
 # ---- in the executor's workers --------------------------------------------------------------------------------

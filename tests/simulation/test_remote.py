@@ -131,6 +131,13 @@ def test_the_workers_need_no_common_disk(build, tmp_path, cluster):
     assert [isinstance(o, SimulationError) for o in outcomes] == [False, True, False]
 
 
+def test_workers_that_only_the_scheduler_reaches(build, cluster, monkeypatch):
+    monkeypatch.setattr("fmuid.remote._REACH_LIMIT", 0.0)
+    jobs = [(load_fmu(build(2)), TASK, {"c": 100.0 + i}) for i in range(3)]
+    with dask_executor(cluster.scheduler_address) as executor:
+        assert np.array_equal(on_executor(executor)(jobs), in_process(jobs))
+
+
 def test_lost_workers_are_one_line(build):
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as executor:
         run = on_executor(executor)
