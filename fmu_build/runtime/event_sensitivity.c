@@ -1,6 +1,6 @@
 /* Sensitivities across an event [Rozenvasser 1967; Galan, Feehery, Barton, Appl. Numer. Math. 31, 1999].
  *
- * An event at time tau moves with the parameters: where an indicator g ends the continuous motion, g(tau, x(tau), p) = 0
+ * An event at time tau moves with the parameters: where an indicator ends the continuous motion, g(tau, x(tau), p) = 0
  * gives dtau/dp = - (g_x S + g_p + g_z Z) / (g_t + g_x f + g_u u'); a time event moves with the expression that set it;
  * an input that changes at a communication point does not move. Seen from the moving event the state before it has
  * the derivative S + f dtau/dp. The event iteration is differentiated at the points it settles at, round by round; what
@@ -35,7 +35,7 @@ static int grazes(Instance *me, int i, double rate, int *failed) {
 
 static int differ(double a, double b) { return !(fabs(a - b) <= 1e-6 * fmax(fabs(a), fabs(b))); }
 
-/* At the initial point: no indicator may be zero there and move with a parameter, for which way decides the relation. */
+/* At the initial point: no indicator may be zero there and move with a parameter, for which way decides a relation. */
 Status event_start_along(Instance *me, Direction *along, size_t n) {
     static const double ZERO = 1e-10, ROUNDING = 1e-12;
     State *s = &me->s;

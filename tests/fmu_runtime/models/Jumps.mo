@@ -212,9 +212,11 @@ package Jumps "Models whose runs jump or bend at events, for the derivatives of 
     parameter Real level = 0.5;
     output Real x(start = 0, fixed = true);
     output Real w(start = 1, fixed = true);
+    output Real s(start = 0, fixed = true);
   equation
     der(x) = 1;
     der(w) = if time > T then -w else 0;
+    der(s) = w;
     when x > level then
       reinit(w, 2*w);
     end when;
