@@ -74,6 +74,34 @@ def initial_unknowns(model: CompiledModel) -> list[Variable]:
     ]
 
 
+def _role(v: Variable, reference: int) -> dict[str, object]:
+    """Return what a variable is called and what it is for, as attributes of both versions of FMI."""
+    return {
+        "name": v.name,
+        "valueReference": reference,
+        "description": v.description,
+        "causality": v.causality,
+        "variability": v.variability,
+        "initial": None if v.causality in ("input", "independent") else v.initial,
+    }
+
+
+def _values(v: Variable, types: Mapping[tuple[str, ...], str], places: Mapping[str, int]) -> dict[str, object]:
+    """Return what values a variable may have, as attributes of both versions of FMI."""
+    real, number = v.type == "Real", v.type != "Boolean"
+    return {
+        "declaredType": types.get(v.enumeration),
+        "quantity": v.quantity if number else None,
+        "unit": v.unit if real else None,
+        "displayUnit": v.display_unit if real else None,
+        "min": v.min if number else None,
+        "max": v.max if number else None,
+        "nominal": v.nominal if real else None,
+        "start": _start(v),
+        "derivative": places[v.derivative_of] if v.derivative_of else None,
+    }
+
+
 def _number(value: float) -> str:
     return repr(int(value)) if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))
 
@@ -196,30 +224,8 @@ def _fmi2(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
     index = {v.name: i for i, v in enumerate(model.variables, start=1)}
     parent = _element(root, "ModelVariables")
     for reference, v in enumerate(model.variables):
-        scalar = _element(
-            parent,
-            "ScalarVariable",
-            name=v.name,
-            valueReference=reference,
-            description=v.description,
-            causality=v.causality,
-            variability=v.variability,
-            initial=None if v.causality in ("input", "independent") else v.initial,
-        )
-        real = v.type == "Real"
-        _element(
-            scalar,
-            "Enumeration" if v.enumeration else v.type,
-            declaredType=types.get(v.enumeration),
-            quantity=v.quantity if v.type != "Boolean" else None,
-            unit=v.unit if real else None,
-            displayUnit=v.display_unit if real else None,
-            min=v.min if v.type != "Boolean" else None,
-            max=v.max if v.type != "Boolean" else None,
-            nominal=v.nominal if real else None,
-            start=_start(v),
-            derivative=index[v.derivative_of] if v.derivative_of else None,
-        )
+        scalar = _element(parent, "ScalarVariable", **_role(v, reference))
+        _element(scalar, "Enumeration" if v.enumeration else v.type, **_values(v, types, index))
 
     structure = _element(root, "ModelStructure")
 
@@ -272,28 +278,9 @@ def _fmi3(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
     reference = {v.name: i for i, v in enumerate(model.variables)}
     parent = _element(root, "ModelVariables")
     for v in model.variables:
-        real = v.type == "Real"
-        _element(
-            parent,
-            "Enumeration"
-            if v.enumeration
-            else {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean"}[v.type],
-            name=v.name,
-            valueReference=reference[v.name],
-            description=v.description,
-            causality=v.causality,
-            variability=v.variability,
-            initial=None if v.causality in ("input", "independent") else v.initial,
-            declaredType=types.get(v.enumeration),
-            quantity=v.quantity if v.type != "Boolean" else None,
-            unit=v.unit if real else None,
-            displayUnit=v.display_unit if real else None,
-            min=v.min if v.type != "Boolean" else None,
-            max=v.max if v.type != "Boolean" else None,
-            nominal=v.nominal if real else None,
-            start=_start(v),
-            derivative=reference[v.derivative_of] if v.derivative_of else None,
-        )
+        kind = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean"}[v.type]
+        attributes = _role(v, reference[v.name]) | _values(v, types, reference)
+        _element(parent, "Enumeration" if v.enumeration else kind, **attributes)
     indicators = range(len(model.variables), len(model.variables) + model.n_m)
     for i, indicator in enumerate(indicators, start=1):
         _element(
