@@ -4,10 +4,10 @@ import pytest
 import report_samples as samples
 from report_page import Page
 
-from fmuid.diagnosis.told import told
+from fmuid.diagnosis.told import likeliest, told
 from fmuid.report import DiagnosisPictures, write_diagnosis_report
 from fmuid.report.diagnosis import facts, verdict_text
-from fmuid.report.diagnosis_figures import effects_figure, gap_figure, range_text
+from fmuid.report.diagnosis_figures import effects_figure, effects_table, gap_figure, range_text
 
 
 def test_a_reader_sees_where_what_and_how_much(tmp_path):
@@ -128,6 +128,13 @@ def test_effects_that_were_judged_are_ranked_wherever_they_stand_among_the_proba
     diagnosis["effects"] = idle + diagnosis["effects"]
     figure = effects_figure(diagnosis)
     assert [b.label for b in figure.bars] == ["mesh_loss", "viscous", "stribeck", "hysteresis"]
+
+
+def test_of_equally_likely_effects_those_that_close_more_come_first():
+    diagnosis = copy.deepcopy(samples.diagnosis())
+    listed = [row[0] for row in likeliest(diagnosis)[1:]]
+    assert listed == ["mesh_loss", "viscous", "unknown", "stribeck", "hysteresis", "none"]
+    assert [row[0] for row in effects_table(diagnosis).rows] == listed
 
 
 def test_effects_that_only_together_are_the_verdict_share_a_bar():

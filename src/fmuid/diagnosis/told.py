@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 _ROWS = 6
@@ -34,7 +35,17 @@ def told(diagnosis: Mapping[str, Any]) -> list[str]:
 def likeliest(diagnosis: Mapping[str, Any]) -> list[list[str]]:
     """Return the table of the likeliest effects, its header first."""
     header = ["effect", "probability", "closure (held out)", "90 % interval", "parameters"]
-    return [header, *(_row(e) for e in diagnosis["effects"][:_ROWS])]
+    return [header, *(_row(e) for e in ranked(diagnosis["effects"])[:_ROWS])]
+
+
+def ranked(effects: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return the effects, the likeliest first; of equally likely ones those that close most."""
+
+    def place(effect: Mapping[str, Any]) -> tuple[float, float]:
+        held_out = effect.get("closure", {}).get("held_out")
+        return -round(effect["probability"], 3), math.inf if held_out is None else -held_out
+
+    return sorted(effects, key=place)
 
 
 def _smallest(seen: Mapping[str, Mapping[str, float]]) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from fmuid.campaign import FloatArray
+from fmuid.diagnosis.told import ranked
 from fmuid.plots.data import (
     Axis,
     Bar,
@@ -135,8 +136,8 @@ def residuals_figure(pairs: Sequence[ResidualPair]) -> LineFigure | None:
         return None
     panels = tuple(_residual_panel(p, alone=len(pairs) == 1) for p in pairs)
     caption = (
-        "Prediction minus measurement in the worst experiment of each setup: nominal parameters refitted "
-        "(before) and with the effect added (after)."
+        "Prediction minus measurement (repeats averaged, their noise too) in the worst experiment of each setup: "
+        "nominal parameters refitted (before) and with the effect added (after)."
     )
     return LineFigure("residuals", "Residual before and after", panels, caption, 1 if len(panels) == 1 else 2)
 
@@ -282,7 +283,7 @@ def gap_figure(diagnosis: Mapping[str, Any], steps: Mapping[str, float] | None =
 def effects_table(diagnosis: Mapping[str, Any]) -> Table:
     """Return every candidate with probability, score and closures."""
     rows = []
-    for effect in sorted(diagnosis["effects"], key=lambda e: -e["probability"]):
+    for effect in ranked(diagnosis["effects"]):
         closure = effect.get("closure", {})
         interval = closure.get("interval") or (None, None)
         parameters = ", ".join(
