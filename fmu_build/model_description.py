@@ -278,9 +278,9 @@ def _fmi3(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
     reference = {v.name: i for i, v in enumerate(model.variables)}
     parent = _element(root, "ModelVariables")
     for v in model.variables:
-        kind = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean"}[v.type]
-        attributes = _role(v, reference[v.name]) | _values(v, types, reference)
-        _element(parent, "Enumeration" if v.enumeration else kind, **attributes)
+        tag = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean"}[v.type]
+        said = _role(v, reference[v.name]) | _values(v, types, reference)
+        _element(parent, "Enumeration" if v.enumeration else tag, **said)
     indicators = range(len(model.variables), len(model.variables) + model.n_m)
     for i, indicator in enumerate(indicators, start=1):
         _element(
