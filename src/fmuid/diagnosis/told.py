@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 _ROWS = 6
@@ -34,18 +33,10 @@ def told(diagnosis: Mapping[str, Any]) -> list[str]:
 
 def likeliest(diagnosis: Mapping[str, Any]) -> list[list[str]]:
     """Return the table of the likeliest effects, its header first."""
+    from fmuid.report.diagnosis_figures import ranked
+
     header = ["effect", "probability", "closure (held out)", "90 % interval", "parameters"]
     return [header, *(_row(e) for e in ranked(diagnosis["effects"])[:_ROWS])]
-
-
-def ranked(effects: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return the effects, the likeliest first; of equally likely ones those that close most."""
-
-    def place(effect: Mapping[str, Any]) -> tuple[float, float]:
-        held_out = effect.get("closure", {}).get("held_out")
-        return -round(effect["probability"], 3), math.inf if held_out is None else -held_out
-
-    return sorted(effects, key=place)
 
 
 def _smallest(seen: Mapping[str, Mapping[str, float]]) -> str:

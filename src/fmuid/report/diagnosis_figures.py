@@ -6,7 +6,8 @@ may be empty (too little data, no effect found); its picture is then left out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -14,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from fmuid.campaign import FloatArray
-from fmuid.diagnosis.told import ranked
 from fmuid.plots.data import (
     Axis,
     Bar,
@@ -278,6 +278,16 @@ def gap_figure(diagnosis: Mapping[str, Any], steps: Mapping[str, float] | None =
         caption="Root of the mean squared whitened residual above what noise alone gives.",
         limits=(0.0, 1.15 * max(b.value for b in bars)),
     )
+
+
+def ranked(effects: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return the effects, the likeliest first; of equally likely ones those that close most."""
+
+    def place(effect: Mapping[str, Any]) -> tuple[float, float]:
+        held_out = effect.get("closure", {}).get("held_out")
+        return -round(effect["probability"], 3), math.inf if held_out is None else -held_out
+
+    return sorted(effects, key=place)
 
 
 def effects_table(diagnosis: Mapping[str, Any]) -> Table:
