@@ -55,7 +55,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except FmuidError as error:
         return _complain(str(error))
     except typer.TyperException as error:  # unknown option, missing argument, value of the wrong type
-        return _complain(error.format_message().rstrip(".") + "; see fmuid --help")
+        return _complain(error.format_message().rstrip(".").replace("Value error, ", "") + "; see fmuid --help")
     except (typer.Abort, KeyboardInterrupt):
         return _complain("interrupted", INTERRUPTED)
     except BrokenPipeError:  # the reader (head, less) has seen enough
