@@ -25,7 +25,7 @@ from fmuid.simulation import Task, differentiates
 if TYPE_CHECKING:
     from fmuid.problem import Evaluation, Problem
 
-_KEPT = 1_500_000  # numbers of Jacobians, 12 MB
+_KEPT = 4_000_000  # numbers of Jacobians, 32 MB
 
 
 class ExactDerivatives:
@@ -52,7 +52,7 @@ class ExactDerivatives:
     ) -> dict[tuple[int, tuple[float, ...]], FloatArray]:
         """Simulate (n,) search points with all parameters' values, and remember their Jacobians; see `jacobian`.
 
-        Nothing is simulated where a model cannot tell its derivatives.
+        Nothing is simulated where a model cannot tell its derivatives, or for more Jacobians than are remembered.
 
         Returns
         -------
@@ -60,6 +60,8 @@ class ExactDerivatives:
             The predictions, by number of the case and the start values of its model.
         """
         problem, jobs = self._problem, list[Job]()
+        if len(points) > 1 and len(points) * problem.slices[-1].stop * len(problem.space) > _KEPT:
+            return {}
         predictions: dict[tuple[int, tuple[float, ...]], FloatArray] = {}
         moves = [problem.space.moves(x, values)[first:] for x, values in points]
         for (_, values), there in zip(points, moves, strict=True):
