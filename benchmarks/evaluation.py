@@ -35,7 +35,7 @@ CAMPAIGN = ROOT / "campaigns" / "force_feedback"
 
 
 def linear_stage() -> Problem:
-    """Return the problem of the stage on the six step runs of the shipped campaign."""
+    """Return the problem of the stage on the step runs of the shipped campaign."""
     campaign = fmuid.load_campaign(CAMPAIGN)
     simulators = {name: load_fmu(model.fmu) for name, model in campaign.models.items()}
     return Problem.of_stage(campaign, campaign.stages["linear_step"], simulators)
