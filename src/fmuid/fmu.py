@@ -22,7 +22,7 @@ from typing import Any, Literal
 import fmpy
 import numpy as np
 
-from fmuid import resets, stepper
+from fmuid import resets, scratch, stepper
 from fmuid.campaign import FloatArray, Interface
 from fmuid.errors import FmuError, SimulationError
 from fmuid.fmu_library import FmuLibrary, ProcessSpentError
@@ -499,7 +499,7 @@ def extract(path: Path, without: tuple[str, ...] = ()) -> Path:
     FmuError
         It cannot be read, or would write outside the folder.
     """
-    folder = Path(tempfile.mkdtemp(prefix="fmuid-")).resolve()
+    folder = Path(tempfile.mkdtemp(dir=scratch.of_process())).resolve()
     try:
         _check_members(path)  # the file may have changed since
         with zipfile.ZipFile(path) as archive:

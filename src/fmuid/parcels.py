@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fmuid import scratch
 from fmuid.errors import FmuidError
 
 
@@ -31,7 +32,7 @@ class _Packer(pickle.Pickler):
 class _Unpacker(pickle.Unpickler):
     def persistent_load(self, pid: Any) -> Any:
         name, content = pid
-        path = Path(tempfile.mkdtemp(prefix="fmuid-sent-")) / name
+        path = Path(tempfile.mkdtemp(dir=scratch.of_process())) / name
         path.write_bytes(content)
         return path
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import functools
 import os
 import shutil
 import sys
@@ -34,6 +36,19 @@ class Scratch:
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
+
+
+def of_process() -> Path:
+    """Return this process's folder for what it unpacks."""
+    return _of_process(os.getpid(), tempfile.gettempdir()).path
+
+
+@functools.cache
+def _of_process(process: int, where: str) -> Scratch:
+    """Make it once for each process and folder for temporary files."""
+    scratch = Scratch("fmuid-unpacked-")
+    atexit.register(lambda: scratch.remove() if os.getpid() == process else None)  # not in a fork
+    return scratch
 
 
 def _locked(folder: Path) -> int | None:

@@ -166,6 +166,21 @@ def test_what_killed_owners_left_is_cleared_up(tmp_path, monkeypatch):
     here.remove()
 
 
+def test_an_fmu_that_a_killed_run_unpacked_is_cleared_up_by_the_next(build, tmp_path):
+    source = (
+        "import os, sys\nfrom fmuid.fmu import load_fmu\nfrom fmuid.simulation import Task\n"
+        "load_fmu(sys.argv[1]).simulate(Task([0.0, 1.0], {}, ('y',)), {})\n"
+        "if sys.argv[2:]:\n    os.kill(os.getpid(), 9)\n"
+    )
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    for arguments in (["killed"], []):
+        subprocess.run([sys.executable, "-c", source, str(build(2)), *arguments], env=environment, timeout=120)
+        left = list(tmp_path.glob("fmuid-*"))
+        assert len(left) == len(arguments)
+        for folder in left:
+            os.utime(folder, (0, 0))
+
+
 def test_a_pool_that_nobody_closed_ends_with_the_interpreter(tmp_path):
     script = tmp_path / "open.py"
     script.write_text(
