@@ -159,7 +159,6 @@ def _cache_folder() -> Path:
 
 def _compile(sources: list[Path]) -> Path | None:
     """Compile `sources` into the cache and return the library, or None where there is no working compiler."""
-    compiler = next(filter(None, map(shutil.which, [os.environ.get("CC") or "cc", "gcc", "clang"])), None)
     # Contraction to fused multiply-adds would make the results depend on the machine.
     flags = ["-std=c11", "-O2", "-shared", "-fPIC", "-ffp-contract=off"]
     content = hashlib.sha256(b"".join(s.read_bytes() for s in [*sources, sources[0].with_suffix(".h")]))
@@ -169,6 +168,7 @@ def _compile(sources: list[Path]) -> Path | None:
         library = folder / name
         if library.is_file() and _own(library):
             return library
+        compiler = next(filter(None, map(shutil.which, [os.environ.get("CC") or "cc", "gcc", "clang"])), None)
         if compiler is None:
             continue
         temporary: str | None = None
