@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import importlib
+import logging
 import math
 import multiprocessing
 import sys
@@ -184,6 +185,7 @@ def dask_executor(address: str) -> Iterator[Executor]:
         distributed: Any = importlib.import_module("distributed")
     except ImportError:
         raise FmuidError("Dask is not installed", where="--dask", fix="pip install 'fmuid[dask]'") from None
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # our errors say it, in a line
     try:
         client = distributed.Client(address, timeout=_CONNECT_LIMIT, set_as_default=False)
     except (OSError, ValueError) as error:

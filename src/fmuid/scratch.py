@@ -22,12 +22,14 @@ class Scratch:
     ----------
     prefix
         Of its name. Folders of the same prefix beside it whose owner is gone are removed.
+    where
+        The folder that it is in; the one for temporary files by default.
     """
 
-    def __init__(self, prefix: str) -> None:
-        for folder in Path(tempfile.gettempdir()).glob(f"{prefix}*"):
+    def __init__(self, prefix: str, where: str | None = None) -> None:
+        for folder in Path(where or tempfile.gettempdir()).glob(f"{prefix}*"):
             _remove_if_abandoned(folder)
-        self.path = Path(tempfile.mkdtemp(prefix=prefix))
+        self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=where))
         self._lock = _locked(self.path)
 
     def remove(self) -> None:
@@ -46,7 +48,7 @@ def of_process() -> Path:
 @functools.cache
 def _of_process(process: int, where: str) -> Scratch:
     """Make it once for each process and folder for temporary files."""
-    scratch = Scratch("fmuid-unpacked-")
+    scratch = Scratch("fmuid-unpacked-", where)
     atexit.register(lambda: scratch.remove() if os.getpid() == process else None)  # not in a fork
     return scratch
 
