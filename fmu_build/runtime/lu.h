@@ -80,8 +80,19 @@ static inline void lu_solve_packed(int n, const double *a, const int *pivot, con
     }
 }
 
+/* Where vectors lie side by side in rows of m: does(m), and for few of them with a constant, so that loops over them
+ * are unrolled. */
+#define UNROLLED(m, does)                                                                                          \
+    do {                                                                                                           \
+        if ((m) == 1) does(1);                                                                                     \
+        else if ((m) == 2) does(2);                                                                                \
+        else if ((m) == 3) does(3);                                                                                \
+        else if ((m) == 4) does(4);                                                                                \
+        else does(m);                                                                                              \
+    } while (0)
+
 /* As `lu_solve` for m right-hand sides at once, `b` with n rows of m; what is zero in the factors costs nothing. */
-static inline void lu_solve_many(int n, const double *a, const int *pivot, size_t m, double *b) {
+static inline void lu_solve_rows(int n, const double *a, const int *pivot, size_t m, double *b) {
     for (int c = 0; c < n; c++) {
         double *row = b + c * m, *other = b + pivot[c] * m;
         for (size_t k = 0; k < m && other != row; k++) {
@@ -104,6 +115,12 @@ static inline void lu_solve_many(int n, const double *a, const int *pivot, size_
             for (size_t k = 0; k < m; k++) b[i * m + k] -= factor * b[c * m + k];
         }
     }
+}
+
+static inline void lu_solve_many(int n, const double *a, const int *pivot, size_t m, double *b) {
+#define SOLVE(k) lu_solve_rows(n, a, pivot, k, b)
+    UNROLLED(m, SOLVE);
+#undef SOLVE
 }
 
 #endif

@@ -81,13 +81,19 @@ static int slopes_at(Instance *me, double t, const double *x, double h, double *
 }
 
 /* target += factor * inverse * rows (NX rows of n) */
-static void add_solved(const struct Sensitivity *q, double factor, const double *rows, double *target) {
+static inline void add_rows(const double *inverse, size_t n, double factor, const double *rows, double *target) {
     for (int i = 0; i < NX; i++)
         for (int j = 0; j < NX; j++) {
-            const double a = factor * q->inverse[i * NX + j];
+            const double a = factor * inverse[i * NX + j];
             if (a == 0.0) continue;
-            for (size_t p = 0; p < q->n; p++) target[i * q->n + p] += a * rows[j * q->n + p];
+            for (size_t p = 0; p < n; p++) target[i * n + p] += a * rows[j * n + p];
         }
+}
+
+static void add_solved(const struct Sensitivity *q, double factor, const double *rows, double *target) {
+#define ADD(k) add_rows(q->inverse, k, factor, rows, target)
+    UNROLLED(q->n, ADD);
+#undef ADD
 }
 
 /* The collocation equations of a piece of the last step: with W the inverse of the method's matrix,
