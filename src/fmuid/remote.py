@@ -147,8 +147,8 @@ class _Batches:
             answers = [future.result() for future in futures]
         except Exception as error:  # answers raise nothing: it is the executor's
             raise FmuidError(
-                f"has lost its workers ({type(error).__name__}: {error})",
-                where=type(self._executor).__name__,
+                f"has lost its workers ({f'{type(error).__name__}: {error}'.removesuffix(': ')})",
+                where="Dask" if self._client is not None else type(self._executor).__name__,
                 fix="look at their logs; with --resume nothing is simulated twice",
             ) from error
         finally:
