@@ -20,15 +20,15 @@ from stepping import with_c, with_fmuid
 from timing import Times, in_turn
 
 import fmuid
-from fmuid.cases import Case
-from fmuid.derivatives import Differences, NoiseFloor
 from fmuid.errors import FmuidError
-from fmuid.fmu import load_fmu
-from fmuid.problem import Problem
-from fmuid.runners import Job, Runner, in_process
-from fmuid.simulation import Task
-from fmuid.worker_process import resident_memory
-from fmuid.workers import WorkerPool
+from fmuid.problems.cases import Case
+from fmuid.problems.derivatives import Differences, NoiseFloor
+from fmuid.problems.problem import Problem
+from fmuid.running.runners import Job, Runner, in_process
+from fmuid.running.worker_process import resident_memory
+from fmuid.running.workers import WorkerPool
+from fmuid.simulators.fmu import load_fmu
+from fmuid.simulators.simulation import Task
 
 _HELP = ("-c", "import sys; from fmuid.cli import main; sys.argv = ['fmuid', '--help']; sys.exit(main())")
 CAMPAIGN = ROOT / "campaigns" / "force_feedback"
@@ -196,7 +196,7 @@ def parallel(repeats: int, *, dask: bool = True) -> tuple[list[Parallel], str]:
 def _on_dask(jobs: list[Job], repeats: int) -> Times:
     from distributed import LocalCluster
 
-    from fmuid.remote import dask_executor, on_executor
+    from fmuid.running.remote import dask_executor, on_executor
 
     with (
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,

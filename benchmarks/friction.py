@@ -19,11 +19,11 @@ from identification import ROOT
 from timing import table
 
 from fmuid.campaign import ParameterSpec
-from fmuid.cases import measured_case
-from fmuid.fmu import load_fmu
-from fmuid.problem import Problem
-from fmuid.runners import Job, Outcome, in_process
-from fmuid.simulation import Task
+from fmuid.problems.cases import measured_case
+from fmuid.problems.problem import Problem
+from fmuid.running.runners import Job, Outcome, in_process
+from fmuid.simulators.fmu import load_fmu
+from fmuid.simulators.simulation import Task
 from fmuid.solvers import make
 from fmuid.solvers.search import Search
 

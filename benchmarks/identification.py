@@ -22,11 +22,11 @@ from integrator import prbs
 from timing import say, table
 
 from fmuid.campaign import ParameterSpec
-from fmuid.cases import measured_case
-from fmuid.fmu import Fmu
-from fmuid.problem import Evaluation, Problem
-from fmuid.runners import Job, Outcome, in_process
-from fmuid.simulation import Task
+from fmuid.problems.cases import measured_case
+from fmuid.problems.problem import Evaluation, Problem
+from fmuid.running.runners import Job, Outcome, in_process
+from fmuid.simulators.fmu import Fmu
+from fmuid.simulators.simulation import Task
 from fmuid.solvers import make
 from fmuid.solvers.search import Search, StopRules
 

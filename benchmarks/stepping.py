@@ -16,8 +16,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "simulation"))
 from fmus import HEADERS, make_oscillator
 from timing import in_turn
 
-from fmuid.fmu import Fmu
-from fmuid.simulation import Task
+from fmuid.simulators.fmu import Fmu
+from fmuid.simulators.simulation import Task
 
 LOOP = r"""
 #include "fmi2Functions.h"

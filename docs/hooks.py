@@ -10,10 +10,10 @@ from typing import Any
 from mkdocs.structure.files import File, Files
 
 _TOPICS = {
-    "Campaigns and measurements": ("campaign_toml", "campaign", "measurements"),
-    "Simulation": ("fmu", "simulation", "cases", "coupled", "workers"),
-    "Identification": ("identification", "result", "problem", "solvers", "observer", "progress", "history"),
-    "How far to trust it": ("validation", "uncertainty", "profiles", "propagation", "sensitivity"),
+    "Campaigns and measurements": ("campaigns", "campaign", "data"),
+    "Simulation": ("simulators", "coupled", "running"),
+    "Identification": ("identification", "result", "problems", "solvers", "observer", "progress", "history"),
+    "How far to trust it": ("validation", "statistics"),
     "Diagnosis": ("diagnosis",),
 }
 

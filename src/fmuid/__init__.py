@@ -23,33 +23,33 @@ if TYPE_CHECKING:
     from fmuid.campaign import ParetoSpec as ParetoSpec
     from fmuid.campaign import Signal as Signal
     from fmuid.campaign import StageSpec as StageSpec
-    from fmuid.campaign_toml import load_campaign as load_campaign
-    from fmuid.cases import measured_case as measured_case
+    from fmuid.campaigns.campaign_toml import load_campaign as load_campaign
     from fmuid.coupled.loading import couple as couple
     from fmuid.coupled.loading import load_model as load_model
     from fmuid.coupled.structure import Master as Master
+    from fmuid.data.measurements import read_measurements as read_measurements
+    from fmuid.data.measurements import write_measurements as write_measurements
     from fmuid.diagnosis.of_campaign import diagnose as diagnose
     from fmuid.errors import FmuidError as FmuidError
-    from fmuid.fmu import load_fmu as load_fmu
     from fmuid.history import read_history as read_history
     from fmuid.identification import identify as identify
-    from fmuid.measurements import read_measurements as read_measurements
-    from fmuid.measurements import write_measurements as write_measurements
     from fmuid.observer import Observer as Observer
-    from fmuid.problem import Problem as Problem
-    from fmuid.profiles import profile_of as profile_of
+    from fmuid.problems.cases import measured_case as measured_case
+    from fmuid.problems.problem import Problem as Problem
     from fmuid.progress import TerminalProgress as TerminalProgress
-    from fmuid.propagation import propagate as propagate
     from fmuid.result import Result as Result
-    from fmuid.sensitivity import sensitivity_of as sensitivity_of
-    from fmuid.simulation import Simulator as Simulator
-    from fmuid.simulation import Task as Task
-    from fmuid.simulation import Variable as Variable
+    from fmuid.running.workers import WorkerPool as WorkerPool
+    from fmuid.simulators.fmu import load_fmu as load_fmu
+    from fmuid.simulators.simulation import Simulator as Simulator
+    from fmuid.simulators.simulation import Task as Task
+    from fmuid.simulators.simulation import Variable as Variable
     from fmuid.solvers import Status as Status
     from fmuid.solvers import StopRules as StopRules
-    from fmuid.uncertainty import uncertainty_of as uncertainty_of
+    from fmuid.statistics.profiles import profile_of as profile_of
+    from fmuid.statistics.propagation import propagate as propagate
+    from fmuid.statistics.sensitivity import sensitivity_of as sensitivity_of
+    from fmuid.statistics.uncertainty import uncertainty_of as uncertainty_of
     from fmuid.validation import validate as validate
-    from fmuid.workers import WorkerPool as WorkerPool
 
 # Public name -> module, loaded on first use: `import fmuid` stays quick. No module has the name of a function.
 
@@ -64,32 +64,32 @@ _PUBLIC = {
     "Observer": "observer",
     "ParameterSpec": "campaign",
     "ParetoSpec": "campaign",
-    "Problem": "problem",
+    "Problem": "problems.problem",
     "Result": "result",
     "Signal": "campaign",
-    "Simulator": "simulation",
+    "Simulator": "simulators.simulation",
     "StageSpec": "campaign",
     "Status": "solvers",
     "StopRules": "solvers",
-    "Task": "simulation",
+    "Task": "simulators.simulation",
     "TerminalProgress": "progress",
-    "Variable": "simulation",
-    "WorkerPool": "workers",
+    "Variable": "simulators.simulation",
+    "WorkerPool": "running.workers",
     "couple": "coupled.loading",
     "diagnose": "diagnosis.of_campaign",
     "identify": "identification",
-    "load_campaign": "campaign_toml",
-    "load_fmu": "fmu",
+    "load_campaign": "campaigns.campaign_toml",
+    "load_fmu": "simulators.fmu",
     "load_model": "coupled.loading",
-    "measured_case": "cases",
-    "profile_of": "profiles",
-    "propagate": "propagation",
+    "measured_case": "problems.cases",
+    "profile_of": "statistics.profiles",
+    "propagate": "statistics.propagation",
     "read_history": "history",
-    "read_measurements": "measurements",
-    "sensitivity_of": "sensitivity",
-    "uncertainty_of": "uncertainty",
+    "read_measurements": "data.measurements",
+    "sensitivity_of": "statistics.sensitivity",
+    "uncertainty_of": "statistics.uncertainty",
     "validate": "validation",
-    "write_measurements": "measurements",
+    "write_measurements": "data.measurements",
 }
 __all__ = list(_PUBLIC)
 

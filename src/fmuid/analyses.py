@@ -9,15 +9,15 @@ from functools import partial
 
 from fmuid.campaign import AnalysisSpec, FloatArray, ParetoSpec
 from fmuid.errors import FmuidError
-from fmuid.held import Held
-from fmuid.problem import Evaluation, Problem
-from fmuid.profiles import Profile, profile_of
-from fmuid.propagation import CriterionSpread, criteria_spread
+from fmuid.problems.problem import Evaluation, Problem
 from fmuid.result import at_bound
 from fmuid.solvers import Search
 from fmuid.solvers.nlopt_solver import NloptSolver
 from fmuid.solvers.pareto import Front, trace
-from fmuid.uncertainty import Uncertainty, uncertainty_of, with_held, without_intervals
+from fmuid.statistics.held import Held
+from fmuid.statistics.profiles import Profile, profile_of
+from fmuid.statistics.propagation import CriterionSpread, criteria_spread
+from fmuid.statistics.uncertainty import Uncertainty, uncertainty_of, with_held, without_intervals
 
 _EVALUATIONS = 40  # a parameter, for one point of a front
 

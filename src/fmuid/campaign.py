@@ -280,7 +280,7 @@ class CriterionSpec:
     signal
         Measured name.
     kind
-        Such as ``least_squares``, ``maximum``, ``rise_time``; see `fmuid.criteria`.
+        Such as ``least_squares``, ``maximum``, ``rise_time``; see `fmuid.problems.criteria`.
     demand
         The value that would do: a criterion over its demand is satisfied at 1.
     weight

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.campaign import FloatArray
-from fmuid.crosscheck_csv import Table
+from fmuid.data.crosscheck_csv import Table
 from fmuid.errors import FmuidError
 from fmuid.suggest import suggestion
 

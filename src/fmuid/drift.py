@@ -11,11 +11,11 @@ import numpy as np
 
 from fmuid.campaign import FloatArray, Interpolation
 from fmuid.compare import Comparison, compare_tables, funnel_around
-from fmuid.crosscheck_csv import Table, read_csv
+from fmuid.data.crosscheck_csv import Table, read_csv
 from fmuid.errors import FmuError, FmuidError, UnitError
 from fmuid.files import write_atomically
-from fmuid.runners import Runner, in_process, simulated
-from fmuid.simulation import Simulator, Task
+from fmuid.running.runners import Runner, in_process, simulated
+from fmuid.simulators.simulation import Simulator, Task
 from fmuid.suggest import suggestion
 from fmuid.units import conversion
 

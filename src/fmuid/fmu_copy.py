@@ -13,10 +13,10 @@ import numpy as np
 
 from fmuid.errors import FmuError, FmuidError
 from fmuid.files import write_atomically
-from fmuid.fmu import Fmu
-from fmuid.fmu_variables import Slot
-from fmuid.runners import Runner, in_process, simulated
-from fmuid.simulation import Task, Variable
+from fmuid.running.runners import Runner, in_process, simulated
+from fmuid.simulators.fmu import Fmu
+from fmuid.simulators.fmu_variables import Slot
+from fmuid.simulators.simulation import Task, Variable
 from fmuid.suggest import suggestion
 
 DESCRIPTION = "modelDescription.xml"

@@ -39,12 +39,12 @@ from typing import Any, BinaryIO
 import msgspec
 import numpy as np
 
-from fmuid import hdf5
-from fmuid.apart import read_apart
 from fmuid.campaign import FloatArray, read_only
+from fmuid.data import hdf5
+from fmuid.data.apart import read_apart
 from fmuid.errors import FmuidError, MeasurementsError
 from fmuid.files import make_folder
-from fmuid.problem import Evaluation, Problem
+from fmuid.problems.problem import Evaluation, Problem
 
 JOURNAL, FILE = "history.journal", "history.h5"
 FORMAT, VERSION = "fmuid-history", 1

@@ -14,20 +14,20 @@ import msgspec
 from fmuid.analyses import Findings, analyse
 from fmuid.campaign import AnalysisSpec, Campaign, ParameterSpec, StageSpec
 from fmuid.errors import ProblemError, SimulationError
-from fmuid.held import Known
 from fmuid.history import History
 from fmuid.observer import Observer, Progress
-from fmuid.problem import Evaluation, Problem
+from fmuid.problems.problem import Evaluation, Problem
+from fmuid.problems.search_space import SEPARATOR
 from fmuid.provenance import fingerprint, hashes_of, versions
 from fmuid.result import FILE, CriterionValue, Estimate, Result, StageResult, at_bound, finite
-from fmuid.runners import Runner, in_process
-from fmuid.search_space import SEPARATOR
-from fmuid.simulation import Simulator
+from fmuid.running.runners import Runner, in_process
+from fmuid.running.workers import runner_on
+from fmuid.simulators.simulation import Simulator
 from fmuid.solvers import Outcome, Search, Solver, Status, StopRules, StopSearch, make
 from fmuid.solvers.least_squares import TrustRegion
 from fmuid.solvers.pareto import Objectives
-from fmuid.uncertainty import Uncertainty
-from fmuid.workers import runner_on
+from fmuid.statistics.held import Known
+from fmuid.statistics.uncertainty import Uncertainty
 
 _ALIKE = 0.99
 _INTERRUPTED = Outcome(Status.INTERRUPTED, "stopped by the user")
@@ -93,7 +93,7 @@ def identify(
     executor
         Any `concurrent.futures` executor to simulate on, such as a Dask client's; results do not depend on it.
     workers
-        Number of supervised worker processes to simulate in instead (`fmuid.workers`); 0 for none.
+        Number of supervised worker processes to simulate in instead (`fmuid.running.workers`); 0 for none.
     time_limit, memory_limit
         Seconds and resident bytes that one simulation may take in a worker process; those of a `WorkerPool` by
         default.
@@ -384,13 +384,13 @@ def _posed(
 def _campaign(what: Campaign | str | Path) -> Campaign:
     if isinstance(what, Campaign):
         return what
-    from fmuid.campaign_toml import load_campaign
+    from fmuid.campaigns.campaign_toml import load_campaign
 
     return load_campaign(what)
 
 
 def _models(campaign: Campaign) -> Mapping[str, Simulator]:
-    from fmuid.model_check import load_models, match_models
+    from fmuid.campaigns.model_check import load_models, match_models
 
     models = load_models(campaign)
     match_models(campaign, models)

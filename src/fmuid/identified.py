@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fmuid.campaign import Campaign
-from fmuid.channel_noise import conversion_at
+from fmuid.campaigns.model_check import load_models
 from fmuid.coupled.model import CoupledModel
 from fmuid.coupled.ssp_writing import write_system
+from fmuid.data.channel_noise import conversion_at
 from fmuid.errors import ProblemError
 from fmuid.files import write_atomically
-from fmuid.fmu import Fmu
 from fmuid.fmu_copy import copy_with_starts, takes_effect
-from fmuid.model_check import load_models
 from fmuid.result import Result
-from fmuid.runners import Runner, in_process
-from fmuid.simulation import Simulator
+from fmuid.running.runners import Runner, in_process
+from fmuid.simulators.fmu import Fmu
+from fmuid.simulators.simulation import Simulator
 from fmuid.solvers import Status
 from fmuid.ssv import parameter_set
 

@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fmuid.campaign import Campaign, Experiment, FloatArray, Measurements, StageSpec
-from fmuid.cases import Case, experiments_of
-from fmuid.channel_noise import conversion_at
+from fmuid.data.channel_noise import conversion_at
 from fmuid.errors import ProblemError
 from fmuid.identification import identify
 from fmuid.module_command import run_module
-from fmuid.problem import Problem
+from fmuid.problems.cases import Case, experiments_of
+from fmuid.problems.problem import Problem
 from fmuid.shown import text_table
-from fmuid.simulation import Simulator
+from fmuid.simulators.simulation import Simulator
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +88,7 @@ def interval_coverage(
     FmuidError
         The stage cannot be posed, or its runs cannot be simulated.
     """
-    from fmuid.model_check import load_models
+    from fmuid.campaigns.model_check import load_models
 
     if stage not in campaign.stages:
         raise ProblemError(f"no stage '{stage}'", fix=f"the campaign has: {', '.join(campaign.stages)}")
@@ -151,7 +151,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _command(arguments: Sequence[str]) -> None:
-    from fmuid.campaign_toml import load_campaign
+    from fmuid.campaigns.campaign_toml import load_campaign
 
     campaign, stage, *numbers = arguments
     try:

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fmuid.campaign import Measurements
+from fmuid.data.measurements import write_measurements
 from fmuid.errors import FmuidError
-from fmuid.measurements import write_measurements
 from fmuid.shown import counted
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from fmuid.problem import Problem
+from fmuid.problems.problem import Problem
 from fmuid.result import StageResult
 from fmuid.solvers.search import StopRules
 

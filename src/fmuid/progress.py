@@ -11,7 +11,7 @@ from rich.text import Text
 
 from fmuid.observer import Observer
 from fmuid.observer import Progress as Report
-from fmuid.problem import Problem
+from fmuid.problems.problem import Problem
 from fmuid.result import StageResult
 from fmuid.solvers.search import Status, StopRules
 from fmuid.waiting import MovingLine

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fmuid.campaign import Campaign
-from fmuid.problem import Problem
+from fmuid.problems.problem import Problem
 from fmuid.solvers import Solver
 
 

@@ -15,12 +15,12 @@ import msgspec
 
 from fmuid.errors import FmuidError
 from fmuid.files import write_atomically
-from fmuid.profiles import Profile
-from fmuid.propagation import CriterionSpread
 from fmuid.shown import html_lines, html_table, text_table
 from fmuid.solvers.pareto import Front
 from fmuid.solvers.search import Start, Status
-from fmuid.uncertainty import Uncertainty
+from fmuid.statistics.profiles import Profile
+from fmuid.statistics.propagation import CriterionSpread
+from fmuid.statistics.uncertainty import Uncertainty
 
 FILE = "result.json"
 LEAST_SHOWN = 0.005  # share of a variance that is worth a column

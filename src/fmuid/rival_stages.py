@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from fmuid.campaign import Campaign, FloatArray
-from fmuid.campaign_toml import load_campaign
+from fmuid.campaigns.campaign_toml import load_campaign
+from fmuid.campaigns.model_check import load_models
 from fmuid.errors import CampaignError
 from fmuid.files import write_atomically
-from fmuid.model_check import load_models
 from fmuid.module_command import run_module
 from fmuid.plots import save_figure
 from fmuid.plots.data import Role, Table

@@ -9,8 +9,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from fmuid.coupled.model import CoupledModel
-from fmuid.fmu import Fmu
 from fmuid.fmu_copy import DESCRIPTION, as_bytes, as_text
+from fmuid.simulators.fmu import Fmu
 
 _SSV = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
 _SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from fmuid.campaign import Campaign, FloatArray
-from fmuid.cases import Case, experiments_of, from_campaign
+from fmuid.campaigns.model_check import load_models
 from fmuid.errors import CampaignError, ProblemError, SimulationError
-from fmuid.model_check import load_models
+from fmuid.problems.cases import Case, experiments_of, from_campaign
 from fmuid.result import Result
-from fmuid.runners import Runner, in_process
+from fmuid.running.runners import Runner, in_process
 from fmuid.shown import html_table, text_table
-from fmuid.simulation import Simulator
+from fmuid.simulators.simulation import Simulator
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +125,7 @@ def validate(
             raise CampaignError("no campaign to validate on", fix="give one as second argument")
         campaign = result.source
     if not isinstance(campaign, Campaign):
-        from fmuid.campaign_toml import load_campaign
+        from fmuid.campaigns.campaign_toml import load_campaign
 
         campaign = load_campaign(campaign)
     ids = list(campaign.validation if experiments is None else experiments)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fmuid.campaign import Experiment, Measurements, Signal
-from fmuid.measurements import write_measurements
+from fmuid.data.measurements import write_measurements
 
 TOML = """\
 [campaign]

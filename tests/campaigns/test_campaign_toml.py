@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fmuid.campaign_toml import load_campaign
+from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.errors import CampaignError, FmuidError
 
 REMOVE = object()

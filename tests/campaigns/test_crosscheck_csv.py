@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from fmuid.crosscheck_csv import Table, read_csv, write_csv
+from fmuid.data.crosscheck_csv import Table, read_csv, write_csv
 from fmuid.errors import MeasurementsError
 
 

@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 from scipy.io import savemat
 
-from fmuid import apart
-from fmuid.crosscheck_csv import read_csv
+from fmuid.data import apart
+from fmuid.data.crosscheck_csv import read_csv
 from fmuid.errors import MeasurementsError
 from fmuid.recordings import Recording, read_recording
 

@@ -9,9 +9,9 @@ import pytest
 
 from fmuid.campaign import Experiment, Measurements, Signal
 from fmuid.cli.app import run
-from fmuid.fmu import load_fmu
-from fmuid.measurements import write_measurements
-from fmuid.simulation import Task
+from fmuid.data.measurements import write_measurements
+from fmuid.simulators.fmu import load_fmu
+from fmuid.simulators.simulation import Task
 
 TOML = """\
 [campaign]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fmuid.campaign import Experiment, Measurements, Signal
-from fmuid.measurements import write_measurements
+from fmuid.data.measurements import write_measurements
 
 Command = Callable[..., tuple[int, str, str]]
 

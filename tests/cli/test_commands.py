@@ -17,9 +17,9 @@ import pytest
 from scipy.io import savemat
 
 from fmuid.campaign import Measurements
-from fmuid.crosscheck_csv import Table, read_csv, write_csv
-from fmuid.importing import table_from_experiment
-from fmuid.measurements import read_measurements
+from fmuid.data.crosscheck_csv import Table, read_csv, write_csv
+from fmuid.data.measurements import read_measurements
+from fmuid.recordings.importing import table_from_experiment
 
 Command = Callable[..., tuple[int, str, str]]
 COMMANDS = [

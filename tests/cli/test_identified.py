@@ -13,13 +13,13 @@ from fmpy.validation import validate_fmu
 from lxml import etree
 
 from fmu_build import build
-from fmuid.campaign_toml import load_campaign
+from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.errors import FmuError, FmuidError, ProblemError
-from fmuid.fmu import Fmu, load_fmu
 from fmuid.fmu_copy import copy_with_starts, takes_effect
 from fmuid.identified import write_identified
 from fmuid.result import Result
-from fmuid.simulation import Task
+from fmuid.simulators.fmu import Fmu, load_fmu
+from fmuid.simulators.simulation import Task
 from fmuid.solvers import Status
 
 SCHEMA = Path(fmpy.__file__).parent / "ssp" / "schema" / "SystemStructureParameterValues.xsd"

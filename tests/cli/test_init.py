@@ -12,12 +12,12 @@ import pytest
 from scipy.io import savemat
 
 from fmuid.campaign import Measurements
-from fmuid.campaign_toml import load_campaign
+from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.cli.app import run
-from fmuid.crosscheck_csv import Table, write_csv
-from fmuid.fmu import load_fmu
+from fmuid.data.crosscheck_csv import Table, write_csv
 from fmuid.result import Result
-from fmuid.simulation import Task
+from fmuid.simulators.fmu import load_fmu
+from fmuid.simulators.simulation import Task
 from tests.simulation.fmus import FAULTS, make_oscillator
 
 Command = Callable[..., tuple[int, str, str]]

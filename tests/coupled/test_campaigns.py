@@ -17,15 +17,15 @@ from systems import BUILT, DRIVES, ROOT, component, connection, connections, ele
 import fmu_build
 from fmuid import diagnose, identify, load_campaign, validate
 from fmuid.campaign import Experiment, Measurements, Signal
+from fmuid.campaigns.model_check import check_effects, load_models, match_models
 from fmuid.cli.app import run
 from fmuid.coupled.loading import load_system
 from fmuid.coupled.structure import Master
+from fmuid.data.measurements import write_measurements
 from fmuid.errors import FmuidError
-from fmuid.fmu import load_fmu
 from fmuid.identified import write_identified
-from fmuid.measurements import write_measurements
-from fmuid.model_check import check_effects, load_models, match_models
-from fmuid.simulation import Task
+from fmuid.simulators.fmu import load_fmu
+from fmuid.simulators.simulation import Task
 
 TIME = np.linspace(0, 1, 101)
 TRUTH = {"mgr": 21.0, "kp": 0.026, "ki": 0.52}

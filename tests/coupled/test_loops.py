@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from systems import coupled
 
-from fmuid import stepper
 from fmuid.errors import FmuError, SimulationError
-from fmuid.simulation import Task
+from fmuid.simulators import stepper
+from fmuid.simulators.simulation import Task
 
 TIME = np.linspace(0, 1, 101)
 RING = {"a.u": "b.y", "b.u": "a.y"}

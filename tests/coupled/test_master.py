@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from systems import coupled, split
 
-from fmuid import stepper
 from fmuid.errors import FmuError, SimulationError
-from fmuid.fmu import load_fmu
-from fmuid.parcels import packed, unpacked
-from fmuid.simulation import Simulator, Task
+from fmuid.running.parcels import packed, unpacked
+from fmuid.running.workers import WorkerPool
+from fmuid.simulators import stepper
+from fmuid.simulators.fmu import load_fmu
+from fmuid.simulators.simulation import Simulator, Task
 from fmuid.ssv import parameter_set
-from fmuid.workers import WorkerPool
 
 TIME = np.linspace(0, 1, 101)
 SPEED = 30 * np.sin(2 * np.pi * TIME)
@@ -86,7 +86,7 @@ def exact_lag(x0, target, rate):
 def test_fmi_2_and_3_and_model_exchange_can_be_mixed(made, interfaces):
     from fmuid.coupled.model import CoupledModel
     from fmuid.coupled.structure import Connection, Linear, Master, Place
-    from fmuid.fmu import Fmu
+    from fmuid.simulators.fmu import Fmu
 
     interface, fmi = interfaces
     components = {"lag": Fmu(made("Lag", fmi), interface), "gain": Fmu(made("Gain", 5 - fmi))}
@@ -263,6 +263,6 @@ def test_a_run_that_pauses_for_ctrl_c_goes_on_where_it_was(made, monkeypatch, wh
     if where == "python":
         monkeypatch.setenv("FMUID_STEPPER", "python")
     stepper.library.cache_clear()
-    monkeypatch.setattr("fmuid.stepper._SLICE", 0.0)
+    monkeypatch.setattr("fmuid.simulators.stepper._SLICE", 0.0)
     assert np.array_equal(model.simulate(task, {"gain.k": -1.0}), whole)
     stepper.library.cache_clear()

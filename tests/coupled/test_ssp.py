@@ -26,8 +26,8 @@ from fmuid.cli.app import run
 from fmuid.coupled.loading import load_model, load_system
 from fmuid.coupled.structure import Master
 from fmuid.errors import FmuError, UnitError
-from fmuid.simulation import Task
-from fmuid.workers import WorkerPool
+from fmuid.running.workers import WorkerPool
+from fmuid.simulators.simulation import Task
 
 TIME = np.linspace(0, 0.5, 51)
 SPEED = 30 * np.sin(4 * np.pi * TIME)

@@ -9,7 +9,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from fmuid.cases import measured_case
 from fmuid.diagnosis.catalogue import Catalogue, Effect
 from fmuid.diagnosis.model import CampaignModel
 from fmuid.diagnosis.ports import Port
@@ -17,7 +16,8 @@ from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.regimes import Regime
 from fmuid.diagnosis.setting_up import Subject
 from fmuid.diagnosis.unrepeated import observe
-from fmuid.simulation import Task, Variable
+from fmuid.problems.cases import measured_case
+from fmuid.simulators.simulation import Task, Variable
 
 DT = 5e-3
 N = 400

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from fmuid.data.measurements import read_measurements, write_measurements
 from fmuid.diagnosis.blind_check import Check, _environment, main, out_of_reach
 from fmuid.diagnosis.blind_page import page
 from fmuid.diagnosis.blind_score import Outcome, Scored, calibration, confusion, figures, power_curve, share
 from fmuid.errors import FmuidError
-from fmuid.measurements import read_measurements, write_measurements
 from fmuid.virtual_rig.blind_cases import find_truth, plan_cases, record_case
 from fmuid.virtual_rig.blind_experiments import sealed_experiments
 from fmuid.virtual_rig.blind_further import add_suggested_run

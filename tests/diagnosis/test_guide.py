@@ -10,9 +10,9 @@ import pytest
 
 from fmuid.campaign import Experiment, Measurements, Signal
 from fmuid.cli.app import run
-from fmuid.fmu import load_fmu
-from fmuid.measurements import write_measurements
-from fmuid.simulation import Task
+from fmuid.data.measurements import write_measurements
+from fmuid.simulators.fmu import load_fmu
+from fmuid.simulators.simulation import Task
 
 GUIDE = Path(__file__).parents[2] / "docs" / "diagnosis.md"
 TIME = 5e-3 * np.arange(400)

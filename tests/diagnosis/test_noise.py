@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fmuid.diagnosis.null import Null, draw_noise
-from fmuid.diagnosis.observed import Observed, excess, gap
-from fmuid.errors import ProblemError
-from fmuid.noise_spectrum import (
+from fmuid.data.noise_spectrum import (
     RepeatedRuns,
     coefficient_frequencies,
     estimate_noise,
@@ -16,6 +13,9 @@ from fmuid.noise_spectrum import (
     real_spectrum,
     whitener,
 )
+from fmuid.diagnosis.null import Null, draw_noise
+from fmuid.diagnosis.observed import Observed, excess, gap
+from fmuid.errors import ProblemError
 
 DT = 1e-3
 TIME = DT * np.arange(600)

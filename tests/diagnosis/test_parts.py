@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from plants import EFFECTS, NOMINAL, PORTS, REGIMES, TWIN, plant
 
+from fmuid.data.noise_spectrum import RepeatedRuns
 from fmuid.diagnosis.candidates import Fitted, fit_effects, score_further
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.decide import names, strained
@@ -16,8 +17,7 @@ from fmuid.diagnosis.refit import Refit, Unknown, refit
 from fmuid.diagnosis.regimes import Regime, bases, own_bases, trajectories
 from fmuid.diagnosis.scores import alias_classes, nominal_basis, project_off, stack
 from fmuid.diagnosis.signal_effects import disturb_input, disturb_output, split_signal_parameters
-from fmuid.noise_spectrum import RepeatedRuns
-from fmuid.runners import in_process
+from fmuid.running.runners import in_process
 
 TIME = np.linspace(0.0, 1.0, 501)
 

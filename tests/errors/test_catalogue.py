@@ -19,7 +19,7 @@ from cases import CASES, Case
 
 from fmuid.campaign import Experiment, Measurements, Signal
 from fmuid.cli.app import run
-from fmuid.measurements import write_measurements
+from fmuid.data.measurements import write_measurements
 from tests.cli.conftest import TOML as CAMPAIGN
 
 PAGE = Path(__file__).parents[2] / "docs" / "errors.md"

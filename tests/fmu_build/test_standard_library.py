@@ -11,8 +11,8 @@ import pytest
 from fmu_build import build, compile_modelica
 from fmu_build.model import CompiledModel
 from fmuid.errors import ModelicaError
-from fmuid.fmu import Fmu
-from fmuid.simulation import Task
+from fmuid.simulators.fmu import Fmu
+from fmuid.simulators.simulation import Task
 from tests.conftest import MODELICA
 from tests.fmu_build.simulate import Instance, find, values
 

@@ -11,8 +11,8 @@ import pytest
 
 from fmu_build import build
 from fmuid.errors import SimulationError
-from fmuid.fmu import Fmu
-from fmuid.simulation import Task
+from fmuid.simulators.fmu import Fmu
+from fmuid.simulators.simulation import Task
 from tests.conftest import MODELICA, build_setups
 from tests.reference.experiments import LOSSY
 

@@ -16,9 +16,9 @@ from fmpy.build import build_platform_binary
 
 from fmu_build.packaging import package
 from fmuid.errors import BuildError
-from fmuid.fmu import load_fmu
 from fmuid.fmu_copy import copy_with_starts
-from fmuid.simulation import Task
+from fmuid.simulators.fmu import load_fmu
+from fmuid.simulators.simulation import Task
 
 
 def test_same_input_same_bytes(tmp_path):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fmu_build import build
-from fmuid.simulation import Task
+from fmuid.simulators.simulation import Task
 from tests.conftest import FMUS, MODELICA
 
 SETUPS = ("PositionDriven", "TorqueDriven")

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.fmu import load_fmu
-from fmuid.simulation import Task
+from fmuid.simulators.fmu import load_fmu
+from fmuid.simulators.simulation import Task
 
 INTERVAL = 0.016
 RATIO = 6.33

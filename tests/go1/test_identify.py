@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid.campaign_toml import load_campaign
+from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.cli.app import run
 from fmuid.go1 import main as read_logs
 from fmuid.result import Result

@@ -14,7 +14,7 @@ from fmuid.diagnosis.catalogue import load_catalogue
 from fmuid.diagnosis.signal_effects import NEUTRAL
 from fmuid.reference import reference_fmu
 from fmuid.reference.servo_pendulum import friction_budget
-from fmuid.simulation import Task
+from fmuid.simulators.simulation import Task
 from tests.conftest import MODELICA
 from tests.go1.conftest import LAW_M6, RIG, SETUPS, servo_task
 from tests.reference.plain_fmpy import simulate_fmu

@@ -26,7 +26,7 @@ from fmuid import (
 )
 from fmuid.campaign import ModelSpec
 from fmuid.errors import FmuError, ProblemError, UnitError
-from fmuid.sensitivity import excitation
+from fmuid.statistics.sensitivity import excitation
 
 TIME = np.linspace(0.0, 4.0, 201)
 TRUTH = {"K": 0.7, "tau": 0.4, "offset@low": 0.3, "offset@high": -0.2}

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from fmuid import criteria
 from fmuid.campaign import CriterionSpec
-from fmuid.criteria import Target, prepare
+from fmuid.data.noise_spectrum import RepeatedRuns
 from fmuid.errors import ProblemError
-from fmuid.noise_spectrum import RepeatedRuns
+from fmuid.problems import criteria
+from fmuid.problems.criteria import Target, prepare
 
 TIME = np.linspace(0.0, 2.0, 401)
 

@@ -9,12 +9,12 @@ import pytest
 
 from fmuid import ParameterSpec, Problem, Task, measured_case
 from fmuid.campaign import CriterionSpec
-from fmuid.expressions import parse
-from fmuid.runners import in_process
-from fmuid.search_space import expanded
+from fmuid.problems.expressions import parse
+from fmuid.problems.search_space import expanded
+from fmuid.running.runners import in_process
 from fmuid.solvers.least_squares import TrustRegion
 from fmuid.solvers.search import Search, Status
-from fmuid.uncertainty import uncertainty_of
+from fmuid.statistics.uncertainty import uncertainty_of
 from fmuid.units import Conversion
 
 TIME = np.linspace(0.0, 2.0, 201)

@@ -1,7 +1,7 @@
 import pytest
 
 from fmuid.errors import ProblemError
-from fmuid.expressions import parse
+from fmuid.problems.expressions import parse
 
 
 @pytest.mark.parametrize(

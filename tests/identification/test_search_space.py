@@ -3,7 +3,7 @@ import pytest
 
 from fmuid.campaign import ParameterSpec
 from fmuid.errors import ProblemError
-from fmuid.search_space import SearchSpace, expanded
+from fmuid.problems.search_space import SearchSpace, expanded
 
 
 def test_search_coordinates_are_of_order_one_and_lead_back():

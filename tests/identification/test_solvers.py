@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from fmuid import CriterionSpec, ParameterSpec, Problem, Status, StopRules, Task, identify, measured_case
-from fmuid.combine import Combination, Constraint
 from fmuid.errors import ProblemError
-from fmuid.runners import in_process
+from fmuid.problems.combine import Combination, Constraint
+from fmuid.running.runners import in_process
 from fmuid.solvers import choose
 
 LOCAL = ["trf", "dfols", "nelder_mead", "sbplx", "cobyla", "bobyqa", "newuoa_bound", "praxis", "slsqp"]

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import pytest
 
-from fmuid.fmu import load_fmu
 from fmuid.reference import reference_fmu
-from fmuid.simulation import Simulator
+from fmuid.simulators.fmu import load_fmu
+from fmuid.simulators.simulation import Simulator
 
 
 @pytest.fixture(params=["reference", "fmu"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmuid.simulation import Task
+from fmuid.simulators.simulation import Task
 
 LOSSY = {
     f"lossTable[{row},{column}]": value

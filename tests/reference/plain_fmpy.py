@@ -9,7 +9,7 @@ import fmpy
 import numpy as np
 
 from fmuid.campaign import FloatArray
-from fmuid.simulation import Task
+from fmuid.simulators.simulation import Task
 
 
 def simulate_fmu(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fmuid.reference import reference_fmu
-from fmuid.simulation import Task
+from fmuid.simulators.simulation import Task
 from tests.conftest import build_setups
 from tests.reference import experiments as e
 from tests.reference.plain_fmpy import simulate_fmu

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fmuid.reference.friction import loss_table, sliding_torque
-from fmuid.simulation import Task
+from fmuid.simulators.simulation import Task
 from tests.reference.experiments import CONSTANT_FRICTION, fixed_shaft
 
 FRICTION = 0.09

@@ -7,7 +7,7 @@ import pytest
 
 from fmuid.errors import FmuError, SimulationError
 from fmuid.reference import MODELS, reference_fmu
-from fmuid.simulation import Simulator, Task
+from fmuid.simulators.simulation import Simulator, Task
 from tests.reference.experiments import LOSSY, axis_closed_loop, fixed_shaft
 
 

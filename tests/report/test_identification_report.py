@@ -22,7 +22,7 @@ from fmuid.errors import FmuidError
 from fmuid.identification import identify
 from fmuid.report import write_report
 from fmuid.report.friction import free_rotation, loss_table, no_load_torque, plateaus
-from fmuid.simulation import Variable
+from fmuid.simulators.simulation import Variable
 
 TIME = np.linspace(0, 2, 201)
 

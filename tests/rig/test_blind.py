@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid.measurements import read_measurements
+from fmuid.data.measurements import read_measurements
 from fmuid.virtual_rig import Sensors, blind, blind_cases
 from fmuid.virtual_rig.blind import main, make_blind_campaigns
 from fmuid.virtual_rig.blind_cases import plain_actuator, plan_cases

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 from fmuid.campaign import ParameterSpec
-from fmuid.cases import measured_case
-from fmuid.fmu import Fmu, load_fmu
-from fmuid.problem import Problem
-from fmuid.simulation import Task
-from fmuid.worker_process import resident_memory
+from fmuid.problems.cases import measured_case
+from fmuid.problems.problem import Problem
+from fmuid.running.worker_process import resident_memory
+from fmuid.simulators.fmu import Fmu, load_fmu
+from fmuid.simulators.simulation import Task
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="the loop in C is compiled")

@@ -12,7 +12,7 @@ import pytest
 from fmus import FAULTS
 
 from fmuid import Experiment, Measurements, Signal, StopRules, Task, identify, load_fmu, write_measurements
-from fmuid.crosscheck_csv import Table, write_csv
+from fmuid.data.crosscheck_csv import Table, write_csv
 
 TIME = np.arange(301) * 1e-3
 TOML = """

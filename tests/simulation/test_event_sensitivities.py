@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from fmu_build import build as build_modelica
-from fmuid import exact_derivatives
 from fmuid.campaign import CriterionSpec, ParameterSpec
-from fmuid.cases import measured_case
 from fmuid.errors import SimulationError
-from fmuid.fmu import Fmu
-from fmuid.problem import Problem
-from fmuid.runners import Job, Outcome, in_process
-from fmuid.search_space import expanded
-from fmuid.simulation import Task
+from fmuid.problems import exact_derivatives
+from fmuid.problems.cases import measured_case
+from fmuid.problems.problem import Problem
+from fmuid.problems.search_space import expanded
+from fmuid.running.runners import Job, Outcome, in_process
+from fmuid.simulators.fmu import Fmu
+from fmuid.simulators.simulation import Task
 from fmuid.solvers.least_squares import TrustRegion
 from fmuid.solvers.search import Search, Status
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from fmus import FAULTS
 
-from fmuid import fmu as fmu_module
 from fmuid.errors import FmuError, SimulationError
-from fmuid.fmu import Fmu, load_fmu
-from fmuid.simulation import Simulator, Task
+from fmuid.simulators import fmu as fmu_module
+from fmuid.simulators.fmu import Fmu, load_fmu
+from fmuid.simulators.simulation import Simulator, Task
 
 TIME = np.arange(501) * 1e-3
 U = np.sign(np.sin(50 * TIME))

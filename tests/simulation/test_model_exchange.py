@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import expm
 
 from fmuid.errors import SimulationError
-from fmuid.fmu import Fmu
-from fmuid.simulation import Task
+from fmuid.simulators.fmu import Fmu
+from fmuid.simulators.simulation import Task
 
 BOTH = pytest.mark.parametrize("fmi", [2, 3])
 

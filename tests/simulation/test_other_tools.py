@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmuid.fmu import load_fmu
-from fmuid.runners import in_process
-from fmuid.simulation import Task
-from fmuid.workers import WorkerPool
+from fmuid.running.runners import in_process
+from fmuid.running.workers import WorkerPool
+from fmuid.simulators.fmu import load_fmu
+from fmuid.simulators.simulation import Task
 
 TIME = np.arange(101) * 0.01
 TASK = Task(TIME, {"u": np.sin(5 * TIME)}, ("y",))

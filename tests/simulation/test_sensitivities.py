@@ -8,25 +8,26 @@ import numpy as np
 import pytest
 
 from fmu_build import build as build_modelica
-from fmuid import exact_derivatives, stepper
 from fmuid.campaign import CriterionSpec, ParameterSpec
-from fmuid.cases import measured_case
-from fmuid.derivatives import Differences, noise_floor
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.model import CampaignModel
 from fmuid.diagnosis.refit import Unknown, refit
 from fmuid.diagnosis.scores import score_effects
 from fmuid.diagnosis.unrepeated import observe
 from fmuid.errors import FmuError
-from fmuid.expressions import parse
-from fmuid.fmu import Fmu
-from fmuid.problem import Problem
-from fmuid.runners import in_process
-from fmuid.search_space import expanded
-from fmuid.simulation import Task, differentiates
+from fmuid.problems import exact_derivatives
+from fmuid.problems.cases import measured_case
+from fmuid.problems.derivatives import Differences, noise_floor
+from fmuid.problems.expressions import parse
+from fmuid.problems.problem import Problem
+from fmuid.problems.search_space import expanded
+from fmuid.running.runners import in_process
+from fmuid.running.workers import WorkerPool
+from fmuid.simulators import stepper
+from fmuid.simulators.fmu import Fmu
+from fmuid.simulators.simulation import Task, differentiates
 from fmuid.solvers.least_squares import TrustRegion
 from fmuid.solvers.search import Search, Status
-from fmuid.workers import WorkerPool
 
 MODEL = """
 model Slider "A mass that reverses in dry friction"

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from fmus import FAULTS
 
-from fmuid import stepper
 from fmuid.errors import SimulationError
-from fmuid.fmu import Fmu
-from fmuid.simulation import Task
+from fmuid.simulators import stepper
+from fmuid.simulators.fmu import Fmu
+from fmuid.simulators.simulation import Task
 
 UNEVEN = np.cumsum(np.random.default_rng(0).uniform(1e-3, 9e-3, 200))
 SIGNALS = {"u": np.sin(20 * UNEVEN), "flip": (UNEVEN > 0.4).astype(float)}
@@ -119,8 +119,8 @@ def test_a_spoilt_library_is_made_again(empty_cache):
 def test_ctrl_c_stops_a_simulation_between_two_steps(build):
     script = f"""
         import numpy as np
-        from fmuid.fmu import Fmu
-        from fmuid.simulation import Task
+        from fmuid.simulators.fmu import Fmu
+        from fmuid.simulators.simulation import Task
         fmu = Fmu({str(build(2))!r})
         task = Task(np.arange(5000) * 1e-3, {{}}, ("y",))
         print("go", flush=True)

@@ -11,7 +11,7 @@ from fmuid.cli.output import CampaignPath, Json, Printer, Quiet
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 
 if TYPE_CHECKING:
-    from fmuid.model_check import Effect
+    from fmuid.campaigns.model_check import Effect
 
 
 def check(
@@ -29,9 +29,9 @@ def check(
 
     Example: fmuid check campaigns/force_feedback
     """
-    from fmuid.campaign_toml import load_campaign
+    from fmuid.campaigns.campaign_toml import load_campaign
+    from fmuid.campaigns.model_check import check_effects, check_signals, load_models, match_models
     from fmuid.identification import check_stages
-    from fmuid.model_check import check_effects, check_signals, load_models, match_models
     from fmuid.shown import counted
 
     loaded = load_campaign(campaign)

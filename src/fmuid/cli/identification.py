@@ -18,7 +18,7 @@ from fmuid.errors import FmuidError
 if TYPE_CHECKING:
     from fmuid.campaign import Campaign
     from fmuid.result import Result
-    from fmuid.runners import Runner
+    from fmuid.running.runners import Runner
     from fmuid.validation import Validation
 
 INTERRUPTED = 130
@@ -51,11 +51,11 @@ def identify(
     Example: fmuid identify campaigns/force_feedback --out runs/force_feedback
     Example: fmuid identify campaigns/force_feedback --dask tcp://127.0.0.1:8786
     """
-    from fmuid.campaign_toml import load_campaign
+    from fmuid.campaigns.campaign_toml import load_campaign
     from fmuid.identification import identify as run
-    from fmuid.remote import dask_executor
+    from fmuid.running.remote import dask_executor
+    from fmuid.running.workers import available_processors, runner_on
     from fmuid.solvers import Status, StopRules
-    from fmuid.workers import available_processors, runner_on
 
     loaded = load_campaign(campaign)
     folder = out or Path("runs") / loaded.name
@@ -166,7 +166,7 @@ def diagnose(
 
     Example: fmuid diagnose campaigns/force_feedback --out runs/diagnosis
     """
-    from fmuid.campaign_toml import load_campaign
+    from fmuid.campaigns.campaign_toml import load_campaign
     from fmuid.diagnosis.of_campaign import FILE_NAME, answer_of
     from fmuid.diagnosis.of_campaign import diagnose as run
 
@@ -223,7 +223,7 @@ def report(
 def _diagnosis_validation(
     file: Path, campaign: Path | None, experiments: Sequence[str], printer: Printer, runner: Runner
 ) -> dict[str, Any]:
-    from fmuid.campaign_toml import load_campaign
+    from fmuid.campaigns.campaign_toml import load_campaign
     from fmuid.diagnosis.validation import read_diagnosis, validate_diagnosis
 
     answer = read_diagnosis(file)
@@ -271,7 +271,7 @@ def _validated(
 def _validation(found: Validation, printer: Printer, out: Path | None = None) -> dict[str, Any]:
     printer.say(f"\nvalidation\n{found}")
     if out is not None:
-        from fmuid.crosscheck_csv import Table, write_csv
+        from fmuid.data.crosscheck_csv import Table, write_csv
         from fmuid.shown import counted
 
         for case, prediction in zip(found.cases, found.predictions, strict=True):

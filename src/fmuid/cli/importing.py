@@ -12,7 +12,7 @@ from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 from fmuid.errors import FmuidError
 
 if TYPE_CHECKING:
-    from fmuid.resampling import TimeBase
+    from fmuid.recordings.resampling import TimeBase
 
 
 _METHODS = ("linear", "hold", "mean")
@@ -68,8 +68,8 @@ def import_(
     Example: fmuid import step.mf4 --setup fixed_shaft -i i_cmd --signal i_cmd --signal w --resample 1000
     """
     from fmuid.campaign import Measurements
-    from fmuid.importing import experiment_from_table, read_run, with_repeats
-    from fmuid.measurements import read_measurements, write_measurements
+    from fmuid.data.measurements import read_measurements, write_measurements
+    from fmuid.recordings.importing import experiment_from_table, read_run, with_repeats
     from fmuid.shown import counted
 
     printer = Printer(quiet, json)
@@ -132,10 +132,10 @@ def export(
 
     Example: fmuid export measurements.h5 --out csv -e 'step_*'
     """
-    from fmuid.campaign_toml import expand
-    from fmuid.crosscheck_csv import write_csv
-    from fmuid.importing import table_from_experiment
-    from fmuid.measurements import read_measurements
+    from fmuid.campaigns.campaign_toml import expand
+    from fmuid.data.crosscheck_csv import write_csv
+    from fmuid.data.measurements import read_measurements
+    from fmuid.recordings.importing import table_from_experiment
     from fmuid.shown import counted
 
     loaded = read_measurements(measurements)
@@ -170,7 +170,7 @@ def init(
 
     Example: fmuid init step.csv prbs.csv --fmu Drive.fmu --out campaigns/drive
     """
-    from fmuid.new_campaign import new_campaign
+    from fmuid.campaigns.new_campaign import new_campaign
 
     printer = Printer(quiet, json)
     shown = printer.working(f"trying the parameters of {fmu.name}")
@@ -194,7 +194,7 @@ def init(
 
 
 def _time_base(rate: float | None, align: str | None, methods: list[str]) -> TimeBase | None:
-    from fmuid.resampling import TimeBase
+    from fmuid.recordings.resampling import TimeBase
 
     for_one: dict[str, Any] = pairs([m for m in methods if "=" in m], "--method")
     for_all: list[Any] = [m for m in methods if "=" not in m]

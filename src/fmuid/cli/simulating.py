@@ -14,8 +14,8 @@ from fmuid.errors import FmuError, FmuidError
 
 if TYPE_CHECKING:
     from fmuid.campaign import FloatArray
-    from fmuid.crosscheck_csv import Table
-    from fmuid.runners import Runner
+    from fmuid.data.crosscheck_csv import Table
+    from fmuid.running.runners import Runner
 
 _NO_NUMBERS = ("String", "Binary", "Clock")
 
@@ -106,9 +106,9 @@ def _simulate_fmu(
 
     from fmuid.coupled.loading import load_model, load_system
     from fmuid.coupled.table import master_of
-    from fmuid.crosscheck_csv import Table, read_csv
-    from fmuid.runners import simulated
-    from fmuid.simulation import Task
+    from fmuid.data.crosscheck_csv import Table, read_csv
+    from fmuid.running.runners import simulated
+    from fmuid.simulators.simulation import Task
     from fmuid.suggest import suggestion
     from fmuid.units import convert_factor
 
@@ -161,11 +161,11 @@ def _simulate_campaign(
 ) -> dict[str, Any]:
     import numpy as np
 
-    from fmuid.campaign_toml import expand, load_campaign
-    from fmuid.cases import from_campaign
-    from fmuid.crosscheck_csv import Table
-    from fmuid.model_check import load_models, match_models
-    from fmuid.runners import simulated
+    from fmuid.campaigns.campaign_toml import expand, load_campaign
+    from fmuid.campaigns.model_check import load_models, match_models
+    from fmuid.data.crosscheck_csv import Table
+    from fmuid.problems.cases import from_campaign
+    from fmuid.running.runners import simulated
     from fmuid.suggest import suggestion
 
     campaign = load_campaign(path)
@@ -216,6 +216,6 @@ def _nrmse(error: FloatArray, measured: FloatArray) -> float:
 
 
 def _write(table: Table, path: Path) -> None:
-    from fmuid.crosscheck_csv import write_csv
+    from fmuid.data.crosscheck_csv import write_csv
 
     write_csv(table, path)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from fmuid.coupled.structure import Connection, Linear, Place, Port
 from fmuid.errors import FmuError, UnitError
-from fmuid.fmu import Fmu
-from fmuid.simulation import Variable
+from fmuid.simulators.fmu import Fmu
+from fmuid.simulators.simulation import Variable
 from fmuid.suggest import suggestion
 from fmuid.units import conversion
 

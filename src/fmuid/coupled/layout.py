@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from fmuid.campaign import FloatArray
 from fmuid.coupled.structure import Connection, Linear, Master, Place
 from fmuid.errors import FmuError
-from fmuid.fmu import Fmu
-from fmuid.fmu_plan import PreparedTask
-from fmuid.simulation import Task
-from fmuid.stepper import Plan
+from fmuid.simulators.fmu import Fmu
+from fmuid.simulators.fmu_plan import PreparedTask
+from fmuid.simulators.simulation import Task
+from fmuid.simulators.stepper import Plan
 
 MAX_STEPS = 10**9
 

@@ -15,7 +15,7 @@ from fmuid.coupled.model import CoupledModel
 from fmuid.coupled.ssp import read_system
 from fmuid.coupled.structure import Connection, Coupling, Linear, Master, Place
 from fmuid.errors import FmuError, FmuidError
-from fmuid.fmu import Fmu, extract, load_fmu
+from fmuid.simulators.fmu import Fmu, extract, load_fmu
 from fmuid.suggest import suggestion
 
 SUFFIX = ".ssp"

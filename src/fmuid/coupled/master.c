@@ -3,7 +3,7 @@
  * Every FMU has a Plan (stepper.h) whose times and inputs are a window of two rows: the beginning and the end of the
  * current communication step. layout.py fills in a System; master_python.py does the same without a compiler.
  */
-#include "../stepper.h"
+#include "../simulators/stepper.h"
 
 #include <float.h>
 #include <math.h>

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.coupled.layout import System
-from fmuid.model_exchange_python import Integrator
-from fmuid.stepper import Outcome
-from fmuid.stepper_python import Run, RunEndedError, array_at
+from fmuid.simulators.model_exchange_python import Integrator
+from fmuid.simulators.stepper import Outcome
+from fmuid.simulators.stepper_python import Run, RunEndedError, array_at
 
 _EPSILON = float(np.finfo(float).eps)
 

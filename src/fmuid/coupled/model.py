@@ -1,4 +1,4 @@
-"""Several FMUs coupled by connections, to everyone else one model: a `fmuid.simulation.Simulator`."""
+"""Several FMUs coupled by connections, to everyone else one model: a `fmuid.simulators.simulation.Simulator`."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fmuid import resets
 from fmuid.campaign import FloatArray
 from fmuid.coupled.checks import check_connections, check_ports
 from fmuid.coupled.graph import find_loop, loop_text, stepping_order
 from fmuid.coupled.layout import Layout, System, Wiring
 from fmuid.coupled.structure import Connection, Linear, Master, Place, Port
 from fmuid.errors import FmuError, SimulationError
-from fmuid.fmu import Fmu
-from fmuid.fmu_library import ProcessSpentError
-from fmuid.simulation import Task, Variable
-from fmuid.stepper import FUNCTIONS, Outcome, library, run_to_end
+from fmuid.simulators import resets
+from fmuid.simulators.fmu import Fmu
+from fmuid.simulators.fmu_library import ProcessSpentError
+from fmuid.simulators.simulation import Task, Variable
+from fmuid.simulators.stepper import FUNCTIONS, Outcome, library, run_to_end
 from fmuid.suggest import suggestion
 
 _FATAL = 4
@@ -156,7 +156,7 @@ class CoupledModel:
         return {k: choices[k](values) for k, values in found.items() if values} | dict(self._experiment)
 
     def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
-        """Return predictions, shape (len(task.outputs), N); see `fmuid.simulation.Simulator`.
+        """Return predictions, shape (len(task.outputs), N); see `fmuid.simulators.simulation.Simulator`.
 
         Raises
         ------

@@ -17,7 +17,7 @@ from fmuid.coupled.ssp_archive import SSC, SSD, inside, number, parse
 from fmuid.coupled.ssp_parameters import Value, bindings, linear_of
 from fmuid.coupled.structure import Connection, Linear, Place, Port
 from fmuid.errors import FmuError
-from fmuid.fmu import Fmu
+from fmuid.simulators.fmu import Fmu
 from fmuid.suggest import suggestion
 
 DESCRIPTION = "SystemStructure.ssd"

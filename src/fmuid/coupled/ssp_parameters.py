@@ -11,7 +11,7 @@ from fmuid.coupled.checks import unit_conversion
 from fmuid.coupled.ssp_archive import SSC, SSD, SSM, SSV, inside, number, parse
 from fmuid.coupled.structure import Linear, Place
 from fmuid.errors import FmuError
-from fmuid.fmu import Fmu
+from fmuid.simulators.fmu import Fmu
 from fmuid.suggest import suggestion
 
 _SET, _MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter-mapping"

@@ -9,9 +9,9 @@ import numpy as np
 
 from fmuid.campaign import Campaign, StageSpec
 from fmuid.coupled.model import CoupledModel
-from fmuid.problem import Problem
-from fmuid.runners import Runner, in_process
-from fmuid.simulation import Simulator
+from fmuid.problems.problem import Problem
+from fmuid.running.runners import Runner, in_process
+from fmuid.simulators.simulation import Simulator
 
 
 def step_error(

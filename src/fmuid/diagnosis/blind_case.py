@@ -17,7 +17,7 @@ from fmuid.module_command import ended
 
 def diagnose_blind(template: Path, measurements: Path, target: Path) -> str:
     """Diagnose one measurement file by the campaign `template`, with baselines; write it, return the verdict."""
-    from fmuid.campaign_toml import load_campaign
+    from fmuid.campaigns.campaign_toml import load_campaign
     from fmuid.diagnosis.baselines import baseline_answers
     from fmuid.diagnosis.of_campaign import answer_of, diagnose
     from fmuid.diagnosis.sealed import verdict_in_words

@@ -24,11 +24,11 @@ from fmuid.diagnosis.blind_score import Outcome, Scored
 from fmuid.errors import FmuidError
 from fmuid.files import write_atomically
 from fmuid.module_command import ended
+from fmuid.running.workers import WorkerPool
 from fmuid.shown import counted
 from fmuid.virtual_rig.blind import DIGEST, LABELS, kept_seed, make_blind_campaigns, truth_of
 from fmuid.virtual_rig.blind_cases import plan_cases
 from fmuid.virtual_rig.blind_further import add_suggested_run
-from fmuid.workers import WorkerPool
 
 _DROP_FROM_BOUNDING_SET = 24  # of prctl(2)
 _PASS_OVER_MODES = (1, 2)  # CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH of capabilities(7)
@@ -73,7 +73,7 @@ class Check:
         return Outcome(cases, self._ports(), len(labels), self.count, self._seed, digest, closed)
 
     def _ports(self) -> tuple[str, ...]:
-        from fmuid.campaign_toml import load_campaign
+        from fmuid.campaigns.campaign_toml import load_campaign
         from fmuid.diagnosis.catalogue import load_catalogue
 
         any_case = next((self.out / "campaigns").glob("*/measurements.h5"))
@@ -122,7 +122,7 @@ class Check:
 
     def _closures(self, answers: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
         """Measure on held-out runs what every answer that names an effect closes."""
-        from fmuid.campaign_toml import load_campaign
+        from fmuid.campaigns.campaign_toml import load_campaign
         from fmuid.diagnosis.validation import closure, validate_diagnosis
 
         closures = {}

@@ -23,6 +23,7 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from fmuid.campaign import FloatArray
+from fmuid.data.noise_spectrum import from_real_spectrum, real_spectrum
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.model import Prediction
 from fmuid.diagnosis.observed import Observed
@@ -34,7 +35,6 @@ from fmuid.diagnosis.scores import nominal_basis, project_off, stack
 from fmuid.diagnosis.setting_up import Subject
 from fmuid.errors import SimulationError
 from fmuid.files import write_atomically
-from fmuid.noise_spectrum import from_real_spectrum, real_spectrum
 
 KINDS = ("none", "one", "shape", "two", "unknown")
 SHARES = (0.25, 0.25, 0.2, 0.15, 0.15)

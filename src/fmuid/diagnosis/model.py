@@ -10,13 +10,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fmuid.campaign import FloatArray, read_only
-from fmuid.cases import Case
+from fmuid.data.noise_spectrum import RepeatedRuns
 from fmuid.diagnosis.signal_effects import disturb_input, disturb_output, split_signal_parameters
 from fmuid.errors import SimulationError
-from fmuid.expressions import Expression
-from fmuid.noise_spectrum import RepeatedRuns
-from fmuid.runners import Job, Outcome, Runner, in_process
-from fmuid.simulation import Task, differentiates
+from fmuid.problems.cases import Case
+from fmuid.problems.expressions import Expression
+from fmuid.running.runners import Job, Outcome, Runner, in_process
+from fmuid.simulators.simulation import Task, differentiates
 
 Prediction = tuple[FloatArray, ...]
 """(C, N) predicted signals, one array an experiment."""

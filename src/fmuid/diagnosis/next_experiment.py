@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from fmuid.campaign import FloatArray
-from fmuid.cases import Case, Channel
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.catalogue import Sensor
 from fmuid.diagnosis.model import CampaignModel, Prediction
@@ -20,6 +19,7 @@ from fmuid.diagnosis.result import AddedSensor, NextExperiment
 from fmuid.diagnosis.scores import project_off, stack
 from fmuid.diagnosis.setting_up import Subject
 from fmuid.errors import SimulationError
+from fmuid.problems.cases import Case, Channel
 
 _SCALES = (-1.0, 0.25, 0.5, 1.25, 1.5)
 

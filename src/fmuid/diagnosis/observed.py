@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.campaign import FloatArray
-from fmuid.noise_spectrum import (
+from fmuid.data.noise_spectrum import (
     PiecewiseWhitener,
     RepeatedRuns,
     SetupNoise,

@@ -17,7 +17,7 @@ from fmuid.diagnosis.search import Say
 from fmuid.diagnosis.setting_up import Subject, carrier, subject_of
 from fmuid.errors import CampaignError
 from fmuid.files import write_atomically
-from fmuid.runners import in_process
+from fmuid.running.runners import in_process
 
 FILE_NAME = "diagnosis.json"
 _MODELLED = (
@@ -81,11 +81,11 @@ def diagnose(
     if calibrate < 0:
         raise ValueError(f"calibrate must not be negative, but is {calibrate}")
     if not isinstance(campaign, Campaign):
-        from fmuid.campaign_toml import load_campaign
+        from fmuid.campaigns.campaign_toml import load_campaign
 
         campaign = load_campaign(campaign)
     from fmuid.coupled.loading import load_model
-    from fmuid.workers import runner_on
+    from fmuid.running.workers import runner_on
 
     with runner_on(workers, time_limit=time_limit, memory_limit=memory_limit) as runner:
         if say is not None:

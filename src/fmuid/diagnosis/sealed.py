@@ -18,7 +18,7 @@ from typing import Any
 from fmuid.errors import FmuidError
 from fmuid.files import write_atomically
 from fmuid.module_command import ended
-from fmuid.workers import WorkerPool
+from fmuid.running.workers import WorkerPool
 
 _COLUMNS = (
     "case",
@@ -34,7 +34,7 @@ _COLUMNS = (
 
 def diagnose_case(template: Path, measurements: Path, target: Path) -> str:
     """Diagnose one measurement file by the campaign `template`, write `target`, return the verdict in words."""
-    from fmuid.campaign_toml import load_campaign
+    from fmuid.campaigns.campaign_toml import load_campaign
     from fmuid.diagnosis.of_campaign import answer_of, diagnose
 
     found = diagnose(load_campaign(template, measurements=measurements), workers=0)

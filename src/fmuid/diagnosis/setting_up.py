@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from fmuid.campaign import Campaign, EffectsSpec, FloatArray, ModelSpec, ParameterSpec
-from fmuid.cases import experiments_of, from_campaign
 from fmuid.diagnosis.catalogue import Catalogue, Effect, load_catalogue
 from fmuid.diagnosis.model import CampaignModel
 from fmuid.diagnosis.observed import Observed
@@ -18,9 +17,10 @@ from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.signal_effects import NEUTRAL
 from fmuid.diagnosis.unrepeated import observe
 from fmuid.errors import CampaignError, FmuError, SimulationError
-from fmuid.expressions import parse
-from fmuid.runners import Runner, in_process
-from fmuid.simulation import Simulator
+from fmuid.problems.cases import experiments_of, from_campaign
+from fmuid.problems.expressions import parse
+from fmuid.running.runners import Runner, in_process
+from fmuid.simulators.simulation import Simulator
 from fmuid.suggest import suggestion
 
 # Looser than an FMU's default and still far below any noise floor: solver errors stay under 1 % of a noise sigma.

@@ -13,13 +13,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from fmuid.campaign import FloatArray
+from fmuid.data.noise_spectrum import PiecewiseWhitener, RepeatedRuns, cut, noise_of_residuals
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.model import CampaignModel
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Refit, Unknown, refit
 from fmuid.diagnosis.scores import score_effects, stack
 from fmuid.errors import SimulationError
-from fmuid.noise_spectrum import PiecewiseWhitener, RepeatedRuns, cut, noise_of_residuals
 
 _PIECES = 6  # that a run without repeats is cut into: each is left out in turn
 _SHORTEST = 64  # samples of a piece

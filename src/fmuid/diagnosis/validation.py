@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from fmuid.campaign import Campaign, FloatArray
+from fmuid.data.noise_spectrum import RepeatedRuns
 from fmuid.diagnosis.observed import Observed, gap
 from fmuid.diagnosis.setting_up import model_of
 from fmuid.errors import FmuidError, SimulationError
-from fmuid.noise_spectrum import RepeatedRuns
-from fmuid.runners import Runner, in_process
+from fmuid.running.runners import Runner, in_process
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
 """Runs in the files that people have: CSV, MATLAB, HDF5, Parquet and MF4, read into tables over time.
 
 One module a format; the libraries for Parquet and MF4 are extras. Nothing is resampled here: signals with
-different time bases stay apart until the user says how to bring them together (`fmuid.resampling`).
+different time bases stay apart until the user says how to bring them together (`fmuid.recordings.resampling`).
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import importlib
 from collections.abc import Collection
 from pathlib import Path
 
-from fmuid.apart import read_apart
-from fmuid.crosscheck_csv import read_csv
+from fmuid.data.apart import read_apart
+from fmuid.data.crosscheck_csv import read_csv
 from fmuid.errors import MeasurementsError
 from fmuid.recordings.recording import Recording
 from fmuid.suggest import suggestion

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fmuid import hdf5
-from fmuid.crosscheck_csv import TIMES
+from fmuid.data import hdf5
+from fmuid.data.crosscheck_csv import TIMES
+from fmuid.data.measurements import FORMAT
 from fmuid.errors import MeasurementsError
-from fmuid.measurements import FORMAT
 from fmuid.recordings.recording import Recording, Vector, by_time_base, in_seconds, left_out
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.crosscheck_csv import TIMES
+from fmuid.data.crosscheck_csv import TIMES
 from fmuid.errors import MeasurementsError
 from fmuid.recordings.recording import Recording, Vector, by_time_base, is_numeric, left_out
 from fmuid.suggest import known_names

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.crosscheck_csv import TIMES, name_and_unit
+from fmuid.data.crosscheck_csv import TIMES, name_and_unit
 from fmuid.errors import MeasurementsError
 from fmuid.recordings.recording import Recording, Vector, by_time_base, in_seconds, left_out
 from fmuid.suggest import known_names

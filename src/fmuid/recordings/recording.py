@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fmuid.campaign import FloatArray
-from fmuid.crosscheck_csv import Table
+from fmuid.data.crosscheck_csv import Table
 from fmuid.errors import MeasurementsError, UnitError
 from fmuid.units import conversion
 

@@ -16,7 +16,7 @@ from math import sin
 
 from fmuid.reference.fmu import Equations, Values, computed, input_variable, parameter
 from fmuid.reference.friction import bristle, loss_table, sliding_torque
-from fmuid.simulation import Variable
+from fmuid.simulators.simulation import Variable
 
 ROW_SPEEDS = (0.0, 10.0, 15.0, 20.0, 30.0, 100.0, 300.0)
 BLEND = 1e-3  # N.m, width over which the branches of Table 1 join

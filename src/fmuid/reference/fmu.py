@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from fmuid.campaign import FloatArray
 from fmuid.errors import FmuError, SimulationError
-from fmuid.simulation import Task, Variable
+from fmuid.simulators.simulation import Task, Variable
 
 Values = Mapping[str, float]
 
@@ -144,7 +144,7 @@ class ReferenceFmu:
         self._state, self._time = x[:, -1].tolist(), stop
 
     def simulate(self, task: Task, parameters: Values) -> FloatArray:
-        """Return predictions, shape (len(task.outputs), N); see `fmuid.simulation.Simulator`."""
+        """Return predictions, shape (len(task.outputs), N); see `fmuid.simulators.simulation.Simulator`."""
         self.reset()
         for name, value in {**task.start_values, **parameters}.items():
             self.set(name, value)

@@ -10,7 +10,7 @@ from math import exp, sin, tanh
 
 from fmuid.reference.fmu import Equations, Values, computed, input_variable, parameter
 from fmuid.reference.friction import bristle
-from fmuid.simulation import Variable
+from fmuid.simulators.simulation import Variable
 
 GRAVITY = 9.80665  # m/s2
 DRIVING_WIDTH = 0.05  # N.m, over which the larger of motor and load changes

@@ -7,8 +7,8 @@ from itertools import combinations
 import numpy as np
 
 from fmuid.plots.data import Axis, Cell, Figure, LineFigure, Panel, Series, Table, pretty_unit, slug
-from fmuid.profiles import Profile
 from fmuid.result import Estimate, StageResult
+from fmuid.statistics.profiles import Profile
 
 _MOST_PAIRS = 6
 

@@ -14,7 +14,7 @@ import numpy as np
 from fmuid.campaign import Campaign, Experiment, FloatArray
 from fmuid.plots.data import LineFigure, Role
 from fmuid.report.figures import FrictionPoints, friction_figure
-from fmuid.simulation import Simulator
+from fmuid.simulators.simulation import Simulator
 
 SETUP, REFERENCE, CURRENT, CONSTANT = "free_shaft", "w_ref", "i_motor", "K_m"
 _SHORTEST = 0.3  # s: shorter stretches of constant speed are steps, not plateaus

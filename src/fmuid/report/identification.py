@@ -19,9 +19,9 @@ from fmuid.report.predicted import judged_signals, overlays
 from fmuid.report.provenance import provenance_table
 from fmuid.report.stages import search_history, stage_section
 from fmuid.result import LEAST_SHOWN, Estimate, Result
-from fmuid.runners import Runner, in_process
+from fmuid.running.runners import Runner, in_process
 from fmuid.shown import counted
-from fmuid.simulation import Simulator
+from fmuid.simulators.simulation import Simulator
 from fmuid.solvers import Status
 from fmuid.validation import RunScore, validate
 
@@ -64,11 +64,11 @@ def write_report(
     result = Result.from_json(folder)
     recorded = read_history(folder)
     if campaign is None and result.source:
-        from fmuid.campaign_toml import load_campaign
+        from fmuid.campaigns.campaign_toml import load_campaign
 
         campaign = load_campaign(result.source)
     if campaign is not None and simulators is None:
-        from fmuid.model_check import load_models
+        from fmuid.campaigns.model_check import load_models
 
         simulators = load_models(campaign)
     models = simulators or {}

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fmuid import cases as case_building
 from fmuid.campaign import Campaign, FloatArray
-from fmuid.cases import Case
 from fmuid.plots.data import Role
+from fmuid.problems import cases as case_building
+from fmuid.problems.cases import Case
 from fmuid.report.figures import Overlay
 
 

@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from fmuid import cases as case_building
 from fmuid.campaign import Campaign, FloatArray
 from fmuid.history import StageHistory as Recorded
 from fmuid.plots.data import Figure, Role, Table, slug
+from fmuid.problems import cases as case_building
 from fmuid.report import figures
 from fmuid.report.analyses import front_items, profile_items, spread_table, starts_figure, whiteness_table
 from fmuid.report.document import Section
 from fmuid.report.figures import Overlay, StageHistory
 from fmuid.report.predicted import overlays
 from fmuid.result import StageResult
-from fmuid.simulation import Simulator
+from fmuid.simulators.simulation import Simulator
 
 _PANELS = 6
 _DETAILS = "Residuals, parallel coordinates, correlation, criteria"

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from fmuid.errors import ProblemError
-from fmuid.problem import Problem
+from fmuid.problems.problem import Problem
 from fmuid.solvers.compound import Chain, Lexicographic, MultiStart
 from fmuid.solvers.least_squares import DfoLs, TrustRegion
 from fmuid.solvers.nlopt_solver import _ALIASES, ALGORITHMS, NloptSolver

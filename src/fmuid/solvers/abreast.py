@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from queue import SimpleQueue
 
 from fmuid.errors import SimulationError
-from fmuid.problem import Evaluation
+from fmuid.problems.problem import Evaluation
 from fmuid.solvers.search import Outcome, Search, Simulate, Status, StopSearch, Wish
 
 _REMEMBERED = 8  # evaluations that one of many searches may ask for again

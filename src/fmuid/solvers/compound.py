@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fmuid.campaign import FloatArray
 from fmuid.errors import ProblemError
-from fmuid.problem import Evaluation, Problem
+from fmuid.problems.problem import Evaluation, Problem
 from fmuid.solvers.abreast import Abreast
 from fmuid.solvers.search import Outcome, Search, Solver, Start, Status
 

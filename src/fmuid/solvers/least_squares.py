@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from fmuid.campaign import FloatArray, frozen_mapping
-from fmuid.derivatives import Differences, NoiseFloor, noise_floor
 from fmuid.errors import ProblemError, SimulationError
-from fmuid.problem import Evaluation, Problem
+from fmuid.problems.derivatives import Differences, NoiseFloor, noise_floor
+from fmuid.problems.problem import Evaluation, Problem
 from fmuid.solvers.box import CandidateFailedError, around_failures
 from fmuid.solvers.search import Outcome, Search, Status, StopSearch, number_of
 

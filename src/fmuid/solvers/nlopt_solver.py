@@ -10,7 +10,7 @@ import numpy as np
 
 from fmuid.campaign import FloatArray, frozen_mapping
 from fmuid.errors import ProblemError, SimulationError
-from fmuid.problem import Evaluation, Problem
+from fmuid.problems.problem import Evaluation, Problem
 from fmuid.solvers.box import CandidateFailedError, around_failures
 from fmuid.solvers.search import FEASIBLE, Outcome, Search, Status, StopRules, number_of
 

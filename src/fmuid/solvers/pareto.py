@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.campaign import FloatArray, ParetoSpec
-from fmuid.combine import matching
 from fmuid.errors import ProblemError, SimulationError
-from fmuid.problem import Evaluation, Problem
+from fmuid.problems.combine import matching
+from fmuid.problems.problem import Evaluation, Problem
 from fmuid.solvers.search import Goals, Search, Solver, StopSearch
 
 _EQUAL = 1e-6  # of an objective's range over the front: nearer is the same

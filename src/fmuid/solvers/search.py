@@ -11,9 +11,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from fmuid.campaign import FloatArray
-from fmuid.derivatives import NoiseFloor
 from fmuid.errors import ProblemError
-from fmuid.problem import Evaluation, Problem
+from fmuid.problems.derivatives import NoiseFloor
+from fmuid.problems.problem import Evaluation, Problem
 
 FEASIBLE = 1e-6  # a constraint broken by less counts as kept
 _REMEMBERED = 64  # evaluations a solver may ask for again

@@ -18,9 +18,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from fmuid.data.measurements import write_measurements
 from fmuid.errors import FmuidError
 from fmuid.files import write_atomically
-from fmuid.measurements import write_measurements
 from fmuid.virtual_rig.blind_cases import (
     Case,
     Truth,

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from fmuid.campaign import Measurements
+from fmuid.data.measurements import read_measurements, write_measurements
 from fmuid.errors import FmuidError
-from fmuid.measurements import read_measurements, write_measurements
 from fmuid.virtual_rig.blind_cases import Truth, record_case
 from fmuid.virtual_rig.blind_experiments import sealed_experiments
 

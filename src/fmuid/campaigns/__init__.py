@@ -1,0 +1,1 @@
+"""Campaign files: read and checked, held against their models, and begun from recorded runs."""

@@ -1,0 +1,481 @@
+"""Campaign files (`campaign.toml`): read and checked into the values of `fmuid.campaign`."""
+
+# ruff: noqa: RUF012 - msgspec copies the empty containers that are defaults
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from fmuid.campaign import (
+    AnalysisSpec,
+    Campaign,
+    CriterionSpec,
+    EffectsSpec,
+    Measurements,
+    ModelSpec,
+    ParameterSpec,
+    ParetoSpec,
+    StageSpec,
+    frozen_mapping,
+)
+from fmuid.coupled.table import CoupledTable, coupling_of
+from fmuid.data.measurements import read_measurements
+from fmuid.errors import CampaignError, ProblemError
+from fmuid.problems.expressions import parse
+from fmuid.suggest import suggestion
+from fmuid.toml_tables import Table, convert, finite, numbers, read_toml
+
+FILE_NAME = "campaign.toml"
+_Table = Mapping[str, Any]
+
+
+class _CampaignTable(Table):
+    name: str | None = None
+    title: str = ""
+    measurements: str = "measurements.h5"
+    make: str | None = None
+
+
+class _ModelTable(CoupledTable):
+    map: dict[str, str] = {}
+    initial: dict[str, Any] = {}
+    interpolation: Literal["hold", "linear", "preceding"] = "hold"
+    interface: Literal["co-simulation", "model exchange"] | None = None
+
+
+class _ParameterTable(Table):
+    start: float
+    lower: float = -math.inf
+    upper: float = math.inf
+    unit: str | None = None
+    scale: Literal["linear", "log"] = "linear"
+    free: bool = True
+    per: Literal["campaign", "experiment"] = "campaign"
+    truth: float | None = None
+    description: str = ""
+
+
+class _CriterionTable(Table):
+    signal: str
+    kind: str = "least_squares"
+    demand: float = 1.0
+    weight: float = 1.0
+    from_: float = msgspec.field(name="from", default=-math.inf)
+    to: float = math.inf
+    options: dict[str, Any] = {}
+
+
+class _BudgetTable(Table):
+    evaluations: int | None = None
+    seconds: float | None = None
+
+
+class _StageTable(Table):
+    experiments: list[str] | None = None
+    free: list[str] | None = None
+    start: dict[str, Any] = {}
+    tie: dict[str, str] = {}
+    criteria: list[dict[str, Any]] = []
+    combine: str = "weighted_sum"
+    solver: str | dict[str, Any] = "auto"
+    budget: dict[str, Any] = {}
+    constraints: list[dict[str, Any]] = []
+    profiles: bool = False
+    monte_carlo: int = 0
+    pareto: dict[str, Any] | None = None
+
+
+class _ParetoTable(Table):
+    objectives: list[str] = []
+    points: int = 11
+
+
+class _RolesTable(Table):
+    identification: list[str] | None = None
+    validation: list[str] = []
+
+
+class _EffectsTable(Table):
+    catalogue: str
+    nominal: list[str] | None = None
+    tie: dict[str, str] = {}
+    experiments: list[str] = []
+
+
+class _Document(Table):
+    campaign: dict[str, Any] = {}
+    models: dict[str, dict[str, Any]] = {}
+    parameters: dict[str, dict[str, Any]] = {}
+    settings: dict[str, Any] = {}
+    stages: dict[str, dict[str, Any]] = {}
+    roles: dict[str, Any] = {}
+    effects: dict[str, Any] | None = None
+    published: dict[str, Any] = {}
+
+
+def load_campaign(path: str | Path, *, measurements: str | Path | None = None) -> Campaign:
+    """Read and check a campaign: its `campaign.toml` and the measurement file that it names.
+
+    Parameters
+    ----------
+    path
+        The campaign's folder, or the TOML file itself.
+    measurements
+        A measurement file instead of the one that it names.
+
+    Raises
+    ------
+    CampaignError
+        The TOML is missing, malformed, or names what does not exist; the line says in which table.
+    MeasurementsError
+        The measurement file is missing or breaks its format.
+    """
+    path = Path(path)
+    file = path / FILE_NAME if path.is_dir() else path
+    if file.is_file() and file.suffix != ".toml":
+        fix = "name a folder with a campaign.toml, or make one with: fmuid init"
+        raise CampaignError("is no campaign", where=path, fix=fix)
+    document = convert(read_toml(file), _Document, str(file))
+    head = convert(document.campaign, _CampaignTable, f"{file} [campaign]")
+    if head.name and (head.name in (".", "..") or "/" in head.name or "\\" in head.name):  # runs/NAME is written
+        where = f"{file} [campaign] name"
+        raise CampaignError(f"'{head.name}' is no name of a folder", where=where, fix="leave out / and ..")
+    folder = file.parent
+    if measurements is not None:
+        recorded = read_measurements(Path(measurements))
+    else:
+        make = f"make it with: {head.make}" if head.make else None
+        recorded = read_measurements(folder / head.measurements, fix_missing=make)
+    parameters = {n: _parameter(n, t, f"{file} [parameters.{n}]") for n, t in document.parameters.items()}
+    settings = numbers(document.settings, f"{file} [settings]")
+    for name in settings.keys() & parameters.keys():
+        raise CampaignError(
+            f"'{name}' is a parameter too", where=f"{file} [settings]", fix="give it in one of the two tables"
+        )
+    roles = _Roles.from_table(document.roles, recorded, str(file))
+    models = {s: _model(s, t, folder, f"{file} [models.{s}]") for s, t in document.models.items()}
+    _check_models(models, recorded, roles, parameters, settings, str(file))
+    stages = {
+        n: _stage(n, t, recorded, roles, parameters, f"{file} [stages.{n}]") for n, t in document.stages.items()
+    }
+    effects = None
+    if document.effects is not None:
+        effects = _effects(document.effects, folder, recorded, parameters, f"{file} [effects]")
+    name = head.name or file.resolve().parent.name
+    return Campaign(
+        name=name,
+        title=head.title or name,
+        folder=folder,
+        measurements=recorded,
+        models=frozen_mapping(models),
+        parameters=frozen_mapping(parameters),
+        settings=frozen_mapping(settings),
+        stages=frozen_mapping(stages),
+        identification=roles.identification,
+        validation=roles.validation,
+        effects=effects,
+        published=frozen_mapping(document.published),
+    )
+
+
+def _effects(
+    raw: _Table,
+    folder: Path,
+    measurements: Measurements,
+    parameters: Mapping[str, ParameterSpec],
+    where: str,
+) -> EffectsSpec:
+    table = convert(raw, _EffectsTable, where)
+    free = [name for name, spec in parameters.items() if spec.free]
+    nominal = free if table.nominal is None else table.nominal
+    for name in nominal:
+        if name not in parameters:
+            raise CampaignError(f"unknown parameter '{name}' in nominal", where=where, fix=suggestion(name, free))
+    everything = tuple(measurements.experiments)
+    experiments = expand(table.experiments or ["*"], measurements, everything, where)
+    return EffectsSpec(folder / table.catalogue, tuple(nominal), frozen_mapping(table.tie), experiments)
+
+
+def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
+    table = convert(raw, _ModelTable, where)
+    coupling = coupling_of(table, folder, where)
+    if table.interface and (coupling is not None or table.fmu.endswith(".ssp")):
+        raise CampaignError("interface goes with one FMU", where=where, fix="leave it out for coupled ones")
+    return ModelSpec(
+        setup=setup,
+        fmu=folder / (table.fmu or "+".join(table.fmus)),
+        map=frozen_mapping(table.map),
+        initial=frozen_mapping(numbers(table.initial, f"{where} initial")),
+        interpolation=table.interpolation,
+        coupling=coupling,
+        interface=table.interface,
+    )
+
+
+def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
+    if "start" not in raw and any(isinstance(value, dict) for value in raw.values()):
+        fix = f'a name with dots needs quotes, as in [parameters."{name}.{next(iter(raw))}"]'
+        raise CampaignError("has no 'start'", where=where, fix=fix)
+    table = convert(raw, _ParameterTable, where)
+    finite("start", table.start, where)
+    if math.isnan(table.lower) or math.isnan(table.upper):
+        raise CampaignError("a bound is nan", where=where, fix="write a number, or leave the bound out")
+    if table.lower >= table.upper:
+        raise CampaignError(
+            f"lower {table.lower:g} is not below upper {table.upper:g}",
+            where=where,
+            fix="swap them, or set free = false to hold it",
+        )
+    if not table.lower <= table.start <= table.upper:
+        raise CampaignError(
+            f"start {table.start:g} is outside [{table.lower:g}, {table.upper:g}]",
+            where=where,
+            fix="move the start or the bounds",
+        )
+    if table.scale == "log" and not (table.lower > 0 or (table.lower == -math.inf and table.start > 0)):
+        raise CampaignError(
+            f"scale is log but lower is {table.lower:g}",
+            where=where,
+            fix="give lower > 0, or scale = 'linear'",
+        )
+    if table.scale == "log" and not math.isfinite(table.lower):
+        raise CampaignError("scale is log without lower", where=where, fix="give lower > 0")
+    if table.truth is not None:
+        finite("truth", table.truth, where)
+    return ParameterSpec(name=name, **msgspec.structs.asdict(table))
+
+
+@dataclass(frozen=True, slots=True)
+class _Roles:
+    identification: tuple[str, ...]
+    validation: tuple[str, ...]
+
+    @classmethod
+    def from_table(cls, raw: _Table, measurements: Measurements, file: str) -> _Roles:
+        table = convert(raw, _RolesTable, f"{file} [roles]")
+        where = f"{file} [roles]"
+        everything = tuple(measurements.experiments)
+        held_out = expand(table.validation, measurements, everything, f"{where} validation")
+        named = {i for i in held_out if i in table.validation}
+        if table.identification is None:
+            used = tuple(i for i in everything if i not in held_out)
+        else:
+            used = expand(table.identification, measurements, everything, f"{where} identification")
+        if not used:
+            raise CampaignError("no run is left to identify with", where=where, fix="name some in identification")
+        # A repeat that one role names by its id does not come along in the other.
+        used = tuple(i for i in used if i not in named or i in (table.identification or ()))
+        for experiment_id in used:
+            if experiment_id in held_out:
+                raise CampaignError(
+                    f"'{experiment_id}' is in identification and in validation",
+                    where=where,
+                    fix="validate on runs that are not used",
+                )
+        return cls(used, held_out)
+
+
+def expand(
+    patterns: Sequence[str], measurements: Measurements, among: Sequence[str], where: str
+) -> tuple[str, ...]:
+    """Return the experiments that ids and globs name, with their repeats, in the file's order.
+
+    Globs choose among the experiment ids `among`; repeats come along if they are among them too.
+
+    Raises
+    ------
+    CampaignError
+        A pattern matches nothing.
+    """
+    chosen: set[str] = set()
+    for pattern in patterns:
+        if pattern in measurements.experiments:
+            matched = {pattern}
+            if pattern not in among:
+                raise CampaignError(
+                    f"'{pattern}' is not in the identification set",
+                    where=where,
+                    fix="see [roles] in the same file",
+                )
+        else:
+            matched = {i for i in among if fnmatchcase(i, pattern)}
+        if not matched:
+            is_glob = any(c in pattern for c in "*?[")
+            what = "matches no experiment" if is_glob else "is not an experiment"
+            first_runs = [e.id for e in measurements if e.repeat_of is None and e.id in among]
+            raise CampaignError(f"'{pattern}' {what}", where=where, fix=suggestion(pattern, first_runs))
+        chosen |= matched
+    return tuple(i for i in among if i in chosen or measurements[i].repeat_of in chosen)
+
+
+def _check_models(
+    models: Mapping[str, ModelSpec],
+    measurements: Measurements,
+    roles: _Roles,
+    parameters: Mapping[str, ParameterSpec],
+    settings: Mapping[str, float],
+    file: str,
+) -> None:
+    for experiment_id in roles.identification + roles.validation:
+        experiment = measurements[experiment_id]
+        if experiment.setup not in models:
+            raise CampaignError(
+                f"no model for setup '{experiment.setup}' of experiment '{experiment_id}'",
+                where=f"{file} [models]",
+                fix=suggestion(experiment.setup, models)
+                if models
+                else f'write [models.{experiment.setup}] with fmu = "..."',
+            )
+        for name in experiment.settings.keys() & parameters.keys():
+            raise CampaignError(
+                f"'{name}' is set by experiment '{experiment_id}'",
+                where=f"{file} [parameters.{name}]",
+                fix="a value that the run sets cannot be a parameter: remove one of the two",
+            )
+    known = parameters.keys() | settings.keys()
+    for experiment in measurements:
+        known |= experiment.signals.keys() | experiment.settings.keys()
+    for setup, model in models.items():
+        for name in model.map:
+            if name not in known:
+                raise CampaignError(
+                    f"'{name}' is no signal, setting or parameter",
+                    where=f"{file} [models.{setup}] map",
+                    fix=suggestion(name, known),
+                )
+
+
+def _stage(
+    name: str,
+    raw: _Table,
+    measurements: Measurements,
+    roles: _Roles,
+    parameters: Mapping[str, ParameterSpec],
+    where: str,
+) -> StageSpec:
+    table = convert(raw, _StageTable, where)
+    patterns = ["*"] if table.experiments is None else table.experiments
+    experiments = expand(patterns, measurements, roles.identification, f"{where} experiments")
+    if not experiments:
+        raise CampaignError("has no experiments", where=where, fix="name some of the identification set")
+    free = tuple(p.name for p in parameters.values() if p.free) if table.free is None else tuple(table.free)
+    free = tuple(f for f in dict.fromkeys(free) if table.free is not None or f not in table.tie)
+    _known(free, parameters, f"{where} free")
+    if not free:
+        raise CampaignError("frees no parameter", where=where, fix='write free = ["..."]')
+    start = numbers(table.start, f"{where} start")
+    _known(start, parameters, f"{where} start")
+    for key, value in start.items():
+        spec = parameters[key]
+        if not spec.lower <= value <= spec.upper:
+            raise CampaignError(
+                f"start {value:g} of '{key}' is outside [{spec.lower:g}, {spec.upper:g}]",
+                where=where,
+                fix="move the start or the bounds",
+            )
+    _check_ties(table.tie, free, parameters, f"{where} tie")
+    solver, options = _solver(table.solver, where)
+    budget = convert(table.budget, _BudgetTable, f"{where} budget")
+    pareto = None if table.pareto is None else convert(table.pareto, _ParetoTable, f"{where} pareto")
+    if pareto is not None and pareto.points < 2:
+        raise CampaignError(f"pareto points is {pareto.points}", where=where, fix="write 2 or more")
+    if table.monte_carlo < 0:
+        raise CampaignError(f"monte_carlo is {table.monte_carlo}", where=where, fix="write a number of draws")
+    for key in ("evaluations", "seconds"):
+        limit = getattr(budget, key)
+        if limit is not None and not limit > 0:
+            raise CampaignError(f"budget {key} is {limit:g}", where=where, fix="write a positive number")
+    return StageSpec(
+        name=name,
+        experiments=experiments,
+        free=free,
+        start=frozen_mapping(start),
+        tie=frozen_mapping(table.tie),
+        criteria=tuple(
+            _criterion(t, experiments, measurements, f"{where} criterion {i}")
+            for i, t in enumerate(table.criteria, 1)
+        ),
+        combine=table.combine,
+        solver=solver,
+        solver_options=frozen_mapping(options),
+        max_evaluations=budget.evaluations,
+        max_seconds=budget.seconds,
+        constraints=tuple(frozen_mapping(c) for c in table.constraints),
+        analyses=AnalysisSpec(
+            profiles=table.profiles,
+            monte_carlo=table.monte_carlo,
+            pareto=None if pareto is None else ParetoSpec(tuple(pareto.objectives), pareto.points),
+        ),
+    )
+
+
+def _criterion(raw: _Table, experiments: Sequence[str], measurements: Measurements, where: str) -> CriterionSpec:
+    table = convert(raw, _CriterionTable, where)
+    outputs = {name: None for i in experiments for name in measurements[i].outputs}
+    if table.signal not in outputs:
+        raise CampaignError(
+            f"signal '{table.signal}' is not measured in these experiments",
+            where=where,
+            fix=suggestion(table.signal, outputs),
+        )
+    for key, value in (("demand", table.demand), ("weight", table.weight)):
+        if not (math.isfinite(value) and value > 0):
+            raise CampaignError(f"{key} is {value:g}", where=where, fix="write a positive number")
+    if not table.from_ < table.to:
+        raise CampaignError(f"from {table.from_:g} is not before to {table.to:g}", where=where, fix="swap them")
+    return CriterionSpec(
+        signal=table.signal,
+        kind=table.kind,
+        demand=table.demand,
+        weight=table.weight,
+        start_time=table.from_,
+        stop_time=table.to,
+        options=frozen_mapping(table.options),
+    )
+
+
+def _check_ties(
+    ties: Mapping[str, str], free: Sequence[str], parameters: Mapping[str, ParameterSpec], where: str
+) -> None:
+    _known(ties, parameters, where)
+    leaders: dict[str, frozenset[str]] = {}
+    for follower, text in ties.items():
+        if follower in free:
+            raise CampaignError(f"'{follower}' is free and tied", where=where, fix="take it out of one of the two")
+        try:
+            leaders[follower] = parse(text).names
+        except ProblemError as error:
+            raise CampaignError(error.what, where=where, fix=error.fix) from None
+        _known(leaders[follower], parameters, where)
+    try:
+        TopologicalSorter({f: names & leaders.keys() for f, names in leaders.items()}).prepare()
+    except CycleError as error:
+        circle = " -> ".join(error.args[1])
+        raise CampaignError(f"parameters follow each other: {circle}", where=where, fix="break it") from None
+
+
+def _solver(raw: str | _Table, where: str) -> tuple[str, dict[str, Any]]:
+    if isinstance(raw, str):
+        return raw, {}
+    options = dict(raw)
+    name = options.pop("name", None)
+    if not isinstance(name, str):
+        raise CampaignError("solver has no name", where=where, fix='write solver = { name = "bobyqa", ... }')
+    starts = options.get("starts", 1)
+    if type(starts) is not int or starts < 1:
+        raise CampaignError(f"solver starts {starts!r} times", where=where, fix="write a whole number from 1 on")
+    return name, options
+
+
+def _known(names: Iterable[str], parameters: Mapping[str, ParameterSpec], where: str) -> None:
+    for name in names:
+        if name not in parameters:
+            raise CampaignError(f"unknown parameter '{name}'", where=where, fix=suggestion(name, parameters))

@@ -1,0 +1,184 @@
+"""What a first campaign frees and how its inputs act, seen from its first runs: nothing is fitted yet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fmuid.campaign import Experiment, FloatArray, Interpolation
+from fmuid.errors import FmuidError
+from fmuid.running.runners import Runner, simulated
+from fmuid.simulators.simulation import Simulator, Task, Variable
+from fmuid.units import conversion
+
+_MAX_RUNS = 3
+_MAX_CANDIDATES = 60  # parameters whose effect is simulated
+_MAX_FREE = 6
+_STEP = 0.01  # relative change of a parameter to see its effect
+_LEAST_NEW = 1e-2  # of an effect, not explained by the parameters chosen before
+_LEAST_EFFECT = 1e-4  # of the largest
+_SAME = 1e-3  # of an output's range, between the FMU's solver and fmuid's
+_CLEARLY = 0.1  # share of the squared error left that makes one reading of the inputs better than the other
+
+NO_EFFECT = "moves no measured output"
+EXPLAINED = "what it does, the free ones do together: whichever of them is known should be held instead"
+ONE_TOO_MANY = f"no more than {_MAX_FREE} to start with"
+FROM_ZERO = "starts at 0, so that no bounds can be guessed"
+NOT_TRIED = "not tried"
+
+
+@dataclass(frozen=True, slots=True)
+class FirstChoice:
+    """What to start with.
+
+    Parameters
+    ----------
+    free
+        The most influential parameter first.
+    held
+        Reason -> parameters that stay at the FMU's value because of it.
+    interpolation
+        How the inputs act between their samples.
+    gain
+        By what factor held inputs explain the runs worse than linear ones, if these are chosen.
+    """
+
+    free: tuple[Variable, ...]
+    held: Mapping[str, tuple[Variable, ...]]
+    interpolation: Interpolation
+    gain: float = 1.0
+
+
+def first_choice(
+    model: Simulator,
+    runs: Sequence[Experiment],
+    mapping: Mapping[str, str],
+    progress: Callable[[float], None] | None,
+    runner: Runner,
+) -> FirstChoice:
+    """Choose from the sensitivities at the start values of the first three runs.
+
+    Free are the parameters with the most independent effects on the outputs (QR with column pivoting of the
+    relative sensitivities). Inputs are linear between their samples, not held, where that leaves less than a tenth
+    of the squared error after one Gauss-Newton step of the free parameters: as where an output answers at once to
+    an input that was sampled together with it.
+    """
+    parameters = [
+        v
+        for v in model.variables.values()
+        if v.causality == "parameter" and v.type in ("Real", "Float64") and v.start is not None
+    ]
+    candidates = [v for v in parameters if v.start]
+    tried = candidates[:_MAX_CANDIDATES]
+    seen = [_seen(model, run, mapping, runner) for run in runs[:_MAX_RUNS]]
+    effects: dict[str, FloatArray] = {}
+    for k, candidate in enumerate(tried):
+        if progress is not None:
+            progress(k / len(tried))
+        try:
+            effects[candidate.name] = np.concatenate([one.effect(candidate).ravel() for one in seen])
+        except FmuidError:
+            continue  # a structural or otherwise delicate parameter: not one to start with
+    names = independent_columns(effects)
+    free = tuple(model.variables[n] for n in names[:_MAX_FREE])
+    held: dict[str, list[Variable]] = {r: [] for r in (EXPLAINED, ONE_TOO_MANY, NO_EFFECT, NOT_TRIED, FROM_ZERO)}
+    least = _LEAST_EFFECT * max((float(np.linalg.norm(e)) for e in effects.values()), default=0.0)
+    for variable in parameters:
+        if variable in free:
+            continue
+        effect = effects.get(variable.name)
+        if not variable.start:
+            reason = FROM_ZERO
+        elif effect is None:
+            reason = NOT_TRIED
+        elif float(np.linalg.norm(effect)) <= least:
+            reason = NO_EFFECT
+        else:
+            reason = ONE_TOO_MANY if variable.name in names else EXPLAINED
+        held[reason].append(variable)
+    interpolation, gain = _interpolation(seen, free)
+    return FirstChoice(free, {r: tuple(v) for r, v in held.items() if v}, interpolation, gain)
+
+
+def solver_error(
+    model: Simulator, other: Simulator, run: Experiment, mapping: Mapping[str, str], runner: Runner
+) -> float:
+    """Return by how much two simulators of one model differ.
+
+    Such as an FMU's own solver of fixed step, and one that keeps to its tolerance. It is the root mean square
+    difference over the range, of the output where it is largest; 0 where that is little.
+    """
+    try:
+        one, two = (_seen(each, run, mapping, runner) for each in (model, other))
+    except FmuidError:
+        return 0.0
+    difference = float(np.max(np.sqrt(np.mean(((one.nominal - two.nominal) / one.scale) ** 2, axis=1))))
+    return difference if difference > _SAME else 0.0
+
+
+def independent_columns(columns: Mapping[str, FloatArray]) -> list[str]:
+    """Return the names of the columns that are neither small nor explained by larger ones, by pivoted QR."""
+    left = {n: c.copy() for n, c in columns.items()}
+    chosen: list[str] = []
+    while left:
+        name = max(left, key=lambda n: float(np.linalg.norm(left[n])))
+        remaining = float(np.linalg.norm(left[name]))
+        largest = max(float(np.linalg.norm(c)) for c in columns.values())
+        if remaining <= _LEAST_EFFECT * largest or remaining == 0.0:
+            break
+        direction = left.pop(name) / remaining
+        if remaining > _LEAST_NEW * float(np.linalg.norm(columns[name])):
+            chosen.append(name)
+            left = {n: c - (direction @ c) * direction for n, c in left.items()}
+    return chosen
+
+
+class _Seen:
+    """A run, and the model's answer to it at the start values; outputs over their ranges."""
+
+    def __init__(self, model: Simulator, task: Task, measured: FloatArray, runner: Runner) -> None:
+        self._model, self._task, self._measured, self._runner = model, task, measured, runner
+        self.nominal = simulated(runner, model, task, {})
+        self.scale = np.maximum(np.ptp(self.nominal, axis=1, keepdims=True), 1e-12)
+
+    def linear(self) -> _Seen:
+        """Return the same with inputs that are linear between their samples."""
+        return _Seen(self._model, replace(self._task, interpolation="linear"), self._measured, self._runner)
+
+    def effect(self, parameter: Variable) -> FloatArray:
+        """Return the outputs' change by the parameter's relative change, (outputs, N)."""
+        at = {parameter.name: (parameter.start or 0.0) * (1 + _STEP)}
+        moved = simulated(self._runner, self._model, self._task, at)
+        return np.asarray((moved - self.nominal) / self.scale / _STEP)
+
+    def left(self, free: Sequence[Variable]) -> float:
+        """Return the squared error that one Gauss-Newton step leaves."""
+        known = np.isfinite(self._measured)
+        error = ((self._measured - self.nominal) / self.scale)[known]
+        columns = np.array([self.effect(v)[known] for v in free]).T
+        step = np.linalg.lstsq(columns, error, rcond=None)[0]
+        return float(np.sum((error - columns @ step) ** 2))
+
+
+def _seen(model: Simulator, run: Experiment, mapping: Mapping[str, str], runner: Runner) -> _Seen:
+    inputs, measured = {}, []
+    for name, signal in run.signals.items():
+        port = model.variables[mapping.get(name, name)]
+        values = conversion(signal.unit, port.unit)(signal.values)
+        if signal.causality == "input":
+            inputs[port.name] = values
+        else:
+            measured.append(values)
+    outputs = tuple(mapping.get(n, n) for n in run.outputs)
+    return _Seen(model, Task(run.time, inputs, outputs), np.array(measured), runner)
+
+
+def _interpolation(seen: Sequence[_Seen], free: Sequence[Variable]) -> tuple[Interpolation, float]:
+    """Return how the inputs act, and by what factor the other way explains the runs worse."""
+    try:
+        held, on_lines = (sum(one.left(free) for one in s) for s in (seen, [one.linear() for one in seen]))
+    except FmuidError:
+        return "hold", 1.0  # an FMU that does not interpolate its inputs
+    return ("linear", held / max(on_lines, 1e-300)) if on_lines < _CLEARLY * held else ("hold", 1.0)

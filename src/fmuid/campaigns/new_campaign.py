@@ -1,0 +1,324 @@
+"""A first campaign from recorded runs and an FMU: guessed, written with comments, ready to run."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from fmuid.campaign import Experiment, Interface, Measurements
+from fmuid.campaigns.campaign_toml import FILE_NAME, load_campaign
+from fmuid.campaigns.first_choice import FirstChoice, first_choice, solver_error
+from fmuid.campaigns.signal_catalogue import FILE_NAME as CATALOGUE_NAME
+from fmuid.campaigns.signal_catalogue import signal_catalogue
+from fmuid.coupled.loading import load_model
+from fmuid.coupled.model import CoupledModel
+from fmuid.data.channel_noise import conversion_at
+from fmuid.data.crosscheck_csv import Table
+from fmuid.data.measurements import check_measurements, write_measurements
+from fmuid.errors import CampaignError, FmuidError, MeasurementsError, UnitError
+from fmuid.files import write_atomically
+from fmuid.recordings.importing import Run, experiment_from_table, read_run, with_repeats
+from fmuid.recordings.resampling import TimeBase
+from fmuid.running.runners import Runner, in_process
+from fmuid.simulators.fmu import Fmu, load_fmu
+from fmuid.simulators.simulation import Variable
+from fmuid.suggest import known_names, suggestion
+from fmuid.toml_tables import toml_text
+from fmuid.units import conversion
+
+_MAX_NAMES = 8  # of parameters that are held, in one line
+
+
+@dataclass(frozen=True, slots=True)
+class NewCampaign:
+    """What was written, and one line for each guess behind it."""
+
+    folder: Path
+    guesses: tuple[str, ...]
+
+
+def new_campaign(
+    files: Sequence[Path],
+    fmu: Path,
+    folder: Path,
+    *,
+    signals: Collection[str] = (),
+    base: TimeBase | None = None,
+    units: Mapping[str, str] | None = None,
+    sigmas: Mapping[str, float] | None = None,
+    progress: Callable[[float], None] | None = None,
+    runner: Runner = in_process,
+) -> NewCampaign:
+    """Write a campaign that runs from recorded runs (a file each) and an FMU.
+
+    Columns become signals by the name or, where that is unique, the unit of the FMU's inputs and outputs.
+    Which parameters are free and how inputs act between samples: see `fmuid.campaigns.first_choice`. The last run
+    is kept for validation. Beside it goes a catalogue of the effects that any FMU's signals may have.
+
+    Parameters
+    ----------
+    files, fmu, folder
+        What there is, and where the campaign goes.
+    signals
+        Of the files, the signals to use; all by default.
+    base
+        What signals with different time bases are brought onto.
+    units, sigmas
+        Units (these win over the files') and noise standard deviations by column.
+    progress
+        Called with the share of the work that is behind.
+    runner
+        What simulates; in this process by default.
+
+    Raises
+    ------
+    FmuidError
+        A file cannot be read, nothing in it fits the FMU, or there is a campaign already.
+    """
+    target, catalogue = folder / FILE_NAME, folder / CATALOGUE_NAME
+    for file in (target, catalogue):
+        if file.exists():
+            raise CampaignError("is there already", where=file, fix="name another folder with --out")
+    model = load_model(fmu)
+    ports = {n: v for n, v in model.variables.items() if v.causality in ("input", "output")}
+    guesses: list[str] = []
+    runs: dict[str, Experiment] = {}
+    mapping: dict[str, str] = {}
+    for file in files:
+        if file.stem in runs:
+            raise CampaignError(f"two runs are called '{file.stem}'", where=file, fix="rename one file")
+        run = read_run(file, signals, base)
+        run = replace(run, table=_with_units(run.table, units or {}))
+        table = run.table
+        matched = match_columns(table, ports)
+        if not any(ports[v].causality == "output" for v in matched.values()):
+            outputs = [f"{n} [{v.unit or '1'}]" for n, v in ports.items() if v.causality == "output"]
+            raise CampaignError(
+                f"no column is an output of {fmu.name} by its name or its unit",
+                where=file,
+                fix=f"rename columns, or state their units (--unit); {known_names(outputs)}",
+            )
+        runs[file.stem] = _run(file, run, matched, ports, fmu.stem, sigmas or {})
+        guesses += [f"{file.name}: {note}" for note in run.notes]
+        guesses += _lines(table, matched, ports, file.name)
+        mapping |= {c: v for c, v in matched.items() if c != v}
+    for what, names in (("--unit", units or {}), ("--sigma", sigmas or {})):
+        for name in names:
+            if not any(name in run.signals for run in runs.values()):
+                known = dict.fromkeys(n for run in runs.values() for n in run.signals)
+                raise CampaignError(f"no signal '{name}' is used", where=what, fix=suggestion(name, known))
+    runs = with_repeats(runs)
+    used = _for_identification(runs)
+    interface: Interface | None = None
+    other = _by_model_exchange(model)
+    error = solver_error(model, other, used[0], mapping, runner) if other is not None else 0.0
+    if other is not None and error:
+        model, interface = other, "model exchange"
+        guesses.append(
+            f"model exchange: the solver inside {fmu.name} is off by {100 * error:.2g} % of an output's range"
+        )
+    choice = first_choice(model, used, mapping, progress, runner)
+    if not choice.free:
+        raise CampaignError(
+            f"no parameter of {fmu.name} moves a measured output",
+            where=files[0],
+            fix="check inputs and outputs",
+        )
+    guesses += _choice_lines(choice, any(run.inputs for run in runs.values()))
+    write_measurements(Measurements(runs), folder / "measurements.h5")
+    write_atomically(catalogue, signal_catalogue(runs.values(), mapping, ports))
+    write_atomically(target, _toml(folder, fmu, runs, mapping, choice, interface))
+    load_campaign(folder)
+    return NewCampaign(folder, tuple(dict.fromkeys(guesses)))
+
+
+def match_columns(table: Table, ports: Mapping[str, Variable]) -> dict[str, str]:
+    """Return column -> FMU variable for the columns that one stands for.
+
+    In this order: the same name; the same but for case and punctuation; the one unclaimed variable of the
+    same unit; the most similar name among the unclaimed variables of the same unit.
+    """
+    matched: dict[str, str] = {}
+
+    def claim(rule: Mapping[str, str]) -> None:
+        for column, variable in rule.items():
+            if column not in matched and variable not in matched.values():
+                matched[column] = variable
+
+    claim({c: c for c in table.columns if c in ports})
+    folded = {_fold(n): n for n in ports}
+    claim({c: folded[_fold(c)] for c in table.columns if _fold(c) in folded})
+    for column in table.columns:
+        if column in matched or column not in table.units:
+            continue
+        left = [n for n, v in ports.items() if n not in matched.values() and _fits(table.units[column], v.unit)]
+        near = difflib.get_close_matches(_fold(column), [_fold(n) for n in left], n=1, cutoff=0.5)
+        if len(left) == 1:
+            matched[column] = left[0]
+        elif near:
+            matched[column] = folded[near[0]]
+    return matched
+
+
+def _fold(name: str) -> str:
+    return re.sub(r"[\W_]", "", name).casefold()
+
+
+def _fits(unit: str, other: str | None) -> bool:
+    try:
+        conversion(unit, other)
+    except UnitError:
+        return False
+    return other is not None
+
+
+def _with_units(table: Table, units: Mapping[str, str]) -> Table:
+    return replace(table, units=dict(table.units) | {n: u for n, u in units.items() if n in table.columns})
+
+
+def _run(
+    file: Path,
+    run: Run,
+    matched: Mapping[str, str],
+    ports: Mapping[str, Variable],
+    setup: str,
+    sigmas: Mapping[str, float],
+) -> Experiment:
+    table, units = run.table, {}
+    for column, variable in matched.items():
+        units[column] = table.units.get(column) or ports[variable].unit or "1"
+        conversion_at(units[column], ports[variable].unit, f"{file}: column '{column}'")
+        if not np.isfinite(table.columns[column]).any():
+            raise MeasurementsError(f"column '{column}' has no value", where=file, fix="leave it out, or fill it")
+    made = experiment_from_table(
+        Table(table.time, {c: table.columns[c] for c in matched}, {}),
+        id=file.stem,
+        setup=setup,
+        inputs=[c for c, v in matched.items() if ports[v].causality == "input"],
+        units=units,
+        sigmas={n: s for n, s in sigmas.items() if n in matched},
+        resampled=run.resampled,
+    )
+    check_measurements(Measurements({made.id: made}), file)
+    return made
+
+
+def _by_model_exchange(model: Fmu | CoupledModel) -> Fmu | None:
+    """Return the same FMU on fmuid's solver, if it can also be simulated so."""
+    if isinstance(model, CoupledModel) or model.interface == "model exchange":
+        return None
+    try:
+        return load_fmu(model.path, "model exchange")
+    except FmuidError:
+        return None
+
+
+def _for_identification(runs: Mapping[str, Experiment]) -> list[Experiment]:
+    """Return all runs but the last one, without repeats."""
+    firsts = [run for run in runs.values() if run.repeat_of is None]
+    return firsts[:-1] or firsts
+
+
+def _choice_lines(choice: FirstChoice, driven: bool) -> list[str]:
+    lines = ["inputs are held between their samples"] if driven else []
+    if choice.interpolation == "linear":
+        lines = [
+            f"inputs are linear between their samples: held, they explain the runs {choice.gain:.2g} times worse"
+        ]
+    lines.append(f"free parameters: {', '.join(v.name for v in choice.free)}")
+    for reason, variables in choice.held.items():
+        names = [v.name for v in variables]
+        more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
+        lines.append(f"held, {reason}: {', '.join(names[:_MAX_NAMES])}{more}")
+    return lines
+
+
+def _lines(table: Table, matched: Mapping[str, str], ports: Mapping[str, Variable], file: str) -> list[str]:
+    lines = []
+    for column in table.columns:
+        if column not in matched:
+            lines.append(f"{file}: column '{column}' is not used, no input or output of the FMU fits")
+            continue
+        variable = ports[matched[column]]
+        unit = table.units.get(column)
+        stated = f"in {unit}" if unit else f"taken to be in {variable.unit or '1'}, as the FMU's"
+        lines.append(f"{file}: '{column}' is {variable.causality} '{variable.name}', {stated}")
+    return lines
+
+
+def _toml(
+    folder: Path,
+    fmu: Path,
+    runs: Mapping[str, Experiment],
+    mapping: Mapping[str, str],
+    choice: FirstChoice,
+    interface: Interface | None,
+) -> str:
+    setup = fmu.stem
+    identification = [run.id for run in _for_identification(runs)]
+    validation = [r.id for r in runs.values() if r.repeat_of is None and r.id not in identification]
+    path = Path(os.path.relpath(fmu.resolve(), folder.resolve())).as_posix()
+    renamed = ", ".join(f"{toml_text(k)} = {toml_text(v)}" for k, v in mapping.items())
+    lines = [
+        "# A campaign: which model, which parameters, which runs. See docs/formats.md.",
+        "[campaign]",
+        f"name = {toml_text(folder.resolve().name)}",
+        'measurements = "measurements.h5"',
+        "",
+        "# The model of each setup. `map` names the FMU's variable for a signal, setting or parameter.",
+        f"[models.{toml_text(setup)}]",
+        f"fmu = {toml_text(path)}",
+        f"map = {{ {renamed} }}" if renamed else "map = {}",
+        "# Inputs between their samples: hold, linear, or preceding (a sample acts from the one before it on).",
+        f"interpolation = {toml_text(choice.interpolation)}",
+        *(["# On fmuid's solver, not on the FMU's.", f"interface = {toml_text(interface)}"] if interface else []),
+        "",
+        "# Parameters: start and bounds in the FMU's unit. Narrow the bounds to what you know.",
+    ]
+    for variable in choice.free:
+        lines += _parameter_lines(variable)
+    if choice.held:
+        lines += ["# Held at the FMU's start value; take the # away to identify it too.", ""]
+    for reason, variables in choice.held.items():
+        lines += [f"# Held: {reason}.", ""]
+        for variable in variables:
+            lines += [f"# {line}" if line else "" for line in _parameter_lines(variable)]
+    lines += [
+        "# Which runs the fit sees, and which only judge it. Repeats come along.",
+        "[roles]",
+        f"identification = [{', '.join(map(toml_text, identification))}]",
+        f"validation = [{', '.join(map(toml_text, validation))}]",
+        "",
+        "# One stage: every free parameter, all runs for identification, least squares on every output.",
+        "[stages.all]",
+        "budget = { evaluations = 500 }",
+        "",
+        "# For `fmuid diagnose`: what the model may lack. The free parameters are refitted with every effect.",
+        "[effects]",
+        f"catalogue = {toml_text(CATALOGUE_NAME)}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _parameter_lines(variable: Variable) -> list[str]:
+    start = variable.start or 0.0
+    low, high = (start / 10, start * 10) if start > 0 else (start * 10, -start * 10)
+    low = max(low, variable.min if variable.min is not None else low)
+    high = min(high, variable.max if variable.max is not None else high)
+    lines = [f"[parameters.{toml_text(variable.name)}]"]
+    if variable.description:
+        lines[0] += f" # {' '.join(variable.description.split())}"
+    lines += [f"start = {start!r}"]
+    if low < high:
+        lines += [f"lower = {low!r}", f"upper = {high!r}"]
+    if variable.unit:
+        lines.append(f"unit = {toml_text(variable.unit)}")
+    if low > 0:
+        lines.append('scale = "log"')
+    return [*lines, ""]

@@ -1,0 +1,298 @@
+"""Measurement files (`measurements.h5`, version 1): read, checked and written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from fmuid.campaign import Causality, Experiment, FloatArray, Measurements, Signal
+from fmuid.data import hdf5
+from fmuid.data.apart import read_apart
+from fmuid.errors import MeasurementsError
+from fmuid.suggest import did_you_mean
+
+FORMAT = "fmuid-campaign"
+VERSION = 1
+UNIT_SUFFIX = ".unit"
+_ROOT_TEXTS = ("title", "rig", "source", "licence")
+_CAUSALITIES = ("input", "output")
+_Error = MeasurementsError
+
+
+def read_measurements(path: str | Path, *, fix_missing: str | None = None) -> Measurements:
+    """Read and check a measurement file.
+
+    Parameters
+    ----------
+    path
+        The HDF5 file.
+    fix_missing
+        What to tell the user to do if the file does not exist.
+
+    Raises
+    ------
+    MeasurementsError
+        The file is missing, damaged, or breaks a rule of the format; the line names file, experiment,
+        signal and sample.
+    """
+    path = Path(path)
+    if fix_missing is not None and not path.exists():
+        raise _Error("no such file", where=path, fix=fix_missing)
+    found = read_apart(_read, path)
+    for experiment in found:
+        for values in (experiment.time, *(s.values for s in experiment.signals.values())):
+            values.flags.writeable = False  # which pickle does not keep
+    return found
+
+
+def _read(path: Path) -> Measurements:
+    with hdf5.reading(path) as file:
+        _check_header(file, path)
+        group = hdf5.member(file, "experiments", "group", _Error, str(path))
+        experiments = {name: _read_experiment(group, name, path) for name in group.keys()}  # noqa: SIM118
+        texts = {name: hdf5.text(file, name, _Error, str(path), default="") for name in _ROOT_TEXTS}
+    measurements = Measurements(experiments, **texts)
+    check_measurements(measurements, path)
+    return measurements
+
+
+def write_measurements(measurements: Measurements, path: str | Path) -> None:
+    """Check `measurements` and write them to `path`; the file is there whole or not at all.
+
+    Parameters
+    ----------
+    measurements
+        What to write.
+    path
+        The HDF5 file; its folder is made if it is missing.
+
+    Raises
+    ------
+    MeasurementsError
+        The measurements break a rule of the format, so no reader would take the file.
+    """
+    path = Path(path)
+    check_measurements(measurements, path)
+
+    def fill(file: Any) -> None:
+        file.attrs["format"] = FORMAT
+        file.attrs["version"] = VERSION
+        for name in _ROOT_TEXTS:
+            if getattr(measurements, name):
+                file.attrs[name] = getattr(measurements, name)
+        experiments = file.create_group("experiments", track_order=True)
+        for experiment in measurements:
+            _write_experiment(experiments.create_group(experiment.id, track_order=True), experiment)
+
+    hdf5.write_file(path, fill)
+
+
+def check_measurements(measurements: Measurements, path: str | Path) -> None:
+    """Check every rule of the format that concerns values.
+
+    Raises
+    ------
+    MeasurementsError
+        A rule is broken; `path` is named in the line.
+    """
+    if not measurements.experiments:
+        raise _Error("has no experiments", where=path, fix="write at least one under /experiments")
+    for experiment_id, experiment in measurements.experiments.items():
+        where = f"{path}: experiment '{experiment_id}'"
+        if experiment.id != experiment_id or not _is_name(experiment_id):
+            raise _Error("is not a usable id", where=where, fix="use printable characters without '/'")
+        if not _is_name(experiment.setup):
+            raise _Error("has no setup", where=where, fix="write the attribute 'setup'")
+        check_time(experiment.time, f"{where}, time")
+        if not experiment.signals:
+            raise _Error("has no signals", where=where, fix="write at least one under 'signals'")
+        for name, signal in experiment.signals.items():
+            if not _is_name(name) or signal.name != name:
+                raise _Error("is not a usable signal name", where=f"{where}, signal '{name}'", fix="rename it")
+            check_signal(signal, experiment.time.size, f"{where}, signal '{name}'")
+        for name, value in experiment.settings.items():
+            if not np.isfinite(value):
+                raise _Error(f"setting '{name}' is {value}", where=where, fix="write a finite number")
+    for experiment in measurements:
+        if experiment.repeat_of is not None:
+            _check_repeat(experiment, measurements, f"{path}: experiment '{experiment.id}'")
+
+
+def check_time(time: FloatArray, where: str) -> None:
+    """Check a time axis: (N,), N >= 2, finite, strictly increasing; otherwise raise MeasurementsError."""
+    if time.ndim != 1 or time.size < 2:
+        raise _Error(f"has shape {time.shape}", where=where, fix="a run has at least 2 samples, shape (N,)")
+    bad = np.flatnonzero(~np.isfinite(time))
+    if bad.size:
+        raise _Error(f"sample {bad[0]} is {time[bad[0]]}", where=where, fix="every time is a finite number, in s")
+    bad = np.flatnonzero(np.diff(time) <= 0)
+    if bad.size:
+        k = int(bad[0]) + 1
+        raise _Error(
+            f"sample {k} ({time[k]:.9g} s) is not after sample {k - 1} ({time[k - 1]:.9g} s)",
+            where=where,
+            fix="sort the samples by time and drop doubles",
+        )
+
+
+def check_signal(signal: Signal, n_samples: int, where: str) -> None:
+    """Check one signal against the time axis's `n_samples`; otherwise raise MeasurementsError."""
+    values = signal.values
+    if signal.causality not in _CAUSALITIES:
+        hint = did_you_mean(str(signal.causality), _CAUSALITIES)
+        raise _Error(f"causality is '{signal.causality}'", where=where, fix=hint or "it is 'input' or 'output'")
+    if values.shape != (n_samples,):
+        raise _Error(
+            f"has shape {values.shape} but time has {n_samples} samples",
+            where=where,
+            fix="one value for each time",
+        )
+    bad = np.flatnonzero(np.isinf(values))
+    if bad.size:
+        raise _Error(f"sample {bad[0]} is infinite", where=where, fix="write NaN where an output is missing")
+    bad = np.flatnonzero(np.isnan(values))
+    if signal.causality == "input" and bad.size:
+        raise _Error(
+            f"sample {bad[0]} of an input is NaN ({bad.size} in all)",
+            where=where,
+            fix="an input needs every sample: cut the run or fill the gap",
+        )
+    if not signal.unit.isprintable():
+        raise _Error("unit has unprintable characters", where=where, fix="write it as plain text")
+    if signal.sigma is not None and not (np.isfinite(signal.sigma) and signal.sigma > 0):
+        raise _Error(f"sigma is {signal.sigma:g}", where=where, fix="write a positive number or leave it out")
+
+
+def _check_repeat(experiment: Experiment, measurements: Measurements, where: str) -> None:
+    origin_id = experiment.repeat_of or ""
+    origin = measurements.experiments.get(origin_id)
+    if origin is None:
+        hint = did_you_mean(origin_id, measurements.experiments)
+        raise _Error(
+            f"repeats '{origin_id}', which is not in the file", where=where, fix=hint or "correct repeat_of"
+        )
+    if origin.repeat_of is not None:
+        raise _Error(f"repeats '{origin_id}', itself a repeat", where=where, fix="name the first run in repeat_of")
+    different = _first_difference(experiment, origin)
+    if different:
+        raise _Error(
+            f"repeats '{origin_id}' but its {different}",
+            where=where,
+            fix="a repeat has the same inputs: leave repeat_of out if it is a run of its own",
+        )
+
+
+def _first_difference(experiment: Experiment, origin: Experiment) -> str | None:
+    if experiment.setup != origin.setup:
+        return f"setup is '{experiment.setup}', not '{origin.setup}'"
+    if experiment.time.size != origin.time.size:
+        return f"length is {experiment.time.size}, not {origin.time.size}"
+    if not np.allclose(experiment.time, origin.time, rtol=1e-9, atol=1e-12):
+        return "time axis differs"
+    if dict(experiment.settings) != dict(origin.settings):
+        return "settings differ"
+    if experiment.inputs.keys() != origin.inputs.keys():
+        return "inputs have other names"
+    for name, signal in experiment.inputs.items():
+        other = origin.inputs[name]
+        bad = np.flatnonzero(~np.isclose(signal.values, other.values, rtol=1e-9, atol=0))
+        if bad.size or signal.unit != other.unit:
+            return f"input '{name}' differs" + (f" at sample {bad[0]}" if bad.size else " in unit")
+    return None
+
+
+def _check_header(file: Any, path: Path) -> None:
+    if hdf5.text(file, "format", _Error, str(path), default="") != FORMAT:
+        raise _Error(
+            "is HDF5 but not a measurement file",
+            where=path,
+            fix=f"the root attribute 'format' must be '{FORMAT}'",
+        )
+    version = hdf5.number(file, "version", _Error, str(path))
+    if version != VERSION:
+        found = "no version" if version is None else f"version {version:g}"
+        raise _Error(f"has {found}", where=path, fix=f"this fmuid reads version {VERSION}")
+
+
+def _read_experiment(experiments: Any, experiment_id: str, path: Path) -> Experiment:
+    where = f"{path}: experiment '{experiment_id}'"
+    group = hdf5.member(experiments, experiment_id, "group", _Error, str(path))
+    time = hdf5.samples(hdf5.member(group, "time", "dataset", _Error, where), _Error, f"{where}, time")
+    signals = hdf5.member(group, "signals", "group", _Error, where)
+    settings, units = _read_settings(group, where)
+    return Experiment(
+        id=experiment_id,
+        setup=hdf5.text(group, "setup", _Error, where),
+        time=time,
+        signals={name: _read_signal(signals, name, where) for name in signals.keys()},  # noqa: SIM118
+        settings=settings,
+        setting_units=units,
+        repeat_of=hdf5.text(group, "repeat_of", _Error, where, default="") or None,
+        description=hdf5.text(group, "description", _Error, where, default=""),
+    )
+
+
+def _read_signal(signals: Any, name: str, where: str) -> Signal:
+    dataset = hdf5.member(signals, name, "dataset", _Error, where)
+    where = f"{where}, signal '{name}'"
+    causality = hdf5.text(dataset, "causality", _Error, where)
+    return Signal(
+        name=name,
+        values=hdf5.samples(dataset, _Error, where),
+        unit=hdf5.text(dataset, "unit", _Error, where),
+        causality=cast(Causality, causality),  # check_signal refuses any other
+        sigma=hdf5.number(dataset, "sigma", _Error, where),
+        resampled=hdf5.text(dataset, "resampled", _Error, where, default=""),
+    )
+
+
+def _read_settings(group: Any, where: str) -> tuple[Mapping[str, float], Mapping[str, str]]:
+    if "settings" not in group.keys():  # noqa: SIM118
+        return {}, {}
+    holder = hdf5.member(group, "settings", "group", _Error, where)
+    where = f"{where}, settings"
+    values: dict[str, float] = {}
+    units: dict[str, str] = {}
+    for name in holder.attrs:
+        if name.endswith(UNIT_SUFFIX):
+            of = name.removesuffix(UNIT_SUFFIX)
+            if of not in holder.attrs:
+                raise _Error(
+                    f"'{name}' is the unit of a setting that is missing", where=where, fix=f"write '{of}'"
+                )
+            units[of] = hdf5.text(holder, name, _Error, where)
+        else:
+            values[name] = cast(float, hdf5.number(holder, name, _Error, where))  # it is there
+    return values, units
+
+
+def _write_experiment(group: Any, experiment: Experiment) -> None:
+    group.attrs["setup"] = experiment.setup
+    if experiment.repeat_of:
+        group.attrs["repeat_of"] = experiment.repeat_of
+    if experiment.description:
+        group.attrs["description"] = experiment.description
+    if experiment.settings:
+        settings = group.create_group("settings", track_order=True)
+        for name, value in experiment.settings.items():
+            settings.attrs[name] = float(value)
+            if name in experiment.setting_units:
+                settings.attrs[name + UNIT_SUFFIX] = experiment.setting_units[name]
+    packing: dict[str, Any] = {"compression": "gzip", "shuffle": True} if experiment.time.size > 256 else {}
+    group.create_dataset("time", data=experiment.time, **packing)
+    signals = group.create_group("signals", track_order=True)
+    for name, signal in experiment.signals.items():
+        dataset = signals.create_dataset(name, data=signal.values, **packing)
+        dataset.attrs["unit"] = signal.unit
+        dataset.attrs["causality"] = signal.causality
+        if signal.sigma is not None:
+            dataset.attrs["sigma"] = float(signal.sigma)
+        if signal.resampled:
+            dataset.attrs["resampled"] = signal.resampled
+
+
+def _is_name(name: str) -> bool:
+    return bool(name.strip()) and name.isprintable() and "/" not in name and name not in (".", "..")

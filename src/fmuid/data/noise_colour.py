@@ -1,0 +1,110 @@
+"""Coloured noise of one signal, from what repeated runs differ by, and whitening by it in the time domain.
+
+The noise is taken for an autoregression (Levinson and Durbin) around a shift of the whole run: its spectrum is
+smooth, and unlike Fourier coefficients of a record that does not close upon itself, what is whitened by it is
+independent, the first samples and strong colours included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.campaign import FloatArray
+from fmuid.data.noise_spectrum import RepeatedRuns, estimate_noise
+
+_HIGHEST_ORDER = 40
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Colour:
+    """Noise of one signal.
+
+    Parameters
+    ----------
+    predictors
+        Coefficients of the best linear prediction from the 0, 1, ... p samples before.
+    deviations
+        (p + 1,) standard deviations of what each of these leaves.
+    shift
+        Variance of a run's shift beyond what its noise's mean varies by.
+    """
+
+    predictors: tuple[FloatArray, ...]
+    deviations: FloatArray
+    shift: float
+
+    @property
+    def order(self) -> int:
+        """Samples that the noise remembers."""
+        return len(self.predictors) - 1
+
+    def whitened(self, r: FloatArray) -> FloatArray:
+        """Return (N,) residuals as (N,) independent ones of unit variance under the noise of a single run."""
+        white = self._innovations(r)
+        ones = self._innovations(np.ones(len(r)))
+        energy = float(np.sum(ones**2))
+        # The shift adds a term of rank one to the covariance: its inverse root takes as much off.
+        taken = (1.0 - 1.0 / np.sqrt(1.0 + self.shift * energy)) / energy
+        return np.asarray(white - taken * float(np.sum(ones * white)) * ones)
+
+    def _innovations(self, r: FloatArray) -> FloatArray:
+        from scipy.signal import lfilter
+
+        last = self.predictors[-1]
+        out = lfilter(np.concatenate([[1.0], -last]), [1.0], r) / self.deviations[-1]
+        for k, predictor in enumerate(self.predictors[:-1][: len(r)]):
+            out[k] = (r[k] - predictor @ r[:k][::-1]) / self.deviations[k]
+        return np.asarray(out)
+
+
+def estimate_colour(runs: Sequence[RepeatedRuns]) -> Colour:
+    """Estimate the noise of one signal from the differences between repeats.
+
+    Its order is the one that Akaike's criterion likes best.
+
+    Parameters
+    ----------
+    runs
+        Experiments of one setup, with this signal alone and the same sampling interval.
+
+    Raises
+    ------
+    ProblemError
+        No experiment has a second run, or all repeats are the same.
+    """
+    noise = estimate_noise(runs)
+    repeated = [r for r in runs if r.n_repeats > 1]
+    highest = min(_HIGHEST_ORDER, min(len(r.time) for r in repeated) // 4)
+    covariance, samples = np.zeros(highest + 1), 0.0
+    for run in repeated:
+        deviation = np.nan_to_num(run.values[:, 0] - run.mean[0]) * run.mask[0]
+        own = deviation - deviation.mean(axis=1, keepdims=True)
+        for lag in range(highest + 1):
+            covariance[lag] += np.sum(own[:, : own.shape[1] - lag] * own[:, lag:])
+        samples += float(run.mask[0].sum()) * (run.n_repeats - 1)
+    covariance /= samples
+    level = noise.sigma[noise.channels[0]] ** 2
+    covariance[0] = max(covariance[0], level)  # a counted signal is no better than its counts
+    predictors, errors = _levinson(covariance)
+    order = int(np.argmin(samples * np.log(errors) + 2.0 * np.arange(len(errors))))
+    kept = tuple(predictors[: order + 1])
+    # Variance of the mean of a run of the longest length, as the autoregression has it.
+    n = max(len(r.time) for r in repeated)
+    of_mean = errors[order] / (1.0 - float(np.sum(kept[-1]))) ** 2 / n
+    return Colour(kept, np.sqrt(errors[: order + 1]), max(float(noise.mean_variance[0]) - of_mean, 0.0))
+
+
+def _levinson(covariance: FloatArray) -> tuple[list[FloatArray], FloatArray]:
+    """Return the best predictors of order 0 to the highest, and the variance that each leaves."""
+    predictors, errors = [np.zeros(0)], [float(covariance[0])]
+    for k in range(1, len(covariance)):
+        before = predictors[-1]
+        reflection = (covariance[k] - before @ covariance[1:k][::-1]) / errors[-1]
+        if not abs(reflection) < 1.0:  # an autocovariance that no process has, within its scatter
+            break
+        predictors.append(np.append(before - reflection * before[::-1], reflection))
+        errors.append(errors[-1] * (1.0 - reflection**2))
+    return predictors, np.array(errors)

@@ -1,0 +1,1 @@
+"""From a stage to numbers: cases, criteria, one cost, and its derivatives."""

@@ -1,0 +1,1 @@
+"""Where simulations run: in this process, in supervised workers, on a cluster."""

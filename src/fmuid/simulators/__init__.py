@@ -1,0 +1,1 @@
+"""What simulates: any FMU, in compiled code or in Python."""
