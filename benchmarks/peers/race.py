@@ -15,6 +15,9 @@ from typing import Any
 
 import numpy as np
 
+with contextlib.suppress(ImportError):
+    import lxml.etree  # noqa: F401  FMPy does so when it first reads; imports do not count
+
 
 class OverError(BaseException):
     """The cost is reached, or the time is up; nothing that a tool catches."""

@@ -7,7 +7,8 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-import scipy.optimize  # noqa: F401  imports do not count
+import lxml.etree  # noqa: F401  imports do not count
+import scipy.optimize  # noqa: F401
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from identification import Race, with_fmuid
