@@ -392,7 +392,7 @@ def test_refused_values_leave_the_old_file(folder: Path, measurements: Measureme
 def test_killed_while_writing_leaves_no_file(tmp_path: Path) -> None:
     script = (
         "import os, signal, h5py, numpy as np\n"
-        "from fmuid import hdf5\n"
+        "from fmuid.data import hdf5\n"
         "from pathlib import Path\n"
         "def fill(file):\n"
         "    file['x'] = np.zeros(1000)\n"
