@@ -90,7 +90,8 @@ output, relative to its largest value. Aim: at most 2 in the eccentric-load run.
 
 Twenty runs of 30 s of the eccentric-load model. Aim: two workers at least 1.8 times one. On the Dask cluster runs
 travel in batches, and each of its workers simulates in a process of its own that it watches over: what a run
-predicts goes through one more process, and Dask's own processes share the processors with the simulations.
+predicts goes through one more process, and Dask's own processes share the processors with the simulations. The
+last row is what the machine gave two processes that share nothing: no more can be had.
 
 {parallel}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import multiprocessing
 import os
 import subprocess
 import sys
@@ -190,7 +191,23 @@ def parallel(repeats: int, *, dask: bool = True) -> tuple[list[Parallel], str]:
         except (ImportError, FmuidError, OSError) as error:
             missing = f"{type(error).__name__}: {error}"
     one = found["1 worker"].median
-    return [Parallel(what, times, one / times.median) for what, times in found.items()], missing
+    rows = [Parallel(what, times, one / times.median) for what, times in found.items()]
+    return [*rows, _ceiling(repeats)], missing
+
+
+def _ceiling(repeats: int) -> Parallel:
+    """What this machine gives two processes that share nothing, beside one of them alone."""
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        times = in_turn(
+            {n: lambda n=n: pool.map(_loop, range(n), 1) for n in (1, 2)},  # type: ignore[misc]
+            repeats,
+            time.perf_counter,
+        )
+    return Parallel("two bare loops, beside one", times[2], 2.0 * times[1].median / times[2].median)
+
+
+def _loop(_: int) -> int:
+    return sum(k * k for k in range(400_000))
 
 
 def _on_dask(jobs: list[Job], repeats: int) -> Times:
