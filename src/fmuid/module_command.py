@@ -32,15 +32,18 @@ def run_module(usage: str, arguments: Sequence[str], command: Callable[[Sequence
     return ended(work)
 
 
-def ended(work: Callable[[], Sequence[str]]) -> int:
-    """Do the work, which returns a line for all that failed, and return the exit code; 130 after Ctrl-C."""
+def ended(work: Callable[[], Sequence[str]], *, resumes: bool = False) -> int:
+    """Do the work, which returns a line for all that failed, and return the exit code; 130 after Ctrl-C.
+
+    `resumes` says that the same command then goes on where it was.
+    """
     try:
         failures = work()
     except FmuidError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        print("interrupted" + "; the same command goes on" * resumes, file=sys.stderr)
         return 130
     for line in failures:
         print(line, file=sys.stderr)

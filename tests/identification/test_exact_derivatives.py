@@ -9,6 +9,7 @@ import pytest
 
 from fmuid import ParameterSpec, Problem, Task, measured_case
 from fmuid.campaign import CriterionSpec
+from fmuid.errors import SimulationError
 from fmuid.problems.expressions import parse
 from fmuid.problems.search_space import expanded
 from fmuid.running.runners import in_process
@@ -144,3 +145,21 @@ def test_trials_bring_their_jacobians_and_noise_is_measured_when_the_cost_stops_
     assert len(jobs) == simulated
     for name, error in zip(found.names, found.standard_errors, strict=True):
         assert abs(search.best.parameters[name] - truth[name]) < 4.0 * error
+
+
+def test_a_refused_jacobian_is_asked_for_once(differentiating, monkeypatch):
+    problem, simulate = posed(differentiating), differentiating.simulate
+    here, asked = problem.evaluate(problem.space.start), []
+
+    def refusing(self, task, parameters):
+        if task.along:
+            asked.append(task)
+            raise SimulationError("the sensitivities are not defined")
+        return simulate(task, parameters)
+
+    monkeypatch.setattr(type(differentiating), "simulate", refusing)
+    assert problem.exact.jacobian(here) is None
+    refused = len(asked)
+    assert refused > 0
+    assert problem.exact.jacobian(here) is None
+    assert len(asked) == refused

@@ -216,7 +216,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         unanswered = found.made - len(found.cases)
         return [f"{counted(unanswered, 'case')} without an answer"] if unanswered else []
 
-    return ended(work)
+    return ended(work, resumes=True)
 
 
 if __name__ == "__main__":

@@ -143,7 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             write_atomically(given.page, page(results, "make sealed"))
         return failures
 
-    return ended(work)
+    return ended(work, resumes=True)
 
 
 if __name__ == "__main__":

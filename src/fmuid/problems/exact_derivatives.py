@@ -35,7 +35,7 @@ class ExactDerivatives:
         self._problem = problem
         self._slopes: list[Mapping[str, float]] = []  # what the tasks are for
         self._tasks: list[Task] | None = None
-        self._found: OrderedDict[tuple[bytes, int], FloatArray] = OrderedDict()
+        self._found: OrderedDict[tuple[bytes, int], FloatArray | None] = OrderedDict()  # None: it was refused
 
     def jacobian(self, here: Evaluation, first: int = 0) -> FloatArray | None:
         """Return d residuals / d search point, (m, n), at `here`; None where a model cannot tell.
@@ -76,6 +76,7 @@ class ExactDerivatives:
             blocks: list[FloatArray] = []
             for k, (case, (_, task, starts), run) in enumerate(zip(problem.cases, own, runs, strict=True)):
                 if isinstance(run, SimulationError):
+                    self._keep((x.tobytes(), first), None)
                     break
                 predictions[k, tuple(starts.values())] = run[: len(task.outputs)].copy()
                 blocks += _blocks(case, task, np.asarray(run), there, values)
@@ -100,9 +101,9 @@ class ExactDerivatives:
                 self._tasks.append(replace(case.task, along=tuple(filter(None, along))))
         return self._tasks
 
-    def _keep(self, key: tuple[bytes, int], jacobian: FloatArray) -> None:
+    def _keep(self, key: tuple[bytes, int], jacobian: FloatArray | None) -> None:
         self._found[key] = jacobian
-        while len(self._found) > 1 and sum(j.size for j in self._found.values()) > _KEPT:
+        while len(self._found) > 1 and sum(j.size for j in self._found.values() if j is not None) > _KEPT:
             self._found.popitem(last=False)
 
 

@@ -1,0 +1,28 @@
+"""How modules that are commands end."""
+
+import pytest
+
+from fmuid.errors import FmuidError
+from fmuid.module_command import ended
+
+
+@pytest.mark.parametrize(
+    ("raised", "resumes", "code", "said"),
+    [
+        (KeyboardInterrupt(), False, 130, "interrupted\n"),
+        (KeyboardInterrupt(), True, 130, "interrupted; the same command goes on\n"),
+        (FmuidError("is empty", where="cases", fix="fill it"), True, 2, "error: cases: is empty; fill it\n"),
+    ],
+)
+def test_what_is_said_at_the_end(raised, resumes, code, said, capsys):
+    def work():
+        raise raised
+
+    assert ended(work, resumes=resumes) == code
+    assert capsys.readouterr().err == said
+
+
+def test_failures_are_told(capsys):
+    assert ended(lambda: ["s01: failed"]) == 1
+    assert capsys.readouterr().err == "s01: failed\n"
+    assert ended(lambda: []) == 0
