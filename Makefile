@@ -18,9 +18,10 @@ PENDULUM := $(foreach setup,TorqueDriven PositionDriven,build/fmus/$(setup).fmu 
 # The actuator and its speed controller apart, to be coupled (docs/coupled.md).
 COUPLED := build/fmus/EccentricLoadPlant.fmu build/fmus/SpeedController.fmu
 FMUS := $(SETUPS:%=build/fmus/%.fmu) $(PENDULUM)
+STEPPER := $(shell find src -name "*.[ch]")
 MODELICA := $(shell find modelica -name '*.mo')
 EXPORT := $(shell find fmu_build -name '*.py' -o -name '*.[ch]')
-RIG := $(shell find src/fmuid/virtual_rig -type f -name '*.[pc]*')
+RIG := $(shell find benchmarks/virtual_rig -type f -name '*.[pc]*')
 
 FORCE_FEEDBACK := campaigns/force_feedback
 LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
@@ -31,7 +32,7 @@ FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 all: identify
 
 setup: $(READY)
-$(READY): pyproject.toml constraints.txt
+$(READY): pyproject.toml setup.py constraints.txt $(STEPPER)
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) --editable .
 	@touch $@
@@ -54,13 +55,13 @@ build/fmus/SpeedController.fmu: $(MODELICA) $(EXPORT) | $(READY)
 	@touch $@
 
 $(FORCE_FEEDBACK)/measurements.h5: $(FORCE_FEEDBACK)/rig.toml $(RIG) | $(READY)
-	$(BIN)/python -m fmuid.virtual_rig $(FORCE_FEEDBACK)
+	$(BIN)/python -m benchmarks.virtual_rig $(FORCE_FEEDBACK)
 
 campaigns/emps/measurements.h5: | $(READY)
-	FMUID_EMPS=$(EMPS) $(BIN)/python -m fmuid.emps campaigns/emps
+	FMUID_EMPS=$(EMPS) $(BIN)/python -m campaigns.emps.convert campaigns/emps
 
 campaigns/go1/measurements.h5: | $(READY)
-	FMUID_GO1=$(GO1) $(BIN)/python -m fmuid.go1 campaigns/go1
+	FMUID_GO1=$(GO1) $(BIN)/python -m campaigns.go1.convert campaigns/go1
 
 identify: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/fmuid identify $(FORCE_FEEDBACK) --out runs/force_feedback
@@ -77,8 +78,8 @@ identify-emps: $(FMUS) campaigns/emps/measurements.h5
 # Then the friction laws beside each other, on the runs used and on those kept back.
 identify-go1: $(PENDULUM) campaigns/go1/measurements.h5
 	$(BIN)/fmuid identify campaigns/go1 --out runs/go1
-	$(BIN)/python -m fmuid.rival_stages runs/go1 q "M?"
-	$(BIN)/python -m fmuid.rival_stages runs/go1 q "M?_absolute"
+	$(BIN)/python -m benchmarks.rival_stages runs/go1 q "M?"
+	$(BIN)/python -m benchmarks.rival_stages runs/go1 q "M?_absolute"
 
 # The paper's story: what the linear model misses, then the rows of the loss table that say it in numbers.
 paper: diagnose identify-friction
@@ -93,19 +94,19 @@ diagnose-go1: $(PENDULUM) campaigns/go1/measurements.h5
 	$(BIN)/fmuid diagnose campaigns/go1 --out runs/go1-diagnosis
 
 sealed: $(FMUS)
-	$(BIN)/python -m fmuid.diagnosis.sealed $(SEALED) --out sealed --page docs/sealed.md
+	$(BIN)/python -m benchmarks.sealed $(SEALED) --out sealed --page docs/sealed.md
 
 # Goes on where it was interrupted. FIRST=20: the first twenty cases of the grid. SEED=5: not a drawn one.
 blind: $(FMUS)
-	$(BIN)/python -m fmuid.diagnosis.blind_check --labels $(LABELS) --count $(COUNT) \
+	$(BIN)/python -m benchmarks.blind.blind_check --labels $(LABELS) --count $(COUNT) \
 	  $(FIRST:%=--first %) $(SEED:%=--seed %) --page docs/blind.md --notes docs/blind_notes.md \
 	  --command "make blind COUNT=$(COUNT)$(FIRST:%= FIRST=%)$(SEED:%= SEED=%)"
 
 # How often 95 % intervals of the linear stage hold the truth, under white and under coloured noise: ten minutes.
 DRAWS ?= 200
 coverage: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
-	$(BIN)/python -m fmuid.interval_coverage $(FORCE_FEEDBACK) linear $(DRAWS)
-	$(BIN)/python -m fmuid.interval_coverage $(FORCE_FEEDBACK) linear $(DRAWS) 0.8
+	$(BIN)/python -m benchmarks.interval_coverage $(FORCE_FEEDBACK) linear $(DRAWS)
+	$(BIN)/python -m benchmarks.interval_coverage $(FORCE_FEEDBACK) linear $(DRAWS) 0.8
 
 lint: $(DEVELOPER)
 	$(BIN)/ruff check .

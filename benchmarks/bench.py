@@ -14,8 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import evaluation
-import friction
-import identification
+import friction_laws
+import identification_speed
 import integrator
 import stepping
 from timing import machine, say, table
@@ -174,7 +174,7 @@ def draw(found: Mapping[str, Mapping[int, float]], path: Path) -> None:
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    from fmuid.plots.style import BLUE, GREEN, GREY, ORANGE
+    from fmuid.report.plots.style import BLUE, GREEN, GREY, ORANGE
 
     figure, axes = plt.subplots(figsize=(5.0, 3.4), layout="constrained")
     for (what, times), colour, marker in zip(found.items(), (BLUE, ORANGE, GREEN), "osD", strict=False):
@@ -211,9 +211,11 @@ def measure(out: Path, *, quick: bool) -> str:
         part("derivatives", lambda: derivatives_table(evaluation.derivatives(n)))
         part(
             "identification",
-            lambda: identification.page(identification.measure(folder, limit=limit, repeats=1 if quick else 5)),
+            lambda: identification_speed.page(
+                identification_speed.measure(folder, limit=limit, repeats=1 if quick else 5)
+            ),
         )
-        part("friction", lambda: friction.page(friction.measure(limit=limit, logs=1 if quick else 4)))
+        part("friction", lambda: friction_laws.page(friction_laws.measure(limit=limit, logs=1 if quick else 4)))
         part("integrator", lambda: integrator_table(integrator.measure(1 if quick else 5, quick=quick)))
         part("parallel", lambda: parallel_table(*evaluation.parallel(1 if quick else 5)))
         found = evaluation.scaling(sizes, 5.0 if quick else 60.0)

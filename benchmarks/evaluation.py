@@ -15,21 +15,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from identification import ROOT
+from identification_speed import ROOT
 from integrator import prbs
 from stepping import with_c, with_fmuid
 from timing import Times, in_turn
 
 import fmuid
-from fmuid.errors import FmuidError
-from fmuid.problems.cases import Case
-from fmuid.problems.derivatives import Differences, NoiseFloor
-from fmuid.problems.problem import Problem
-from fmuid.running.runners import Job, Runner, in_process
-from fmuid.running.worker_process import resident_memory
-from fmuid.running.workers import WorkerPool
-from fmuid.simulators.fmu import load_fmu
-from fmuid.simulators.simulation import Task
+from fmuid.core.errors import FmuidError
+from fmuid.identification.problem.cases import Case
+from fmuid.identification.problem.derivatives import Differences, NoiseFloor
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.pool.worker_process import resident_memory
+from fmuid.simulation.pool.workers import WorkerPool
+from fmuid.simulation.runners import Job, Runner, in_process
+from fmuid.simulation.simulator import Task
 
 _HELP = ("-c", "import sys; from fmuid.cli import main; sys.argv = ['fmuid', '--help']; sys.exit(main())")
 CAMPAIGN = ROOT / "campaigns" / "force_feedback"
@@ -213,7 +213,7 @@ def _loop(_: int) -> int:
 def _on_dask(jobs: list[Job], repeats: int) -> Times:
     from distributed import LocalCluster
 
-    from fmuid.running.remote import dask_executor, on_executor
+    from fmuid.simulation.pool.remote import dask_executor, on_executor
 
     with (
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
@@ -337,9 +337,9 @@ def _lengthened(case: Case) -> Callable[[int], Task]:
 
 
 def _effects(sizes: tuple[int, ...], budget: float) -> dict[str, dict[int, float]]:
-    from fmuid.coupled.loading import load_model
     from fmuid.diagnosis.candidates import fit_effects, score_further
-    from fmuid.diagnosis.setting_up import subject_of
+    from fmuid.diagnosis.subject import subject_of
+    from fmuid.simulation.coupled.loading import load_model
 
     with suppress(FmuidError):
         subject = subject_of(fmuid.load_campaign(CAMPAIGN), load_model, experiments=("row_30",))

@@ -21,8 +21,8 @@ import numpy as np
 
 from fmu_build import compile_modelica
 from fmu_build.packaging import package
-from fmuid.simulators.fmu import load_fmu
-from fmuid.simulators.simulation import Task
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.simulator import Task
 
 SETUPS = Path(__file__).parents[1] / "modelica" / "Drives" / "Setups"
 OURS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)

@@ -16,8 +16,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "simulation"))
 from fmus import HEADERS, make_oscillator
 from timing import in_turn
 
-from fmuid.simulators.fmu import Fmu
-from fmuid.simulators.simulation import Task
+from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.simulator import Task
 
 LOOP = r"""
 #include "fmi2Functions.h"

@@ -10,11 +10,11 @@ from typing import Any
 from mkdocs.structure.files import File, Files
 
 _TOPICS = {
-    "Campaigns and measurements": ("campaigns", "campaign", "data"),
-    "Simulation": ("simulators", "coupled", "running"),
-    "Identification": ("identification", "result", "problems", "solvers", "observer", "progress", "history"),
-    "How far to trust it": ("validation", "statistics"),
-    "Diagnosis": ("diagnosis",),
+    "Campaigns and measurements": ("campaigns", "core.campaign", "core.experiments", "data"),
+    "Simulation": ("simulation",),
+    "How far to trust it": ("identification.validate", "identification.uncertainty"),
+    "Identification": ("identification",),
+    "Diagnosis": ("diagnosis_pipeline",),
 }
 
 
@@ -52,7 +52,9 @@ def _names() -> str:
         "What is public is in `fmuid`; its types are shipped (`py.typed`). Nothing is loaded before it is used.",
     ]
     for topic, modules in (*_TOPICS.items(), ("More", ("",))):
-        names = [n for m in modules for n, place in left.items() if not m or place.split(".")[0] == m]
+        names = [
+            n for m in modules for n, place in left.items() if not m or place == m or place.startswith(f"{m}.")
+        ]
         if names:
             lines += ["", f"## {topic}", ""] + [f"::: fmuid.{left.pop(n)}.{n}" for n in names]
     return "\n".join(lines) + "\n"

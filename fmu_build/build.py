@@ -15,9 +15,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
+from fmu_build.errors import BuildError, ModelicaError
 from fmu_build.sources import source_files
-from fmuid.errors import BuildError, ModelicaError
-from fmuid.files import make_folder
 
 Compiler = Literal["rumoca", "omc"]
 
@@ -74,7 +73,11 @@ def build(
     state = _state(file, class_name, folders, fmi, compiler)
     if target.is_file() and stamp.is_file() and stamp.read_text() == f"{state} {_digest(target)}":
         return target
-    make_folder(out)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        what = f"cannot be a folder ({error.strerror or error})"
+        raise BuildError(what, where=out, fix="name a folder that can be written") from None
     if compiler == "rumoca":
         from fmu_build.compiler import compile_modelica
         from fmu_build.packaging import package

@@ -11,9 +11,9 @@ from typing import Any, Protocol
 from fmu_build import algebra
 from fmu_build.algebra import Array, Scalar, UnknownSizeError, Value, whole
 from fmu_build.builtin_functions import BUILTIN, as_matrix, cat
+from fmu_build.errors import ModelicaError
 from fmu_build.frontend import Flat, Node
 from fmu_build.graph import SX
-from fmuid.errors import ModelicaError
 
 _ELEMENTWISE: dict[str, Callable[..., Scalar]] = {
     "Add": algebra.add,

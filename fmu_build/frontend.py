@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from fmu_build import source_checks
-from fmu_build.places import declared, locate
+from fmu_build.errors import ModelicaError
+from fmu_build.source_locations import declared, locate
 from fmu_build.sources import source_files, source_root
-from fmuid.errors import ModelicaError
-from fmuid.suggest import suggestion
+from fmu_build.suggest import suggestion
 
 Node = Mapping[str, Any]
 _LONG = 400  # of a message: what follows are its consequences

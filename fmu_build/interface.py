@@ -15,7 +15,7 @@ from fmu_build.point import Point
 from fmu_build.scope import ModelScope
 from fmu_build.sorting import Solution
 from fmu_build.start import InitialConditions, Start, declared_start, start_of
-from fmu_build.units import make_unit
+from fmu_build.unit_strings import make_unit
 from fmu_build.variables import Declared
 
 

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 from xml.etree import ElementTree
 
+from fmu_build.errors import BuildError
 from fmu_build.model import BASE_UNITS, CompiledModel, Unit, Variable
-from fmuid.errors import BuildError
 
 FmiVersion = Literal[2, 3]
 GENERATION_TOOL = "fmuid"

@@ -18,10 +18,10 @@ from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
+from fmu_build.errors import BuildError
 from fmu_build.model import CompiledModel, Location, Variable
 from fmu_build.model_description import FmiVersion, model_description, states
 from fmu_build.switches import switches_code
-from fmuid.errors import BuildError
 
 DEFAULT_TOLERANCE = 1e-6
 # Contraction into fused operations would make results depend on the processor the compiler had in mind.

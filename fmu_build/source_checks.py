@@ -12,8 +12,8 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from fmu_build.places import blanked
-from fmuid.errors import ModelicaError
+from fmu_build.errors import ModelicaError
+from fmu_build.source_locations import blanked
 
 _KINDS = r"(?:model|block|class|record|connector|package|function|type)"
 _REDECLARED = re.compile(rf"\bredeclare\s+(?:replaceable\s+)?{_KINDS}\s+\w+\s*=\s*[\w.]+\s*\(")

@@ -15,7 +15,7 @@ from typing import Any
 
 from fmu_build.frontend import Flat, Node
 from fmu_build.model import BASE_UNITS
-from fmu_build.units import parse_unit
+from fmu_build.unit_strings import parse_unit
 
 _SAME = {"Abs", "NoEvent", "Pre", "Previous", "Sum", "Min", "Max", "Homotopy", "Transpose", "Scalar", "Vector",
          "Floor", "Ceil", "Integer", "Mod", "Rem", "Cat", "Fill", "Diagonal", "Symmetric", "Matrix"}  # fmt: skip

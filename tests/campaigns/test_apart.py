@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid.campaign import Measurements
-from fmuid.data.apart import read_apart
+from fmuid.core.errors import MeasurementsError
+from fmuid.core.experiments import Measurements
+from fmuid.data.isolated_reader import read_apart
 from fmuid.data.measurements import read_measurements
-from fmuid.errors import MeasurementsError
 
 
 def hang(path: Path) -> None:
@@ -38,7 +38,7 @@ def importable(monkeypatch: pytest.MonkeyPatch) -> None:
     for function in (hang, crash, refuse, whose):
         monkeypatch.setattr(function, "__module__", "test_apart")
     monkeypatch.setitem(__import__("sys").modules, "test_apart", __import__("sys").modules[__name__])
-    from fmuid.data import apart
+    from fmuid.data import isolated_reader as apart
 
     apart._end()  # one that knows the path
 

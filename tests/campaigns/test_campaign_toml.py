@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fmuid.campaigns.campaign_toml import load_campaign
-from fmuid.errors import CampaignError, FmuidError
+from fmuid.core.errors import CampaignError, FmuidError
 
 REMOVE = object()
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from fmuid.core.errors import MeasurementsError
 from fmuid.data.crosscheck_csv import Table, read_csv, write_csv
-from fmuid.errors import MeasurementsError
 
 
 def test_the_file_is_as_the_fmi_cross_check_has_it(tmp_path: Path) -> None:

@@ -16,9 +16,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fmuid.campaign import Measurements, Signal
+from fmuid.core.errors import FmuidError, MeasurementsError
+from fmuid.core.experiments import Measurements, Signal
 from fmuid.data.measurements import read_measurements, write_measurements
-from fmuid.errors import FmuidError, MeasurementsError
 
 SEALED = Path(__file__).parents[3] / "shared" / "data" / "sealed"
 Edit = Callable[[Any], None]

@@ -19,10 +19,10 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 from scipy.io import savemat
 
-from fmuid.data import apart
+from fmuid.core.errors import MeasurementsError
+from fmuid.data import isolated_reader as apart
 from fmuid.data.crosscheck_csv import read_csv
-from fmuid.errors import MeasurementsError
-from fmuid.recordings import Recording, read_recording
+from fmuid.data.recordings import Recording, read_recording
 
 FAST, SLOW = np.arange(0.0, 1.0, 0.001), np.arange(0.0, 1.0, 0.01)
 

@@ -9,11 +9,11 @@ import pytest
 from scipy.io import savemat
 
 from fmuid.cli.app import run
+from fmuid.core.errors import MeasurementsError
 from fmuid.data.crosscheck_csv import Table
 from fmuid.data.measurements import read_measurements
-from fmuid.errors import MeasurementsError
-from fmuid.recordings import Recording
-from fmuid.recordings.resampling import TimeBase, one_time_base
+from fmuid.data.recordings import Recording
+from fmuid.data.recordings.resampling import TimeBase, one_time_base
 
 FAST, SLOW = np.linspace(0.0, 1.0, 1001), np.linspace(0.05, 1.05, 101)
 ON_CHANGE = np.array([0.0, 0.333, 0.71])

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
-from fmuid.campaign import Measurements
-from fmuid.result import Estimate, Result, StageResult
-from fmuid.solvers import Status
-from fmuid.validation import RunScore, Validation
+from fmuid.core.experiments import Measurements
+from fmuid.identification.result import Estimate, Result, StageResult
+from fmuid.identification.solvers import Status
+from fmuid.identification.validate import RunScore, Validation
 
 
 def cells(html: str) -> list[list[str]]:

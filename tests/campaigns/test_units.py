@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fmuid.errors import UnitError
-from fmuid.units import Conversion, check_unit, conversion, convert_factor
+from fmuid.core.errors import UnitError
+from fmuid.core.units import Conversion, check_unit, conversion, convert_factor
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_a_factor_alone_is_refused_where_there_is_an_offset() -> None:
 
 
 def test_usual_units_need_no_pint() -> None:
-    script = "import sys; from fmuid.units import conversion; conversion('N.m.s', 'N.m.s/rad'); print('pint' in sys.modules)"
+    script = "import sys; from fmuid.core.units import conversion; conversion('N.m.s', 'N.m.s/rad'); print('pint' in sys.modules)"
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
     assert ran.stdout.strip() == "False"
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid.campaign import Experiment, Measurements, Signal
 from fmuid.cli.app import run
+from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
-from fmuid.simulators.fmu import load_fmu
-from fmuid.simulators.simulation import Task
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.simulator import Task
 
 TOML = """\
 [campaign]

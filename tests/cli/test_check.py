@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid.campaign import Experiment, Measurements, Signal
+from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
 
 Command = Callable[..., tuple[int, str, str]]

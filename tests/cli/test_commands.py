@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from fmuid.campaign import Measurements
+from fmuid.core.experiments import Measurements
 from fmuid.data.crosscheck_csv import Table, read_csv, write_csv
 from fmuid.data.measurements import read_measurements
-from fmuid.recordings.importing import table_from_experiment
+from fmuid.data.recordings.conversion import table_from_experiment
 
 Command = Callable[..., tuple[int, str, str]]
 COMMANDS = [

@@ -14,13 +14,13 @@ from lxml import etree
 
 from fmu_build import build
 from fmuid.campaigns.campaign_toml import load_campaign
-from fmuid.errors import FmuError, FmuidError, ProblemError
-from fmuid.fmu_copy import copy_with_starts, takes_effect
-from fmuid.identified import write_identified
-from fmuid.result import Result
-from fmuid.simulators.fmu import Fmu, load_fmu
-from fmuid.simulators.simulation import Task
-from fmuid.solvers import Status
+from fmuid.core.errors import FmuError, FmuidError, ProblemError
+from fmuid.identification.identified_models import write_identified
+from fmuid.identification.result import Result
+from fmuid.identification.solvers import Status
+from fmuid.simulation.fmu import Fmu, load_fmu
+from fmuid.simulation.fmu_copy import copy_with_starts, takes_effect
+from fmuid.simulation.simulator import Task
 
 SCHEMA = Path(fmpy.__file__).parent / "ssp" / "schema" / "SystemStructureParameterValues.xsd"
 VALUES = {"m": 1.25, "d": 0.8, "mode": 2.0, "x": -0.3, "wind": 4.5}

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from fmuid.campaign import Measurements
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.cli.app import run
+from fmuid.core.experiments import Measurements
 from fmuid.data.crosscheck_csv import Table, write_csv
-from fmuid.result import Result
-from fmuid.simulators.fmu import load_fmu
-from fmuid.simulators.simulation import Task
+from fmuid.identification.result import Result
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.simulator import Task
 from tests.simulation.fmus import FAULTS, make_oscillator
 
 Command = Callable[..., tuple[int, str, str]]

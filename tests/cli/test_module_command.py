@@ -2,8 +2,8 @@
 
 import pytest
 
-from fmuid.errors import FmuidError
-from fmuid.module_command import ended
+from benchmarks.study_command import ended
+from fmuid.core.errors import FmuidError
 
 
 @pytest.mark.parametrize(

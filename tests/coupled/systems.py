@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from fmuid.coupled.loading import couple
-from fmuid.coupled.model import CoupledModel
-from fmuid.coupled.structure import Master
+from fmuid.core.coupling import Master
+from fmuid.simulation.coupled.coupled_model import CoupledModel
+from fmuid.simulation.coupled.loading import couple
 
 ROOT = Path(__file__).parents[2]
 BUILT = ROOT / "build" / "fmus"

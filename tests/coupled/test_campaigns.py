@@ -16,16 +16,16 @@ from systems import BUILT, DRIVES, ROOT, component, connection, connections, ele
 
 import fmu_build
 from fmuid import diagnose, identify, load_campaign, validate
-from fmuid.campaign import Experiment, Measurements, Signal
-from fmuid.campaigns.model_check import check_effects, load_models, match_models
 from fmuid.cli.app import run
-from fmuid.coupled.loading import load_system
-from fmuid.coupled.structure import Master
+from fmuid.core.coupling import Master
+from fmuid.core.errors import FmuidError
+from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
-from fmuid.errors import FmuidError
-from fmuid.identified import write_identified
-from fmuid.simulators.fmu import load_fmu
-from fmuid.simulators.simulation import Task
+from fmuid.identification.check import check_effects, load_models, match_models
+from fmuid.identification.identified_models import write_identified
+from fmuid.simulation.coupled.loading import load_system
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.simulator import Task
 
 TIME = np.linspace(0, 1, 101)
 TRUTH = {"mgr": 21.0, "kp": 0.026, "ki": 0.52}

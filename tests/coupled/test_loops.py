@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from systems import coupled
 
-from fmuid.errors import FmuError, SimulationError
-from fmuid.simulators import stepper
-from fmuid.simulators.simulation import Task
+from fmuid.core.errors import FmuError, SimulationError
+from fmuid.simulation.simulator import Task
 
 TIME = np.linspace(0, 1, 101)
 RING = {"a.u": "b.y", "b.u": "a.y"}
@@ -82,21 +81,6 @@ def test_a_delayed_loop_lags_one_step_and_is_refused_where_it_does_not_settle(ma
     np.testing.assert_allclose(y[0], 4 / 3, rtol=1e-8)
     with pytest.raises(SimulationError, match=r"is not solved after 50 iterations in initialisation"):
         model.simulate(RING_TASK, {"a.k": 3.0, "b.k": -2.5, "a.b": 1.0})
-
-
-def test_python_and_c_iterate_alike(made, monkeypatch):
-    model = coupled(
-        {"lag": made("Lag"), "gain": made("Gain"), "ring": made("Gain")},
-        {**LAG_AND_GAIN, "ring.u": "gain.y"},
-        step=4e-3, extrapolation="linear", loops="iterate",
-    )  # fmt: skip
-    task = Task(TIME[:20], {}, ("lag.x", "gain.y", "ring.y"))
-    fast = model.simulate(task, {"lag.d": 0.5, "gain.k": -4.0})
-    monkeypatch.setenv("FMUID_STEPPER", "python")
-    stepper.library.cache_clear()
-    slow = model.simulate(task, {"lag.d": 0.5, "gain.k": -4.0})
-    stepper.library.cache_clear()
-    assert np.array_equal(fast, slow)
 
 
 def test_what_cannot_go_back_is_not_iterated(made, python_pi):

@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 from systems import coupled, split
 
-from fmuid.errors import FmuError, SimulationError
-from fmuid.running.parcels import packed, unpacked
-from fmuid.running.workers import WorkerPool
-from fmuid.simulators import stepper
-from fmuid.simulators.fmu import load_fmu
-from fmuid.simulators.simulation import Simulator, Task
-from fmuid.ssv import parameter_set
+from fmuid.core.errors import FmuError, SimulationError
+from fmuid.identification.parameter_set import parameter_set
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.pool.parcels import packed, unpacked
+from fmuid.simulation.pool.workers import WorkerPool
+from fmuid.simulation.simulator import Simulator, Task
 
 TIME = np.linspace(0, 1, 101)
 SPEED = 30 * np.sin(2 * np.pi * TIME)
@@ -30,14 +29,6 @@ def single(drive):
     names = ("w_motor", "tau_sensor", "phi_load", "i_motor")
     task = Task(TIME, {"w_ref": SPEED}, names, {}, "linear", 1e-8)
     return load_fmu(drive["whole"]).simulate(task, {})
-
-
-@pytest.fixture
-def python_only(monkeypatch):
-    stepper.library.cache_clear()
-    monkeypatch.setenv("FMUID_STEPPER", "python")
-    yield
-    stepper.library.cache_clear()
 
 
 def error(y, reference):
@@ -64,18 +55,6 @@ def test_gauss_seidel_is_closer_than_jacobi(drive, single):
     assert (seidel < jacobi).all()
 
 
-@pytest.mark.parametrize("algorithm", ["jacobi", "gauss_seidel"])
-@pytest.mark.parametrize("extrapolation", ["constant", "linear"])
-def test_python_and_c_agree_to_the_last_digit(drive, algorithm, extrapolation, python_only, monkeypatch):
-    task = Task(TIME[:20], {"controller.w_ref": SPEED[:20]}, SIGNALS, {"plant.mgr": 20.0}, "linear", 1e-6)
-    model = split(drive, step=3e-3, algorithm=algorithm, extrapolation=extrapolation)
-    slow = model.simulate(task, {"controller.kp": 0.03})
-    monkeypatch.delenv("FMUID_STEPPER")
-    stepper.library.cache_clear()
-    assert stepper.library() is not None
-    assert np.array_equal(model.simulate(task, {"controller.kp": 0.03}), slow)
-
-
 def exact_lag(x0, target, rate):
     return target + (x0 - target) * np.exp(-rate * TIME)
 
@@ -84,9 +63,9 @@ def exact_lag(x0, target, rate):
     "interfaces", [("co-simulation", 2), ("co-simulation", 3), ("model exchange", 2), ("model exchange", 3)]
 )
 def test_fmi_2_and_3_and_model_exchange_can_be_mixed(made, interfaces):
-    from fmuid.coupled.model import CoupledModel
-    from fmuid.coupled.structure import Connection, Linear, Master, Place
-    from fmuid.simulators.fmu import Fmu
+    from fmuid.core.coupling import Connection, Linear, Master, Place
+    from fmuid.simulation.coupled.coupled_model import CoupledModel
+    from fmuid.simulation.fmu import Fmu
 
     interface, fmi = interfaces
     components = {"lag": Fmu(made("Lag", fmi), interface), "gain": Fmu(made("Gain", 5 - fmi))}
@@ -226,8 +205,8 @@ def test_inputs_that_nothing_drives_hold_what_they_start_with(made):
 
 
 def test_variables_of_the_main_component_go_by_their_own_names(drive):
-    from fmuid.coupled.loading import load_coupling
-    from fmuid.coupled.structure import Coupling, Linear, Master
+    from fmuid.core.coupling import Coupling, Linear, Master
+    from fmuid.simulation.coupled.loading import load_coupling
 
     files = {name: drive[name] for name in ("plant", "controller")}
     wires = {"plant.i": ("controller.i", Linear()), "controller.w": ("plant.w_motor", Linear())}
@@ -255,14 +234,9 @@ def test_a_parcel_for_another_machine_has_the_fmus_in_it(drive, tmp_path):
     assert np.array_equal(there.simulate(task, {}), expected)
 
 
-@pytest.mark.parametrize("where", ["c", "python"])
-def test_a_run_that_pauses_for_ctrl_c_goes_on_where_it_was(made, monkeypatch, where):
+def test_a_run_that_pauses_for_ctrl_c_goes_on_where_it_was(made, monkeypatch):
     model = coupled({"lag": made("Lag"), "gain": made("Gain")}, {"gain.u": "lag.x", "lag.u": "gain.y"}, step=2e-3)
     task = Task(TIME[:40], {}, ("lag.x", "gain.y"))
     whole = model.simulate(task, {"gain.k": -1.0})
-    if where == "python":
-        monkeypatch.setenv("FMUID_STEPPER", "python")
-    stepper.library.cache_clear()
-    monkeypatch.setattr("fmuid.simulators.stepper._SLICE", 0.0)
+    monkeypatch.setattr("fmuid.simulation.stepper._SLICE", 0.0)
     assert np.array_equal(model.simulate(task, {"gain.k": -1.0}), whole)
-    stepper.library.cache_clear()

@@ -23,11 +23,11 @@ from systems import (
 )
 
 from fmuid.cli.app import run
-from fmuid.coupled.loading import load_model, load_system
-from fmuid.coupled.structure import Master
-from fmuid.errors import FmuError, UnitError
-from fmuid.running.workers import WorkerPool
-from fmuid.simulators.simulation import Task
+from fmuid.core.coupling import Master
+from fmuid.core.errors import FmuError, UnitError
+from fmuid.simulation.coupled.loading import load_model, load_system
+from fmuid.simulation.pool.workers import WorkerPool
+from fmuid.simulation.simulator import Task
 
 TIME = np.linspace(0, 0.5, 51)
 SPEED = 30 * np.sin(4 * np.pi * TIME)
@@ -320,7 +320,7 @@ def test_entities_do_not_expand_without_end(gains, tmp_path):
 def test_extracted_files_are_removed(gains, tmp_path, monkeypatch):
     import gc
 
-    from fmuid.coupled import loading
+    from fmuid.simulation.coupled import loading
 
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     path = gains(AB)

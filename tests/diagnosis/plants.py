@@ -10,14 +10,14 @@ from typing import ClassVar
 import numpy as np
 
 from fmuid.diagnosis.catalogue import Catalogue, Effect
-from fmuid.diagnosis.model import CampaignModel
+from fmuid.diagnosis.extended_model import CampaignModel
+from fmuid.diagnosis.modelled_noise import observe
 from fmuid.diagnosis.ports import Port
 from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.regimes import Regime
-from fmuid.diagnosis.setting_up import Subject
-from fmuid.diagnosis.unrepeated import observe
-from fmuid.problems.cases import measured_case
-from fmuid.simulators.simulation import Task, Variable
+from fmuid.diagnosis.subject import Subject
+from fmuid.identification.problem.cases import measured_case
+from fmuid.simulation.simulator import Task, Variable
 
 DT = 5e-3
 N = 400

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.blind.blind_check import Check, _environment, main, out_of_reach
+from benchmarks.blind.blind_page import page
+from benchmarks.blind.blind_score import Outcome, Scored, calibration, confusion, figures, power_curve, share
+from benchmarks.virtual_rig.blind_cases import find_truth, plan_cases, record_case
+from benchmarks.virtual_rig.blind_experiments import sealed_experiments
+from benchmarks.virtual_rig.blind_further import add_suggested_run
+from fmuid.core.errors import FmuidError
 from fmuid.data.measurements import read_measurements, write_measurements
-from fmuid.diagnosis.blind_check import Check, _environment, main, out_of_reach
-from fmuid.diagnosis.blind_page import page
-from fmuid.diagnosis.blind_score import Outcome, Scored, calibration, confusion, figures, power_curve, share
-from fmuid.errors import FmuidError
-from fmuid.virtual_rig.blind_cases import find_truth, plan_cases, record_case
-from fmuid.virtual_rig.blind_experiments import sealed_experiments
-from fmuid.virtual_rig.blind_further import add_suggested_run
 
 ROOT = Path(__file__).parents[2]
 PORTS = ("friction", "sensor")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from plants import EFFECTS, REGIMES, plant
 
+from fmuid.core.errors import SimulationError
 from fmuid.diagnosis.calibration import (
     Calibration,
     Trial,
@@ -22,8 +23,7 @@ from fmuid.diagnosis.candidates import fit_effects
 from fmuid.diagnosis.diagnose import diagnose_subject
 from fmuid.diagnosis.observed import excess
 from fmuid.diagnosis.regimes import trajectories
-from fmuid.diagnosis.result import Verdict
-from fmuid.errors import SimulationError
+from fmuid.diagnosis.verdict import Verdict
 
 EFFECT = Verdict("effect", ("a",))
 WEIGHTS = {"a": 0.9, "b": 0.06, "none": 0.02, "unknown": 0.02}

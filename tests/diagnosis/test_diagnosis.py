@@ -7,8 +7,8 @@ import jsonschema
 import pytest
 from plants import EFFECTS, PORTS, TWIN, plant
 
+from fmuid.core.errors import SimulationError
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
-from fmuid.errors import SimulationError
 
 SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid.campaign import Experiment, Measurements, Signal
 from fmuid.cli.app import run
+from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
-from fmuid.simulators.fmu import load_fmu
-from fmuid.simulators.simulation import Task
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.simulator import Task
 
 GUIDE = Path(__file__).parents[2] / "docs" / "diagnosis.md"
 TIME = 5e-3 * np.arange(400)
@@ -172,6 +172,6 @@ def test_ctrl_c_ends_a_diagnosis(trolley, tmp_path, capsys, monkeypatch):
         raise KeyboardInterrupt
 
     record(trolley)
-    monkeypatch.setattr("fmuid.diagnosis.of_campaign.diagnose_subject", interrupted)
+    monkeypatch.setattr("fmuid.diagnosis_pipeline.diagnose_subject", interrupted)
     assert run(["diagnose", str(trolley), "--out", str(tmp_path / "out"), "--workers", "1"]) == 130
     assert not (tmp_path / "out").exists()

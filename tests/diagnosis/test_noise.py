@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from fmuid.core.errors import ProblemError
 from fmuid.data.noise_spectrum import (
     RepeatedRuns,
     coefficient_frequencies,
@@ -13,9 +14,8 @@ from fmuid.data.noise_spectrum import (
     real_spectrum,
     whitener,
 )
-from fmuid.diagnosis.null import Null, draw_noise
+from fmuid.diagnosis.null_distribution import Null, draw_noise
 from fmuid.diagnosis.observed import Observed, excess, gap
-from fmuid.errors import ProblemError
 
 DT = 1e-3
 TIME = DT * np.arange(600)

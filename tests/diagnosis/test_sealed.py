@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from fmuid.diagnosis import sealed
-from fmuid.errors import FmuidError
+from benchmarks import sealed
+from fmuid.core.errors import FmuidError
 
 ANSWER = {
     "verdict": {"kind": "ambiguous", "effects": ["viscous", "stribeck"], "port": "gear_friction"},

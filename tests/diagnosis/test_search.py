@@ -6,7 +6,7 @@ from plants import plant
 from tones import SIGMA, STRENGTHS, TIME, heard
 
 from fmuid.diagnosis.diagnose import diagnose_subject
-from fmuid.diagnosis.result import Verdict
+from fmuid.diagnosis.verdict import Verdict
 
 
 def test_a_swap_mends_a_first_pick_that_was_wrong(monkeypatch):
@@ -20,7 +20,7 @@ def test_a_swap_mends_a_first_pick_that_was_wrong(monkeypatch):
     assert set(found.diagnosis.verdict.effects) == {"first", "second"}
     assert found.diagnosis.model == pytest.approx({"k": 1.0, "first": 1.0, "second": 1.0}, abs=0.01)
     # Without swaps the mixture stays, and something with it.
-    monkeypatch.setattr("fmuid.diagnosis.search._swaps", lambda *_: [])
+    monkeypatch.setattr("fmuid.diagnosis.effect_search._swaps", lambda *_: [])
     assert "mixture" in diagnose_subject(subject).diagnosis.verdict.effects
 
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmuid.diagnosis.catalogue import Catalogue, Effect, Sensor
-from fmuid.diagnosis.model import CampaignModel
+from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import Port
 from fmuid.diagnosis.refit import Unknown
-from fmuid.diagnosis.setting_up import Subject
-from fmuid.problems.cases import measured_case
-from fmuid.simulators.simulation import Task, Variable
+from fmuid.diagnosis.subject import Subject
+from fmuid.identification.problem.cases import measured_case
+from fmuid.simulation.simulator import Task, Variable
 
 TIME = 5e-3 * np.arange(400)
 SIGMA = 0.05

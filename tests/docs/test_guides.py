@@ -23,8 +23,8 @@ from typer.main import get_command
 
 import fmuid
 from fmu_build import compile_modelica
+from fmu_build.errors import ModelicaError
 from fmuid.cli.app import app
-from fmuid.errors import ModelicaError
 
 ROOT = Path(__file__).parents[2]
 PAGES = [
@@ -48,7 +48,7 @@ def in_turn(page: Path) -> object:
 def desk(fmus: Mapping[str, Path], tmp_path: Path) -> Path:
     """A folder with all that a page may name: the repository's folders, FMUs and measurements."""
     if not (ROOT / "campaigns" / "force_feedback" / "measurements.h5").exists():
-        rig = [sys.executable, "-m", "fmuid.virtual_rig", "campaigns/force_feedback"]
+        rig = [sys.executable, "-m", "benchmarks.virtual_rig", "campaigns/force_feedback"]
         subprocess.run(rig, cwd=ROOT, check=True, capture_output=True)
     for folder in ("build", "campaigns", "docs", "modelica"):
         (tmp_path / folder).symlink_to(ROOT / folder)

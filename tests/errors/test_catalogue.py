@@ -17,8 +17,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from cases import CASES, Case
 
-from fmuid.campaign import Experiment, Measurements, Signal
 from fmuid.cli.app import run
+from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
 from tests.cli.conftest import TOML as CAMPAIGN
 

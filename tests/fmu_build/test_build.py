@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from fmu_build import build, compile_modelica
-from fmuid.errors import BuildError, ModelicaError
+from fmu_build.errors import BuildError, ModelicaError
 from tests.fmu_build.simulate import Instance, states
 
 MODELS = Path(__file__).parent / "models"

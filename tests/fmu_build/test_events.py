@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from fmu_build import build, compile_modelica
-from fmuid.simulators.fmu import Fmu
-from fmuid.simulators.simulation import Task
+from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.simulator import Task
 from tests.fmu_build.simulate import Instance, find, states, values
 
 HYBRID = Path(__file__).parent / "models" / "Hybrid.mo"

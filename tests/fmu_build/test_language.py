@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from fmu_build import compile_modelica
+from fmu_build.errors import ModelicaError
 from fmu_build.model import CompiledModel
-from fmuid.errors import ModelicaError
 from tests.fmu_build.simulate import Instance, find, values
 
 LANGUAGE = Path(__file__).parent / "models" / "Language.mo"

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fmu_build import compile_modelica
-from fmuid.errors import ModelicaError
+from fmu_build.errors import ModelicaError
 
 # One construct a line; the refusal must name its line.
 LAWS = """package P

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from fmu_build import build, compile_modelica
+from fmu_build.errors import ModelicaError
 from fmu_build.model import CompiledModel
-from fmuid.errors import ModelicaError
-from fmuid.simulators.fmu import Fmu
-from fmuid.simulators.simulation import Task
+from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.simulator import Task
 from tests.conftest import MODELICA
 from tests.fmu_build.simulate import Instance, find, values
 

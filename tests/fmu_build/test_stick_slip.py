@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fmu_build import build
-from fmuid.simulators.fmu import Fmu
-from fmuid.simulators.simulation import Task
+from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.simulator import Task
 from tests.conftest import FMUS, MODELICA
 from tests.fmu_build.test_events import set_valued_gear
 from tests.reference.experiments import LOSSY, eccentric_load

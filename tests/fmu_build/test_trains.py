@@ -10,8 +10,8 @@ import pytest
 from scipy.linalg import expm
 
 from fmu_build import compile_modelica
+from fmu_build.errors import ModelicaError
 from fmu_build.model import CompiledModel
-from fmuid.errors import ModelicaError
 from tests.fmu_build.simulate import Instance, find, states, values
 
 TRAINS = Path(__file__).parent / "models" / "Trains.mo"

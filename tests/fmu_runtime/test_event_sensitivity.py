@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from fmu_build import build
-from fmuid.errors import SimulationError
-from fmuid.simulators.fmu import Fmu
-from fmuid.simulators.simulation import Task
+from fmuid.core.errors import SimulationError
+from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.simulator import Task
 from tests.conftest import MODELICA, build_setups
 from tests.reference.experiments import LOSSY
 

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from fmpy.build import build_platform_binary
 
+from fmu_build.errors import BuildError
 from fmu_build.packaging import package
-from fmuid.errors import BuildError
-from fmuid.fmu_copy import copy_with_starts
-from fmuid.simulators.fmu import load_fmu
-from fmuid.simulators.simulation import Task
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.fmu_copy import copy_with_starts
+from fmuid.simulation.simulator import Task
 
 
 def test_same_input_same_bytes(tmp_path):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fmu_build import build
-from fmuid.simulators.simulation import Task
+from fmuid.simulation.simulator import Task
 from tests.conftest import FMUS, MODELICA
 
 SETUPS = ("PositionDriven", "TorqueDriven")

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.simulators.fmu import load_fmu
-from fmuid.simulators.simulation import Task
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.simulator import Task
 
 INTERVAL = 0.016
 RATIO = 6.33

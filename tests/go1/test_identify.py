@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.rival_stages import main as compare_stages
+from benchmarks.rival_stages import rivals_of
+from campaigns.go1.convert import main as read_logs
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.cli.app import run
-from fmuid.go1 import main as read_logs
-from fmuid.result import Result
-from fmuid.rival_stages import main as compare_stages
-from fmuid.rival_stages import rivals_of
+from fmuid.identification.result import Result
 from tests.conftest import ROOT
 from tests.go1.logs import TRAJECTORIES, simulated_log, write
 

@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
+from campaigns.go1.convert import DEFAULT_FOLDER, GEAR_RATIO, folder_from_environment, main, read_go1
+from fmuid.core.errors import MeasurementsError
 from fmuid.data.measurements import read_measurements
-from fmuid.errors import MeasurementsError
-from fmuid.go1 import DEFAULT_FOLDER, GEAR_RATIO, folder_from_environment, main, read_go1
 from tests.conftest import ROOT
 from tests.go1.logs import INTERVAL, plain_log, write
 

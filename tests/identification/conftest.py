@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fmuid import ParameterSpec, Problem, Task, Variable, measured_case
-from fmuid.errors import SimulationError
+from fmuid.core.errors import SimulationError
 
 
 class Analytic:

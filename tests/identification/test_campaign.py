@@ -24,9 +24,9 @@ from fmuid import (
     sensitivity_of,
     validate,
 )
-from fmuid.campaign import ModelSpec
-from fmuid.errors import FmuError, ProblemError, UnitError
-from fmuid.statistics.sensitivity import excitation
+from fmuid.core.campaign import ModelSpec
+from fmuid.core.errors import FmuError, ProblemError, UnitError
+from fmuid.identification.uncertainty.sensitivity import excitation
 
 TIME = np.linspace(0.0, 4.0, 201)
 TRUTH = {"K": 0.7, "tau": 0.4, "offset@low": 0.3, "offset@high": -0.2}

@@ -7,17 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid import (
-    CriterionSpec,
-    ParameterSpec,
-    Problem,
-    Task,
-    identify,
-    load_campaign,
-    load_fmu,
-    measured_case,
-)
-from fmuid.interval_coverage import interval_coverage
+from benchmarks.interval_coverage import interval_coverage
+from fmuid import CriterionSpec, ParameterSpec, Problem, Task, identify, load_campaign, load_fmu, measured_case
 
 CAMPAIGN = Path(__file__).parents[2] / "campaigns" / "force_feedback"
 
@@ -89,7 +80,7 @@ def test_intervals_of_the_linear_stage_hold_the_truth(runs, coloured, kind, whit
 def test_intervals_of_the_campaigns_own_linear_stage_hold_the_truth(fmus, colour):
     """Fewer noises than `make coverage` draws; docs/identification.md has its figures."""
     if not (CAMPAIGN / "measurements.h5").exists():
-        subprocess.run([sys.executable, "-m", "fmuid.virtual_rig", str(CAMPAIGN)], check=True)
+        subprocess.run([sys.executable, "-m", "benchmarks.virtual_rig", str(CAMPAIGN)], check=True)
     found = interval_coverage(load_campaign(CAMPAIGN), "linear", draws=30, colour=colour, seed=1)
     assert len(found.names) == 11
     assert 0.90 <= np.mean(found.shares) <= 0.98, str(found)

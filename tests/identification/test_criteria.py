@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from fmuid.campaign import CriterionSpec
+from fmuid.core.campaign import CriterionSpec
+from fmuid.core.errors import ProblemError
 from fmuid.data.noise_spectrum import RepeatedRuns
-from fmuid.errors import ProblemError
-from fmuid.problems import criteria
-from fmuid.problems.criteria import Target, prepare
+from fmuid.identification.problem import criteria
+from fmuid.identification.problem.criteria import Target, prepare
 
 TIME = np.linspace(0.0, 2.0, 401)
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from fmuid import ParameterSpec, Problem, Task, measured_case
-from fmuid.campaign import CriterionSpec
-from fmuid.errors import SimulationError
-from fmuid.problems.expressions import parse
-from fmuid.problems.search_space import expanded
-from fmuid.running.runners import in_process
-from fmuid.solvers.least_squares import TrustRegion
-from fmuid.solvers.search import Search, Status
-from fmuid.statistics.uncertainty import uncertainty_of
-from fmuid.units import Conversion
+from fmuid.core.campaign import CriterionSpec
+from fmuid.core.errors import SimulationError
+from fmuid.core.formulas import parse
+from fmuid.core.units import Conversion
+from fmuid.identification.problem.search_space import expanded
+from fmuid.identification.solvers.least_squares import TrustRegion
+from fmuid.identification.solvers.search import Search, Status
+from fmuid.identification.uncertainty.confidence import uncertainty_of
+from fmuid.simulation.runners import in_process
 
 TIME = np.linspace(0.0, 2.0, 201)
 DRIVE = np.sin(2 * np.pi * 1.5 * TIME) + 0.5 * np.sin(2 * np.pi * 4.0 * TIME)

@@ -1,7 +1,7 @@
 import pytest
 
-from fmuid.errors import ProblemError
-from fmuid.problems.expressions import parse
+from fmuid.core.errors import ProblemError
+from fmuid.core.formulas import parse
 
 
 @pytest.mark.parametrize(

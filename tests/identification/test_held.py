@@ -17,7 +17,7 @@ from fmuid import (
     StageSpec,
     identify,
 )
-from fmuid.campaign import ModelSpec
+from fmuid.core.campaign import ModelSpec
 
 A, B, SIGMA = 2.0, 0.5, 0.1
 IDLE, LOADED = np.linspace(0.0, 10.0, 50), np.linspace(0.0, 10.0, 400)

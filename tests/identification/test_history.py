@@ -23,7 +23,7 @@ from fmuid import (
     measured_case,
     read_history,
 )
-from fmuid.history import JOURNAL, HistoryError
+from fmuid.identification.history import JOURNAL, HistoryError
 
 # A run that identifies the mass-spring-damper with a slow model, to be killed from outside.
 SCRIPT = """

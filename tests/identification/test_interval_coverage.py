@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from benchmarks.interval_coverage import interval_coverage, main
 from fmuid import CriterionSpec, ParameterSpec
-from fmuid.errors import ProblemError
-from fmuid.interval_coverage import interval_coverage, main
+from fmuid.core.errors import ProblemError
 from tests.identification.test_held import LEVEL, SLOPE, campaign, line
 
 

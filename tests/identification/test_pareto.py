@@ -16,8 +16,8 @@ from fmuid import (
     identify,
     measured_case,
 )
-from fmuid.errors import ProblemError
-from fmuid.problems.combine import Combination, Constraint
+from fmuid.core.errors import ProblemError
+from fmuid.identification.problem.combination import Combination, Constraint
 
 
 def problem(analytic, function, names, signals, **options):

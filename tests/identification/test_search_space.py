@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from fmuid.campaign import ParameterSpec
-from fmuid.errors import ProblemError
-from fmuid.problems.search_space import SearchSpace, expanded
+from fmuid.core.campaign import ParameterSpec
+from fmuid.core.errors import ProblemError
+from fmuid.identification.problem.search_space import SearchSpace, expanded
 
 
 def test_search_coordinates_are_of_order_one_and_lead_back():

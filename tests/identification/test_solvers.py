@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from fmuid import CriterionSpec, ParameterSpec, Problem, Status, StopRules, Task, identify, measured_case
-from fmuid.errors import ProblemError
-from fmuid.problems.combine import Combination, Constraint
-from fmuid.running.runners import in_process
-from fmuid.solvers import choose
+from fmuid.core.errors import ProblemError
+from fmuid.identification.problem.combination import Combination, Constraint
+from fmuid.identification.solvers import choose
+from fmuid.simulation.runners import in_process
 
 LOCAL = ["trf", "dfols", "nelder_mead", "sbplx", "cobyla", "bobyqa", "newuoa_bound", "praxis", "slsqp"]
 GLOBAL = ["crs2", "isres", "direct", "direct_l", "esch", "mlsl", "ags"]

@@ -12,7 +12,7 @@ from fmuid import (
     profile_of,
     propagate,
 )
-from fmuid.statistics.propagation import worst_points
+from fmuid.identification.uncertainty.propagation import worst_points
 
 TIME = np.linspace(0.0, 10.0, 201)
 
@@ -273,7 +273,7 @@ def test_a_profile_is_skew_where_the_model_is(analytic):
 
 
 def test_a_worst_criterion_has_no_standard_errors(analytic):
-    from fmuid.problems.combine import Combination
+    from fmuid.identification.problem.combination import Combination
 
     case = measured_case("run", analytic(line, ["a", "b"]), Task(TIME, {}, ("y",)), {"y": 2 + 0.5 * TIME**1.1})
     stage = identify(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -21,8 +22,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Build it from a copy, for setuptools leaves its work in the folder."""
     copy, out = tmp_path_factory.mktemp("copy"), tmp_path_factory.mktemp("wheel")
     for folder in SOURCES:
-        shutil.copytree(ROOT / folder, copy / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copytree(ROOT / folder, copy / folder, ignore=shutil.ignore_patterns("__pycache__", "*.so"))
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, copy)
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(out), str(copy)]
     made = subprocess.run(command, capture_output=True, text=True, timeout=300)
@@ -38,6 +39,9 @@ def test_everything_is_in_the_wheel(wheel: Path) -> None:
         wanted = {f"{package}/{p.as_posix()}" for p in files if "__pycache__" not in p.parts}
         assert wanted <= packed
     assert {"fmuid/py.typed", "modelica/Drives/effects.toml", "fmuid/report/templates/report.html.jinja"} <= packed
+    assert "fmuid/simulation/_stepper.abi3.so" in packed  # compiled, for every version of Python
+    assert "-cp311-abi3-" in wheel.name
+    assert [name for name in packed if re.search("blind|virtual_rig|emps|go1|reference", name.lower())] == []
     own = {name for name in packed if not name.split("/")[0].endswith(".dist-info")}
     assert {name.split("/")[0] for name in own} == set(SOURCES.values())
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import pytest
 
-from fmuid.reference import reference_fmu
-from fmuid.simulators.fmu import load_fmu
-from fmuid.simulators.simulation import Simulator
+from benchmarks.reference import reference_fmu
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.simulator import Simulator
 
 
 @pytest.fixture(params=["reference", "fmu"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmuid.simulators.simulation import Task
+from fmuid.simulation.simulator import Task
 
 LOSSY = {
     f"lossTable[{row},{column}]": value

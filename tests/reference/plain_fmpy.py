@@ -8,8 +8,8 @@ from pathlib import Path
 import fmpy
 import numpy as np
 
-from fmuid.campaign import FloatArray
-from fmuid.simulators.simulation import Task
+from fmuid.core.immutable import FloatArray
+from fmuid.simulation.simulator import Task
 
 
 def simulate_fmu(

@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from fmu_build import build
-from fmuid.simulators.fmu import load_fmu
-from fmuid.simulators.simulation import Task
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.simulator import Task
 from tests.conftest import FMUS
 
 MODELS = Path(__file__).parents[1] / "fmu_build" / "models"

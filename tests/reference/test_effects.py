@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fmuid.diagnosis.catalogue import load_catalogue
-from fmuid.simulators.simulation import Task
+from fmuid.simulation.simulator import Task
 from tests.conftest import MODELICA
 from tests.reference import experiments as e
 from tests.reference.plain_fmpy import simulate_fmu

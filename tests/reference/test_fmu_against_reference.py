@@ -9,8 +9,8 @@ import fmpy
 import numpy as np
 import pytest
 
-from fmuid.reference import reference_fmu
-from fmuid.simulators.simulation import Task
+from benchmarks.reference import reference_fmu
+from fmuid.simulation.simulator import Task
 from tests.conftest import build_setups
 from tests.reference import experiments as e
 from tests.reference.plain_fmpy import simulate_fmu

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from fmuid.reference.friction import loss_table, sliding_torque
-from fmuid.simulators.simulation import Task
+from benchmarks.reference.friction_law import loss_table, sliding_torque
+from fmuid.simulation.simulator import Task
 from tests.reference.experiments import CONSTANT_FRICTION, fixed_shaft
 
 FRICTION = 0.09

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fmuid.errors import FmuError, SimulationError
-from fmuid.reference import MODELS, reference_fmu
-from fmuid.simulators.simulation import Simulator, Task
+from benchmarks.reference import MODELS, reference_fmu
+from fmuid.core.errors import FmuError, SimulationError
+from fmuid.simulation.simulator import Simulator, Task
 from tests.reference.experiments import LOSSY, axis_closed_loop, fixed_shaft
 
 

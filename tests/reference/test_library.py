@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import fmu_build
-from fmuid.simulators.simulation import Task
+from fmuid.simulation.simulator import Task
 from tests.conftest import MODELICA
 from tests.reference.plain_fmpy import simulate_fmu
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import simpson
 
-from fmuid.simulators.simulation import Task
+from fmuid.simulation.simulator import Task
 from tests.reference.experiments import CONSTANT_FRICTION, LOSSY, eccentric_load, fixed_shaft
 from tests.reference.test_friction import table_1
 

@@ -2,7 +2,15 @@
 
 import numpy as np
 
-from fmuid.plots.data import (
+from fmuid.report.diagnosis_figures import (
+    Branch,
+    DiagnosisPictures,
+    ExcessEnergy,
+    MissingQuantity,
+    RegimeBins,
+    ResidualPair,
+)
+from fmuid.report.plots.figure_data import (
     Axis,
     Bar,
     BarFigure,
@@ -12,14 +20,6 @@ from fmuid.plots.data import (
     ParallelFigure,
     Scale,
     Series,
-)
-from fmuid.report.diagnosis_figures import (
-    Branch,
-    DiagnosisPictures,
-    ExcessEnergy,
-    MissingQuantity,
-    RegimeBins,
-    ResidualPair,
 )
 
 TIME = np.linspace(0, 0.2, 400)

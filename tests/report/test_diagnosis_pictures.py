@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from fmuid.data.noise_spectrum import RepeatedRuns
+from fmuid.diagnosis.localisation import excess_map
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import Port
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.regimes import Regime
-from fmuid.diagnosis.result import Verdict
-from fmuid.diagnosis.where import excess_map
-from fmuid.report.diagnosis_pictures import pictures_of
+from fmuid.diagnosis.verdict import Verdict
+from fmuid.report.diagnosis_arrays import pictures_of
 
 TIME = np.arange(2000) * 0.01
 SPEED = 10 * np.sin(TIME)

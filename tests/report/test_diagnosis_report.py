@@ -4,9 +4,8 @@ import pytest
 import report_samples as samples
 from report_page import Page
 
-from fmuid.diagnosis.told import likeliest, told
+from fmuid.diagnosis.summary import facts, likeliest, summary, verdict_text
 from fmuid.report import DiagnosisPictures, write_diagnosis_report
-from fmuid.report.diagnosis import facts, verdict_text
 from fmuid.report.diagnosis_figures import effects_figure, effects_table, gap_figure, range_text
 
 
@@ -89,7 +88,7 @@ def test_the_smallest_gain_that_would_have_been_seen_is_told_from_none():
     diagnosis = copy.deepcopy(samples.diagnosis())
     diagnosis["verdict"] |= {"kind": "complete", "effects": [], "port": None}
     diagnosis["smallest_seen"] = {"sensor_gain": {"tau_sensor.gain": 1.0132}}
-    assert "Would have been seen, at least this large: sensor_gain (tau_sensor.gain = 1.013)" in told(diagnosis)
+    assert "Would have been seen, at least this large: sensor_gain (tau_sensor.gain = 1.013)" in summary(diagnosis)
 
 
 def test_a_verdict_that_is_not_likely_is_no_good_news():

@@ -6,9 +6,10 @@ import pytest
 import report_samples as samples
 from report_page import Page
 
-from fmuid.errors import FmuidError
-from fmuid.plots.data import Table
-from fmuid.report.document import Document, Fact, Section, _json, shown, write_document
+from fmuid.core.errors import FmuidError
+from fmuid.core.formatting import Fact
+from fmuid.report.document import Document, Section, _json, shown, write_document
+from fmuid.report.plots.figure_data import Table
 
 HOSTILE = "</script><script>alert(1)</script>"
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import report_samples as samples
 
-from fmuid.errors import FmuidError
-from fmuid.plots import render, save_data, save_figure, save_figures
-from fmuid.plots.data import Axis, LineFigure, Panel, Series, pretty_unit, tables
-from fmuid.plots.draw import canvas_of
+from fmuid.core.errors import FmuidError
 from fmuid.report.figures import StageHistory, milestones, parallel_figure
 from fmuid.report.interactive import packed, specification
+from fmuid.report.plots import render, save_data, save_figure, save_figures
+from fmuid.report.plots.draw import canvas_of
+from fmuid.report.plots.figure_data import Axis, LineFigure, Panel, Series, pretty_unit, tables
 from fmuid.report.thinning import kept_samples
 
 figures = pytest.mark.parametrize("make", samples.ALL, ids=lambda make: make.__name__)
@@ -195,7 +195,7 @@ def test_many_figures_are_drawn_by_several_processes_all_the_same(tmp_path, monk
 
 def test_a_helper_that_cannot_write_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: 2)
-    monkeypatch.setattr("fmuid.plots.save_figure", lambda *_: None)  # only the helper tries
+    monkeypatch.setattr("fmuid.report.plots.save_figure", lambda *_: None)  # only the helper tries
     (tmp_path / "file").write_text("")
     with pytest.raises(FmuidError, match="cannot be written"):
         save_figures([samples.ranked()] * 14, tmp_path / "file")

@@ -6,23 +6,21 @@ import numpy as np
 import pytest
 from report_page import Page
 
-from fmuid.campaign import (
+from fmuid.core.campaign import (
     AnalysisSpec,
     Campaign,
     CriterionSpec,
-    Experiment,
-    Measurements,
     ModelSpec,
     ParameterSpec,
     ParetoSpec,
-    Signal,
     StageSpec,
 )
-from fmuid.errors import FmuidError
-from fmuid.identification import identify
+from fmuid.core.errors import FmuidError
+from fmuid.core.experiments import Experiment, Measurements, Signal
+from fmuid.identification.identify import identify
 from fmuid.report import write_report
-from fmuid.report.friction import free_rotation, loss_table, no_load_torque, plateaus
-from fmuid.simulators.simulation import Variable
+from fmuid.report.friction_figures import free_rotation, loss_table, no_load_torque, plateaus
+from fmuid.simulation.simulator import Variable
 
 TIME = np.linspace(0, 2, 201)
 

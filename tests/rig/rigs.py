@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmuid.virtual_rig import Rig
+from benchmarks.virtual_rig import Rig
 
 PAPER_TABLE = np.array(
     [

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.virtual_rig import Sensors, blind, blind_cases
+from benchmarks.virtual_rig.blind import main, make_blind_campaigns
+from benchmarks.virtual_rig.blind_cases import plain_actuator, plan_cases
+from benchmarks.virtual_rig.blind_effects import BLIND_EFFECTS
+from benchmarks.virtual_rig.blind_experiments import held_out_experiments, sealed_experiments
+from benchmarks.virtual_rig.blind_gap import Gap, nominal_of, with_nominal
+from benchmarks.virtual_rig.rig_plan import PlannedExperiment
 from fmuid.data.measurements import read_measurements
-from fmuid.virtual_rig import Sensors, blind, blind_cases
-from fmuid.virtual_rig.blind import main, make_blind_campaigns
-from fmuid.virtual_rig.blind_cases import plain_actuator, plan_cases
-from fmuid.virtual_rig.blind_effects import BLIND_EFFECTS
-from fmuid.virtual_rig.blind_experiments import held_out_experiments, sealed_experiments
-from fmuid.virtual_rig.blind_gap import Gap, nominal_of, with_nominal
-from fmuid.virtual_rig.plan import PlannedExperiment
 from tests.rig.rigs import constant
 
 SEALED = Path(__file__).parents[3] / "shared" / "data" / "sealed" / "s01" / "measurements.h5"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fmuid.virtual_rig import Channel, Rig, Run, parameter_table
+from benchmarks.virtual_rig import Channel, Rig, Run, parameter_table
 from tests.rig.rigs import constant, held, ramped
 
 K_M, N, C_G = 0.7, 50, 25500

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid.emps import DEFAULT_FOLDER, SHA256, folder_from_environment, main, read_emps
-from fmuid.errors import MeasurementsError
+from campaigns.emps.convert import DEFAULT_FOLDER, SHA256, folder_from_environment, main, read_emps
+from fmuid.core.errors import MeasurementsError
 
 REPOSITORY = Path(__file__).parents[2]
 

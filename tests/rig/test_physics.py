@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fmuid.virtual_rig import Channel, Rig
+from benchmarks.virtual_rig import Channel, Rig
 from tests.rig.rigs import constant, held, lossless, paper, ramped
 
 K_M, N = 0.7, 50

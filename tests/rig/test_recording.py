@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid.errors import CampaignError
-from fmuid.virtual_rig import Channel, Rig, Sensors, record
-from fmuid.virtual_rig.__main__ import main
-from fmuid.virtual_rig.inputs import binary_sequence
-from fmuid.virtual_rig.plan import carry_out, load_plan
+from benchmarks.virtual_rig import Channel, Rig, Sensors, record
+from benchmarks.virtual_rig.__main__ import main
+from benchmarks.virtual_rig.inputs import binary_sequence
+from benchmarks.virtual_rig.rig_plan import carry_out, load_plan
+from fmuid.core.errors import CampaignError
 from tests.rig.rigs import constant, held, ramped
 
 CAMPAIGN = Path(__file__).parents[2] / "campaigns" / "force_feedback"

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid.campaign import ParameterSpec
-from fmuid.problems.cases import measured_case
-from fmuid.problems.problem import Problem
-from fmuid.running.worker_process import resident_memory
-from fmuid.simulators.fmu import Fmu, load_fmu
-from fmuid.simulators.simulation import Task
+from fmuid.core.campaign import ParameterSpec
+from fmuid.identification.problem.cases import measured_case
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.simulation.fmu import Fmu, load_fmu
+from fmuid.simulation.pool.worker_process import resident_memory
+from fmuid.simulation.simulator import Task
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="the loop in C is compiled")

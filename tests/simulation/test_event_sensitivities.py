@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from fmu_build import build as build_modelica
-from fmuid.campaign import CriterionSpec, ParameterSpec
-from fmuid.errors import SimulationError
-from fmuid.problems import exact_derivatives
-from fmuid.problems.cases import measured_case
-from fmuid.problems.problem import Problem
-from fmuid.problems.search_space import expanded
-from fmuid.running.runners import Job, Outcome, in_process
-from fmuid.simulators.fmu import Fmu
-from fmuid.simulators.simulation import Task
-from fmuid.solvers.least_squares import TrustRegion
-from fmuid.solvers.search import Search, Status
+from fmuid.core.campaign import CriterionSpec, ParameterSpec
+from fmuid.core.errors import SimulationError
+from fmuid.identification.problem import exact_derivatives
+from fmuid.identification.problem.cases import measured_case
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.problem.search_space import expanded
+from fmuid.identification.solvers.least_squares import TrustRegion
+from fmuid.identification.solvers.search import Search, Status
+from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.runners import Job, Outcome, in_process
+from fmuid.simulation.simulator import Task
 
 JUMPS = Path(__file__).parents[1] / "fmu_runtime" / "models" / "Jumps.mo"
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from fmus import FAULTS
 
-from fmuid.errors import FmuError, SimulationError
-from fmuid.simulators import fmu as fmu_module
-from fmuid.simulators.fmu import Fmu, load_fmu
-from fmuid.simulators.simulation import Simulator, Task
+from fmuid.core.errors import FmuError, SimulationError
+from fmuid.simulation import fmu as fmu_module
+from fmuid.simulation.fmu import Fmu, load_fmu
+from fmuid.simulation.simulator import Simulator, Task
 
 TIME = np.arange(501) * 1e-3
 U = np.sign(np.sin(50 * TIME))

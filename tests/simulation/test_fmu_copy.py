@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from fmuid.fmu_copy import copy_with_starts, takes_effect
-from fmuid.simulators.fmu import load_fmu
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.fmu_copy import copy_with_starts, takes_effect
 
 
 @pytest.mark.parametrize(

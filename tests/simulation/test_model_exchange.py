@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from fmuid.errors import SimulationError
-from fmuid.simulators.fmu import Fmu
-from fmuid.simulators.simulation import Task
+from fmuid.core.errors import SimulationError
+from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.simulator import Task
 
 BOTH = pytest.mark.parametrize("fmi", [2, 3])
 

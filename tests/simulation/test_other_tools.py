@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmuid.running.runners import in_process
-from fmuid.running.workers import WorkerPool
-from fmuid.simulators.fmu import load_fmu
-from fmuid.simulators.simulation import Task
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.pool.workers import WorkerPool
+from fmuid.simulation.runners import in_process
+from fmuid.simulation.simulator import Task
 
 TIME = np.arange(101) * 0.01
 TASK = Task(TIME, {"u": np.sin(5 * TIME)}, ("y",))

@@ -18,10 +18,10 @@ from fmus import FAULTS
 
 from fmuid import ParameterSpec, Problem, Task, identify, measured_case
 from fmuid.cli.app import run as command
-from fmuid.errors import FmuError, FmuidError, SimulationError
-from fmuid.running.remote import dask_executor, on_executor
-from fmuid.running.runners import in_process
-from fmuid.simulators.fmu import load_fmu
+from fmuid.core.errors import FmuError, FmuidError, SimulationError
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.pool.remote import dask_executor, on_executor
+from fmuid.simulation.runners import in_process
 
 TASK = Task(np.arange(301) * 1e-3, {"u": np.sin(np.arange(301) / 9)}, ("y", "x"))
 
@@ -132,7 +132,7 @@ def test_the_workers_need_no_common_disk(build, tmp_path, cluster):
 
 
 def test_workers_that_only_the_scheduler_reaches(build, cluster, monkeypatch):
-    monkeypatch.setattr("fmuid.running.remote._REACH_LIMIT", 0.0)
+    monkeypatch.setattr("fmuid.simulation.pool.remote._REACH_LIMIT", 0.0)
     jobs = [(load_fmu(build(2)), TASK, {"c": 100.0 + i}) for i in range(3)]
     with dask_executor(cluster.scheduler_address) as executor:
         assert np.array_equal(on_executor(executor)(jobs), in_process(jobs))
@@ -150,7 +150,7 @@ def test_lost_workers_are_one_line(build):
 
 
 def test_no_scheduler_and_no_workers_are_one_line(monkeypatch):
-    monkeypatch.setattr("fmuid.running.remote._CONNECT_LIMIT", 0.3)
+    monkeypatch.setattr("fmuid.simulation.pool.remote._CONNECT_LIMIT", 0.3)
     with pytest.raises(FmuidError, match="no Dask scheduler answers"), dask_executor("tcp://127.0.0.1:1"):
         pass
     with (
@@ -194,8 +194,8 @@ def test_the_command_line_on_a_cluster(
             *where,
         ]
         if where[0] == "--dask":  # nothing is simulated by processes of this machine's own
-            monkeypatch.setattr("fmuid.running.workers.Supervisor", None)
-            monkeypatch.setattr("fmuid.running.runners.simulate", None)
+            monkeypatch.setattr("fmuid.simulation.pool.workers.Supervisor", None)
+            monkeypatch.setattr("fmuid.simulation.runners.simulate", None)
         assert command([str(a) for a in arguments]) == 0
         found[where[0]] = json.loads((out / "result.json").read_text())["parameters"]
         validation[where[0]] = json.loads(summary.read_text())["validation"]

@@ -8,26 +8,25 @@ import numpy as np
 import pytest
 
 from fmu_build import build as build_modelica
-from fmuid.campaign import CriterionSpec, ParameterSpec
+from fmuid.core.campaign import CriterionSpec, ParameterSpec
+from fmuid.core.errors import FmuError
+from fmuid.core.formulas import parse
 from fmuid.diagnosis.catalogue import Effect
-from fmuid.diagnosis.model import CampaignModel
+from fmuid.diagnosis.extended_model import CampaignModel
+from fmuid.diagnosis.modelled_noise import observe
 from fmuid.diagnosis.refit import Unknown, refit
 from fmuid.diagnosis.scores import score_effects
-from fmuid.diagnosis.unrepeated import observe
-from fmuid.errors import FmuError
-from fmuid.problems import exact_derivatives
-from fmuid.problems.cases import measured_case
-from fmuid.problems.derivatives import Differences, noise_floor
-from fmuid.problems.expressions import parse
-from fmuid.problems.problem import Problem
-from fmuid.problems.search_space import expanded
-from fmuid.running.runners import in_process
-from fmuid.running.workers import WorkerPool
-from fmuid.simulators import stepper
-from fmuid.simulators.fmu import Fmu
-from fmuid.simulators.simulation import Task, differentiates
-from fmuid.solvers.least_squares import TrustRegion
-from fmuid.solvers.search import Search, Status
+from fmuid.identification.problem import exact_derivatives
+from fmuid.identification.problem.cases import measured_case
+from fmuid.identification.problem.derivatives import Differences, noise_floor
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.problem.search_space import expanded
+from fmuid.identification.solvers.least_squares import TrustRegion
+from fmuid.identification.solvers.search import Search, Status
+from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.pool.workers import WorkerPool
+from fmuid.simulation.runners import in_process
+from fmuid.simulation.simulator import Task, differentiates
 
 MODEL = """
 model Slider "A mass that reverses in dry friction"
@@ -80,17 +79,12 @@ def test_derivatives_are_those_of_accurate_runs_through_reversals(slider):
         assert np.all(error < 2e-3), (direction, error)
 
 
-def test_steppers_and_workers_agree(slider, monkeypatch):
+def test_workers_agree(slider):
     task = replace(TASK, along=ALONG[:2], tolerance=1e-5)
     fast = Fmu(slider).simulate(task, VALUES)
     with WorkerPool(1) as pool:
         (far,) = pool.run([(Fmu(slider), task, VALUES)])
     assert np.array_equal(far, fast)
-    stepper.library.cache_clear()
-    monkeypatch.setenv("FMUID_STEPPER", "python")
-    slow = Fmu(slider).simulate(task, VALUES)
-    stepper.library.cache_clear()
-    assert np.array_equal(slow, fast)
 
 
 def _problem(path, *, start):

@@ -16,7 +16,7 @@ import pytest
 from fmus import FAULTS
 
 from fmuid import Experiment, Measurements, Signal, Task, load_fmu, read_history, write_measurements
-from fmuid.history import JOURNAL
+from fmuid.identification.history import JOURNAL
 
 TIME = np.arange(301) * 1e-3
 TOML = """

@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 from fmus import FAULTS
 
-from fmuid.errors import FmuError, FmuidError, SimulationError
-from fmuid.running.remote import on_executor
-from fmuid.running.runners import in_process
-from fmuid.running.scratch import Scratch
-from fmuid.running.workers import WorkerPool
-from fmuid.simulators.fmu import Fmu, load_fmu
-from fmuid.simulators.simulation import Task
+from fmuid.core.errors import FmuError, FmuidError, SimulationError
+from fmuid.core.scratch import Scratch
+from fmuid.simulation.fmu import Fmu, load_fmu
+from fmuid.simulation.pool.remote import on_executor
+from fmuid.simulation.pool.workers import WorkerPool
+from fmuid.simulation.runners import in_process
+from fmuid.simulation.simulator import Task
 
 TASK = Task(np.arange(301) * 1e-3, {"u": np.sin(np.arange(301) / 9)}, ("y", "x"))
 
@@ -169,7 +169,7 @@ def test_what_killed_owners_left_is_cleared_up(tmp_path, monkeypatch):
 
 def test_an_fmu_that_a_killed_run_unpacked_is_cleared_up_by_the_next(build, tmp_path):
     source = (
-        "import os, sys\nfrom fmuid.simulators.fmu import load_fmu\nfrom fmuid.simulators.simulation import Task\n"
+        "import os, sys\nfrom fmuid.simulation.fmu import load_fmu\nfrom fmuid.simulation.simulator import Task\n"
         "load_fmu(sys.argv[1]).simulate(Task([0.0, 1.0], {}, ('y',)), {})\n"
         "if sys.argv[2:]:\n    os.kill(os.getpid(), 9)\n"
     )
@@ -185,7 +185,7 @@ def test_an_fmu_that_a_killed_run_unpacked_is_cleared_up_by_the_next(build, tmp_
 def test_a_pool_that_nobody_closed_ends_with_the_interpreter(tmp_path):
     script = tmp_path / "open.py"
     script.write_text(
-        "from fmuid.running.workers import WorkerPool\n"
+        "from fmuid.simulation.pool.workers import WorkerPool\n"
         "if __name__ == '__main__':\n    pool = WorkerPool(1)\n    print(pool.submit(pow, 2, 3).result())\n"
     )
     (tmp_path / "tmp").mkdir()
@@ -198,7 +198,7 @@ def test_a_pool_that_nobody_closed_ends_with_the_interpreter(tmp_path):
 def test_a_script_without_a_guard_is_told_so(tmp_path):
     script = tmp_path / "unguarded.py"
     script.write_text(
-        "from fmuid.running.workers import WorkerPool\nwith WorkerPool(1) as pool:\n    pool.submit(pow, 2, 3).result()\n"
+        "from fmuid.simulation.pool.workers import WorkerPool\nwith WorkerPool(1) as pool:\n    pool.submit(pow, 2, 3).result()\n"
     )
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=60)
     assert done.returncode == 1
@@ -209,9 +209,9 @@ def script(build) -> subprocess.Popen[str]:
     source = f"""
         import os
         import numpy as np
-        from fmuid.simulators.fmu import load_fmu
-        from fmuid.simulators.simulation import Task
-        from fmuid.running.workers import WorkerPool
+        from fmuid.simulation.fmu import load_fmu
+        from fmuid.simulation.simulator import Task
+        from fmuid.simulation.pool.workers import WorkerPool
         fmu = load_fmu({str(build(2))!r})
         task = Task(np.arange(301) * 1e-3, {{}}, ("y",))
         if __name__ == "__main__":
@@ -253,7 +253,7 @@ def test_workers_go_when_the_search_is_interrupted_or_killed(build, how):
 def test_workers_of_a_killed_search_say_nothing(tmp_path):
     source = tmp_path / "busy.py"
     source.write_text(
-        "from fmuid.running.workers import WorkerPool\nif __name__ == '__main__':\n    with WorkerPool(2) as pool:\n"
+        "from fmuid.simulation.pool.workers import WorkerPool\nif __name__ == '__main__':\n    with WorkerPool(2) as pool:\n"
         "        while True:\n            print(len(list(pool.map(bytes, [300_000] * 20))), flush=True)\n"
     )
     command = [sys.executable, str(source)]

@@ -1,4 +1,4 @@
-"""Campaign files (`campaign.toml`): read and checked into the values of `fmuid.campaign`."""
+"""Campaign files (`campaign.toml`): read and checked into the values of `fmuid.core.campaign`."""
 
 # ruff: noqa: RUF012 - msgspec copies the empty containers that are defaults
 
@@ -14,24 +14,24 @@ from typing import Any, Literal
 
 import msgspec
 
-from fmuid.campaign import (
+from fmu_build.suggest import suggestion
+from fmuid.core.campaign import (
     AnalysisSpec,
     Campaign,
     CriterionSpec,
     EffectsSpec,
-    Measurements,
     ModelSpec,
     ParameterSpec,
     ParetoSpec,
     StageSpec,
-    frozen_mapping,
 )
-from fmuid.coupled.table import CoupledTable, coupling_of
+from fmuid.core.errors import CampaignError, ProblemError
+from fmuid.core.experiments import Measurements
+from fmuid.core.formulas import parse
+from fmuid.core.immutable import frozen_mapping
+from fmuid.core.toml_tables import Table, convert, finite, numbers, read_toml
 from fmuid.data.measurements import read_measurements
-from fmuid.errors import CampaignError, ProblemError
-from fmuid.problems.expressions import parse
-from fmuid.suggest import suggestion
-from fmuid.toml_tables import Table, convert, finite, numbers, read_toml
+from fmuid.simulation.coupled.coupling_table import CoupledTable, coupling_of
 
 FILE_NAME = "campaign.toml"
 _Table = Mapping[str, Any]

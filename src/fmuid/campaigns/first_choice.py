@@ -7,11 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fmuid.campaign import Experiment, FloatArray, Interpolation
-from fmuid.errors import FmuidError
-from fmuid.running.runners import Runner, simulated
-from fmuid.simulators.simulation import Simulator, Task, Variable
-from fmuid.units import conversion
+from fmuid.core.campaign import Interpolation
+from fmuid.core.errors import FmuidError
+from fmuid.core.experiments import Experiment
+from fmuid.core.immutable import FloatArray
+from fmuid.core.units import conversion
+from fmuid.simulation.runners import Runner, simulated
+from fmuid.simulation.simulator import Simulator, Task, Variable
 
 _MAX_RUNS = 3
 _MAX_CANDIDATES = 60  # parameters whose effect is simulated

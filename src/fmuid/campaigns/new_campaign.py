@@ -11,26 +11,27 @@ from pathlib import Path
 
 import numpy as np
 
-from fmuid.campaign import Experiment, Interface, Measurements
+from fmu_build.suggest import known_names, suggestion
 from fmuid.campaigns.campaign_toml import FILE_NAME, load_campaign
 from fmuid.campaigns.first_choice import FirstChoice, first_choice, solver_error
 from fmuid.campaigns.signal_catalogue import FILE_NAME as CATALOGUE_NAME
 from fmuid.campaigns.signal_catalogue import signal_catalogue
-from fmuid.coupled.loading import load_model
-from fmuid.coupled.model import CoupledModel
+from fmuid.core.campaign import Interface
+from fmuid.core.errors import CampaignError, FmuidError, MeasurementsError, UnitError
+from fmuid.core.experiments import Experiment, Measurements
+from fmuid.core.files import write_atomically
+from fmuid.core.toml_tables import toml_text
+from fmuid.core.units import conversion
 from fmuid.data.channel_noise import conversion_at
 from fmuid.data.crosscheck_csv import Table
 from fmuid.data.measurements import check_measurements, write_measurements
-from fmuid.errors import CampaignError, FmuidError, MeasurementsError, UnitError
-from fmuid.files import write_atomically
-from fmuid.recordings.importing import Run, experiment_from_table, read_run, with_repeats
-from fmuid.recordings.resampling import TimeBase
-from fmuid.running.runners import Runner, in_process
-from fmuid.simulators.fmu import Fmu, load_fmu
-from fmuid.simulators.simulation import Variable
-from fmuid.suggest import known_names, suggestion
-from fmuid.toml_tables import toml_text
-from fmuid.units import conversion
+from fmuid.data.recordings.conversion import Run, experiment_from_table, read_run, with_repeats
+from fmuid.data.recordings.resampling import TimeBase
+from fmuid.simulation.coupled.coupled_model import CoupledModel
+from fmuid.simulation.coupled.loading import load_model
+from fmuid.simulation.fmu import Fmu, load_fmu
+from fmuid.simulation.runners import Runner, in_process
+from fmuid.simulation.simulator import Variable
 
 _MAX_NAMES = 8  # of parameters that are held, in one line
 

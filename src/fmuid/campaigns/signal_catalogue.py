@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from fmuid.campaign import Experiment
-from fmuid.simulators.simulation import Variable
-from fmuid.toml_tables import toml_text
-from fmuid.units import conversion
+from fmuid.core.experiments import Experiment
+from fmuid.core.toml_tables import toml_text
+from fmuid.core.units import conversion
+from fmuid.simulation.simulator import Variable
 
 FILE_NAME = "effects.toml"
 _HEAD = """\

@@ -9,8 +9,9 @@ from collections.abc import Sequence
 
 import typer
 
-from fmuid.cli import building, checking, comparing, identification, importing, simulating
-from fmuid.errors import FmuidError
+from fmu_build.errors import UserError
+from fmuid.cli import building, checking, comparing, importing, simulating
+from fmuid.cli import identifying as identification
 
 DONE, NO, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -52,7 +53,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; every mistake of the user's is one line on stderr."""
     try:
         code = app(arguments, standalone_mode=False)
-    except FmuidError as error:
+    except UserError as error:
         return _complain(str(error))
     except typer.TyperException as error:  # unknown option, missing argument, value of the wrong type
         return _complain(error.format_message().rstrip(".").replace("Value error, ", "") + "; see fmuid --help")

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from fmu_build.errors import ModelicaError
 from fmuid.cli.output import Json, Printer, Quiet
-from fmuid.errors import ModelicaError
 
 Fmi = Literal["2", "3"]
 Compiler = Literal["rumoca", "omc"]

@@ -11,7 +11,7 @@ from fmuid.cli.output import CampaignPath, Json, Printer, Quiet
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 
 if TYPE_CHECKING:
-    from fmuid.campaigns.model_check import Effect
+    from fmuid.identification.check import Effect
 
 
 def check(
@@ -30,9 +30,9 @@ def check(
     Example: fmuid check campaigns/force_feedback
     """
     from fmuid.campaigns.campaign_toml import load_campaign
-    from fmuid.campaigns.model_check import check_effects, check_signals, load_models, match_models
-    from fmuid.identification import check_stages
-    from fmuid.shown import counted
+    from fmuid.core.formatting import counted
+    from fmuid.identification.check import check_effects, check_signals, load_models, match_models
+    from fmuid.identification.identify import check_stages
 
     loaded = load_campaign(campaign)
     models = load_models(loaded)

@@ -10,10 +10,10 @@ import typer
 
 from fmuid.cli.output import Json, Printer, Quiet, numbers
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
-from fmuid.errors import FmuidError
+from fmuid.core.errors import FmuidError
 
 if TYPE_CHECKING:
-    from fmuid.drift import Drift
+    from fmuid.comparison.drift import Drift
 
 _HEADER = ("variable", "NRMSE", "max error", "at s", "outside", "within")
 
@@ -60,8 +60,8 @@ def compare(
 
     Example: fmuid compare Drive.fmu references --funnel 0.01 --funnel-time 0.002 --out drift
     """
-    from fmuid.drift import drift_of, write_drift_report
-    from fmuid.files import write_atomically
+    from fmuid.comparison.drift import drift_of, write_drift_report
+    from fmuid.core.files import write_atomically
 
     if funnel_time and funnel is None:
         raise FmuidError("--funnel-time without --funnel", fix="give the funnel's half-width too: --funnel 0.01")

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 def print_diagnosis(diagnosis: Mapping[str, Any], printer: Printer) -> None:
     """Print the verdict, where the gap lies and how far it shrinks, then the likeliest effects as a table."""
-    from fmuid.diagnosis.told import likeliest, told
+    from fmuid.diagnosis.summary import likeliest, summary
 
-    for line in told(diagnosis):
+    for line in summary(diagnosis):
         printer.say(line)
     header, *rows = likeliest(diagnosis)
     printer.say("")

@@ -9,10 +9,10 @@ import typer
 
 from fmuid.cli.output import Json, Printer, Quiet, numbers, pairs
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
-from fmuid.errors import FmuidError
+from fmuid.core.errors import FmuidError
 
 if TYPE_CHECKING:
-    from fmuid.recordings.resampling import TimeBase
+    from fmuid.data.recordings.resampling import TimeBase
 
 
 _METHODS = ("linear", "hold", "mean")
@@ -67,10 +67,10 @@ def import_(
 
     Example: fmuid import step.mf4 --setup fixed_shaft -i i_cmd --signal i_cmd --signal w --resample 1000
     """
-    from fmuid.campaign import Measurements
+    from fmuid.core.experiments import Measurements
+    from fmuid.core.formatting import counted
     from fmuid.data.measurements import read_measurements, write_measurements
-    from fmuid.recordings.importing import experiment_from_table, read_run, with_repeats
-    from fmuid.shown import counted
+    from fmuid.data.recordings.conversion import experiment_from_table, read_run, with_repeats
 
     printer = Printer(quiet, json)
     if out.exists() and not append:
@@ -133,10 +133,10 @@ def export(
     Example: fmuid export measurements.h5 --out csv -e 'step_*'
     """
     from fmuid.campaigns.campaign_toml import expand
+    from fmuid.core.formatting import counted
     from fmuid.data.crosscheck_csv import write_csv
     from fmuid.data.measurements import read_measurements
-    from fmuid.recordings.importing import table_from_experiment
-    from fmuid.shown import counted
+    from fmuid.data.recordings.conversion import table_from_experiment
 
     loaded = read_measurements(measurements)
     chosen = expand(experiment or ["*"], loaded, list(loaded.experiments), "--experiment")
@@ -194,7 +194,7 @@ def init(
 
 
 def _time_base(rate: float | None, align: str | None, methods: list[str]) -> TimeBase | None:
-    from fmuid.recordings.resampling import TimeBase
+    from fmuid.data.recordings.resampling import TimeBase
 
     for_one: dict[str, Any] = pairs([m for m in methods if "=" in m], "--method")
     for_all: list[Any] = [m for m in methods if "=" not in m]

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fmuid.errors import FmuidError
+from fmuid.core.errors import FmuidError
 
 Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
@@ -51,7 +51,7 @@ class Printer:
         if self.quiet or not sys.stderr.isatty():
             yield _say_nothing
             return
-        from fmuid.waiting import Waiting
+        from fmuid.core.status_line import Waiting
 
         with Waiting(what) as shown:
             yield shown
@@ -59,7 +59,7 @@ class Printer:
     def write(self, result: Mapping[str, Any]) -> None:
         """Write `result` to the JSON file, if one was asked for; NaN and infinities become null."""
         if self.json_file is not None:
-            from fmuid.files import write_atomically
+            from fmuid.core.files import write_atomically
 
             write_atomically(self.json_file, json.dumps(_plain(result), indent=2, allow_nan=False) + "\n")
 

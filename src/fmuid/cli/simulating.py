@@ -10,12 +10,12 @@ import typer
 
 from fmuid.cli.output import Json, Printer, Quiet, numbers
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
-from fmuid.errors import FmuError, FmuidError
+from fmuid.core.errors import FmuError, FmuidError
 
 if TYPE_CHECKING:
-    from fmuid.campaign import FloatArray
+    from fmuid.core.immutable import FloatArray
     from fmuid.data.crosscheck_csv import Table
-    from fmuid.running.runners import Runner
+    from fmuid.simulation.runners import Runner
 
 _NO_NUMBERS = ("String", "Binary", "Clock")
 
@@ -62,7 +62,7 @@ def simulate(
 
     Example: fmuid simulate campaigns/force_feedback -e 'step_*' --set d_S=2.66
     """
-    from fmuid.shown import counted
+    from fmuid.core.formatting import counted
 
     printer = Printer(quiet, json)
     values = numbers(set_ or [], "--set")
@@ -104,13 +104,13 @@ def _simulate_fmu(
 ) -> Table:
     import numpy as np
 
-    from fmuid.coupled.loading import load_model, load_system
-    from fmuid.coupled.table import master_of
+    from fmu_build.suggest import suggestion
+    from fmuid.core.units import convert_factor
     from fmuid.data.crosscheck_csv import Table, read_csv
-    from fmuid.running.runners import simulated
-    from fmuid.simulators.simulation import Task
-    from fmuid.suggest import suggestion
-    from fmuid.units import convert_factor
+    from fmuid.simulation.coupled.coupling_table import master_of
+    from fmuid.simulation.coupled.loading import load_model, load_system
+    from fmuid.simulation.runners import simulated
+    from fmuid.simulation.simulator import Task
 
     fmu = load_system(path, master_of(master, "--master")) if path.suffix == ".ssp" else load_model(path)
     variables = fmu.variables
@@ -161,12 +161,12 @@ def _simulate_campaign(
 ) -> dict[str, Any]:
     import numpy as np
 
+    from fmu_build.suggest import suggestion
     from fmuid.campaigns.campaign_toml import expand, load_campaign
-    from fmuid.campaigns.model_check import load_models, match_models
     from fmuid.data.crosscheck_csv import Table
-    from fmuid.problems.cases import from_campaign
-    from fmuid.running.runners import simulated
-    from fmuid.suggest import suggestion
+    from fmuid.identification.check import load_models, match_models
+    from fmuid.identification.problem.cases import from_campaign
+    from fmuid.simulation.runners import simulated
 
     campaign = load_campaign(path)
     models = load_models(campaign)

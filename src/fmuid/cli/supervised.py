@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from fmuid.running.runners import Runner
+    from fmuid.simulation.runners import Runner
 
 Workers = Annotated[
     int | None,
@@ -29,7 +29,7 @@ def supervised(
     workers: int | None = None, time_limit: float | None = None, memory_limit: int | None = None
 ) -> Iterator[Runner]:
     """Yield what a command simulates with; `memory_limit` in MB."""
-    from fmuid.running.workers import runner_on
+    from fmuid.simulation.pool.choice import runner_on
 
     with runner_on(workers, time_limit=time_limit, memory_limit=in_bytes(memory_limit)) as runner:
         yield runner

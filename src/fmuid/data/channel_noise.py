@@ -6,10 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fmuid.campaign import Campaign, Experiment, FloatArray
+from fmuid.core.campaign import Campaign
+from fmuid.core.errors import UnitError
+from fmuid.core.experiments import Experiment
+from fmuid.core.immutable import FloatArray
+from fmuid.core.units import Conversion, conversion
 from fmuid.data.noise_spectrum import RepeatedRuns
-from fmuid.errors import UnitError
-from fmuid.units import Conversion, conversion
 
 
 def conversion_at(source: str | None, target: str | None, where: str) -> Conversion:

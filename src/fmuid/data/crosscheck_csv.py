@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fmuid.campaign import FloatArray, frozen_mapping, read_only
-from fmuid.errors import MeasurementsError, UnitError
-from fmuid.files import write_atomically
-from fmuid.units import check_unit, conversion
+from fmuid.core.errors import MeasurementsError, UnitError
+from fmuid.core.files import write_atomically
+from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
+from fmuid.core.units import check_unit, conversion
 
 MAX_BYTES = 2_000_000_000
 TIMES = ("time", "t", "timestamp", "timestamps", "datetime")

@@ -16,9 +16,9 @@ from typing import Any, Literal
 import h5py
 import numpy as np
 
-from fmuid.campaign import FloatArray
-from fmuid.errors import FmuidError, MeasurementsError
-from fmuid.files import write_atomically
+from fmuid.core.errors import FmuidError, MeasurementsError
+from fmuid.core.files import write_atomically
+from fmuid.core.immutable import FloatArray
 
 Group = h5py.Group
 File = h5py.File

@@ -8,11 +8,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from fmuid.campaign import Causality, Experiment, FloatArray, Measurements, Signal
+from fmu_build.suggest import did_you_mean
+from fmuid.core.errors import MeasurementsError
+from fmuid.core.experiments import Causality, Experiment, Measurements, Signal
+from fmuid.core.immutable import FloatArray
 from fmuid.data import hdf5
-from fmuid.data.apart import read_apart
-from fmuid.errors import MeasurementsError
-from fmuid.suggest import did_you_mean
+from fmuid.data.isolated_reader import read_apart
 
 FORMAT = "fmuid-campaign"
 VERSION = 1

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmuid.campaign import FloatArray
+from fmuid.core.immutable import FloatArray
 from fmuid.data.noise_spectrum import RepeatedRuns, estimate_noise
 
 _HIGHEST_ORDER = 40

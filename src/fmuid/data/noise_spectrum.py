@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
-from fmuid.campaign import FloatArray, read_only
-from fmuid.errors import ProblemError
+from fmuid.core.errors import ProblemError
+from fmuid.core.immutable import FloatArray, read_only
 
 _BANDS_PER_OCTAVE = 1
 _MIN_BIN_COUNT = 3

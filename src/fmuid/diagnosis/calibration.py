@@ -22,19 +22,19 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from fmuid.campaign import FloatArray
+from fmuid.core.errors import SimulationError
+from fmuid.core.files import write_atomically
+from fmuid.core.immutable import FloatArray
 from fmuid.data.noise_spectrum import from_real_spectrum, real_spectrum
 from fmuid.diagnosis.catalogue import Effect
-from fmuid.diagnosis.model import Prediction
+from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import Port
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.regimes import bases
-from fmuid.diagnosis.result import Verdict
 from fmuid.diagnosis.scores import nominal_basis, project_off, stack
-from fmuid.diagnosis.setting_up import Subject
-from fmuid.errors import SimulationError
-from fmuid.files import write_atomically
+from fmuid.diagnosis.subject import Subject
+from fmuid.diagnosis.verdict import Verdict
 
 KINDS = ("none", "one", "shape", "two", "unknown")
 SHARES = (0.25, 0.25, 0.2, 0.15, 0.15)

@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fmuid.campaign import FloatArray
+from fmuid.core.errors import SimulationError
+from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.catalogue import Effect
-from fmuid.diagnosis.held_out import HeldOut, leave_each_out
+from fmuid.diagnosis.cross_validation import HeldOut, leave_each_out
 from fmuid.diagnosis.observed import gap
 from fmuid.diagnosis.refit import Refit, refit
-from fmuid.diagnosis.result import Estimate
 from fmuid.diagnosis.scores import Score, nominal_basis, project_off, score_effects, stack
-from fmuid.diagnosis.setting_up import Subject
-from fmuid.errors import SimulationError
+from fmuid.diagnosis.subject import Subject
+from fmuid.diagnosis.verdict import Estimate
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,12 +13,12 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
+from fmu_build.suggest import suggestion
+from fmuid.core.errors import CampaignError
+from fmuid.core.toml_tables import Table, convert, read_toml
 from fmuid.diagnosis.ports import Port
 from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.regimes import Regime
-from fmuid.errors import CampaignError
-from fmuid.suggest import suggestion
-from fmuid.toml_tables import Table, convert, read_toml
 
 
 @dataclass(frozen=True, slots=True)

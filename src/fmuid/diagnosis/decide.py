@@ -8,7 +8,7 @@ import numpy as np
 
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.catalogue import Effect
-from fmuid.diagnosis.held_out import advantage, closure
+from fmuid.diagnosis.cross_validation import advantage, closure
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import OWN_PAST, Decoy
 from fmuid.diagnosis.refit import Unknown

@@ -7,25 +7,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmuid.campaign import FloatArray
+from fmuid.core.errors import SimulationError
+from fmuid.core.formatting import html_lines, html_table, text_table
+from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.calibration import Calibration, shipped
 from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, score_further
-from fmuid.diagnosis.held_out import closure, closure_interval, in_sample
+from fmuid.diagnosis.cross_validation import closure, closure_interval, in_sample
+from fmuid.diagnosis.effect_search import Say, aliases, finished, search
+from fmuid.diagnosis.localisation import ExcessMap, excess_map
 from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
-from fmuid.diagnosis.null import Null, draw_noise
+from fmuid.diagnosis.null_distribution import Null, draw_noise
 from fmuid.diagnosis.observed import excess, gap
 from fmuid.diagnosis.ports import Decoy, fit_decoys
 from fmuid.diagnosis.power import smallest_seen
 from fmuid.diagnosis.regimes import bases, folded, own_bases, trajectories
-from fmuid.diagnosis.result import Candidate, Diagnosis, Gap, Verdict
 from fmuid.diagnosis.scores import Score, nominal_basis
-from fmuid.diagnosis.search import Say, aliases, finished, search
-from fmuid.diagnosis.setting_up import Subject
-from fmuid.diagnosis.told import likeliest, told
-from fmuid.diagnosis.where import ExcessMap, excess_map
-from fmuid.errors import SimulationError
-from fmuid.shown import html_lines, html_table, text_table
+from fmuid.diagnosis.subject import Subject
+from fmuid.diagnosis.summary import likeliest, summary
+from fmuid.diagnosis.verdict import Candidate, Diagnosis, Gap, Verdict
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,11 +45,11 @@ class Found:
     def __str__(self) -> str:
         """Return verdict, place and size of the gap, and the likeliest effects."""
         answer = self.diagnosis.to_dict()
-        return "\n".join([*told(answer), "", text_table(likeliest(answer))])
+        return "\n".join([*summary(answer), "", text_table(likeliest(answer))])
 
     def _repr_html_(self) -> str:
         answer = self.diagnosis.to_dict()
-        return html_lines(told(answer)) + html_table(likeliest(answer))
+        return html_lines(summary(answer)) + html_table(likeliest(answer))
 
 
 def _quiet(_: str, __: float) -> None:

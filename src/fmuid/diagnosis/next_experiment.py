@@ -11,15 +11,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from fmuid.campaign import FloatArray
+from fmuid.core.errors import SimulationError
+from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.catalogue import Sensor
-from fmuid.diagnosis.model import CampaignModel, Prediction
-from fmuid.diagnosis.result import AddedSensor, NextExperiment
+from fmuid.diagnosis.extended_model import CampaignModel, Prediction
 from fmuid.diagnosis.scores import project_off, stack
-from fmuid.diagnosis.setting_up import Subject
-from fmuid.errors import SimulationError
-from fmuid.problems.cases import Case, Channel
+from fmuid.diagnosis.subject import Subject
+from fmuid.diagnosis.verdict import AddedSensor, NextExperiment
+from fmuid.identification.problem.cases import Case, Channel
 
 _SCALES = (-1.0, 0.25, 0.5, 1.25, 1.5)
 

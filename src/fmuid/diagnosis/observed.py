@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.campaign import FloatArray
+from fmuid.core.immutable import FloatArray
 from fmuid.data.noise_spectrum import (
     PiecewiseWhitener,
     RepeatedRuns,

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from fmuid.campaign import FloatArray, read_only
-from fmuid.diagnosis.held_out import HeldOut, leave_each_out
-from fmuid.diagnosis.model import CampaignModel
+from fmuid.core.errors import SimulationError
+from fmuid.core.immutable import FloatArray, read_only
+from fmuid.diagnosis.cross_validation import HeldOut, leave_each_out
+from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Refit, Unknown
-from fmuid.errors import SimulationError
 
 OWN_PAST = "its own past"
 _MEMORY = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)  # s, time constants of a sensor's past

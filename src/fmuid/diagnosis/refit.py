@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmuid.campaign import FloatArray
+from fmuid.core.errors import SimulationError
+from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.observed import Observed
-from fmuid.errors import SimulationError
 
 Predict = Callable[[Sequence[Mapping[str, float]]], Sequence[Sequence[FloatArray] | SimulationError]]
 """Points in parameter space -> predictions (C, N) of every experiment, or why there are none."""

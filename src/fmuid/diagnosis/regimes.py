@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmuid.campaign import FloatArray, read_only
-from fmuid.diagnosis.model import CampaignModel
+from fmuid.core.immutable import FloatArray, read_only
+from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.ports import Basis, harmonics, hats, quantile_knots, times
 
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmuid.campaign import FloatArray
+from fmuid.core.errors import SimulationError
+from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Predict, Refit
-from fmuid.errors import SimulationError
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from scipy.signal import lfilter
 
-from fmuid.campaign import FloatArray
+from fmuid.core.immutable import FloatArray
 
 NEUTRAL = {"offset": 0.0, "gain": 1.0, "lag": 0.0, "delay": 0.0, "saturation": 0.0}
 

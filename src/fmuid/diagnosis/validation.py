@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.campaign import Campaign, FloatArray
+from fmuid.core.campaign import Campaign
+from fmuid.core.errors import FmuidError, SimulationError
+from fmuid.core.immutable import FloatArray
 from fmuid.data.noise_spectrum import RepeatedRuns
 from fmuid.diagnosis.observed import Observed, gap
-from fmuid.diagnosis.setting_up import model_of
-from fmuid.errors import FmuidError, SimulationError
-from fmuid.running.runners import Runner, in_process
+from fmuid.diagnosis.subject import model_of
+from fmuid.simulation.runners import Runner, in_process
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +114,7 @@ def validate_diagnosis(
     SimulationError
         A run cannot be simulated.
     """
-    from fmuid.coupled.loading import load_model
+    from fmuid.simulation.coupled.loading import load_model
 
     chosen = experiments or campaign.validation or tuple(campaign.measurements.experiments)
     model, catalogue, known = model_of(campaign, load_model, runner=runner, experiments=chosen)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from fmuid.report.diagnosis import write_diagnosis_report
 from fmuid.report.diagnosis_figures import DiagnosisPictures
-from fmuid.report.identification import write_report
+from fmuid.report.diagnosis_page import write_diagnosis_report
+from fmuid.report.identification_page import write_report
 
 __all__ = ["DiagnosisPictures", "write_diagnosis_report", "write_report"]

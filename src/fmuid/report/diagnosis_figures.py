@@ -6,27 +6,18 @@ may be empty (too little data, no effect found); its picture is then left out.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from fmuid.campaign import FloatArray
-from fmuid.plots.data import (
-    Axis,
-    Bar,
-    BarFigure,
-    LineFigure,
-    MapFigure,
-    Panel,
-    Role,
-    Series,
-    Table,
-)
+from fmuid.core.formatting import range_text
+from fmuid.core.immutable import FloatArray
+from fmuid.diagnosis.summary import ranked, regime_text
 from fmuid.report.figures import TIME
+from fmuid.report.plots.figure_data import Axis, Bar, BarFigure, LineFigure, MapFigure, Panel, Role, Series, Table
 from fmuid.report.thinning import kept_samples
 
 
@@ -280,16 +271,6 @@ def gap_figure(diagnosis: Mapping[str, Any], steps: Mapping[str, float] | None =
     )
 
 
-def ranked(effects: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return the effects, the likeliest first; of equally likely ones those that close most."""
-
-    def place(effect: Mapping[str, Any]) -> tuple[float, float]:
-        held_out = effect.get("closure", {}).get("held_out")
-        return -round(effect["probability"], 3), math.inf if held_out is None else -held_out
-
-    return sorted(effects, key=place)
-
-
 def effects_table(diagnosis: Mapping[str, Any]) -> Table:
     """Return every candidate with probability, score and closures."""
     rows = []
@@ -332,19 +313,3 @@ def where_table(diagnosis: Mapping[str, Any]) -> Table:
         rows.append((place["experiment"], place["signal"], regime_text(place), 100 * place["share"]))
     header = ("experiment", "signal", "regime", "share of the excess, %")
     return Table(header, tuple(rows), "where", "Largest parts", digits=(5, 5, 5, 3))
-
-
-def regime_text(place: Mapping[str, Any]) -> str:
-    """Return a regime of the JSON in words."""
-    regime = place.get("regime")
-    if not regime:
-        return "whole run"
-    low, high = regime.get("from", -np.inf), regime.get("to", np.inf)
-    return f"{regime.get('variable', '')} {range_text(low, high)} {regime.get('unit', '')}".strip()
-
-
-def range_text(low: float, high: float, span: float | None = None) -> str:
-    """Return "low … high" to three digits; an end that is next to nothing beside `span` (high - low) is zero."""
-    span = high - low if span is None else span
-    ends = [0.0 if abs(end) < 1e-3 * span < np.inf else float(f"{end:.3g}") for end in (low, high)]
-    return " … ".join(f"{end:g}".replace("-", "−") for end in ends)

@@ -11,21 +11,13 @@ from typing import Any
 
 import jinja2
 
-from fmuid.files import write_atomically
-from fmuid.plots import Format, save_data, save_figures
-from fmuid.plots.data import Cell, Figure, ParallelFigure, Table, slug, tables
+from fmuid.core.files import write_atomically
+from fmuid.core.formatting import Fact
 from fmuid.report.interactive import specification
+from fmuid.report.plots import Format, save_data, save_figures
+from fmuid.report.plots.figure_data import Cell, Figure, ParallelFigure, Table, slug, tables
 
 _PLACEHOLDER = "@plotly.js@"
-
-
-@dataclass(frozen=True, slots=True)
-class Fact:
-    """One line of what matters most: a short label, the value in words, and whether it is good news."""
-
-    label: str
-    value: str
-    tone: str = "plain"  # plain | good | warn
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmuid.campaign import FloatArray, ParameterSpec
-from fmuid.plots.data import (
+from fmuid.core.campaign import ParameterSpec
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.validate import RunScore
+from fmuid.report.plots.figure_data import (
     Axis,
     Bar,
     BarFigure,
@@ -22,7 +24,6 @@ from fmuid.plots.data import (
     slug,
 )
 from fmuid.report.thinning import kept_samples
-from fmuid.validation import RunScore
 
 TIME = Axis("time", "s")
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.campaign import FloatArray
-from fmuid.plots import style
-from fmuid.plots.data import (
+from fmuid.core.immutable import FloatArray
+from fmuid.report.plots import style
+from fmuid.report.plots.figure_data import (
     Axis,
     BarFigure,
     Figure,

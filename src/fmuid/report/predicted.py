@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fmuid.campaign import Campaign, FloatArray
-from fmuid.plots.data import Role
-from fmuid.problems import cases as case_building
-from fmuid.problems.cases import Case
+from fmuid.core.campaign import Campaign
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem import cases as case_building
+from fmuid.identification.problem.cases import Case
 from fmuid.report.figures import Overlay
+from fmuid.report.plots.figure_data import Role
 
 
 def judged_signals(campaign: Campaign) -> set[tuple[str, str, str]]:

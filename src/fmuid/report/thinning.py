@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.campaign import FloatArray
+from fmuid.core.immutable import FloatArray
 
 MAX_SAMPLES = 2000
 

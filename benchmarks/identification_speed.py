@@ -1,0 +1,209 @@
+"""Identification to an equal cost: fmuid and its peers on the same FMU and data, wall time and simulations.
+
+Three parameters from one run: of the stiff actuator, under a PRBS of 0.5 s at 1 kHz, and of a pendulum with
+friction, under torque steps over 4 s at 500 Hz. Everybody starts at the same point with the same bounds and stops
+at a root mean square error within 1 % of the least. Setting up (extracting, instantiating) counts, imports do not.
+Everybody runs in a new process, peers in environments of their own, made from ``benchmarks/peers/*.txt``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from integrator import prbs
+from timing import say, table
+
+from fmuid.core.campaign import ParameterSpec
+from fmuid.identification.problem.cases import measured_case
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.problem.evaluation import Evaluation
+from fmuid.identification.solvers import make
+from fmuid.identification.solvers.search import Search, StopRules
+from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.runners import Job, Outcome, in_process
+from fmuid.simulation.simulator import Task
+
+HERE = Path(__file__).parent
+ROOT = HERE.parent
+SHORT = 5.0  # s; what takes longer is run once
+ENVIRONMENTS = ROOT / "build" / "peers"
+FMUID = ("fmuid", None, "with_fmuid.py", ())
+PEERS = (  # name shown, environment (None: this one), script, arguments
+    ("AixCaliBuHA 1.2.0, Nelder-Mead", "aixcalibuha", "with_aixcalibuha.py", ("Nelder-Mead",)),
+    (
+        "AixCaliBuHA 1.2.0, differential evolution",
+        "aixcalibuha",
+        "with_aixcalibuha.py",
+        ("differential_evolution",),
+    ),
+    ("ModestPy 0.1.1, genetic algorithm + pattern search", "modestpy", "with_modestpy.py", ("GA_LEGACY+PS",)),
+    ("FMPy 0.3.32 and SciPy's least squares by hand", None, "with_fmpy.py", ()),
+)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """An FMU, its run, and the parameters to find: true value; start, lower and upper bound."""
+
+    fmu: str
+    time: np.ndarray
+    inputs: Mapping[str, np.ndarray]
+    output: str
+    noise: float
+    parameters: Mapping[str, tuple[float, tuple[float, float, float]]]
+
+
+def stiff() -> Subject:
+    """Return the actuator with its shaft fixed: most of the time goes into the steps inside the FMU."""
+    parameters = {
+        "d_S": (3.0, (2.0, 0.1, 20.0)),
+        "J_S": (3.5e-3, (3e-3, 1e-3, 1e-2)),
+        "d_G": (80.0, (50.0, 5.0, 300.0)),
+    }
+    return Subject("FixedShaft", 1e-3 * np.arange(501), {"i_cmd": prbs(501, 0.8)}, "tau_sensor", 0.1, parameters)
+
+
+def light() -> Subject:
+    """Return the pendulum, whose simulation costs little beside a loop over its 2000 samples in Python."""
+    time = 2e-3 * np.arange(2001)
+    torque = np.repeat([0.14, -0.09, 0.16, -0.14, 0.05, -0.15, 0.1, 0.0], 251)[: len(time)]
+    parameters = {
+        "m": (1.2, (0.9, 0.3, 3.0)),
+        "friction.K_v": (0.08, (0.15, 0.01, 1.0)),
+        "friction.K_c": (0.15, (0.25, 0.01, 1.0)),
+    }
+    return Subject("TorqueDriven", time, {"tau_ref": torque}, "q", 0.01, parameters)
+
+
+class OverError(Exception):
+    """The cost is reached."""
+
+
+@dataclass(frozen=True)
+class Race:
+    """What a tool is given; `target` is the root mean square error to reach."""
+
+    fmu: str
+    time: list[float]
+    inputs: dict[str, list[float]]
+    output: str
+    measured: list[float]
+    parameters: Mapping[str, tuple[float, float, float]]
+    target: float
+    limit: float
+
+
+@dataclass(frozen=True)
+class Finish:
+    """How it went: wall time in s, simulations, cost; or why not."""
+
+    name: str
+    seconds: float = np.nan
+    simulations: int = 0
+    cost: float = np.nan
+    reached: bool = False
+    missing: str = ""
+
+
+def race(subject: Subject, limit: float) -> Race:
+    """Return the job: the least cost is found first, by running fmuid to its end."""
+    path = ROOT / "build" / "fmus" / f"{subject.fmu}.fmu"
+    task = Task(subject.time, subject.inputs, (subject.output,))
+    with Fmu(path) as fmu:
+        true = fmu.simulate(task, {name: value for name, (value, _) in subject.parameters.items()})[0]
+    measured = true + np.random.default_rng(0).normal(0.0, subject.noise, len(true))
+    inputs = {name: u.tolist() for name, u in subject.inputs.items()}
+    start = {name: bounds for name, (_, bounds) in subject.parameters.items()}
+    job = Race(str(path), subject.time.tolist(), inputs, subject.output, measured.tolist(), start, 0.0, limit)
+    return replace(job, target=1.01 * with_fmuid(job).cost)
+
+
+def with_fmuid(job: Race) -> Finish:
+    """Run fmuid's default solver for least squares on the job, as ``peers/with_fmuid.py`` does."""
+    begun, simulations, best = time.perf_counter(), 0, np.inf
+
+    def count(jobs: Sequence[Job]) -> list[Outcome]:
+        nonlocal simulations
+        simulations += len(jobs)
+        return in_process(jobs)
+
+    def stop(evaluation: Evaluation, _purpose: str, _improved: bool) -> None:
+        nonlocal best
+        if evaluation.ok:
+            best = min(best, float(np.sqrt(np.mean(evaluation.residuals**2))))
+        if best <= job.target:
+            raise OverError
+
+    with Fmu(job.fmu) as fmu:
+        task = Task(np.array(job.time), {k: np.array(v) for k, v in job.inputs.items()}, (job.output,))
+        case = measured_case("run", fmu, task, {job.output: np.array(job.measured)}, sigma={job.output: 1.0})
+        specs = [ParameterSpec(name, *values) for name, values in job.parameters.items()]
+        search = Search(Problem([case], specs, runner=count), StopRules(), record=stop)
+        with contextlib.suppress(OverError):
+            make("auto", {}, search.problem)[0].solve(search, search.problem.space.start)
+        seconds = time.perf_counter() - begun
+    return Finish("fmuid", seconds, simulations, best, best <= job.target)
+
+
+def with_peer(peer: tuple[str, str | None, str, tuple[str, ...]], file: Path, limit: float) -> Finish:
+    """Run one peer in its environment."""
+    name, environment, script, arguments = peer
+    python = sys.executable if environment is None else str(ENVIRONMENTS / environment / "bin" / "python")
+    if not Path(python).is_file():
+        return Finish(name, missing=f"no environment in {ENVIRONMENTS.relative_to(ROOT)}/{environment}")
+    try:
+        done = subprocess.run(
+            [python, str(HERE / "peers" / script), str(file), *arguments],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=limit + 60.0,
+        )
+    except subprocess.TimeoutExpired:
+        return Finish(name, missing="did not stop")
+    try:
+        return Finish(name, **json.loads(done.stdout.splitlines()[-1]))
+    except (IndexError, ValueError, TypeError):
+        last = (done.stderr.strip() or done.stdout.strip() or "no output").splitlines()[-1]
+        return Finish(name, missing=f"failed: {last[:120]}")
+
+
+def measure(folder: Path, *, limit: float = 40.0, repeats: int = 5) -> dict[str, list[Finish]]:
+    """Run everybody on both subjects, in turn; the median counts of those who are done within `SHORT` seconds."""
+    subjects = {"the actuator": stiff(), "the pendulum": light()}
+    return {what: _all_on(race(subject, limit), folder, limit, repeats) for what, subject in subjects.items()}
+
+
+def _all_on(job: Race, folder: Path, limit: float, repeats: int) -> list[Finish]:
+    file = folder / "race.json"
+    file.write_text(json.dumps(asdict(job)))
+    runs: dict[str, list[Finish]] = {}
+    for _ in range(repeats):
+        for peer in (FMUID, *PEERS):
+            own = runs.setdefault(peer[0], [])
+            if not own or own[0].seconds < SHORT:
+                say(f"  {peer[0]}")
+                own.append(with_peer(peer, file, limit))
+    return [sorted(own, key=lambda f: f.seconds)[len(own) // 2] for own in runs.values()]
+
+
+def page(races: Mapping[str, Sequence[Finish]]) -> str:
+    """Return the table, from what ran to who took part; fmuid is the first of each."""
+    rows = []
+    for what, finishes in races.items():
+        for f in finishes:
+            if f.missing:
+                rows.append([what, f.name, "missing", "", f.missing, ""])
+                continue
+            note, reached = ("", "") if f.reached else (" (stopped there)", "at least ")
+            times = f"{reached}{f.seconds / finishes[0].seconds:.3g}"
+            rows.append([what, f.name, f"{f.seconds:.3g}{note}", str(f.simulations), f"{f.cost:.4f}", times])
+    return table(["run of", "tool", "wall time (s)", "simulations", "error reached", "times fmuid's"], rows)

@@ -1,0 +1,150 @@
+"""Diagnoses of a folder of campaigns of one form, one JSON file each, and a page about them (`make sealed`).
+
+Case ``NAME`` is the measurement file ``NAME/measurements.h5``; what it is held against is a campaign whose own
+measurements it replaces. A case whose JSON exists is not diagnosed again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import as_completed
+from pathlib import Path
+from typing import Any
+
+from benchmarks.study_command import ended
+from fmuid.core.errors import FmuidError
+from fmuid.core.files import write_atomically
+from fmuid.simulation.pool.workers import WorkerPool
+
+_COLUMNS = (
+    "case",
+    "verdict",
+    "probability",
+    "port",
+    "gap, refitted",
+    "gap, corrected",
+    "expected closure",
+    "90 %",
+)
+
+
+def diagnose_case(template: Path, measurements: Path, target: Path) -> str:
+    """Diagnose one measurement file by the campaign `template`, write `target`, return the verdict in words."""
+    from fmuid.campaigns.campaign_toml import load_campaign
+    from fmuid.diagnosis_pipeline import answer_of, diagnose
+
+    found = diagnose(load_campaign(template, measurements=measurements), workers=0)
+    answer = answer_of(found)
+    write_atomically(target, json.dumps(answer, indent=2, allow_nan=False) + "\n")
+    return verdict_in_words(answer)
+
+
+def diagnose_folder(
+    folder: Path,
+    template: Path,
+    out: Path,
+    *,
+    workers: int | None = None,
+    diagnose: Callable[[Path, Path, Path], str] = diagnose_case,
+) -> list[str]:
+    """Diagnose every case of `folder` that has no result in `out` yet; cases run side by side.
+
+    Returns
+    -------
+    list
+        What failed, one line a case.
+    """
+    cases = sorted(p.parent for p in folder.glob("*/measurements.h5"))
+    if not cases:
+        raise FmuidError("no */measurements.h5", where=folder, fix="name the folder of the sealed campaigns")
+    waiting = [c for c in cases if not (out / f"{c.name}.json").is_file()]
+    print(f"{len(cases)} cases, {len(cases) - len(waiting)} of them done before", flush=True)
+    failures, begun = [], time.monotonic()
+    with WorkerPool(workers, time_limit=None) as pool:
+        jobs = {pool.submit(diagnose, template, c / "measurements.h5", out / f"{c.name}.json"): c for c in waiting}
+        for done, job in enumerate(as_completed(jobs), 1):
+            name = jobs[job].name
+            try:
+                said = job.result()
+            except FmuidError as error:
+                failures.append(f"{name}: {error}")
+                said = f"failed: {error}"
+            spent = time.monotonic() - begun
+            left = spent / done * (len(waiting) - done)
+            print(f"{name}: {said}  ({spent:.0f} s, about {left:.0f} s left)", flush=True)
+    return failures
+
+
+def page(results: Mapping[str, Mapping[str, Any]], command: str) -> str:
+    """Return the Markdown page about diagnoses by case name."""
+    lines = [
+        "# Diagnoses of the sealed campaigns",
+        "",
+        "Sixteen campaigns from a foreign rig; the answers were not known when this page was written.",
+        f"Made by `{command}`; the whole of each answer is in `sealed/`.",
+        "",
+        "Gaps are in noise floors: of the base model with its parameters refitted, and with the verdict's effects",
+        "added. The expected closure is that on experiments left out, beyond what refitting closes; *unknown*",
+        "and *complete* promise none. [How to read a diagnosis](diagnosis.md).",
+        "",
+        "| " + " | ".join(_COLUMNS) + " |",
+        "|" + "---|" * len(_COLUMNS),
+    ]
+    lines += ["| " + " | ".join(_row(name, answer)) + " |" for name, answer in results.items()]
+    open_ = [(n, a) for n, a in results.items() if a.get("next_experiment")]
+    if open_:
+        lines += ["", "What would settle the open ones:", ""]
+        for name, answer in open_:
+            e = answer["next_experiment"]
+            sigma = f"{e['separation_sigma']:.3g} standard deviations between {' and '.join(e['between'])}"
+            lines.append(f"- {name}: {e['setup']}, {e['description']}: {sigma}")
+    return "\n".join(lines) + "\n"
+
+
+def _row(name: str, answer: Mapping[str, Any]) -> list[str]:
+    verdict, gap = answer["verdict"], answer["gap"]
+    kind, named = verdict["kind"], verdict["effects"]
+    probability = {e["id"]: e["probability"] for e in answer["effects"]}
+    likely = named or [{"complete": "none"}.get(kind, "unknown")]
+    sure = ", ".join(f"{probability.get(n, 0.0):.2f}" for n in likely)
+    closure, interval = "", ""
+    entry = next((e.get("closure") for e in answer["effects"] if named and e["id"] == named[0]), None)
+    if entry:
+        closure, interval = f"{entry['held_out']:.2f}", "{:.2f} … {:.2f}".format(*entry["interval"])
+    gaps = [f"{gap[k]:.2f}" for k in ("nominal_refit", "corrected")]
+    return [name, verdict_in_words(answer), sure, verdict["port"] or "", *gaps, closure, interval]
+
+
+def verdict_in_words(answer: Mapping[str, Any]) -> str:
+    """Return the verdict of a diagnosis in a few words."""
+    kind, named = answer["verdict"]["kind"], answer["verdict"]["effects"]
+    joined = {"effect": " and ", "ambiguous": " or "}.get(kind, ", ").join(named)
+    return joined if kind == "effect" else f"{kind}: {joined}" if named else kind
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """`python -m benchmarks.sealed FOLDER`: diagnose every case and write the page; return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.sealed", description=__doc__)
+    parser.add_argument("folder", type=Path, help="holds NAME/measurements.h5")
+    parser.add_argument("--campaign", type=Path, default=Path("campaigns/sealed"))
+    parser.add_argument("--out", type=Path, default=Path("sealed"), help="for NAME.json")
+    parser.add_argument("--page", type=Path, help="Markdown page to write")
+    parser.add_argument("--workers", type=int, help="cases at the same time; one a processor by default")
+    given = parser.parse_args(arguments)
+
+    def work() -> Sequence[str]:
+        failures = diagnose_folder(given.folder, given.campaign, given.out, workers=given.workers)
+        if given.page is not None:
+            results = {p.stem: json.loads(p.read_text()) for p in sorted(given.out.glob("*.json"))}
+            write_atomically(given.page, page(results, "make sealed"))
+        return failures
+
+    return ended(work, resumes=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

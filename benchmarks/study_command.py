@@ -1,0 +1,58 @@
+"""What the studies and converters run by `python -m` share: usage, the one line of error, the exit code."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from fmu_build.errors import UserError
+from fmuid.core.experiments import Measurements
+from fmuid.core.formatting import counted
+from fmuid.data.measurements import write_measurements
+
+
+def run_module(usage: str, arguments: Sequence[str], command: Callable[[Sequence[str]], None]) -> int:
+    """Run `command` with the arguments; return the exit code, 2 for a mistake of the user's.
+
+    `usage` names module and arguments, as in ``campaigns.go1.convert CAMPAIGN [FOLDER]``: in brackets what may be
+    missing, with dots what may be many.
+    """
+    words = usage.split()[1:]
+    least = sum(not w.startswith("[") for w in words)
+    most = float("inf") if usage.endswith("...]") else len(words)
+    if not least <= len(arguments) <= most or arguments[0].startswith("-"):
+        print(f"usage: python -m {usage}", file=sys.stderr)
+        return 2
+
+    def work() -> Sequence[str]:
+        command(arguments)
+        return ()
+
+    return ended(work)
+
+
+def ended(work: Callable[[], Sequence[str]], *, resumes: bool = False) -> int:
+    """Do the work, which returns a line for all that failed, and return the exit code; 130 after Ctrl-C.
+
+    `resumes` says that the same command then goes on where it was.
+    """
+    try:
+        failures = work()
+    except UserError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted" + "; the same command goes on" * resumes, file=sys.stderr)
+        return 130
+    for line in failures:
+        print(line, file=sys.stderr)
+    return int(bool(failures))
+
+
+def write_campaign(campaign: str, measurements: Measurements) -> None:
+    """Write the `measurements.h5` of a campaign, named by its folder or its file, and say so."""
+    path = Path(campaign)
+    target = (path.parent if path.suffix == ".toml" else path) / "measurements.h5"
+    write_measurements(measurements, target)
+    print(f"{target}: {counted(len(measurements), 'run')}")

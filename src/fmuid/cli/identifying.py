@@ -1,0 +1,288 @@
+"""`fmuid identify`, `fmuid validate`, `fmuid diagnose` and `fmuid report`."""
+
+from __future__ import annotations
+
+import json as json_library
+from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fmuid.cli.diagnosis_text import print_diagnosis, print_validation
+from fmuid.cli.output import CampaignPath, Json, Printer, Quiet
+from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, in_bytes, supervised
+from fmuid.core.errors import FmuidError
+
+if TYPE_CHECKING:
+    from fmuid.core.campaign import Campaign
+    from fmuid.identification.result import Result
+    from fmuid.identification.validate import Validation
+    from fmuid.simulation.runners import Runner
+
+INTERRUPTED = 130
+RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that fmuid identify wrote.")]
+
+
+def identify(
+    campaign: CampaignPath,
+    out: Annotated[Path | None, typer.Option(help="Run folder; runs/<campaign> by default.")] = None,
+    stage: Annotated[list[str] | None, typer.Option("--stage", help="Run this stage only (repeat).")] = None,
+    solver: Annotated[str | None, typer.Option(help="Use this solver in every stage.")] = None,
+    evaluations: Annotated[int | None, typer.Option(min=1, help="Largest number of evaluations a stage.")] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.0, help="Longest time a stage, s.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run that --out holds.")] = False,
+    workers: Workers = None,
+    dask: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Simulate on the Dask cluster of this scheduler.")
+    ] = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
+    seed: Annotated[int, typer.Option(help="Of random starts and solvers.")] = 0,
+    with_report: Annotated[bool, typer.Option("--report/--no-report", help="Write the report too.")] = True,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> int:
+    """Identify the parameters of a campaign stage by stage, validate them, and write the report.
+
+    Exit code 1: a stage failed. 130: interrupted; what was reached is saved, `--resume` goes on.
+
+    Example: fmuid identify campaigns/force_feedback --out runs/force_feedback
+    Example: fmuid identify campaigns/force_feedback --dask tcp://127.0.0.1:8786
+    """
+    from fmuid.campaigns.campaign_toml import load_campaign
+    from fmuid.identification.identify import identify as run
+    from fmuid.identification.solvers import Status, StopRules
+    from fmuid.simulation.pool.choice import runner_on
+    from fmuid.simulation.pool.remote import dask_executor
+    from fmuid.simulation.pool.workers import available_processors
+
+    loaded = load_campaign(campaign)
+    folder = out or Path("runs") / loaded.name
+    stop = StopRules(evaluations, seconds) if evaluations or seconds else None
+    printer = Printer(quiet, json)
+    limits: dict[str, Any] = {"time_limit": time_limit, "memory_limit": in_bytes(memory_limit)}
+    with dask_executor(dask) if dask else nullcontext() as executor:
+        with _progress(quiet) as observer:
+            result = run(
+                loaded,
+                out=folder,
+                stages=stage,
+                solver=solver,
+                stop=stop,
+                resume=resume,
+                executor=executor,
+                workers=available_processors() if workers is None else workers,
+                **limits,
+                observer=observer,
+                seed=seed,
+            )
+        printer.say(str(result))
+        summary: dict[str, Any] = {"out": folder, "result": json_library.loads(result.to_json())}
+        interrupted = result.status is Status.INTERRUPTED
+        with runner_on(workers, executor=executor, **limits) as runner:
+            if not interrupted and loaded.validation:
+                summary |= _validation(_validated(result, printer, runner), printer)
+            if with_report and not interrupted:
+                from fmuid.report import write_report
+
+                with printer.working("writing the report") as shown:
+                    summary["report"] = write_report(folder, campaign=loaded, runner=runner, progress=shown)
+                printer.say(f"\nreport: {summary['report']}")
+            if result.status not in (Status.INTERRUPTED, Status.FAILED):
+                summary |= _write_back(result, loaded, folder, printer, runner)
+    if interrupted:
+        # Whoever presses Ctrl-C does not wait for figures.
+        printer.say(f"\ngo on with: fmuid identify {campaign} --out {folder} --resume")
+        printer.say(f"or look at what was reached with: fmuid report {folder}")
+    printer.write(summary)
+    return INTERRUPTED if interrupted else int(result.status is Status.FAILED)
+
+
+def validate(
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Folder of fmuid identify, or the JSON file of fmuid diagnose.")
+    ],
+    campaign: Annotated[
+        Path | None, typer.Argument(metavar="[CAMPAIGN]", help="Validate on it, not on the run's own campaign.")
+    ] = None,
+    experiment: Annotated[
+        list[str] | None, typer.Option("--experiment", "-e", help="Id or glob; the validation set by default.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Write measurements and predictions as CSV into it.")] = None,
+    workers: Workers = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> int:
+    """Simulate runs that were kept for validation with what a run found, beside the sensors' noise.
+
+    Of a diagnosis, the corrected model is held against the nominal one with its parameters refitted. Exit code 1:
+    a run cannot be simulated; the table says why.
+
+    Example: fmuid validate runs/force_feedback
+    Example: fmuid validate runs/diagnosis/diagnosis.json campaigns/force_feedback
+    """
+    from fmuid.identification.result import Result
+
+    printer = Printer(quiet, json)
+    with supervised(workers, time_limit, memory_limit) as runner:
+        if run.suffix == ".json":
+            printer.write(_diagnosis_validation(run, campaign, experiment or (), printer, runner))
+            return 0
+        found = _validated(Result.from_json(run), printer, runner, campaign, experiment)
+    printer.write(_validation(found, printer, out))
+    return int(any(score.failure is not None for score in found.scores))
+
+
+def diagnose(
+    campaign: CampaignPath,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the results; runs/<campaign>-diagnosis by default."),
+    ] = None,
+    experiment: Annotated[
+        list[str] | None,
+        typer.Option("--experiment", "-e", help="Id or glob (repeat); the campaign's choice by default."),
+    ] = None,
+    measurements: Annotated[
+        Path | None, typer.Option(help="Diagnose these measurements, not the campaign's own.")
+    ] = None,
+    workers: Workers = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
+    seed: Annotated[int, typer.Option(help="Of the null distribution and the bootstrap.")] = 0,
+    calibrate: Annotated[
+        int,
+        typer.Option(min=0, help="Diagnose so many plants simulated from the fitted model and its noise first."),
+    ] = 0,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Say where model and measurements part, which unmodelled effect causes it, and how far it shrinks with it.
+
+    Exit code 0: there is an answer, be it "complete", "A or B" or "unknown". 130: interrupted.
+
+    Example: fmuid diagnose campaigns/force_feedback --out runs/diagnosis
+    """
+    from fmuid.campaigns.campaign_toml import load_campaign
+    from fmuid.diagnosis_pipeline import FILE_NAME, answer_of
+    from fmuid.diagnosis_pipeline import diagnose as run
+
+    loaded = load_campaign(campaign, measurements=measurements)
+    folder = out or Path("runs") / f"{loaded.name}-diagnosis"
+    printer = Printer(quiet, json)
+    with printer.working("") as shown:
+        found = run(
+            loaded,
+            out=folder,
+            experiments=experiment or (),
+            workers=workers,
+            time_limit=time_limit,
+            memory_limit=in_bytes(memory_limit),
+            say=lambda what, share: shown(share, what),
+            seed=seed,
+            calibrate=calibrate,
+        )
+    answer = answer_of(found)
+    print_diagnosis(answer, printer)
+    printer.say(f"\n{folder / FILE_NAME}\nreport: {folder / 'index.html'}")
+    printer.write(answer)
+
+
+def report(
+    run: RunFolder,
+    out: Annotated[Path | None, typer.Option(help="Folder for index.html, figures and data.")] = None,
+    format_: Annotated[
+        list[str] | None, typer.Option("--format", help="Format of the figures: png, svg, pdf (repeat).")
+    ] = None,
+    workers: Workers = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write the report of a run as one HTML file that opens offline, with its figures and their data.
+
+    Example: fmuid report runs/force_feedback --format svg
+    """
+    from fmuid.report import write_report
+
+    formats: Any = tuple(format_ or ("png",))
+    unknown = [f for f in formats if f not in ("png", "svg", "pdf")]
+    if unknown:
+        raise FmuidError(f"no format '{unknown[0]}'", where="--format", fix="known: png, svg, pdf")
+    printer = Printer(quiet, json)
+    with printer.working("") as shown, supervised(workers, time_limit, memory_limit) as runner:
+        page = write_report(run, out, formats=formats, runner=runner, progress=shown)
+    printer.say(str(page))
+    printer.write({"run": run, "report": page})
+
+
+def _diagnosis_validation(
+    file: Path, campaign: Path | None, experiments: Sequence[str], printer: Printer, runner: Runner
+) -> dict[str, Any]:
+    from fmuid.campaigns.campaign_toml import load_campaign
+    from fmuid.diagnosis.validation import read_diagnosis, validate_diagnosis
+
+    answer = read_diagnosis(file)
+    if campaign is None:
+        raise FmuidError("no campaign to validate on", where=file, fix="give one as second argument")
+    with printer.working("simulating the runs"):
+        found = validate_diagnosis(answer, load_campaign(campaign), experiments=experiments, runner=runner)
+    print_validation(found, answer, printer)
+    return {"diagnosis": file, "campaign": campaign, **found.to_dict()}
+
+
+def _write_back(
+    result: Result, campaign: Campaign, folder: Path, printer: Printer, runner: Runner
+) -> dict[str, Any]:
+    from fmuid.identification.identified_models import write_identified
+
+    written = write_identified(result, campaign, folder / "identified", runner)
+    printer.say(f"identified: {folder / 'identified'} (FMUs with these values, and parameters.ssv)")
+    for warning in written.warnings:
+        printer.say(f"! {warning}")
+    return {"identified": {"fmus": written.fmus, "parameters": written.parameters}}
+
+
+def _progress(quiet: bool) -> Any:
+    if quiet:
+        return nullcontext()
+    from fmuid.identification.terminal_progress import TerminalProgress
+
+    return TerminalProgress()
+
+
+def _validated(
+    result: Result,
+    printer: Printer,
+    runner: Runner,
+    campaign: Path | None = None,
+    experiments: list[str] | None = None,
+) -> Validation:
+    from fmuid.identification.validate import validate as score
+
+    with printer.working("simulating the runs"):
+        return score(result, campaign, experiments=experiments, runner=runner)
+
+
+def _validation(found: Validation, printer: Printer, out: Path | None = None) -> dict[str, Any]:
+    printer.say(f"\nvalidation\n{found}")
+    if out is not None:
+        from fmuid.core.formatting import counted
+        from fmuid.data.crosscheck_csv import Table, write_csv
+
+        for case, prediction in zip(found.cases, found.predictions, strict=True):
+            columns = {f"{c.signal}_measured": c.mean for c in case.channels}
+            if prediction is not None:
+                columns |= {c.signal: y for c, y in zip(case.channels, prediction, strict=True)}
+            units = {n: c.unit for c in case.channels for n in (c.signal, f"{c.signal}_measured") if c.unit}
+            write_csv(
+                Table(case.task.time, columns, {n: units[n] for n in columns if n in units}),
+                out / f"{case.id}.csv",
+            )
+        printer.say(f"{out}: {counted(len(found.cases), 'file')}")
+    return {"validation": found.to_dict()["scores"]}

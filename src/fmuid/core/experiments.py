@@ -1,0 +1,161 @@
+"""What was measured: signals, runs, and the runs of one file. Values only; files are read elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from fmuid.core.errors import MeasurementsError
+from fmuid.core.formatting import html_table, text_table
+from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
+
+Causality = Literal["input", "output"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signal:
+    """One recorded signal.
+
+    Parameters
+    ----------
+    name
+        Measured name, such as ``tau_sensor``.
+    values
+        (N,) samples; NaN marks a missing output sample.
+    unit
+        Unit as written in the file, such as ``N.m``.
+    causality
+        ``input`` drives the model, ``output`` is compared with it.
+    sigma
+        Standard deviation of the measurement noise in `unit`, if known.
+    resampled
+        From which time base the samples were brought onto the run's, and how; empty if they are as recorded.
+    """
+
+    name: str
+    values: FloatArray
+    unit: str
+    causality: Causality
+    sigma: float | None = None
+    resampled: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", read_only(self.values))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Experiment:
+    """One recorded run.
+
+    Parameters
+    ----------
+    id
+        Its name in the measurement file.
+    setup
+        What it was made with; says which model stands for it.
+    time
+        (N,) in s, strictly increasing.
+    signals
+        Inputs and outputs by name, (N,) each.
+    settings, setting_units
+        Known values that the run sets on the model, by name, and their units (the model's where none is stated).
+    repeat_of
+        Id of the first run with the same inputs, settings and times; None for a run of its own.
+    description
+        For reports.
+    """
+
+    id: str
+    setup: str
+    time: FloatArray
+    signals: Mapping[str, Signal]
+    settings: Mapping[str, float] = field(default_factory=dict)
+    setting_units: Mapping[str, str] = field(default_factory=dict)
+    repeat_of: str | None = None
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", read_only(self.time))
+        for name in ("signals", "settings", "setting_units"):
+            object.__setattr__(self, name, frozen_mapping(getattr(self, name)))
+
+    @property
+    def inputs(self) -> Mapping[str, Signal]:
+        """The signals that drive the model, by measured name."""
+        return {name: s for name, s in self.signals.items() if s.causality == "input"}
+
+    @property
+    def outputs(self) -> Mapping[str, Signal]:
+        """The signals that are compared with predictions, by measured name."""
+        return {name: s for name, s in self.signals.items() if s.causality == "output"}
+
+    @property
+    def origin(self) -> str:
+        """Id of the run this one repeats, or its own."""
+        return self.repeat_of or self.id
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurements:
+    """The experiments of one measurement file; prints as a table.
+
+    Parameters
+    ----------
+    experiments
+        By id, in the file's order.
+    title, rig, source, licence
+        Of the recording, as free text.
+    """
+
+    experiments: Mapping[str, Experiment]
+    title: str = ""
+    rig: str = ""
+    source: str = ""
+    licence: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "experiments", frozen_mapping(self.experiments))
+
+    def __getitem__(self, experiment_id: str) -> Experiment:
+        try:
+            return self.experiments[experiment_id]
+        except KeyError:
+            known = ", ".join(self.experiments) or "none"
+            raise MeasurementsError(f"no experiment '{experiment_id}'", fix=f"the file has: {known}") from None
+
+    def __iter__(self) -> Iterator[Experiment]:
+        return iter(self.experiments.values())
+
+    def __len__(self) -> int:
+        return len(self.experiments)
+
+    def __str__(self) -> str:
+        """Return the runs as a table."""
+        return text_table(self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table(self._rows())
+
+    def _rows(self) -> list[list[str]]:
+        header = ["experiment", "setup", "samples", "end", "inputs", "outputs", "repeat of"]
+        return [
+            header,
+            *(
+                [
+                    e.id,
+                    e.setup,
+                    str(e.time.size),
+                    f"{e.time[-1]:.6g} s",
+                    ", ".join(f"{s.name} [{s.unit}]" for s in e.inputs.values()),
+                    ", ".join(f"{s.name} [{s.unit}]" for s in e.outputs.values()),
+                    e.repeat_of or "",
+                ]
+                for e in self
+            ),
+        ]
+
+    def repeats(self, experiment_id: str) -> tuple[Experiment, ...]:
+        """Return every run with the same origin as `experiment_id`, itself included."""
+        origin = self[experiment_id].origin
+        return tuple(e for e in self if e.origin == origin)

@@ -1,0 +1,52 @@
+"""Results in words and tables: text for a terminal, HTML for a notebook."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+Rows = Sequence[Sequence[str]]
+"""Cells of a table, its header first."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fact:
+    """One line of what matters most: a short label, the value in words, and whether it is good news."""
+
+    label: str
+    value: str
+    tone: str = "plain"  # plain | good | warn
+
+
+def counted(number: int, noun: str) -> str:
+    """Return ``1 run``, ``2 runs`` and so on."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def text_table(rows: Rows) -> str:
+    """Return rows as lines, columns under each other."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+    return "\n".join(lines)
+
+
+def html_table(rows: Rows) -> str:
+    """Return rows as an HTML table."""
+    header, *others = rows
+    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in header)
+    body = "".join("<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>" for row in others)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def html_lines(lines: Sequence[str]) -> str:
+    """Return lines as paragraphs."""
+    return "".join(f"<p>{html.escape(line)}</p>" for line in lines)
+
+
+def range_text(low: float, high: float, span: float | None = None) -> str:
+    """Return "low … high" to three digits; an end that is next to nothing beside `span` (high - low) is zero."""
+    span = high - low if span is None else span
+    ends = [0.0 if abs(end) < 1e-3 * span < math.inf else float(f"{end:.3g}") for end in (low, high)]
+    return " … ".join(f"{end:g}".replace("-", "−") for end in ends)

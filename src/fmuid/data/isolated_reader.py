@@ -1,0 +1,122 @@
+"""Files from unknown hands, read in a process of their own: a damaged one can hang or crash the library for it.
+
+One process serves all files of its parent, and is replaced when it dies.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, TypeVar
+
+from fmuid.core.errors import MeasurementsError
+
+_T = TypeVar("_T")
+TIME_LIMIT = 60.0  # s, and a second more for every 5 MB
+_BYTES_PER_SECOND = 5e6
+
+
+class _Reader:
+    """The process and the end of the line to it."""
+
+    def __init__(self) -> None:
+        ours, theirs = socket.socketpair()
+        # -P: the folder that the user is in may hold a module of any name.
+        command = [
+            sys.executable,
+            "-P",
+            "-c",
+            "from fmuid.data.isolated_reader import serve; serve()",
+            str(theirs.fileno()),
+        ]
+        self.process = subprocess.Popen(
+            command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        theirs.close()
+        self.connection = Connection(ours.detach())
+        self.parent = os.getpid()
+
+    def end(self) -> None:
+        with suppress(OSError):
+            self.connection.close()
+        if self.parent == os.getpid():
+            self.process.kill()
+            self.process.wait()
+
+
+_lock = threading.Lock()
+_reader: _Reader | None = None
+
+
+def read_apart(read: Callable[[Path], _T], path: Path, *, limit: float | None = None) -> _T:
+    """Return ``read(path)`` as another process computes it; `read` is a function of a module.
+
+    Raises
+    ------
+    MeasurementsError
+        Reading takes longer than `limit` seconds (by default a minute, and more for a large file), or crashes.
+        What `read` raises is raised here.
+    """
+    global _reader
+    size = path.stat().st_size if path.is_file() else 0
+    limit = TIME_LIMIT + size / _BYTES_PER_SECOND if limit is None else limit
+    with _lock:
+        if _reader is None or _reader.parent != os.getpid() or _reader.process.poll() is not None:
+            _reader = _Reader()
+        try:
+            _reader.connection.send((read, path, Path.cwd()))
+            if not _reader.connection.poll(limit):
+                _end()
+                raise MeasurementsError(
+                    f"cannot be read in {limit:.0f} s", where=path, fix="write it again: it may be damaged"
+                )
+            fine, result = pickle.loads(_reader.connection.recv_bytes())
+        except (EOFError, OSError):
+            _end()
+            raise MeasurementsError(
+                "crashes the library that reads it", where=path, fix="write it again: it may be damaged"
+            ) from None
+        except BaseException:  # Ctrl-C: an answer that nobody waits for must not be taken for the next one
+            _end()
+            raise
+    if not fine:
+        raise result
+    found: _T = result
+    return found
+
+
+def _end() -> None:
+    global _reader
+    if _reader is not None:
+        _reader.end()
+        _reader = None
+
+
+atexit.register(_end)
+
+
+def serve() -> None:
+    """Answer until the other end closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    connection = Connection(int(sys.argv[1]))
+    while True:
+        try:
+            read, path, folder = connection.recv()
+        except (EOFError, OSError):
+            return
+        try:
+            os.chdir(folder)  # that the path is relative to
+            answer: tuple[bool, Any] = (True, read(path))
+        except Exception as error:
+            answer = (False, error)
+        connection.send_bytes(pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL))

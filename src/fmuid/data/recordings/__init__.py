@@ -1,0 +1,64 @@
+"""Runs in the files that people have: CSV, MATLAB, HDF5, Parquet and MF4, read into tables over time.
+
+One module a format; the libraries for Parquet and MF4 are extras. Nothing is resampled here: signals with
+different time bases stay apart until the user says how to bring them together (`resampling`).
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Collection
+from pathlib import Path
+
+from fmu_build.suggest import suggestion
+from fmuid.core.errors import MeasurementsError
+from fmuid.data.crosscheck_csv import read_csv
+from fmuid.data.isolated_reader import read_apart
+from fmuid.data.recordings.recording import Recording
+
+__all__ = ["Recording", "read_recording"]
+
+_MODULES = {
+    ".mat": "matlab",
+    ".h5": "hdf5_vectors",
+    ".hdf5": "hdf5_vectors",
+    ".parquet": "parquet",
+    ".mf4": "mdf",
+    ".mdf": "mdf",
+}
+
+
+def read_recording(path: str | Path, names: Collection[str] = ()) -> Recording:
+    """Read one recorded run.
+
+    Parameters
+    ----------
+    path
+        ``.mat``, ``.h5``, ``.hdf5``, ``.parquet``, ``.mf4`` or ``.mdf``; any other name is read as CSV.
+    names
+        Signals to read; all by default.
+
+    Returns
+    -------
+    Recording
+        A table for each time base, times in s; units where the file states them.
+
+    Raises
+    ------
+    MeasurementsError
+        The file is missing, damaged or has no time; a name is not in it; the library for it is not installed.
+    """
+    path = Path(path)
+    if not path.is_file():
+        what = "is a folder, not a file" if path.is_dir() else "no such file"
+        raise MeasurementsError(what, where=path, fix="check the path")
+    module = _MODULES.get(path.suffix.casefold())
+    if module is None:
+        table = read_csv(path)
+        found = Recording((table,), notes=table.notes)
+    else:
+        found = read_apart(importlib.import_module(f"fmuid.data.recordings.{module}").read, path)
+    for name in names:
+        if name not in found.columns:
+            raise MeasurementsError(f"has no signal '{name}'", where=path, fix=suggestion(name, found.columns))
+    return found.only(names) if names else found

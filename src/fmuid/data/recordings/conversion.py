@@ -1,0 +1,134 @@
+"""From recorded runs to measurement files and back."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from fmu_build.suggest import suggestion
+from fmuid.core.errors import MeasurementsError, UnitError
+from fmuid.core.experiments import Causality, Experiment, Signal
+from fmuid.core.units import check_unit
+from fmuid.data.crosscheck_csv import Table
+from fmuid.data.recordings import read_recording
+from fmuid.data.recordings.resampling import TimeBase, aliased, one_time_base
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """A recorded run on one time base; `resampled` says how signals came onto it, `notes` what else to know."""
+
+    table: Table
+    resampled: Mapping[str, str]
+    notes: tuple[str, ...]
+
+
+def read_run(path: Path, signals: Collection[str] = (), base: TimeBase | None = None) -> Run:
+    """Read a file of one run, and bring it onto one time base as `base` says.
+
+    Raises
+    ------
+    MeasurementsError
+        As `fmuid.data.recordings.read_recording` and `fmuid.data.recordings.resampling.one_time_base` do.
+    """
+    recording = read_recording(path, signals)
+    table, resampled = one_time_base(recording, base, path)
+    notes = [*recording.notes, *(f"'{name}' resampled: {how}" for name, how in resampled.items())]
+    fast = aliased(table, recording, base) if base is not None else ()
+    if fast:
+        notes.append(
+            f"{', '.join(fast)}: sampled more slowly than recorded; if something in there is faster than half the"
+            " new rate, --method mean averages it out"
+        )
+    return Run(table, resampled, tuple(notes))
+
+
+def experiment_from_table(
+    table: Table,
+    *,
+    id: str,
+    setup: str,
+    inputs: Collection[str],
+    units: Mapping[str, str] | None = None,
+    sigmas: Mapping[str, float] | None = None,
+    settings: Mapping[str, float] | None = None,
+    setting_units: Mapping[str, str] | None = None,
+    resampled: Mapping[str, str] | None = None,
+) -> Experiment:
+    """Return one run from a table whose columns are its signals.
+
+    Parameters
+    ----------
+    table
+        Time and signals; units may be in its header.
+    id, setup
+        Id of the run and the setup it was made with.
+    inputs
+        Names of the columns that drive the model; the others are outputs.
+    units, sigmas
+        Units (these win over the header's) and noise standard deviations by column.
+    settings, setting_units
+        Values that the run sets on the model.
+    resampled
+        How columns came onto the run's time base, for those that were not recorded on it.
+
+    Raises
+    ------
+    MeasurementsError
+        A name is no column, or a column has no unit.
+    """
+    units, sigmas, resampled = units or {}, sigmas or {}, resampled or {}
+    for what, names in (("input", inputs), ("unit", units), ("sigma", sigmas)):
+        for name in names:
+            if name not in table.columns:
+                raise MeasurementsError(
+                    f"no column '{name}' ({what})", where=id, fix=suggestion(name, table.columns)
+                )
+    signals: dict[str, Signal] = {}
+    for name, values in table.columns.items():
+        unit = units.get(name, table.units.get(name))
+        if unit is None:
+            raise MeasurementsError(
+                f"column '{name}' has no unit",
+                where=id,
+                fix=f'write it in the header as "{name} [N.m]", or give --unit {name}=N.m (1 for none)',
+            )
+        causality: Causality = "input" if name in inputs else "output"
+        try:
+            check_unit(unit)
+        except UnitError as error:
+            raise MeasurementsError(f"column '{name}': {error.what}", where=id, fix=error.fix) from None
+        signals[name] = Signal(name, values, unit, causality, sigmas.get(name), resampled.get(name, ""))
+    return Experiment(id, setup, table.time, signals, settings or {}, setting_units or {})
+
+
+def with_repeats(experiments: Mapping[str, Experiment]) -> dict[str, Experiment]:
+    """Return the experiments with every run whose inputs agree with an earlier one marked as its repeat."""
+    marked: dict[str, Experiment] = {}
+    for experiment in experiments.values():
+        first = next((e for e in marked.values() if e.repeat_of is None and _same_run(e, experiment)), None)
+        marked[experiment.id] = replace(experiment, repeat_of=first.id) if first else experiment
+    return marked
+
+
+def table_from_experiment(experiment: Experiment) -> Table:
+    """Return a run's signals as a table with units."""
+    return Table(
+        experiment.time,
+        {name: signal.values for name, signal in experiment.signals.items()},
+        {name: signal.unit for name, signal in experiment.signals.items()},
+    )
+
+
+def _same_run(a: Experiment, b: Experiment) -> bool:
+    return (
+        a.setup == b.setup
+        and dict(a.settings) == dict(b.settings)
+        and np.array_equal(a.time, b.time)
+        and bool(a.inputs)
+        and a.inputs.keys() == b.inputs.keys()
+        and all(np.array_equal(s.values, b.inputs[n].values) for n, s in a.inputs.items())
+    )

@@ -1,0 +1,35 @@
+"""HDF5 files of any layout: in every group with a `time` or `t`, the vectors as long as it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fmuid.core.errors import MeasurementsError
+from fmuid.data import hdf5
+from fmuid.data.crosscheck_csv import TIMES
+from fmuid.data.measurements import FORMAT
+from fmuid.data.recordings.recording import Recording, Vector, by_time_base, in_seconds, left_out
+
+
+def read(path: Path) -> Recording:
+    """Read an HDF5 file; see `fmuid.data.recordings.read_recording`.
+
+    A vector goes with the time axis of its own group or of the nearest one above. Its unit is the attribute
+    `unit` or `units`; its name is its place below the group of the time axis, with dots.
+    """
+    kind, found, others = hdf5.vectors(path)
+    if kind == FORMAT:
+        raise MeasurementsError("is a measurement file already", where=path, fix="name it in campaign.toml")
+    times = {p: v for p, v in found.items() if p[-1].casefold() in TIMES}
+    axes = {p[:-1]: in_seconds(v.values, v.unit, path) for p, v in times.items()}
+    vectors = []
+    for place, vector in found.items():
+        above = next((place[:k] for k in range(len(place) - 1, -1, -1) if place[:k] in axes), None)
+        if place in times:
+            continue
+        if above is None or axes[above].size != vector.values.size:
+            others.append(".".join(place))
+            continue
+        name = ".".join(place if len(axes) > 1 else place[len(above) :])
+        vectors.append(Vector(name, axes[above], vector.values, vector.unit))
+    return by_time_base(vectors, path, left_out(others, "no vectors as long as a time axis"))

@@ -1,0 +1,142 @@
+"""Judging models on experiments that did not shape them.
+
+Each experiment is left out in turn. The parameters that the others alone would give come from one Gauss-Newton
+step at the full estimate (the exact answer for a linear model, and what is needed to tell an effect from an
+accident), so that a round of leaving out costs linear algebra, not simulations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.core.immutable import FloatArray, read_only
+from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.refit import Refit
+
+_PRIOR_STEPS = 1e3  # a parameter that the remaining experiments cannot see moves by no more than about this
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOut:
+    """Losses of one model on experiments that were left out.
+
+    Attributes
+    ----------
+    loss
+        (E,) mean squared whitened residual of a single run of the experiment, beyond the noise floor's 1.
+    per_run
+        The same for every run on its own, one array an experiment.
+    size
+        (E,) number of samples in it.
+    """
+
+    loss: FloatArray
+    per_run: tuple[FloatArray, ...]
+    size: FloatArray
+
+    @property
+    def gap(self) -> float:
+        """Gap in floors over all experiments."""
+        return gap_of(self.loss, self.size)
+
+
+def gap_of(loss: FloatArray, size: FloatArray) -> float:
+    """Return sqrt(max(0, mean excess)) of experiments with `size` samples each."""
+    return float(np.sqrt(max(0.0, float(np.average(loss, weights=size)))))
+
+
+def leave_each_out(fit: Refit, observed: Observed) -> HeldOut:
+    """Return the losses of `fit` with each experiment (or piece of one) predicted from the others."""
+    steps = np.array([u.step for u in fit.unknowns])
+    lower = np.array([u.lower for u in fit.unknowns])
+    upper = np.array([u.upper for u in fit.unknowns])
+    x = np.array([fit.values[u.name] for u in fit.unknowns])
+    inside = (x > lower + 1e-6 * steps) & (x < upper - 1e-6 * steps)
+    parts = [fit.jacobian[e][rows][:, inside] * steps[inside] for e, rows in observed.folds]
+    residuals = [fit.residuals[e][rows] for e, rows in observed.folds]
+    repeats = [observed.repeats[e] for e, _ in observed.folds]
+    normal = [n * p.T @ p for n, p in zip(repeats, parts, strict=True)]
+    gradient = [n * p.T @ r for n, p, r in zip(repeats, parts, residuals, strict=True)]
+    total, slope = sum(normal), sum(gradient)
+    ridge = np.eye(int(inside.sum())) / _PRIOR_STEPS**2
+    predicted = []
+    for p, r, h, g in zip(parts, residuals, normal, gradient, strict=True):
+        move = np.linalg.solve(total - h + ridge, -(slope - g)) if inside.any() else np.zeros(0)
+        predicted.append(r + p @ move)
+    return losses(predicted, observed)
+
+
+def in_sample(fit: Refit, observed: Observed) -> HeldOut:
+    """Return the losses of `fit` on the experiments that it was fitted to, fold by fold."""
+    return losses([fit.residuals[e][rows] for e, rows in observed.folds], observed)
+
+
+def losses(residuals: Sequence[FloatArray], observed: Observed) -> HeldOut:
+    """Return the losses of given whitened residuals (of the mean runs), one a fold."""
+    per_run, loss = [], []
+    for r, (e, rows) in zip(residuals, observed.folds, strict=True):
+        run, whiten = observed.runs[e], observed.whiteners[e]
+        deviation = whiten(np.nan_to_num(run.values - run.mean)).reshape(run.n_repeats, -1)[:, rows]
+        # residual of run k = residual of the mean - its deviation from the mean
+        per_run.append(read_only(np.mean((r - deviation) ** 2, axis=1) - 1.0))
+        loss.append(float(np.mean(r**2)) - 1.0 / run.n_repeats)
+    size = np.array([float(r.size) for r in residuals])
+    return HeldOut(read_only(np.array(loss)), tuple(per_run), read_only(size))
+
+
+def closure(before: HeldOut, after: HeldOut) -> float:
+    """Return 1 - G1/G0, the share of the gap that is gone; 0 where there was none."""
+    return 1.0 - after.gap / before.gap if before.gap > 0 else 0.0
+
+
+def closure_interval(
+    before: HeldOut,
+    after: HeldOut,
+    *,
+    noise: FloatArray | None = None,
+    level: float = 0.9,
+    draws: int = 2000,
+    seed: int = 0,
+) -> tuple[float, float]:
+    """Return a bootstrap interval of the closure: runs are drawn within experiments, experiments among all.
+
+    With `noise`, draws of the excess that noise alone leaves (`Null.excess`), it is that of new runs: what is
+    left of a gap cannot be measured better than that.
+    """
+    rng = np.random.default_rng(seed)
+    n = len(before.loss)
+    b, a = np.empty((n, draws)), np.empty((n, draws))  # every fold's loss in every draw of its runs
+    for e, (own, other) in enumerate(zip(before.per_run, after.per_run, strict=True)):
+        pick = rng.integers(0, len(own), (draws, len(own)))
+        b[e] = before.loss[e] + own[pick].mean(axis=1) - own.mean()
+        a[e] = after.loss[e] + other[pick].mean(axis=1) - other.mean()
+    times = rng.multinomial(n, np.full(n, 1.0 / n), size=draws).T * before.size[:, None]
+    further = 0.0 if noise is None else rng.choice(noise - noise.mean(), draws)
+    was, left = (
+        np.sqrt(np.maximum(0.0, np.sum(times * x, axis=0) / np.sum(times, axis=0) + further)) for x in (b, a)
+    )
+    drawn = np.where(was > 0, 1.0 - left / np.where(was > 0, was, 1.0), 0.0)
+    low, high = np.quantile(drawn, [0.5 - level / 2, 0.5 + level / 2])
+    return float(low), float(high)
+
+
+def advantage(better: HeldOut, worse: HeldOut) -> tuple[float, float]:
+    """Return the mean difference of losses (worse - better) and its standard error over the runs.
+
+    Experiments are what the campaign is about, not a sample of others: an effect that one of them alone shows is
+    no less there. What is random is which runs were recorded. Where none was repeated, pieces of runs are.
+    """
+    size = better.size / better.size.sum()
+    difference = (worse.loss - better.loss) * size
+    if all(len(a) < 2 for a in worse.per_run):
+        n = len(difference)
+        spread = n / max(n - 1, 1) * float(np.sum((difference - difference.mean()) ** 2))
+        return float(difference.sum()), float(np.sqrt(spread))
+    variance = 0.0
+    for share, a, b in zip(size, worse.per_run, better.per_run, strict=True):
+        if len(a) > 1:
+            variance += float(share**2 * np.var(a - b, ddof=1) / len(a))
+    return float(difference.sum()), float(np.sqrt(variance))

@@ -1,0 +1,196 @@
+"""The search: the best-scored effects refitted one by one, then in company as long as that is worth it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from fmuid.core.immutable import FloatArray
+from fmuid.diagnosis import decide
+from fmuid.diagnosis.candidates import Fitted, add_effect, contribution, polish, score_further, without
+from fmuid.diagnosis.null_distribution import NoiseDraws
+from fmuid.diagnosis.observed import excess
+from fmuid.diagnosis.scores import Score, alias_classes, nominal_basis, project_off, similarity, stack
+from fmuid.diagnosis.subject import Subject
+
+Say = Callable[[str, float], None]
+"""Hears what is being done, and the share of the work that is behind."""
+
+_SINGLES = 7  # effects refitted on their own
+_SHARE = 0.05  # of the best score that another one must have to be refitted
+_PAIRS = 4  # further effects tried beside the best
+_ABOUT_AS_MUCH = 1.5  # ratio of what two effects of the same shape move
+_SCORED = 8  # effects scored anew for that
+_SWAPS = 2  # effects tried in place of each
+_MOST = 3  # effects together
+_ALIKE = 0.9  # correlation of signatures above which a further effect is taken for another shape of the first
+
+
+def search(
+    subject: Subject,
+    nominal: Fitted,
+    scores: Sequence[Score],
+    noise: NoiseDraws,
+    say: Say,
+    *,
+    present: bool,
+) -> tuple[list[Fitted], Fitted | None]:
+    """Return every model that was refitted, and the best one.
+
+    Parameters
+    ----------
+    scores
+        Of all effects beside the nominal model.
+    noise
+        What noise alone leaves: nothing is added to a model that leaves no more.
+    present
+        Whether there is a gap; without one only the two best are refitted.
+    """
+    singles = _promising(scores)[: _SINGLES if present else 2]
+    candidates: list[Fitted] = []
+    for k, score in enumerate(singles):
+        say(f"refitting with {score.effect}", 0.15 + 0.35 * k / len(singles))
+        fitted = add_effect(subject, nominal, score)
+        if fitted is not None and fitted.fit.cost < nominal.fit.cost:
+            candidates.append(fitted)
+    if not candidates:
+        return [], None
+    best = _polished(subject, candidates)
+    signatures = _signatures(subject, nominal, candidates, scores)
+    while present and len(best.effects) <= _MOST and best.gap > decide.GAP_THAT_MATTERS:
+        say(f"what is missing beside {best.id}", 0.5 + 0.1 * len(best.names))
+        company = [_as_shape(best, c, signatures) for c in _company(subject, best, scores, noise)]
+        company = [c for c in company if len(c.names) <= _MOST]
+        if not company:
+            break
+        better = _polished(subject, company)
+        if not decide.worth_adding(best, better):
+            break
+        first = _shaped(best, better, signatures)
+        if first is not None:
+            better, company = _renamed(subject, better, first, company)
+        candidates += company
+        best = better
+        swapped = _swaps(subject, best, candidates, scores) if best.gap > decide.GAP_THAT_MATTERS else []
+        if swapped:
+            candidates += swapped
+            best = _polished(subject, [c for c in candidates if len(c.names) == len(best.names)], candidates)
+    return candidates, best
+
+
+def aliases(
+    subject: Subject, nominal: Fitted, candidates: Sequence[Fitted], scores: Sequence[Score]
+) -> tuple[tuple[str, ...], ...]:
+    """Alias classes from the refitted effects' signatures where there are some, from the trials' elsewhere."""
+    tried, refitted = _signatures(subject, nominal, candidates, scores)
+    return alias_classes({**tried, **refitted})
+
+
+def _signatures(
+    subject: Subject, nominal: Fitted, candidates: Sequence[Fitted], scores: Sequence[Score]
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Return signatures of unit length by effect: of the trials, and of the effects refitted on their own."""
+    basis = nominal_basis(nominal.fit, subject.observed)
+    base = stack(nominal.fit.residuals, subject.observed)
+    refitted = {}
+    for fitted in candidates:
+        if len(fitted.effects) == 1:
+            moved = project_off(stack(fitted.fit.residuals, subject.observed) - base, basis)
+            length = float(np.linalg.norm(moved))
+            if length > 1.0:
+                refitted[fitted.names[0]] = moved / length
+    return {s.effect: s.signature for s in scores if s.signature is not None}, refitted
+
+
+def _shaped(before: Fitted, after: Fitted, signatures: Sequence[Mapping[str, FloatArray]]) -> str | None:
+    """Return the name in `before` that the effect that is new in `after` acts like, small or at the size found."""
+    new = after.effects[-1]
+    alike = {
+        name: max(
+            (similarity(own[new], own[name]) for own in signatures if {new, name} <= own.keys()), default=0.0
+        )
+        for name in before.names
+    }
+    name = max(alike, key=lambda n: alike[n], default=None)
+    return name if name is not None and alike[name] > _ALIKE else None
+
+
+def _as_shape(before: Fitted, after: Fitted, signatures: Sequence[Mapping[str, FloatArray]]) -> Fitted:
+    """Name the new effect only if it acts like none before: else the law has another shape, not a second cause."""
+    return after if _shaped(before, after, signatures) is None else replace(after, names=before.names)
+
+
+def _renamed(subject: Subject, better: Fitted, first: str, company: list[Fitted]) -> tuple[Fitted, list[Fitted]]:
+    """Name, of the last effect and the `first` that it shapes, the one that does more; both if about as much."""
+    new = better.effects[-1]
+    named, shape = (contribution(subject, better, name) for name in (first, new))
+    swapped = replace(better, names=tuple(new if n == first else n for n in better.names))
+    if max(named, shape) < _ABOUT_AS_MUCH * min(named, shape):
+        return better, [*company, swapped]
+    if shape > named:
+        return swapped, [swapped if c is better else c for c in company]
+    return better, company
+
+
+def _promising(scores: Sequence[Score]) -> list[Score]:
+    least = _SHARE * max((s.drop for s in scores), default=0.0)
+    return [s for s in scores if s.signature is not None and s.drop > 0.0 and s.drop >= least]
+
+
+def _company(subject: Subject, best: Fitted, scores: Sequence[Score], noise: NoiseDraws) -> list[Fitted]:
+    """Refit `best` with further effects; none if noise alone would leave as much and score as high."""
+    further, finished = _further(subject, best, scores, noise)
+    return [] if finished else _added(subject, best, further[:_PAIRS])
+
+
+def _further(
+    subject: Subject, best: Fitted, scores: Sequence[Score], noise: NoiseDraws
+) -> tuple[list[Score], bool]:
+    """Score further effects beside `best`; also whether neither they nor what is left are more than noise."""
+    further = _promising(score_further(subject, best, likely=scores, most=_SCORED))
+    null = noise.null(
+        nominal_basis(best.fit, subject.observed), [s.signature for s in further if s.signature is not None]
+    )
+    left = null.p_value(excess(best.fit.residuals, subject.observed))
+    largest = max((s.drop for s in further), default=0.0)
+    return further, left >= decide.SIGNIFICANCE and largest <= decide.SCORE_MARGIN * null.threshold()
+
+
+def finished(subject: Subject, best: Fitted, scores: Sequence[Score], noise: NoiseDraws) -> bool:
+    """Return whether `best` leaves nothing that matters, or nothing that noise alone would not leave."""
+    return best.gap <= decide.GAP_THAT_MATTERS or _further(subject, best, scores, noise)[1]
+
+
+def _added(subject: Subject, fitted: Fitted, scores: Sequence[Score]) -> list[Fitted]:
+    found = (add_effect(subject, fitted, s) for s in scores)
+    return [f for f in found if f is not None and f.fit.cost < fitted.fit.cost]
+
+
+def _swaps(subject: Subject, best: Fitted, candidates: Sequence[Fitted], scores: Sequence[Score]) -> list[Fitted]:
+    """Refit `best` with each of its effects but the last one replaced by others."""
+    tried = {frozenset(c.effects) for c in candidates}
+    found: list[Fitted] = []
+    for name in best.names[:-1] if best.effects == best.names else ():
+        rest = without(subject, best, name)
+        if rest is None:
+            continue
+        others = _promising(score_further(subject, rest, likely=scores, most=_SCORED))
+        fresh = [s for s in others if frozenset((*rest.effects, s.effect)) not in tried]
+        found += _added(subject, rest, fresh[:_SWAPS])
+    return found
+
+
+def _polished(subject: Subject, among: list[Fitted], candidates: list[Fitted] | None = None) -> Fitted:
+    """Return the best of `among`, refitted exactly as long as that makes another one best; replaces in place."""
+    done: set[str] = set()
+    while True:
+        best = decide.best_of(among)
+        if best.id in done:
+            return best
+        done.add(best.id)
+        exact = polish(subject, best)
+        for models in (among, candidates or []):
+            if best in models:
+                models[models.index(best)] = exact

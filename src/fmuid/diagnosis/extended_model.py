@@ -1,0 +1,248 @@
+"""The simulated side of a diagnosis: predictions of every experiment for values of any parameters."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from fmuid.core.errors import SimulationError
+from fmuid.core.formulas import Expression
+from fmuid.core.immutable import FloatArray, read_only
+from fmuid.data.noise_spectrum import RepeatedRuns
+from fmuid.diagnosis.signal_effects import disturb_input, disturb_output, split_signal_parameters
+from fmuid.identification.problem.cases import Case
+from fmuid.simulation.runners import Job, Outcome, Runner, in_process
+from fmuid.simulation.simulator import Task, differentiates
+
+Prediction = tuple[FloatArray, ...]
+"""(C, N) predicted signals, one array an experiment."""
+
+_WIDTH = 1e-4  # of the differences around a simulation, relative: ties and sensors
+_KEPT_SAMPLES = 4_000_000  # of predictions, 32 MB
+Direction = tuple[dict[str, float], float]
+"""How a model's variables move with one parameter: their proportions, and their size."""
+_Key = tuple[int, frozenset[tuple[str, float]], tuple[tuple[str, bytes], ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignModel:
+    """Cases simulated together.
+
+    Parameters
+    ----------
+    cases
+        One an experiment.
+    runner
+        Where simulations run.
+    fixed
+        Parameter values that stay, by name.
+    tie
+        Model variables that follow an expression of campaign parameters.
+    """
+
+    cases: tuple[Case, ...]
+    runner: Runner = in_process
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    tie: Mapping[str, Expression] = field(default_factory=dict)
+    _kept: OrderedDict[_Key, FloatArray] = field(default_factory=OrderedDict, init=False, repr=False)
+    _tasks: dict[object, Task] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def runs(self) -> tuple[RepeatedRuns, ...]:
+        """What was measured, in the model's units."""
+        return tuple(
+            RepeatedRuns(
+                case.id,
+                case.setup,
+                case.time,
+                tuple(c.signal for c in case.channels),
+                np.stack([c.repeats for c in case.channels], axis=1),
+            )
+            for case in self.cases
+        )
+
+    def predict(self, points: Sequence[Mapping[str, float]]) -> list[Prediction | SimulationError]:
+        """Return the predictions of every point, or why one has none."""
+        return self._simulate([(point, None) for point in points])
+
+    def predict_driven(
+        self, values: Mapping[str, float], drives: Sequence[Mapping[str, Sequence[FloatArray]]]
+    ) -> list[Prediction | SimulationError]:
+        """Return predictions at `values` with further inputs driven.
+
+        Each drive gives, by input, (N,) samples for every experiment.
+        """
+        return self._simulate([(values, drive) for drive in drives])
+
+    def trajectories(self, values: Mapping[str, float], variables: Sequence[str]) -> tuple[FloatArray, ...]:
+        """Return (len(variables), N) trajectories of model variables, one array an experiment.
+
+        Raises
+        ------
+        SimulationError
+            A run failed.
+        """
+        jobs = []
+        for case in self.cases:
+            task = replace(case.task, outputs=tuple(variables))
+            jobs.append((case.simulator, task, self._start_values(case, {**self.fixed, **values})))
+        outcomes = self.runner(jobs)
+        for outcome in outcomes:
+            if isinstance(outcome, SimulationError):
+                raise outcome
+        return tuple(
+            np.asarray(o)[:, case.lead :]
+            for o, case in zip(outcomes, self.cases, strict=True)
+            if not isinstance(o, SimulationError)
+        )
+
+    def tangents(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, Prediction]:
+        """Return d prediction / d parameter by name, exactly, by one run of each case.
+
+        Empty where a model cannot differentiate its runs by these parameters, or signals are disturbed.
+        """
+        signals = {c.signal for case in self.cases for c in case.channels}
+        signals |= {name for case in self.cases for name in case.task.inputs}
+        plain, disturbed = split_signal_parameters({**self.fixed, **values}, signals)
+        names = [name for name in names if name in plain]
+        if disturbed or not names:
+            return {}
+        widths = [_WIDTH * (abs(plain[name]) or 1.0) for name in names]
+        ends = [
+            [{**plain, name: plain[name] + sign * width} for sign in (0.5, -0.5)]
+            for name, width in zip(names, widths, strict=True)
+        ]
+        jobs, moves = [], []
+        for k, case in enumerate(self.cases):
+            own = [
+                _direction(self._start_values(case, above), self._start_values(case, below), width)
+                for (above, below), width in zip(ends, widths, strict=True)
+            ]
+            moved = {name for along, _ in own for name in along}
+            if moved and not differentiates(case.simulator, moved):
+                return {}
+            jobs.append((case.simulator, self._task_along(k, case, own), self._start_values(case, plain)))
+            moves.append(own)
+        found: dict[str, list[FloatArray]] = {name: [] for name in names}
+        for case, own, outcome in zip(self.cases, moves, self.runner(jobs), strict=True):
+            if isinstance(outcome, SimulationError):
+                return {}
+            n = len(case.task.outputs)
+            base, slopes = outcome[:n], iter(outcome[n:].reshape(-1, n, outcome.shape[1]))
+            for name, pair, width, (along, size) in zip(names, ends, widths, own, strict=True):
+                half = 0.5 * width * size * next(slopes) if along else np.zeros_like(base)
+                above, below = case.sensed(base + half, pair[0]), case.sensed(base - half, pair[1])
+                found[name].append((above - below) / width)
+        return {name: tuple(rows) for name, rows in found.items()}
+
+    def _task_along(self, index: int, case: Case, own: Sequence[Direction]) -> Task:
+        along = tuple(move for move, _ in own if move)
+        key = (index, tuple(tuple(move.items()) for move in along))
+        if key not in self._tasks:
+            self._tasks[key] = replace(case.task, along=along)
+        return self._tasks[key]
+
+    def expanded(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return `values` with the model variables that are tied to them."""
+        every = {**self.fixed, **values}
+        return {**values, **{name: e(every) for name, e in self.tie.items()}}
+
+    def _start_values(self, case: Case, values: Mapping[str, float]) -> dict[str, float]:
+        """Campaign parameters in the model's units; what is none of them is a variable of the model."""
+        own = {
+            name: v for name, v in values.items() if name in case.simulator.variables and name not in case.setting
+        }
+        tied = {name: e(values) for name, e in self.tie.items() if name in case.simulator.variables}
+        return {**own, **case.start_values(values), **tied}
+
+    def _simulate(
+        self, wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]]
+    ) -> list[Prediction | SimulationError]:
+        signals = {c.signal for case in self.cases for c in case.channels}
+        signals |= {name for case in self.cases for name in case.task.inputs}
+        split = [split_signal_parameters({**self.fixed, **values}, signals) for values, _ in wanted]
+        keys: list[_Key] = []
+        jobs: dict[_Key, Job] = {}
+        for (_, drive), (plain, signal) in zip(wanted, split, strict=True):
+            for k, case in enumerate(self.cases):
+                values, inputs = self._start_values(case, plain), _changed_inputs(case, k, signal, drive)
+                keys.append(_key(k, case, values, inputs))
+                if keys[-1] not in self._kept and keys[-1] not in jobs:
+                    task = replace(case.task, inputs={**case.task.inputs, **inputs}) if inputs else case.task
+                    jobs[keys[-1]] = (case.simulator, task, values)
+        known = {key: self._kept[key] for key in keys if key in self._kept}
+        found = known | dict(zip(jobs, self.runner(list(jobs.values())) if jobs else [], strict=True))
+        self._keep(found)
+        outcomes = [found[key] for key in keys]
+        results: list[Prediction | SimulationError] = []
+        n = len(self.cases)
+        for i, (plain, signal) in enumerate(split):
+            part = outcomes[i * n : (i + 1) * n]
+            failed = next((o for o in part if isinstance(o, SimulationError)), None)
+            if failed is not None:
+                results.append(failed)
+                continue
+            rows = []
+            for case, outcome in zip(self.cases, part, strict=True):
+                sensed = case.sensed(np.asarray(outcome), {**self.fixed, **plain})
+                names = [c.signal for c in case.channels]
+                rows.append(disturb_output(case.time, sensed, names, signal))
+            results.append(tuple(rows))
+        return results
+
+    def _keep(self, found: Mapping[_Key, Outcome]) -> None:
+        for key, outcome in found.items():
+            if not isinstance(outcome, SimulationError):
+                self._kept[key] = read_only(outcome)
+                self._kept.move_to_end(key)
+        held = sum(p.size for p in self._kept.values())
+        while held > _KEPT_SAMPLES:
+            held -= self._kept.popitem(last=False)[1].size
+
+
+def _direction(above: Mapping[str, float], below: Mapping[str, float], width: float) -> Direction:
+    """Return how a model's variables move from one point to another that is `width` away."""
+    slopes = {name: (above[name] - below[name]) / width for name in above if above[name] != below[name]}
+    size = max(map(abs, slopes.values()), default=0.0)
+    return {name: round(slope / size, 9) for name, slope in slopes.items()}, size
+
+
+def _key(index: int, case: Case, values: Mapping[str, float], inputs: Mapping[str, FloatArray]) -> _Key:
+    """Return what a simulation depends on: a value that is the model's own start value changes nothing."""
+    variables, settings = case.simulator.variables, case.task.start_values
+    own = frozenset((n, v) for n, v in values.items() if v != variables[n].start or n in settings)
+    return index, own, tuple((n, hashlib.blake2b(u.tobytes()).digest()) for n, u in inputs.items())
+
+
+def _changed_inputs(
+    case: Case,
+    index: int,
+    signal: Mapping[str, Mapping[str, float]],
+    drive: Mapping[str, Sequence[FloatArray]] | None,
+) -> dict[str, FloatArray]:
+    """Return the inputs that differ from those of the case's own task."""
+    task = case.task
+    inputs = {n: disturb_input(task.time, u, signal[n]) for n, u in task.inputs.items() if n in signal}
+    for name, series in (drive or {}).items():
+        values = _held(np.asarray(series[index]))
+        # A step of the model ends at a measured sample: what acts during it is known at that sample.
+        values = np.append(values, values[-1]) if case.lead else values
+        if np.any(values) or case.simulator.variables[name].start != 0.0:
+            inputs[name] = values
+    return inputs
+
+
+def _held(values: FloatArray) -> FloatArray:
+    """Hold each value until the next differs by 3 % of the range: an FMU stops where an input changes."""
+    width = 0.03 * float(np.ptp(values))
+    out = np.array(values)
+    last = out[0]
+    for k in range(1, len(out)):
+        if abs(out[k] - last) > width:
+            last = out[k]
+        out[k] = last
+    return out

@@ -1,0 +1,103 @@
+"""What noise alone would do: null distributions drawn from the runs' own differences.
+
+The R runs of an experiment have R - 1 independent differences, each a draw of what one run differs from the truth
+by. Random mixtures of them, scaled to the mean of R runs, are residuals of a complete model: their energy and
+their largest score, after the nominal parameters are refitted, tell when a gap is more than noise. Variations from
+run to run that touch many signals at once are in them, as white noise would not have them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from fmuid.core.immutable import FloatArray, read_only
+from fmuid.diagnosis.observed import Observed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Null:
+    """Draws under a complete model: excess energy of the residual, and the largest drop of any score."""
+
+    excess: FloatArray
+    largest_drop: FloatArray
+
+    def p_value(self, excess: float, drop: float = 0.0) -> float:
+        """Return how likely noise alone leaves this excess energy, or a score as large as `drop`.
+
+        Of the excess by the share of draws with at least as much, a fitted normal beyond the last draw; with a
+        drop, twice the smaller of the two shares (Bonferroni).
+        """
+        energy = self._of_excess(excess)
+        if drop <= 0.0:
+            return energy
+        reached = float(np.sum(self.largest_drop >= drop) + 1) / (len(self.largest_drop) + 1)
+        return min(1.0, 2.0 * min(energy, reached))
+
+    def _of_excess(self, excess: float) -> float:
+        above = float(np.mean(self.excess >= excess))
+        tail = float(norm.sf(excess, self.excess.mean(), max(self.excess.std(), 1e-12)))
+        return max(above, tail) if above > 0 else min(tail, 1.0 / (len(self.excess) + 1))
+
+    def threshold(self, quantile: float = 0.99) -> float:
+        """Return the drop that noise alone exceeds in 1 - `quantile` of all diagnoses."""
+        return float(np.quantile(self.largest_drop, quantile))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseDraws:
+    """(M, D) draws of the residual that noise alone would leave, of all experiments one after the other."""
+
+    noise: FloatArray
+    weight: FloatArray
+
+    def null(self, basis: FloatArray, signatures: Sequence[FloatArray]) -> Null:
+        """Return the null distributions of a model whose refitted parameters span `basis`.
+
+        Parameters
+        ----------
+        basis
+            Orthonormal (M, P) basis of the refitted parameters, weighted by the root of the repeats.
+        signatures
+            Signatures of unit length, projected off that basis.
+        """
+        taken = basis.T @ self.noise
+        left = self.noise - basis @ taken
+        excess = (self.weight @ left**2 - self.weight.sum()) / len(self.weight)
+        drops = np.array([(s @ left) ** 2 for s in signatures]) if signatures else np.zeros((1, left.shape[1]))
+        return Null(read_only(excess), read_only(drops.max(axis=0)))
+
+
+def draw_noise(observed: Observed, *, draws: int = 400, seed: int = 0) -> NoiseDraws:
+    """Draw residuals of a complete model, before anything is refitted."""
+    rng = np.random.default_rng(seed)
+    contrasts = [
+        _contrasts(run.values - run.mean, w) for run, w in zip(observed.runs, observed.whiteners, strict=True)
+    ]
+    noise = np.empty((sum(w.size for w in observed.whiteners), draws))
+    begin = 0
+    for c, w in zip(contrasts, observed.whiteners, strict=True):
+        if len(c):
+            mix = rng.standard_normal((draws, len(c))) / np.sqrt(len(c))
+            noise[begin : begin + w.size] = (mix @ c).T
+        else:
+            noise[begin : begin + w.size] = rng.standard_normal((w.size, draws))
+        begin += w.size
+    weight = np.concatenate(
+        [np.full(w.size, 1.0 / n) for w, n in zip(observed.whiteners, observed.repeats, strict=True)]
+    )
+    return NoiseDraws(read_only(noise), read_only(weight))
+
+
+def _contrasts(deviation: FloatArray, whiten: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Return the (R - 1, M) orthonormal contrasts of R whitened runs: each distributed as the noise of one run."""
+    r = len(deviation)
+    if r < 2:
+        return np.zeros((0, 0))
+    rows = whiten(np.nan_to_num(deviation)).reshape(r, -1)
+    centred = np.eye(r) - 1.0 / r
+    u, s, _ = np.linalg.svd(centred)
+    return np.asarray(u[:, s > 0.5].T @ rows)

@@ -1,0 +1,182 @@
+"""Diagnosing a campaign: load, run in worker processes, write what was found."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from fmuid.core.campaign import Campaign
+from fmuid.core.errors import CampaignError
+from fmuid.core.files import write_atomically
+from fmuid.diagnosis import calibration
+from fmuid.diagnosis.calibration import Calibration
+from fmuid.diagnosis.diagnose import Found, diagnose_subject
+from fmuid.diagnosis.effect_search import Say
+from fmuid.diagnosis.subject import Subject, carrier, subject_of
+from fmuid.diagnosis.verdict import Verdict
+from fmuid.simulation.runners import in_process
+
+FILE_NAME = "diagnosis.json"
+_MODELLED = (
+    "Runs were not repeated, so their noise was not measured: what the nominal parameters and the most helpful "
+    "effects together leave stands for it. A gap is one that some effect of the catalogue closes; take "
+    "probabilities and intervals for less certain than they look."
+)
+
+
+def diagnose(
+    campaign: Campaign | str | Path,
+    *,
+    out: str | Path | None = None,
+    experiments: Sequence[str] = (),
+    workers: int | None = None,
+    time_limit: float | None = None,
+    memory_limit: int | None = None,
+    say: Say | None = None,
+    seed: int = 0,
+    calibrate: int = 0,
+) -> Found:
+    """Say where model and measurements part, which unmodelled effect causes it, and how far it shrinks with it.
+
+    The gap is whitened by the noise between repeats; effects of the campaign's catalogue are scored, refitted
+    with the nominal parameters and judged on experiments left out (``docs/diagnosis.md``).
+
+    Parameters
+    ----------
+    campaign
+        A campaign with an ``[effects]`` table, or its folder.
+    out
+        Folder for ``diagnosis.json`` and the report ``index.html``; nothing is written without it.
+    experiments
+        Ids or globs, instead of the campaign's choice.
+    workers
+        Worker processes to simulate in; the number of processors by default, 0 for none.
+    time_limit, memory_limit
+        Seconds and resident bytes that one simulation may take in a worker process; those of a `WorkerPool` by
+        default.
+    say
+        Hears what is being done and the share of the work that is behind, 0 to 1.
+    seed
+        Of the null distribution and the bootstrap.
+    calibrate
+        Number of plants to simulate from the fitted model and its noise and to diagnose first, so that the
+        probabilities are those of this model and set-up. What comes of it is kept in the user's cache and used
+        again; without it they rest on the calibration that comes with the package.
+
+    Returns
+    -------
+    Found
+        ``found.diagnosis`` is the answer.
+
+    Raises
+    ------
+    CampaignError
+        The campaign has no ``[effects]`` table, or is to be calibrated on without repeated runs.
+    SimulationError
+        The nominal model cannot be simulated at its start values, or no plant to calibrate on can.
+    """
+    if calibrate < 0:
+        raise ValueError(f"calibrate must not be negative, but is {calibrate}")
+    if not isinstance(campaign, Campaign):
+        from fmuid.campaigns.campaign_toml import load_campaign
+
+        campaign = load_campaign(campaign)
+    from fmuid.simulation.coupled.loading import load_model
+    from fmuid.simulation.pool.choice import runner_on
+
+    with runner_on(workers, time_limit=time_limit, memory_limit=memory_limit) as runner:
+        if say is not None:
+            say("noise floor", 0.0)
+        subject = subject_of(campaign, load_model, runner=runner, experiments=experiments)
+        telling: dict[str, Any] = {} if say is None else {"say": say}
+        key = calibration.key_of(_files(campaign, subject), subject)
+        if calibrate and subject.observed.modelled_noise:
+            raise CampaignError(
+                "runs were not repeated, so plants would have no measured noise",
+                where="calibrate",
+                fix="leave it out, or repeat runs",
+            )
+        if calibrate:
+            calibration.keep(key, _calibrated(subject, calibrate, seed, telling))
+        found = diagnose_subject(subject, **telling, seed=seed, calibration=calibration.kept(key))
+        if out is not None:
+            if say is not None:
+                say("drawing", 0.97)
+            _write(found, campaign, Path(out), seed)
+    # The workers are gone: whoever simulates on does so in this process.
+    return replace(found, subject=replace(subject, model=replace(subject.model, runner=in_process)))
+
+
+def _calibrated(subject: Subject, count: int, seed: int, telling: dict[str, Any]) -> Calibration:
+    unmapped = Calibration()
+    first = diagnose_subject(subject, seed=seed, calibration=unmapped)
+
+    def weights(plant: Subject) -> tuple[Verdict, dict[str, float]]:
+        found = diagnose_subject(plant, seed=seed, calibration=unmapped).diagnosis
+        return found.verdict, {c.id: c.probability for c in found.effects}
+
+    trials = calibration.calibrate(
+        subject, first.nominal.fit, first.paths, weights, count=count, seed=seed, **telling
+    )
+    return calibration.fit_curves(trials, "of this model, noise and set-up")
+
+
+def _files(campaign: Campaign, subject: Subject) -> list[Path]:
+    """Files that a diagnosis rests on: models, those that carry the effects, the catalogue."""
+    models = {file for model in campaign.models.values() for file in model.files}
+    models |= {carrier(file, subject.catalogue) for file in models}
+    return [*sorted(models), *([] if campaign.effects is None else [campaign.effects.catalogue])]
+
+
+def answer_of(found: Found) -> dict[str, Any]:
+    """Return the JSON object of a diagnosis, with the catalogue's words and the nominal model refitted."""
+    catalogue = found.subject.catalogue
+    described = {e.id: e.description for e in found.subject.effects}
+    units = {name: regime.unit for name, regime in catalogue.regimes.items()} | {"time": "s"}
+    answer = found.diagnosis.to_dict()
+    for effect in answer["effects"]:
+        if described.get(effect["id"]):
+            effect["description"] = described[effect["id"]]
+    for regime in (place["regime"] for place in answer["where"] if "regime" in place):
+        if units.get(regime["variable"]):
+            regime["unit"] = units[regime["variable"]]
+    answer["nominal"] = {"parameters": found.subject.model.expanded(found.nominal.fit.values)}
+    at_bounds = _at_bounds(found)
+    if at_bounds:
+        answer["notes"].append(
+            f"At a bound of the campaign, so hardly determined by these experiments: {', '.join(at_bounds)}."
+        )
+    if found.subject.observed.modelled_noise:
+        answer["notes"].append(_MODELLED)
+    return answer
+
+
+def _at_bounds(found: Found) -> list[str]:
+    """Return the nominal parameters of the model handed out that were stopped by a bound, with their values."""
+    fitted = found.best if found.best is not None and found.diagnosis.verdict.effects else found.nominal
+    values = fitted.fit.values
+    return [
+        f"{u.name} = {values[u.name]:.4g}"
+        for u in found.subject.nominal
+        if min(values[u.name] - u.lower, u.upper - values[u.name]) <= 0.01 * u.step
+    ]
+
+
+def _write(found: Found, campaign: Campaign, out: Path, seed: int) -> None:
+    from fmuid.report import write_diagnosis_report
+    from fmuid.report.diagnosis_arrays import pictures_of
+    from fmuid.report.provenance_table import hashes, versions
+
+    answer = answer_of(found)
+    write_atomically(out / FILE_NAME, json.dumps(answer, indent=2, allow_nan=False) + "\n")
+    files = [campaign.folder / "campaign.toml", *_files(campaign, found.subject)]
+    write_diagnosis_report(
+        answer,
+        out,
+        campaign=campaign.title,
+        pictures=pictures_of(found),
+        provenance={**hashes(files, campaign.folder), **versions(), "seed": str(seed)},
+    )

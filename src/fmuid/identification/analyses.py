@@ -1,0 +1,118 @@
+"""What a stage is asked when its search is over: how far to trust the estimate, and what else there is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+
+from fmuid.core.campaign import AnalysisSpec, ParetoSpec
+from fmuid.core.errors import FmuidError
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.problem.evaluation import Evaluation
+from fmuid.identification.result import at_bound
+from fmuid.identification.solvers import Search
+from fmuid.identification.solvers.nlopt_solver import NloptSolver
+from fmuid.identification.solvers.pareto import Front, trace
+from fmuid.identification.uncertainty.confidence import Uncertainty, uncertainty_of, with_held, without_intervals
+from fmuid.identification.uncertainty.inherited import Held
+from fmuid.identification.uncertainty.profiles import Profile, profile_of
+from fmuid.identification.uncertainty.propagation import CriterionSpread, criteria_spread
+
+_EVALUATIONS = 40  # a parameter, for one point of a front
+
+Record = Callable[[Evaluation, str, bool], None]
+"""Told of every evaluation, its purpose, and whether its residuals will be asked for by a resumed run."""
+
+
+@dataclass(slots=True)
+class Findings:
+    """What was found, as far as it went."""
+
+    uncertainty: Uncertainty | None = None
+    profiles: tuple[Profile, ...] = ()
+    spread: tuple[CriterionSpread, ...] = ()
+    front: Front | None = None
+    warnings: list[str] = field(default_factory=list)
+
+
+def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | None = None) -> Findings:
+    """Return what `spec` asks about the estimate that `search` ended with.
+
+    What cannot be found is a warning; the estimate stands. `held` is what the search held of earlier stages.
+    """
+    found = Findings()
+    best, problem = search.best, search.problem
+    if best is None:
+        return found
+
+    def evaluated(problem: Problem, points: Sequence[FloatArray]) -> list[Evaluation]:
+        found = {k: old for k, x in enumerate(points) if (old := search.recall(x, True)) is not None}
+        missing = [k for k in range(len(points)) if k not in found]
+        if missing:
+            found |= zip(missing, problem.evaluate_many([points[k] for k in missing]), strict=True)
+        for k in missing:
+            record(found[k], "uncertainty", True)
+        return [found[k] for k in range(len(points))]
+
+    evaluate = partial(evaluated, problem)
+    evaluate_held = None if held is None else partial(evaluated, held.problem)
+    floor = search.noise_floor
+    if spec.uncertainty:
+        with _noted(found, "no uncertainty"):
+            free = uncertainty_of(
+                problem, best, evaluate=evaluate, floor=floor, held=held, evaluate_held=evaluate_held
+            )
+            bound = [s.name for s in problem.space.free if at_bound(best.parameters[s.name], s.lower, s.upper)]
+            if problem.combination.kind != "weighted_sum":
+                bound = list(problem.space.names)
+                found.warnings.append(f"no standard errors: a {problem.combination.kind} is no sum of squares")
+            found.uncertainty = without_intervals(free, bound)
+    estimate = found.uncertainty
+    if estimate is not None and spec.profiles:
+        # Of what is determined and not at a bound: the warnings name the rest.
+        for name in [n for n, e in zip(estimate.names, estimate.standard_errors, strict=True) if e is not None]:
+            with _noted(found, f"no profile of {name}"):
+                found.profiles += (profile_of(problem, estimate, name, evaluate=evaluate, floor=floor),)
+    if estimate is not None and spec.monte_carlo:
+        with _noted(found, "no Monte Carlo"):
+            joint = problem if held is None else held.problem
+            found.spread = criteria_spread(
+                joint,
+                estimate if held is None else with_held(estimate, held),
+                draws=spec.monte_carlo,
+                seed=search.seed,
+                evaluate=evaluate_held or evaluate,
+                floor=floor,
+            )
+    if spec.pareto is not None:
+        found.front = _front(search, spec.pareto, best, record)
+        if found.front.beats_chosen:
+            found.warnings.append(
+                "the front has a point that beats the estimate: search on, or from several starts"
+            )
+    return found
+
+
+@contextmanager
+def _noted(found: Findings, what: str) -> Iterator[None]:
+    try:
+        yield
+    except FmuidError as error:
+        found.warnings.append(f"{what}: {error}")
+
+
+def _front(search: Search, spec: ParetoSpec, best: Evaluation, record: Record) -> Front:
+    """Trace the front in a search of its own; the stage's stop rules hold for it once more."""
+    own = Search(
+        search.problem,
+        search.stop,
+        record=lambda evaluation, _, __: record(evaluation, "pareto", False),
+        recall=search.recall,
+        seed=search.seed,
+        needs_residuals=False,
+    )
+    each = {"tolerance": 1e-4, "cost_tolerance": 1e-4, "evaluations": _EVALUATIONS * (len(search) + 2)}
+    return trace(own, spec, NloptSolver("cobyla", each), best)

@@ -1,0 +1,396 @@
+"""A campaign against its models: do names, units, causalities and signals fit, and does anything move."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from fmu_build.suggest import suggestion
+from fmuid.core.campaign import Campaign, ModelSpec, ParameterSpec
+from fmuid.core.errors import FmuError, SimulationError, UnitError
+from fmuid.core.experiments import Experiment, Signal
+from fmuid.core.formulas import parse
+from fmuid.core.units import conversion
+from fmuid.simulation.runners import Runner, in_process
+from fmuid.simulation.simulator import Simulator, Variable
+
+Level = Literal["error", "warning", "note"]
+_SETTABLE = ("parameter", "input", "structuralParameter")
+_STEP_ERROR = 0.3  # sigmas: of a communication step that is too long
+_GAP = 5.0  # a step this much longer than the median one is a gap in the recording
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing a check found: an `error` stops an identification, a `warning` may spoil it."""
+
+    level: Level
+    where: str
+    what: str
+    fix: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.what}" + (f"; {self.fix}" if self.fix else "")
+
+
+def load_models(campaign: Campaign) -> dict[str, Simulator]:
+    """Return the model of each setup that an experiment with a role has, by setup.
+
+    Raises
+    ------
+    FmuError
+        An FMU is missing or cannot be used.
+    """
+    from fmuid.simulation.coupled.loading import load_model
+
+    models: dict[str, Simulator] = {}
+    for setup in dict.fromkeys(experiment.setup for experiment in _first_runs(campaign)):
+        for path in campaign.models[setup].files:
+            if not path.is_file():
+                raise FmuError(
+                    "is a folder, not an FMU" if path.is_dir() else "no such file",
+                    where=os.path.normpath(path),
+                    fix=f"build it (make fmus, or fmuid build) or correct [models.{setup}] fmu",
+                )
+        models[setup] = load_model(campaign.models[setup])
+    return models
+
+
+def match_models(campaign: Campaign, simulators: Mapping[str, Simulator]) -> tuple[Finding, ...]:
+    """Check that everything a campaign names is in its models, with the right causality and unit.
+
+    Parameters
+    ----------
+    campaign
+        The campaign.
+    simulators
+        The model of each setup that an experiment with a role has.
+
+    Returns
+    -------
+    tuple of Finding
+        What is not wrong but should be known: inputs that nothing drives, outputs that no model has.
+
+    Raises
+    ------
+    FmuError
+        A signal, setting, start value or parameter has no variable, or one of the wrong causality.
+    UnitError
+        A unit cannot be converted into the variable's.
+    """
+    findings: dict[Finding, None] = {}
+    for experiment in _first_runs(campaign):
+        model, simulator = campaign.models[experiment.setup], simulators[experiment.setup]
+        where = f"experiment '{experiment.id}'"
+        judged = _judged_signals(campaign, experiment)
+        compared = 0
+        for signal in experiment.signals.values():
+            named = signal.causality == "input" or signal.name in judged | model.map.keys()
+            if not named and signal.name not in simulator.variables:
+                findings[_not_compared(experiment, signal.name, model)] = None
+                continue
+            _match_signal(signal, model, simulator.variables, where)
+            compared += signal.causality == "output"
+        if not compared:
+            names = ", ".join(experiment.outputs) or "none"
+            raise FmuError(
+                f"{model.fmu.name} has none of the measured outputs ({names})",
+                where=where,
+                fix=f"name its variables in [models.{model.setup}] map",
+            )
+        for name in experiment.settings:
+            variable = _settable(model.variable(name), model, simulator.variables, f"{where}, setting '{name}'")
+            _match_unit(experiment.setting_units.get(name), variable, f"{where}, setting '{name}'")
+        for name in _undriven(experiment, model, simulator.variables):
+            start = simulator.variables[name].start
+            kept = "its start value" if start is None else f"{start:g}"
+            findings[
+                Finding("note", f"[models.{model.setup}]", f"input '{name}' is not driven", f"it stays at {kept}")
+            ] = None
+    _match_names(campaign, simulators)
+    return tuple(findings)
+
+
+def check_signals(campaign: Campaign) -> tuple[Finding, ...]:
+    """Look at what was recorded: signals that say nothing, gaps, unknown noise."""
+    findings: list[Finding] = []
+    for experiment in _first_runs(campaign):
+        where = f"experiment '{experiment.id}'"
+        steps = np.diff(experiment.time)
+        usual = float(np.median(steps))
+        longest = int(np.argmax(steps))
+        if steps[longest] > _GAP * usual:
+            findings.append(
+                Finding(
+                    "warning",
+                    where,
+                    f"a gap of {steps[longest]:.3g} s at {experiment.time[longest]:.6g} s"
+                    f" where {usual:.3g} s is usual",
+                    "cut the run there, or leave the gap if the input was constant",
+                )
+            )
+        for signal in experiment.signals.values():
+            findings += _check_values(signal, f"{where}, signal '{signal.name}'")
+        runs = len(campaign.measurements.repeats(experiment.id))
+        if runs == 1 and any(s.sigma is None for s in experiment.outputs.values()):
+            findings.append(
+                Finding(
+                    "warning",
+                    where,
+                    "its noise is unknown: one run and no sigma",
+                    "give it (--sigma of fmuid init and import), or repeat the run",
+                )
+            )
+    return tuple(findings)
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """What a change of a parameter by 1 % does in a stage at its start.
+
+    Parameters
+    ----------
+    change
+        Largest root mean square change of a criterion's residuals, in standard deviations of the noise.
+    criterion
+        The criterion it is largest in.
+    step
+        Relative step that finite differences take, from the simulator's noise floor.
+    floor
+        That noise floor: how much the stage's residuals scatter by when its parameters change by next to nothing,
+        in standard deviations of the noise.
+    """
+
+    stage: str
+    parameter: str
+    change: float
+    criterion: str
+    step: float
+    floor: float
+
+
+def check_effects(
+    campaign: Campaign, simulators: Mapping[str, Simulator], runner: Runner = in_process
+) -> tuple[tuple[Finding, ...], tuple[Effect, ...]]:
+    """Simulate each stage around its start: what do its parameters move, and what do its runs determine.
+
+    A parameter that moves no output by more than the simulator's own noise is an error; parameters that can only
+    be determined together, and motion that no run has, are warnings (see `uncertainty.sensitivity`).
+    `runner` simulates.
+    """
+    from fmuid.identification.problem.estimation_problem import Problem
+    from fmuid.identification.step_error import step_error
+    from fmuid.identification.uncertainty.sensitivity import excitation, sensitivity_of
+
+    findings = [Finding("warning", "identification runs", what) for what in excitation(campaign)]
+    effects: list[Effect] = []
+    for stage in campaign.stages.values():
+        where = f"[stages.{stage.name}]"
+        try:
+            found = sensitivity_of(Problem.of_stage(campaign, stage, simulators, runner=runner))
+        except SimulationError as error:
+            findings.append(
+                Finding(
+                    "error", where, f"no simulation at the start values ({error.what})", "move the start values"
+                )
+            )
+            continue
+        moved = step_error(campaign, stage, simulators, runner)
+        worst = max(moved, key=lambda label: moved[label], default="")
+        if worst and moved[worst] > _STEP_ERROR:
+            findings.append(
+                Finding(
+                    "warning",
+                    where,
+                    f"half the communication step moves '{worst}' by {moved[worst]:.2g} sigma",
+                    'take a shorter step, or extrapolation = "linear"',
+                )
+            )
+        for name, row, step in zip(found.names, found.effect, found.steps, strict=True):
+            strongest = int(np.argmax(row))
+            label, floor = found.labels[strongest], found.floor.residual
+            effects.append(Effect(stage.name, name, float(row[strongest]), label, float(step), floor))
+        for name in found.dead:
+            findings.append(
+                Finding(
+                    "error",
+                    f"{where}, parameter '{name}'",
+                    "moves no measured output",
+                    "fix it, or add an experiment that excites it",
+                )
+            )
+        alive = [n for n in found.identifiability.undetermined if n not in found.dead]
+        if alive:
+            findings.append(
+                Finding(
+                    "warning",
+                    where,
+                    str(found.identifiability),
+                    "fix one of them, or add an experiment that tells them apart",
+                )
+            )
+    return tuple(findings), tuple(effects)
+
+
+def _first_runs(campaign: Campaign) -> Iterator[Experiment]:
+    """Yield the experiments with a role, repeats left out: they have the same inputs."""
+    used = set(campaign.identification + campaign.validation)
+    origins = {campaign.measurements[i].origin for i in used}
+    yield from (e for e in campaign.measurements if e.id in origins)
+
+
+def _judged_signals(campaign: Campaign, experiment: Experiment) -> set[str]:
+    return {
+        criterion.signal
+        for stage in campaign.stages.values()
+        if experiment.id in stage.experiments
+        for criterion in stage.criteria
+        if criterion.signal in experiment.outputs
+    }
+
+
+def _not_compared(experiment: Experiment, name: str, model: ModelSpec) -> Finding:
+    return Finding(
+        "note",
+        f"setup '{experiment.setup}'",
+        f"output '{name}' is not in {model.fmu.name} and not compared",
+        f"name its variable in [models.{model.setup}] map if it is",
+    )
+
+
+def _match_signal(signal: Signal, model: ModelSpec, variables: Mapping[str, Variable], where: str) -> None:
+    where = f"{where}, signal '{signal.name}'"
+    variable = _variable(model.variable(signal.name), model, variables, where)
+    if signal.causality == "input" and variable.causality != "input":
+        raise FmuError(
+            f"'{variable.name}' is {_article(variable.causality)} of {model.fmu.name}, not an input",
+            where=where,
+            fix=suggestion(signal.name, [v.name for v in variables.values() if v.causality == "input"]),
+        )
+    if signal.causality == "output" and variable.causality in ("input", "parameter"):
+        raise FmuError(
+            f"'{variable.name}' is {_article(variable.causality)} of {model.fmu.name}, not a prediction",
+            where=where,
+            fix=suggestion(signal.name, [v.name for v in variables.values() if v.causality == "output"]),
+        )
+    if model.differentiates(signal.name):
+        variable = replace(variable, unit=f"{variable.unit or '1'}/s")
+    _match_unit(signal.unit, variable, where)
+
+
+def _match_names(campaign: Campaign, simulators: Mapping[str, Simulator]) -> None:
+    models = {s: m for s, m in campaign.models.items() if s in simulators}
+    for setup, model in models.items():
+        for name in model.initial:
+            _settable(name, model, simulators[setup].variables, f"[models.{setup}] initial")
+    every = {name: v for s in models for name, v in simulators[s].variables.items()}
+    settable = [n for n, v in every.items() if v.causality == "parameter"]
+    helpers = _helper_names(campaign)
+    for name in campaign.settings:
+        found = False
+        for setup, model in models.items():
+            if model.variable(name) in simulators[setup].variables:
+                found = True
+                _settable(model.variable(name), model, simulators[setup].variables, f"[settings] '{name}'")
+        if not found:
+            raise FmuError(f"no FMU has a variable '{name}'", where="[settings]", fix=suggestion(name, settable))
+    for spec in campaign.parameters.values():
+        found = spec.name in helpers
+        for setup, model in models.items():
+            variables = simulators[setup].variables
+            if model.variable(spec.name) in variables:
+                found = True
+                _match_parameter(spec, model, variables)
+        if not found and models:
+            names = sorted({m.fmu.name for m in models.values()})
+            raise FmuError(
+                f"{' and '.join(names)} {'has' if len(names) == 1 else 'have'} no variable '{spec.name}'",
+                where=f"[parameters.{spec.name}]",
+                fix=suggestion(spec.name, settable),
+            )
+
+
+def _helper_names(campaign: Campaign) -> set[str]:
+    """Return the parameters that act through ties, sensors or constraints, not as variables of an FMU."""
+    names: set[str] = set()
+    for stage in campaign.stages.values():
+        for text in stage.tie.values():
+            names |= parse(text).names
+        for criterion in stage.criteria:
+            for text in dict(criterion.options.get("sensor", {})).values():
+                names |= parse(str(text)).names
+    return names
+
+
+def _match_parameter(spec: ParameterSpec, model: ModelSpec, variables: Mapping[str, Variable]) -> None:
+    where = f"[parameters.{spec.name}]"
+    variable = _settable(model.variable(spec.name), model, variables, where)
+    if variable.type not in ("Real", "Float64", "Float32"):
+        raise FmuError(
+            f"'{variable.name}' of {model.fmu.name} is {variable.type}, not a real number",
+            where=where,
+            fix="set it in [settings]",
+        )
+    _match_unit(spec.unit, variable, where)
+
+
+def _variable(name: str, model: ModelSpec, variables: Mapping[str, Variable], where: str) -> Variable:
+    try:
+        return variables[name]
+    except KeyError:
+        raise FmuError(
+            f"{model.fmu.name} has no variable '{name}'", where=where, fix=suggestion(name, variables)
+        ) from None
+
+
+def _settable(name: str, model: ModelSpec, variables: Mapping[str, Variable], where: str) -> Variable:
+    variable = _variable(name, model, variables, where)
+    # An output or a local variable that has a start value is a state, or a guess.
+    calculated = variable.causality in ("output", "local") and variable.start is None
+    if (
+        calculated
+        or variable.causality in ("calculatedParameter", "independent")
+        or variable.variability == "constant"
+    ):
+        raise FmuError(
+            f"'{name}' of {model.fmu.name} cannot be set ({_article(variable.causality)})",
+            where=where,
+            fix=suggestion(name, [n for n, v in variables.items() if v.causality in _SETTABLE]),
+        )
+    return variable
+
+
+def _match_unit(unit: str | None, variable: Variable, where: str) -> None:
+    if unit is None:
+        return
+    try:
+        conversion(unit, variable.unit)
+    except UnitError as error:
+        at = f" of variable '{variable.name}'" if "converted" in error.what else ""
+        raise UnitError(error.what + at, where=where, fix=error.fix) from None
+
+
+def _undriven(experiment: Experiment, model: ModelSpec, variables: Mapping[str, Variable]) -> Sequence[str]:
+    driven = {model.variable(n) for n in experiment.inputs}
+    driven |= {model.variable(n) for n in experiment.settings} | model.initial.keys()
+    return [n for n, v in variables.items() if v.causality == "input" and n not in driven]
+
+
+def _check_values(signal: Signal, where: str) -> list[Finding]:
+    known = signal.values[np.isfinite(signal.values)]
+    if not known.size:
+        return [Finding("error", where, "every sample is missing", "leave the signal out")]
+    if signal.causality == "output" and np.ptp(known) == 0:
+        return [Finding("warning", where, f"is {known[0]:g} all the time", "check the sensor")]
+    missing = signal.values.size - known.size
+    if missing > 0.5 * signal.values.size:
+        return [Finding("warning", where, f"{missing} of {signal.values.size} samples are missing")]
+    return []
+
+
+def _article(causality: str) -> str:
+    return f"an {causality}" if causality[:1] in "aeiou" else f"a {causality}"

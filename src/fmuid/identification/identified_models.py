@@ -1,0 +1,100 @@
+"""Writing back what was identified: FMUs that start with it, and a parameter set (SSP 1.0)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from fmuid.core.campaign import Campaign
+from fmuid.core.errors import ProblemError
+from fmuid.core.files import write_atomically
+from fmuid.data.channel_noise import conversion_at
+from fmuid.identification.check import load_models
+from fmuid.identification.parameter_set import parameter_set
+from fmuid.identification.result import Result
+from fmuid.identification.solvers import Status
+from fmuid.simulation.coupled.coupled_model import CoupledModel
+from fmuid.simulation.coupled.ssp_writing import write_system
+from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.fmu_copy import copy_with_starts, takes_effect
+from fmuid.simulation.runners import Runner, in_process
+from fmuid.simulation.simulator import Simulator
+
+
+@dataclass(frozen=True, slots=True)
+class Identified:
+    """What was written: FMUs (or SSP files) by setup, the parameter set, and what the user should know."""
+
+    fmus: Mapping[str, Path]
+    parameters: Path
+    warnings: tuple[str, ...] = ()
+
+
+def write_identified(
+    result: Result, campaign: Campaign, folder: str | Path, runner: Runner = in_process
+) -> Identified:
+    """Write ``<model>.fmu``, one for each FMU of the campaign, and ``parameters.ssv``; coupled FMUs as ``.ssp``.
+
+    Start values of a copy are what all runs of its setup have in common: the result's parameters, the
+    campaign's settings and initial values; not the settings of a run, nor parameters that each run has its own
+    of. The parameter set lists the same values by FMU variable, as ``setup.variable`` where setups differ.
+    `runner` simulates, to see whether the copies start so.
+
+    Returns
+    -------
+    Identified
+        With a warning for each FMU that does not start with what its copy says.
+
+    Raises
+    ------
+    ProblemError
+        The result is of an identification that failed or was interrupted.
+    FmuError
+        A value cannot be a start value of its variable.
+    """
+    if result.status in (Status.FAILED, Status.INTERRUPTED):
+        raise ProblemError(f"the identification is {result.status.value}", fix="finish it first")
+    folder = Path(folder)
+    values: dict[str, dict[str, float]] = {}
+    models: dict[str, Fmu | CoupledModel] = {}
+    for setup, model in load_models(campaign).items():
+        assert isinstance(model, Fmu | CoupledModel)
+        models[setup] = model
+        values[setup] = _start_values(result, campaign, setup, model)
+    written: dict[str, Path] = {}
+    warnings = []
+    for setup, model in models.items():
+        same = [s for s in written if models[s] is model and values[s] == values[setup]]
+        if same:
+            written[setup] = written[same[0]]
+            continue
+        stem, suffix = model.path.stem, ".ssp" if isinstance(model, CoupledModel) else ".fmu"
+        target = folder / f"{stem}{suffix}"
+        if target in written.values():
+            target = folder / f"{stem}_{setup}{suffix}"
+        written[setup] = target
+        if isinstance(model, CoupledModel):
+            write_system(model, parameter_set(campaign.name, {setup: values[setup]}, models), target)
+            continue
+        copy_with_starts(model, values[setup], target)
+        if not takes_effect(model, values[setup], target, runner):
+            warnings.append(
+                f"{target.name}: {model.tool} lets its FMU start with other values than its description says; "
+                "set those of parameters.ssv"
+            )
+    parameters = folder / "parameters.ssv"
+    write_atomically(parameters, parameter_set(campaign.name, values, models))
+    return Identified(written, parameters, tuple(warnings))
+
+
+def _start_values(result: Result, campaign: Campaign, setup: str, simulator: Simulator) -> dict[str, float]:
+    model, variables = campaign.models[setup], simulator.variables
+    settings = {model.variable(n): v for n, v in campaign.settings.items()}
+    found = {n: v for n, v in settings.items() if n in variables} | dict(model.initial)
+    for spec in campaign.parameters.values():
+        variable = model.variable(spec.name)
+        if variable in variables and spec.per == "campaign" and spec.name in result.parameters:
+            convert = conversion_at(spec.unit, variables[variable].unit, f"parameter '{spec.name}'")
+            found[variable] = convert.factor * result.parameters[spec.name] + convert.offset
+    return found

@@ -1,0 +1,408 @@
+"""The one entry point: from a campaign (or a problem) to its result."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from fmuid.core.campaign import AnalysisSpec, Campaign, ParameterSpec, StageSpec
+from fmuid.core.errors import ProblemError, SimulationError
+from fmuid.identification.analyses import Findings, analyse
+from fmuid.identification.history import History
+from fmuid.identification.observer import Observer, Progress
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.problem.evaluation import Evaluation
+from fmuid.identification.problem.search_space import SEPARATOR
+from fmuid.identification.provenance import fingerprint, hashes_of, versions
+from fmuid.identification.result import FILE, CriterionValue, Estimate, Result, StageResult, at_bound, finite
+from fmuid.identification.solvers import Outcome, Search, Solver, Status, StopRules, StopSearch, make
+from fmuid.identification.solvers.least_squares import TrustRegion
+from fmuid.identification.solvers.pareto import Objectives
+from fmuid.identification.uncertainty.confidence import Uncertainty
+from fmuid.identification.uncertainty.earlier_stages import Known
+from fmuid.simulation.pool.choice import runner_on
+from fmuid.simulation.runners import Runner, in_process
+from fmuid.simulation.simulator import Simulator
+
+_ALIKE = 0.99
+_INTERRUPTED = Outcome(Status.INTERRUPTED, "stopped by the user")
+_LIBRARIES = ("fmuid", "numpy", "scipy", "nlopt", "fmpy")
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """What the stages of one identification share."""
+
+    history: History
+    observer: Observer
+    seed: int
+    specs: Mapping[str, ParameterSpec]
+
+
+@dataclass(frozen=True, slots=True)
+class _Posed:
+    """One stage, ready to be solved."""
+
+    problem: Problem
+    solver: str = "auto"
+    options: Mapping[str, Any] = field(default_factory=dict)
+    stop: StopRules = field(default_factory=StopRules)
+    analyses: AnalysisSpec = field(default_factory=AnalysisSpec)
+
+
+def identify(
+    what: Campaign | Problem | str | Path,
+    *,
+    out: str | Path | None = None,
+    stages: Iterable[str] | None = None,
+    solver: str | None = None,
+    options: Mapping[str, Any] | None = None,
+    stop: StopRules | None = None,
+    resume: bool = False,
+    executor: Executor | None = None,
+    workers: int = 0,
+    time_limit: float | None = None,
+    memory_limit: int | None = None,
+    observer: Observer | None = None,
+    simulators: Mapping[str, Simulator] | None = None,
+    seed: int = 0,
+    with_uncertainty: bool = True,
+    analyses: AnalysisSpec | None = None,
+) -> Result:
+    """Estimate the free parameters of a campaign, stage by stage, or of a single problem.
+
+    Parameters
+    ----------
+    what
+        A campaign, the path of one, or a problem.
+    out
+        Run folder for result and history; None keeps both in memory.
+    stages
+        Names of the stages to run, in the campaign's order; all by default.
+    solver, options
+        Override the stages' solver (see `fmuid.identification.solvers`) and its options.
+    stop
+        Override the stages' budgets.
+    resume
+        Go on with the interrupted run in `out`: nothing it did is simulated again.
+    executor
+        Any `concurrent.futures` executor to simulate on, such as a Dask client's; results do not depend on it.
+    workers
+        Number of supervised worker processes to simulate in instead (`fmuid.simulation.pool.workers`); 0 for none.
+    time_limit, memory_limit
+        Seconds and resident bytes that one simulation may take in a worker process; those of a `WorkerPool` by
+        default.
+    observer
+        Told of progress.
+    simulators
+        Models by setup; the campaign's FMUs by default.
+    seed
+        Of random solvers and starts.
+    with_uncertainty
+        Whether each stage ends with its uncertainty analysis.
+    analyses
+        What every stage ends with, whatever the campaign asks for.
+
+    Returns
+    -------
+    Result
+        Also when interrupted by Ctrl-C: its status says so, and it holds what was reached.
+
+    Raises
+    ------
+    FmuidError
+        The campaign, a model or a stage cannot be used as given.
+    """
+    begin = clock.perf_counter()
+    campaign = _campaign(what) if not isinstance(what, Problem) else None
+    folder = None if out is None else Path(out)
+    if isinstance(what, Problem):
+        plan: list[StageSpec | Problem] = [what]
+        specs = {spec.name: spec for spec in what.space.free}
+    else:
+        assert campaign is not None
+        plan = list(_chosen(campaign, stages))
+        specs = dict(campaign.parameters)
+        simulators = simulators or _models(campaign)
+
+    def posed(step: StageSpec | Problem, best: Mapping[str, float], runner: Runner) -> _Posed:
+        found = _posed(step, campaign, simulators or {}, best, runner)
+        if solver is not None:
+            found = replace(found, solver=solver, options={})
+        wanted = analyses or found.analyses
+        return replace(
+            found,
+            options=dict(found.options if options is None else options),
+            stop=stop or found.stop,
+            analyses=replace(wanted, uncertainty=wanted.uncertainty and with_uncertainty),
+        )
+
+    for step in plan:  # what cannot be posed or solved is said before anything is written
+        _check(posed(step, {}, in_process))
+    results: list[StageResult] = []
+    best: dict[str, float] = {}
+    known = Known()
+    with (
+        runner_on(workers, executor=executor, time_limit=time_limit, memory_limit=memory_limit) as runner,
+        History(folder, resume=resume) as history,
+    ):
+        run = _Run(history, observer or Observer(), seed, specs)
+        for step in plan:
+            asked = posed(step, best, runner)
+            result = _stage(run, asked, known)
+            results.append(result)
+            best = dict(result.parameters)
+            if asked.analyses.uncertainty:
+                known = known.after(asked.problem, result.uncertainty, best)
+            if result.status is Status.INTERRUPTED:
+                break
+        summary = Result(
+            campaign=campaign.name if campaign else results[0].name,
+            title=campaign.title if campaign else "",
+            source=str(campaign.folder) if campaign else "",
+            stages=tuple(results),
+            parameters=best,
+            seconds=clock.perf_counter() - begin,
+            versions=versions(_LIBRARIES),
+            inputs=hashes_of(campaign) if campaign else {},
+            folder=None if folder is None else str(folder),
+        )
+        history.close(complete=summary.status is not Status.INTERRUPTED)
+    if folder is not None:
+        summary.to_json(folder / FILE)
+    return summary
+
+
+def check_stages(campaign: Campaign, simulators: Mapping[str, Simulator]) -> None:
+    """Raise what `identify` would refuse to begin with; nothing is simulated.
+
+    Raises
+    ------
+    FmuidError
+        A stage cannot be posed, or not be solved as it is asked to be.
+    """
+    for stage in campaign.stages.values():
+        _check(_posed(stage, campaign, simulators, {}, in_process))
+
+
+def _check(asked: _Posed) -> None:
+    try:
+        make(asked.solver, asked.options, asked.problem)
+        if asked.analyses.pareto is not None:
+            Objectives.of(asked.problem, asked.analyses.pareto.objectives)
+    except ProblemError as error:
+        where = error.where or f"stage '{asked.problem.name}'"
+        raise ProblemError(error.what, where=where, fix=error.fix) from None
+
+
+def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
+    """Run one stage, or take its result from the history; `known` is what earlier stages are sure of."""
+    problem, stop = asked.problem, asked.stop
+    solver, why = make(asked.solver, asked.options, problem)
+    seed = int(asked.options.get("seed", run.seed))
+    recorded = run.history.begin(problem, fingerprint(problem, solver, asked.options, seed))
+    if recorded.result is not None and recorded.asked == repr(asked.analyses):
+        result = msgspec.json.decode(recorded.result, type=StageResult)
+        run.observer.finished(result)
+        return result
+    run.observer.started(problem, solver.name, why, stop)
+    begin = clock.perf_counter()
+    start_cost: list[float] = []
+    search = Search(
+        problem,
+        stop,
+        record=lambda evaluation, purpose, improved: record(evaluation, purpose, improved),
+        recall=lambda x, residuals: run.history.recall(problem.name, x, residuals),
+        seed=seed,
+        needs_residuals=solver.needs_residuals,
+    )
+
+    def record(evaluation: Evaluation, purpose: str, improved: bool) -> None:
+        run.history.record(problem.name, evaluation, purpose, improved, residuals=solver.needs_residuals)
+        reached = search.best
+        if evaluation.ok and not start_cost:
+            start_cost.append(evaluation.cost)
+        run.observer.evaluated(
+            Progress(
+                problem.name,
+                search.evaluations,
+                search.failures,
+                clock.perf_counter() - begin,
+                None if reached is None else reached.cost,
+                start_cost[0] if start_cost else None,
+                None if reached is None else {n: reached.parameters[n] for n in problem.space.names},
+                stop,
+            )
+        )
+
+    first: Evaluation | None = None
+    try:
+        first = search.evaluate(problem.space.start, differentiated=isinstance(solver, TrustRegion))
+        outcome = solver.solve(search, problem.space.start)
+    except StopSearch as stopped:
+        outcome = stopped.outcome
+    except KeyboardInterrupt:
+        outcome = _INTERRUPTED
+    except SimulationError as error:
+        outcome = Outcome(Status.FAILED, str(error))
+    found = Findings()
+    if outcome is not _INTERRUPTED:
+        try:
+            found = analyse(
+                search,
+                asked.analyses,
+                lambda e, why, kept: run.history.record(problem.name, e, why, False, residuals=kept),
+                known.held_in(problem, run.specs) if asked.analyses.uncertainty else None,
+            )
+            if unsure := sorted(n for n in known.unsure if n in problem.space.fixed and problem.sees(n)):
+                found.warnings.append(
+                    f"held as if exactly known, for want of a standard error: {', '.join(unsure)}"
+                )
+        except KeyboardInterrupt:
+            outcome = _INTERRUPTED
+    result = _result(run, problem, search, first, outcome, solver, why, found, clock.perf_counter() - begin)
+    if outcome is not _INTERRUPTED:
+        run.history.finish(problem.name, msgspec.json.encode(result), repr(asked.analyses))
+    run.observer.finished(result)
+    return result
+
+
+def _result(
+    run: _Run,
+    problem: Problem,
+    search: Search,
+    first: Evaluation | None,
+    outcome: Outcome,
+    solver: Solver,
+    why: str,
+    findings: Findings,
+    seconds: float,
+) -> StageResult:
+    best, found = search.best, findings.uncertainty
+    values = problem.space.to_model(problem.space.start) if best is None else dict(best.parameters)
+    estimates = []
+    for i, free in enumerate(problem.space.free):
+        spec = run.specs.get(free.name.split(SEPARATOR)[0], free)
+        estimates.append(
+            Estimate(
+                free.name,
+                values[free.name],
+                free.start,
+                spec.unit,
+                finite(free.lower),
+                finite(free.upper),
+                None if found is None else found.standard_errors[i],
+                None if found is None else found.intervals[i],
+                at_bound(values[free.name], free.lower, free.upper),
+                spec.truth,
+                spec.description,
+                None if found is None or found.standard_errors[i] is None else found.inherited_shares[i],
+            )
+        )
+    for name in problem.space.ties:
+        if name in run.specs and run.specs[name].truth is not None:
+            spec = run.specs[name]
+            estimates.append(
+                Estimate(name, values[name], spec.start, spec.unit, truth=spec.truth, description="tied")
+            )
+    started = first is not None and first.ok
+    criteria = tuple(
+        CriterionValue(
+            case.id,
+            criterion.label,
+            float(first.criteria[k]) if first is not None and started else None,
+            float(best.criteria[k]),
+        )
+        for k, (case, criterion) in enumerate(problem.criteria)
+        if best is not None
+    )
+    return StageResult(
+        name=problem.name,
+        status=outcome.status if best is not None or outcome.status is Status.INTERRUPTED else Status.FAILED,
+        message=outcome.message,
+        solver=solver.name,
+        why=why,
+        estimates=tuple(estimates),
+        experiments=tuple(e for case in problem.cases for e in case.experiments or (case.id,)),
+        criteria=criteria,
+        start_cost=finite(first.cost) if first is not None and started else None,
+        cost=None if best is None else best.cost,
+        evaluations=search.evaluations,
+        failures=search.failures,
+        seconds=seconds,
+        starts=tuple(search.starts),
+        uncertainty=found,
+        warnings=(*_warnings(search, estimates, found), *findings.warnings),
+        ties={name: expression.text for name, expression in problem.space.ties.items()},
+        parameters=values,
+        profiles=findings.profiles,
+        spread=findings.spread,
+        front=findings.front,
+    )
+
+
+def _warnings(search: Search, estimates: Sequence[Estimate], found: Uncertainty | None) -> tuple[str, ...]:
+    warnings = []
+    if found is not None and not found.identifiability.complete:
+        warnings.append(str(found.identifiability))
+    if found is not None:
+        for i, a in enumerate(found.names):
+            for k, b in enumerate(found.names[:i]):
+                r = found.correlation[i][k]
+                if abs(r) > _ALIKE and not {a, b} & set(found.identifiability.undetermined):
+                    warnings.append(f"{b} and {a} are hard to tell apart (correlation {r:+.3f})")
+    warnings += [f"{e.name} is at its {e.at_bound} bound" for e in estimates if e.at_bound]
+    if search.failures:
+        warnings.append(f"{search.failures} of {search.evaluations} candidates could not be simulated")
+    if search.best is not None and not search.feasible(search.best):
+        warnings.append("no candidate keeps every constraint")
+    return tuple(warnings)
+
+
+def _posed(
+    step: StageSpec | Problem,
+    campaign: Campaign | None,
+    simulators: Mapping[str, Simulator],
+    best: Mapping[str, float],
+    runner: Runner,
+) -> _Posed:
+    if isinstance(step, Problem):
+        if runner is not in_process:
+            step.runner = runner
+        return _Posed(step)
+    assert campaign is not None
+    problem = Problem.of_stage(campaign, step, simulators, best=best, runner=runner)
+    stop = StopRules(step.max_evaluations, step.max_seconds)
+    return _Posed(problem, step.solver, step.solver_options, stop, step.analyses)
+
+
+def _campaign(what: Campaign | str | Path) -> Campaign:
+    if isinstance(what, Campaign):
+        return what
+    from fmuid.campaigns.campaign_toml import load_campaign
+
+    return load_campaign(what)
+
+
+def _models(campaign: Campaign) -> Mapping[str, Simulator]:
+    from fmuid.identification.check import load_models, match_models
+
+    models = load_models(campaign)
+    match_models(campaign, models)
+    return models
+
+
+def _chosen(campaign: Campaign, names: Iterable[str] | None) -> list[StageSpec]:
+    if not campaign.stages:
+        raise ProblemError(f"campaign '{campaign.name}' has no stages", fix="write [stages.<name>]")
+    wanted = list(campaign.stages) if names is None else list(names)
+    for name in wanted:
+        if name not in campaign.stages:
+            raise ProblemError(f"no stage '{name}'", fix=f"the campaign has: {', '.join(campaign.stages)}")
+    return [stage for name, stage in campaign.stages.items() if name in wanted]

@@ -1,0 +1,406 @@
+"""Cases: one simulation each, and what its predictions are compared with."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import numpy as np
+
+from fmu_build.suggest import suggestion
+from fmuid.core.campaign import Campaign, CriterionSpec, Interpolation, ModelSpec, ParameterSpec
+from fmuid.core.errors import FmuError, ProblemError
+from fmuid.core.experiments import Experiment
+from fmuid.core.formulas import Expression, parse
+from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
+from fmuid.core.units import Conversion
+from fmuid.data.channel_noise import conversion_at, noise_elsewhere, noise_level, repeated_runs
+from fmuid.data.noise_spectrum import RepeatedRuns
+from fmuid.identification.problem.criteria import Criterion, Target, prepare, whitened
+from fmuid.identification.problem.search_space import SEPARATOR
+from fmuid.simulation.simulator import Simulator, Task
+
+_T = TypeVar("_T")
+_Set = tuple[str, str, Conversion]
+"""What is set on a model: the variable, the name of the parameter it takes, and the conversion between them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Channel:
+    """One measured signal of a case with its repeats, in the unit of the model's variable.
+
+    Parameters
+    ----------
+    repeats
+        (R, N) samples of the runs that share this case's simulation; NaN where one is missing.
+    sigma
+        (N,) standard deviation of the noise of one sample.
+    noise
+        Where `sigma` comes from: ``given`` in the file, the ``repeats``' spread (of this run, or else of the
+        setup's other runs), or ``unknown``; it is then the standard deviation of the signal itself, and only
+        the residuals' relative size has a meaning.
+    sensor
+        Expressions for ``offset``, ``gain`` and ``delay`` (s) between model and sensor, if any.
+    differentiated
+        Whether the sensor differentiates what it reads over its samples, as with an encoder's speed.
+    """
+
+    signal: str
+    variable: str
+    unit: str | None
+    repeats: FloatArray
+    sigma: FloatArray
+    noise: str
+    sensor: Mapping[str, Expression] = field(default_factory=dict)
+    differentiated: bool = False
+
+    @property
+    def count(self) -> FloatArray:
+        """(N,) number of repeats with a sample."""
+        return np.asarray(np.sum(np.isfinite(self.repeats), axis=0), dtype=np.float64)
+
+    @property
+    def mean(self) -> FloatArray:
+        """(N,) mean over the repeats, NaN where none has a sample."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.nansum(self.repeats, axis=0) / np.where(self.count > 0, self.count, np.nan))
+
+    @property
+    def plain(self) -> bool:
+        """Whether the sensor shows the model's output as it is."""
+        return not self.sensor and not self.differentiated
+
+    def sensed(self, time: FloatArray, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
+        """Return what the sensor shows for the model's (N,) output `y`."""
+        shown = self.scaled(time, y, values)
+        return shown + self.sensor["offset"](values) if "offset" in self.sensor else shown
+
+    def scaled(self, time: FloatArray, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
+        """Return what the sensor shows of changes `y`, (..., N), of the model's output: all but the offset."""
+        if self.differentiated:
+            y = np.asarray(np.gradient(y, time, axis=-1))
+        if "delay" in self.sensor:
+            moved = time - self.sensor["delay"](values)
+            y = np.apply_along_axis(lambda row: np.interp(moved, time, row), -1, y)
+        return self.sensor["gain"](values) * y if "gain" in self.sensor else y
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """One simulation of a problem: its task, its channels and its criteria.
+
+    `setting` gives, by parameter name, the model's variable and the conversion from the parameter's unit to
+    the variable's; parameters it does not name do not reach this model. The model's first `lead` samples come
+    before the first measured one.
+    """
+
+    id: str
+    simulator: Simulator
+    task: Task
+    channels: tuple[Channel, ...]
+    criteria: tuple[Criterion, ...]
+    setting: Mapping[str, tuple[str, Conversion]]
+    experiments: tuple[str, ...] = ()
+    setup: str = ""
+    lead: int = 0
+    _reached: dict[tuple[str, ...], tuple[_Set, ...]] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def time(self) -> FloatArray:
+        """(N,) times of the measured samples, s."""
+        return self.task.time[self.lead :]
+
+    def values(self, values: Mapping[str, _T]) -> dict[str, _T]:
+        """Return the parameters as this case sees them: ``name@case`` under its plain name."""
+        shared = {n: v for n, v in values.items() if SEPARATOR not in n}
+        if len(shared) == len(values):
+            return shared
+        suffix = f"{SEPARATOR}{self.id}"
+        return shared | {n.removesuffix(suffix): v for n, v in values.items() if n.endswith(suffix)}
+
+    def start_values(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return what is set on the model, by variable, in the model's units."""
+        return {
+            variable: convert.factor * values[name] + convert.offset
+            for variable, name, convert in self.reached(tuple(values))
+        }
+
+    def reached(self, names: tuple[str, ...]) -> tuple[_Set, ...]:
+        """Return what the parameters `names` set on the model."""
+        if names not in self._reached:
+            own = self.values({name: name for name in names})
+            self._reached[names] = tuple(
+                (variable, own[name], convert) for name, (variable, convert) in self.setting.items() if name in own
+            )
+        return self._reached[names]
+
+    def sensed(self, prediction: FloatArray, values: Mapping[str, float]) -> FloatArray:
+        """Return the (channels, N) sensor readings that belong to the model's outputs `prediction`."""
+        prediction = prediction[:, self.lead :]
+        if all(channel.plain for channel in self.channels):
+            return prediction
+        own = self.values(values)
+        return np.array([c.sensed(self.time, y, own) for c, y in zip(self.channels, prediction, strict=True)])
+
+    def residuals(self, sensed: FloatArray) -> list[FloatArray]:
+        """Return the residual vector of each criterion."""
+        rows = {channel.signal: y for channel, y in zip(self.channels, sensed, strict=True)}
+        return [criterion.residuals(rows[criterion.signal]) for criterion in self.criteria]
+
+
+def experiments_of(campaign: Campaign, ids: Iterable[str], *, where: str) -> tuple[Experiment, ...]:
+    """Return the experiments that `ids` (or globs) name, in the file's order."""
+    chosen: set[str] = set()
+    experiments = campaign.measurements.experiments
+    for pattern in ids:
+        matched = [pattern] if pattern in experiments else fnmatch.filter(experiments, pattern)
+        if not matched:
+            raise ProblemError(
+                f"no experiment matches '{pattern}'",
+                where=where,
+                fix=suggestion(pattern, experiments),
+            )
+        chosen |= set(matched)
+    return tuple(e for e in campaign.measurements if e.id in chosen)
+
+
+def from_campaign(
+    campaign: Campaign,
+    experiments: Sequence[Experiment],
+    criteria: Sequence[CriterionSpec],
+    simulators: Mapping[str, Simulator],
+) -> tuple[Case, ...]:
+    """Return one case for each group of runs that one simulation can stand for.
+
+    Repeats with the same time axis, inputs and settings share a case; a repeat whose inputs were recorded
+    with their own noise is simulated on its own.
+    """
+    groups: list[list[Experiment]] = []
+    for experiment in experiments:
+        for group in groups:
+            if _same_simulation(group[0], experiment):
+                group.append(experiment)
+                break
+        else:
+            groups.append([experiment])
+    measured = sorted({name for e in experiments for name in e.outputs})
+    for spec in criteria:
+        if spec.signal not in measured:
+            raise ProblemError(
+                f"criterion on '{spec.signal}', which no experiment of the stage measures",
+                fix=suggestion(spec.signal, measured),
+            )
+    return tuple(_case(campaign, group, criteria, simulators[group[0].setup]) for group in groups)
+
+
+def measured_case(
+    id: str,
+    simulator: Simulator,
+    task: Task,
+    measurements: Mapping[str, FloatArray],
+    *,
+    sigma: Mapping[str, float] | None = None,
+    criteria: Sequence[CriterionSpec] = (),
+    parameters: Mapping[str, str] | None = None,
+) -> Case:
+    """Return a case from arrays, without a campaign.
+
+    Parameters
+    ----------
+    id
+        Its name in results.
+    simulator, task
+        The model, and what is simulated with it.
+    measurements
+        (N,) or (R, N) samples by variable name, all of them among ``task.outputs``.
+    sigma
+        Noise standard deviations by variable name.
+    criteria
+        Least squares on every measured variable by default.
+    parameters
+        Parameter name -> model variable; a parameter not named here is set under its own name.
+    """
+    channels = []
+    for name in task.outputs:
+        if name not in measurements:
+            raise ProblemError(f"output '{name}' has no measurement", where=id, fix="measure it or drop it")
+        repeats = np.atleast_2d(np.asarray(measurements[name], dtype=np.float64))
+        level, noise = noise_level(repeats, [(sigma or {}).get(name)])
+        channels.append(Channel(name, name, None, read_only(repeats), level, noise))
+    same = Conversion()
+    setting = {n: (n, same) for n, v in simulator.variables.items() if v.causality == "parameter"}
+    setting |= {n: (v, same) for n, v in (parameters or {}).items()}
+    specs = criteria or [CriterionSpec(c.signal) for c in channels]
+    prepared = []
+    for spec in specs:
+        channel = _find(channels, spec.signal, id)
+        runs = (RepeatedRuns(id, id, task.time, (channel.signal,), channel.repeats[:, None]),)
+        prepared.append(prepare(spec, _target(task.time, channel, task.inputs, runs if whitened(spec) else ())))
+    return Case(id, simulator, task, tuple(channels), tuple(prepared), frozen_mapping(setting))
+
+
+def _same_simulation(a: Experiment, b: Experiment) -> bool:
+    return (
+        a.origin == b.origin
+        and a.setup == b.setup
+        and dict(a.settings) == dict(b.settings)
+        and np.array_equal(a.time, b.time)
+        and a.inputs.keys() == b.inputs.keys()
+        and all(np.array_equal(s.values, b.inputs[n].values) for n, s in a.inputs.items())
+    )
+
+
+def _case(
+    campaign: Campaign,
+    group: Sequence[Experiment],
+    criteria: Sequence[CriterionSpec],
+    simulator: Simulator,
+) -> Case:
+    first, model = group[0], campaign.models[group[0].setup]
+    where = f"experiment '{first.id}'"
+    variables = simulator.variables
+    specs = [spec for spec in criteria if spec.signal in first.outputs]
+    if not criteria:
+        specs = [CriterionSpec(n) for n in first.outputs if n in model.map or n in variables]
+    if not specs:
+        raise ProblemError("none of its measured outputs is judged", where=where, fix="add a criterion")
+    # Where no criteria are given, a sensor is what the stages say of it, the last one first.
+    told = specs if criteria else [s for stage in campaign.stages.values() for s in stage.criteria]
+    sensors = _sensors([s for s in told if s.signal in first.outputs], campaign.parameters, where)
+    specs = [_without_sensor(spec) for spec in specs]
+    channels = []
+    for name in dict.fromkeys(spec.signal for spec in specs):
+        variable = _variable(model, name, simulator, where)
+        signal, unit = first.outputs[name], variables[variable].unit
+        if model.differentiates(name):
+            unit = f"{unit or '1'}/s"
+        convert = conversion_at(signal.unit, unit, f"signal '{name}' of {where}")
+        repeats = convert(np.array([e.outputs[name].values for e in group]))
+        given = [e.outputs[name].sigma for e in group]
+        sigma, noise = noise_level(repeats, [None if s is None else abs(convert.factor) * s for s in given])
+        if noise == "unknown":
+            sigma, noise = noise_elsewhere(campaign, first, name, unit, sigma)
+        channels.append(
+            Channel(
+                name,
+                variable,
+                unit,
+                read_only(repeats),
+                sigma,
+                noise,
+                sensors.get(name, {}),
+                model.differentiates(name),
+            )
+        )
+    inputs = {}
+    for name, signal in first.inputs.items():
+        variable = _variable(model, name, simulator, where)
+        convert = conversion_at(signal.unit, variables[variable].unit, f"signal '{name}' of {where}")
+        inputs[variable] = convert(signal.values)
+    known = _settings(campaign, first, model, simulator, where)
+    time, raw_inputs = first.time, {name: signal.values for name, signal in first.inputs.items()}
+    lead = 0
+    if model.interpolation == "preceding":
+        lead = 1
+        time = np.concatenate([[2 * time[0] - time[1]], time])
+        inputs = {name: np.append(values, values[-1]) for name, values in inputs.items()}
+    kind: Interpolation = "linear" if model.interpolation == "linear" else "hold"
+    task = Task(time, inputs, tuple(c.variable for c in channels), known, kind)
+    setting = {}
+    for spec in campaign.parameters.values():
+        variable = model.variable(spec.name)
+        if variable in variables and variable not in _own_settings(first, model):
+            convert = conversion_at(spec.unit, variables[variable].unit, f"parameter '{spec.name}'")
+            setting[spec.name] = (variable, convert)
+    known_inputs = {n: u[: len(first.time)] for n, u in inputs.items()} | raw_inputs
+    prepared = []
+    for criterion in specs:
+        channel = _find(channels, criterion.signal, where)
+        runs = repeated_runs(campaign, first, criterion.signal, channel.unit) if whitened(criterion) else ()
+        prepared.append(prepare(criterion, _target(first.time, channel, known_inputs, runs)))
+    return Case(
+        first.origin if all(e.origin == first.origin for e in group) and len(group) > 1 else first.id,
+        simulator,
+        task,
+        tuple(channels),
+        tuple(prepared),
+        frozen_mapping(setting),
+        tuple(e.id for e in group),
+        first.setup,
+        lead,
+    )
+
+
+def _variable(model: ModelSpec, name: str, simulator: Simulator, where: str) -> str:
+    variable = model.variable(name)
+    if variable not in simulator.variables:
+        raise FmuError(
+            f"{model.fmu.name} has no variable '{variable}' for '{name}'",
+            where=where,
+            fix=f"correct [models.{model.setup}] map",
+        )
+    return variable
+
+
+def _own_settings(experiment: Experiment, model: ModelSpec) -> frozenset[str]:
+    return frozenset(model.variable(name) for name in experiment.settings)
+
+
+def _settings(
+    campaign: Campaign, experiment: Experiment, model: ModelSpec, simulator: Simulator, where: str
+) -> dict[str, float]:
+    variables = simulator.variables
+    known = {model.variable(n): v for n, v in campaign.settings.items() if model.variable(n) in variables}
+    for name, start in model.initial.items():
+        known[_variable(model, name, simulator, where)] = start
+    for name, number in experiment.settings.items():
+        variable = _variable(model, name, simulator, where)
+        unit = experiment.setting_units.get(name)
+        convert = conversion_at(unit, variables[variable].unit, f"setting '{name}' of {where}")
+        known[variable] = convert.factor * number + convert.offset
+    return known
+
+
+def _sensors(
+    specs: Sequence[CriterionSpec], parameters: Mapping[str, ParameterSpec], where: str
+) -> dict[str, dict[str, Expression]]:
+    sensors: dict[str, dict[str, Expression]] = {}
+    for spec in specs:
+        entries = dict(spec.options.get("sensor", {}))
+        for key, text in entries.items():
+            expression = parse(str(text), where=f"sensor {key} of '{spec.signal}'")
+            unknown = sorted(expression.names - set(parameters))
+            if key not in ("offset", "gain", "delay") or unknown:
+                raise ProblemError(
+                    f"unknown parameter '{unknown[0]}'" if unknown else f"unknown sensor property '{key}'",
+                    where=f"sensor of '{spec.signal}' in {where}",
+                    fix="use offset, gain and delay with names from [parameters]",
+                )
+            sensors.setdefault(spec.signal, {})[key] = expression
+    return sensors
+
+
+def _without_sensor(spec: CriterionSpec) -> CriterionSpec:
+    options = {k: v for k, v in spec.options.items() if k != "sensor"}
+    return CriterionSpec(
+        spec.signal, spec.kind, spec.demand, spec.weight, spec.start_time, spec.stop_time, options
+    )
+
+
+def _find(channels: Sequence[Channel], signal: str, where: str) -> Channel:
+    for channel in channels:
+        if channel.signal == signal:
+            return channel
+    raise ProblemError(
+        f"criterion on '{signal}', which is not measured",
+        where=where,
+        fix="measured: " + ", ".join(c.signal for c in channels),
+    )
+
+
+def _target(
+    time: FloatArray, channel: Channel, inputs: Mapping[str, FloatArray], repeated: tuple[RepeatedRuns, ...]
+) -> Target:
+    return Target(channel.signal, time, channel.mean, channel.count, channel.sigma, inputs, repeated)

@@ -1,0 +1,244 @@
+"""Problems: cases and parameters together, and the evaluation of a candidate."""
+
+from __future__ import annotations
+
+import time as clock
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from fmuid.core.campaign import Campaign, ParameterSpec, StageSpec
+from fmuid.core.errors import ProblemError, SimulationError
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem import cases as case_building
+from fmuid.identification.problem.cases import Case
+from fmuid.identification.problem.combination import Combination, Constraint
+from fmuid.identification.problem.criteria import value
+from fmuid.identification.problem.evaluation import Evaluation
+from fmuid.identification.problem.exact_derivatives import ExactDerivatives
+from fmuid.identification.problem.search_space import SEPARATOR, SearchSpace, expanded
+from fmuid.simulation.runners import Runner, in_process
+from fmuid.simulation.simulator import Simulator
+
+_CACHED_SAMPLES = 1_500_000  # of predictions, 12 MB: enough for the columns of a Jacobian
+
+
+class Problem:
+    """Any number of cases that share parameters, judged together.
+
+    Parameters
+    ----------
+    cases
+        What is simulated and compared.
+    parameters
+        Free and fixed parameters, or a ready search space.
+    combination
+        How the criteria become one cost.
+    constraints
+        On parameters and criteria.
+    runner
+        Where simulations run.
+    name
+        Shown in progress and results.
+
+    Raises
+    ------
+    ProblemError
+        A free parameter reaches no model.
+    """
+
+    def __init__(
+        self,
+        cases: Sequence[Case],
+        parameters: Sequence[ParameterSpec] | SearchSpace,
+        *,
+        combination: Combination | None = None,
+        constraints: Sequence[Constraint] = (),
+        runner: Runner = in_process,
+        name: str = "identification",
+    ) -> None:
+        self.cases = tuple(cases)
+        if not self.cases:
+            raise ProblemError("no case to compare with", where=name, fix="add one")
+        self.space = parameters if isinstance(parameters, SearchSpace) else _space(parameters, self.cases)
+        self.combination = combination or Combination()
+        self.constraints = tuple(constraints)
+        self.runner = runner
+        self.name = name
+        self.criteria = tuple((case, criterion) for case in self.cases for criterion in case.criteria)
+        self.labels = tuple(f"{case.id}: {criterion.label}" for case, criterion in self.criteria)
+        self.root_weights = np.sqrt([criterion.weight for _, criterion in self.criteria])
+        self._predictions: OrderedDict[tuple[int, tuple[float, ...]], FloatArray] = OrderedDict()
+        self._held = 0
+        self._check_reach()
+
+    @classmethod
+    def of_stage(
+        cls,
+        campaign: Campaign,
+        stage: StageSpec,
+        simulators: Mapping[str, Simulator],
+        *,
+        best: Mapping[str, float] | None = None,
+        runner: Runner = in_process,
+    ) -> Problem:
+        """Return the problem that a stage of a campaign poses, started from the `best` values so far."""
+        where = f"stage '{stage.name}'"
+        experiments = case_building.experiments_of(campaign, stage.experiments, where=where)
+        cases = case_building.from_campaign(campaign, experiments, stage.criteria, simulators)
+        values = dict(best or {}) | dict(stage.start)
+        specs = campaign.parameters.values()
+        space = expanded(specs, stage.free, values, stage.tie, [case.id for case in cases])
+        problem = cls(
+            cases,
+            space,
+            combination=Combination.named(stage.combine, where=where),
+            constraints=[Constraint.from_mapping(c, where=where) for c in stage.constraints],
+            runner=runner,
+            name=stage.name,
+        )
+        for constraint in problem.constraints:
+            constraint.check(problem.labels, problem.space.to_model(problem.space.start), where=where)
+        return problem
+
+    @cached_property
+    def slices(self) -> tuple[slice, ...]:
+        """Where each criterion's residuals are in the residual vector; needs no simulation of its own."""
+        slices, begin = [], 0
+        for case, criterion in self.criteria:
+            channel = next(c for c in case.channels if c.signal == criterion.signal)
+            # A residual function tells its length on any prediction; the measurement itself is at hand.
+            n = len(criterion.residuals(np.nan_to_num(channel.mean)))
+            slices.append(slice(begin, begin + n))
+            begin += n
+        return tuple(slices)
+
+    @cached_property
+    def exact(self) -> ExactDerivatives:
+        """Its exact Jacobians."""
+        return ExactDerivatives(self)
+
+    @property
+    def smooth(self) -> bool:
+        """Whether the cost is a sum of squares of smooth residuals without constraints."""
+        return (
+            all(criterion.smooth for _, criterion in self.criteria)
+            and self.combination.kind == "weighted_sum"
+            and not self.constraints
+        )
+
+    def evaluate(self, x: FloatArray) -> Evaluation:
+        """Return the evaluation of the (n,) search point `x`, a failed one if a simulation fails."""
+        return self.evaluate_many([x])[0]
+
+    def evaluate_many(
+        self, points: Sequence[FloatArray], *, differentiated: Sequence[bool] = ()
+    ) -> list[Evaluation]:
+        """Evaluate several candidates; what two of them share is simulated once.
+
+        The runs of those that are `differentiated` find their Jacobians as well, where the models can tell them
+        (`exact` then has them).
+        """
+        begin = clock.perf_counter()
+        points = [np.array(x, dtype=np.float64) for x in points]
+        values = [self.space.to_model(x) for x in points]
+        at_once: dict[tuple[int, tuple[float, ...]], FloatArray] = {}
+        if any(differentiated):
+            at_once = self.exact.simulate(
+                [(x, v) for x, v, d in zip(points, values, differentiated, strict=True) if d]
+            )
+        starts = [[case.start_values(v) for case in self.cases] for v in values]
+        keys = [[(i, tuple(s.values())) for i, s in enumerate(row)] for row in starts]
+        wanted = {key: s for ks, row in zip(keys, starts, strict=True) for key, s in zip(ks, row, strict=True)}
+        known = at_once | {key: self._predictions[key] for key in wanted if key in self._predictions}
+        missing = [key for key in wanted if key not in known]
+        jobs = [(self.cases[k[0]].simulator, self.cases[k[0]].task, wanted[k]) for k in missing]
+        outcomes = dict(zip(missing, self.runner(jobs) if jobs else [], strict=True))
+        for key, outcome in (at_once | outcomes).items():
+            if not isinstance(outcome, SimulationError):
+                self._keep(key, outcome)
+        seconds = (clock.perf_counter() - begin) / len(points)
+        found = known | outcomes
+        return [
+            self._judge(x, v, [found[k] for k in ks], seconds)
+            for x, v, ks in zip(points, values, keys, strict=True)
+        ]
+
+    def _judge(
+        self,
+        x: FloatArray,
+        values: Mapping[str, float],
+        outcomes: Sequence[FloatArray | SimulationError],
+        seconds: float,
+    ) -> Evaluation:
+        predictions: list[FloatArray] = []
+        for case, outcome in zip(self.cases, outcomes, strict=True):
+            if isinstance(outcome, SimulationError):
+                return self._failed(x, values, f"{case.id}: {outcome}", seconds)
+            if not np.isfinite(outcome).all():
+                return self._failed(x, values, f"{case.id}: the prediction is not finite", seconds)
+            predictions.append(case.sensed(outcome, values))
+        vectors = [r for c, p in zip(self.cases, predictions, strict=True) for r in c.residuals(p)]
+        criteria = np.array([value(r) for r in vectors])
+        if not np.isfinite(criteria).all():
+            label = self.labels[int(np.argmin(np.isfinite(criteria)))]
+            return self._failed(x, values, f"{label}: the prediction does not show it", seconds)
+        residuals = np.concatenate([w * r for w, r in zip(self.root_weights, vectors, strict=True)])
+        return Evaluation(
+            x=x,
+            parameters=values,
+            criteria=criteria,
+            residuals=residuals,
+            cost=self.combination.cost(criteria, residuals, self.root_weights**2),
+            constraints=np.array([c.violation(self.labels, criteria, values) for c in self.constraints]),
+            seconds=seconds,
+            predictions=tuple(predictions),
+        )
+
+    def _failed(self, x: FloatArray, values: Mapping[str, float], why: str, seconds: float) -> Evaluation:
+        nothing = np.full(len(self.criteria), np.nan)
+        constraints = np.full(len(self.constraints), np.nan)
+        return Evaluation(x, values, nothing, np.full(0, np.nan), float("nan"), constraints, why, seconds)
+
+    def _keep(self, key: tuple[int, tuple[float, ...]], prediction: FloatArray) -> None:
+        if key not in self._predictions:
+            self._held += prediction.size
+        self._predictions[key] = prediction
+        while self._held > _CACHED_SAMPLES and len(self._predictions) > 1:
+            self._held -= self._predictions.popitem(last=False)[1].size
+
+    def over(self, space: SearchSpace) -> Problem:
+        """Return the same problem over other free parameters."""
+        kept: dict[str, Any] = {"combination": self.combination, "constraints": self.constraints}
+        return Problem(self.cases, space, **kept, runner=self.runner, name=self.name)
+
+    def sees(self, name: str) -> bool:
+        """Return whether a parameter reaches a model, a sensor or a tie of this problem."""
+        plain, _, run = name.partition(SEPARATOR)
+        return plain in self._used and (not run or any(case.id == run for case in self.cases))
+
+    @cached_property
+    def _used(self) -> frozenset[str]:
+        used = {name for case in self.cases for name in case.setting}
+        for case in self.cases:
+            for channel in case.channels:
+                used |= {name for expression in channel.sensor.values() for name in expression.names}
+        for expression in self.space.ties.values():
+            used |= {name.split(SEPARATOR)[0] for name in expression.names}
+        return frozenset(used)
+
+    def _check_reach(self) -> None:
+        for name in self.space.names:
+            if name.split(SEPARATOR)[0] not in self._used:
+                raise ProblemError(
+                    f"no model of {self.name} has the parameter '{name}'",
+                    fix="correct its name, map it in [models], or take it out of 'free'",
+                )
+
+
+def _space(specs: Sequence[ParameterSpec], cases: Sequence[Case]) -> SearchSpace:
+    free = [spec.name for spec in specs if spec.free]
+    return expanded(specs, free, {}, {}, [case.id for case in cases])

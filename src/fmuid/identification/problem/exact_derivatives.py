@@ -1,0 +1,160 @@
+"""The exact Jacobian of a problem, where its models differentiate their own runs (forward sensitivities).
+
+One run of each case gives its outputs and their derivatives by everything that the free parameters set on the
+model. What lies around the simulation is linear in it (scales, units, most criteria) or costs next to nothing
+(ties, sensors, other criteria) and is differentiated by central differences of its own.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from fmuid.core.errors import SimulationError
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.cases import Case, Channel
+from fmuid.identification.problem.evaluation import Evaluation
+from fmuid.identification.problem.search_space import Move, SearchSpace
+from fmuid.simulation.runners import Job, Runner
+from fmuid.simulation.simulator import Task, differentiates
+
+_KEPT = 4_000_000  # numbers of Jacobians, 32 MB
+
+
+class Posed(Protocol):
+    """What of a `Problem` its derivatives depend on."""
+
+    cases: tuple[Case, ...]
+    space: SearchSpace
+    runner: Runner
+    root_weights: FloatArray
+
+    @property
+    def slices(self) -> tuple[slice, ...]:
+        """Where each criterion's residuals are in the residual vector."""
+
+
+class ExactDerivatives:
+    """Jacobians of a problem's residuals by forward sensitivities; remembers the last ones."""
+
+    def __init__(self, problem: Posed) -> None:
+        self._problem = problem
+        self._slopes: list[Mapping[str, float]] = []  # what the tasks are for
+        self._tasks: list[Task] | None = None
+        self._found: OrderedDict[tuple[bytes, int], FloatArray | None] = OrderedDict()  # None: it was refused
+
+    def jacobian(self, here: Evaluation, first: int = 0) -> FloatArray | None:
+        """Return d residuals / d search point, (m, n), at `here`; None where a model cannot tell.
+
+        Of the coordinates from `first` on.
+        """
+        key = here.x.tobytes(), first
+        if key not in self._found:
+            self.simulate([(here.x, here.parameters)], first)
+        return self._found.get(key)
+
+    def simulate(
+        self, points: Sequence[tuple[FloatArray, Mapping[str, float]]], first: int = 0
+    ) -> dict[tuple[int, tuple[float, ...]], FloatArray]:
+        """Simulate (n,) search points with all parameters' values, and remember their Jacobians; see `jacobian`.
+
+        Nothing is simulated where a model cannot tell its derivatives, or for more Jacobians than are remembered.
+
+        Returns
+        -------
+        dict
+            The predictions, by number of the case and the start values of its model.
+        """
+        problem, jobs = self._problem, list[Job]()
+        if len(points) > 1 and len(points) * problem.slices[-1].stop * len(problem.space) > _KEPT:
+            return {}
+        predictions: dict[tuple[int, tuple[float, ...]], FloatArray] = {}
+        moves = [problem.space.moves(x, values)[first:] for x, values in points]
+        for (_, values), there in zip(points, moves, strict=True):
+            tasks = self._differentiated([move.slopes for move in there], tuple(values))
+            if tasks is None:
+                return {}
+            jobs += [(c.simulator, t, c.start_values(values)) for c, t in zip(problem.cases, tasks, strict=True)]
+        outcomes = problem.runner(jobs)
+        for (x, values), there in zip(points, moves, strict=True):
+            own, jobs = jobs[: len(problem.cases)], jobs[len(problem.cases) :]
+            runs, outcomes = outcomes[: len(own)], outcomes[len(own) :]
+            blocks: list[FloatArray] = []
+            for k, (case, (_, task, starts), run) in enumerate(zip(problem.cases, own, runs, strict=True)):
+                if isinstance(run, SimulationError):
+                    self._keep((x.tobytes(), first), None)
+                    break
+                predictions[k, tuple(starts.values())] = run[: len(task.outputs)].copy()
+                blocks += _blocks(case, task, np.asarray(run), there, values)
+            else:
+                slope = problem.space.slope(x)[first:, None]
+                jacobian = np.empty((problem.slices[-1].stop, len(slope)))
+                for rows, weight, block in zip(problem.slices, problem.root_weights, blocks, strict=True):
+                    jacobian[rows] = (weight * slope * block).T
+                self._keep((x.tobytes(), first), jacobian)
+        return predictions
+
+    def _differentiated(self, slopes: list[Mapping[str, float]], names: tuple[str, ...]) -> list[Task] | None:
+        """Return every case's task with its directions, the same again for the same; None where one has none."""
+        if slopes != self._slopes:
+            self._slopes, self._tasks = slopes, []
+            for case in self._problem.cases:
+                along = [_direction(case, s, names) for s in slopes]
+                moved = {name for direction in along for name in direction}
+                if moved and not differentiates(case.simulator, moved):
+                    self._tasks = None
+                    break
+                self._tasks.append(replace(case.task, along=tuple(filter(None, along))))
+        return self._tasks
+
+    def _keep(self, key: tuple[bytes, int], jacobian: FloatArray | None) -> None:
+        self._found[key] = jacobian
+        while len(self._found) > 1 and sum(j.size for j in self._found.values() if j is not None) > _KEPT:
+            self._found.popitem(last=False)
+
+
+def _direction(case: Case, slopes: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
+    """Return how the case's model moves with one of the parameters `names`, by variable; empty if it does not."""
+    return {variable: unit.factor * slopes[n] for variable, n, unit in case.reached(names) if slopes.get(n)}
+
+
+def _blocks(
+    case: Case, task: Task, run: FloatArray, moves: Sequence[Move], values: Mapping[str, float]
+) -> Iterator[FloatArray]:
+    """Return for every criterion of a case the (n, m) derivatives of its residuals by the free parameters."""
+    time, n = case.time, len(task.outputs)
+    base, tangents = run[:n, case.lead :], run[n:, case.lead :].reshape(-1, n, len(time))
+    if len(tangents) < len(moves):  # some do not reach this model
+        rows = [k for k, move in enumerate(moves) if _direction(case, move.slopes, tuple(values))]
+        tangents, found = np.zeros((len(moves), n, len(time))), tangents
+        tangents[rows] = found
+    shown: dict[str, tuple[FloatArray, FloatArray]] = {}
+    for k, channel in enumerate(case.channels):
+        y, slopes = base[k], tangents[:, k]
+        if not channel.plain:
+            sensed = partial(_sensed, case, channel, y)
+            y, slopes = sensed(values), channel.scaled(time, slopes, case.values(values))
+            names = {name for expression in channel.sensor.values() for name in expression.names}
+            for row, move in zip(slopes, moves, strict=True):
+                if not names.isdisjoint(case.values(move.slopes)):
+                    row += move.derivative(sensed, values)
+        shown[channel.signal] = y, slopes
+    for criterion in case.criteria:
+        y, slopes = shown[criterion.signal]
+        if criterion.affine:
+            yield criterion.residuals(slopes) - criterion.residuals(np.zeros_like(y))
+        else:
+            columns = []
+            for slope, (up, down) in zip(slopes, (move.ends for move in moves), strict=True):
+                above, below = criterion.residuals(y + up * slope), criterion.residuals(y + down * slope)
+                columns.append((above - below) / (up - down))
+            yield np.array(columns)
+
+
+def _sensed(case: Case, channel: Channel, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
+    return channel.sensed(case.time, y, case.values(values))

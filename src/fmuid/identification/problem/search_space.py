@@ -1,0 +1,275 @@
+"""Between model space (what the FMU gets) and search space (what a solver moves in)."""
+
+from __future__ import annotations
+
+import graphlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.core.campaign import ParameterSpec
+from fmuid.core.errors import ProblemError
+from fmuid.core.formulas import Expression, parse
+from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
+
+SEPARATOR = "@"  # "offset@run_3" is the parameter `offset` as it is in experiment run_3
+_STEP = 1e-6  # of differences of expressions, in search units
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """How the parameters move with one that is free, in model space.
+
+    Parameters
+    ----------
+    slopes
+        Derivative by it of every parameter that moves, its own of 1 included.
+    ends
+        A small distance up and one down, within its bounds.
+    """
+
+    slopes: Mapping[str, float]
+    ends: tuple[float, float]
+
+    def derivative(
+        self, function: Callable[[Mapping[str, float]], FloatArray], values: Mapping[str, float]
+    ) -> FloatArray:
+        """Return the derivative of a function of every parameter's value, by differences."""
+        above, below = (
+            function({**values, **{name: values[name] + end * slope for name, slope in self.slopes.items()}})
+            for end in self.ends
+        )
+        return (above - below) / (self.ends[0] - self.ends[1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SearchSpace:
+    """Free, fixed and tied parameters of a problem.
+
+    A linear parameter is searched in units of its start (or of its bounds' range where the start is 0), a
+    logarithmic one as ln(value): all search coordinates are of order one.
+
+    Parameters
+    ----------
+    free
+        The parameters a solver moves, per-experiment ones already named ``name@experiment``.
+    fixed
+        Every other parameter's value.
+    ties
+        Follower name -> expression of other parameters.
+    least
+        Name of a free parameter -> the least size of a unit of its search coordinate, whatever its start.
+    """
+
+    free: tuple[ParameterSpec, ...]
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    ties: Mapping[str, Expression] = field(default_factory=dict)
+    least: Mapping[str, float] = field(default_factory=dict)
+    _order: tuple[str, ...] = field(init=False, default=())
+    _unit: FloatArray = field(init=False, default_factory=lambda: np.ones(0))
+    _log: NDArray[np.bool_] = field(init=False, default_factory=lambda: np.zeros(0, bool))
+    _limits: tuple[FloatArray, FloatArray] = field(init=False, default=(np.ones(0), np.ones(0)))
+    _bounds: tuple[FloatArray, FloatArray] = field(init=False, default=(np.ones(0), np.ones(0)))
+
+    def __post_init__(self) -> None:
+        for spec in self.free:
+            _check(spec)
+        free = {spec.name for spec in self.free}
+        known = free | set(self.fixed) | set(self.ties)
+        for name, expression in self.ties.items():
+            if name in free:
+                raise ProblemError(f"parameter '{name}' is both free and tied", fix="leave it out of 'free'")
+            if missing := sorted(expression.names - known):
+                raise ProblemError(
+                    f"the tie of '{name}' names unknown parameter '{missing[0]}'",
+                    fix=f"known: {', '.join(sorted(known))}",
+                )
+        try:
+            order = graphlib.TopologicalSorter({n: e.names & set(self.ties) for n, e in self.ties.items()})
+            object.__setattr__(self, "_order", tuple(order.static_order()))
+        except graphlib.CycleError as error:
+            raise ProblemError(f"ties in a circle: {' -> '.join(error.args[1])}", fix="break one") from None
+        object.__setattr__(self, "fixed", frozen_mapping(self.fixed))
+        object.__setattr__(self, "ties", frozen_mapping(self.ties))
+        object.__setattr__(self, "_log", np.array([spec.scale == "log" for spec in self.free], dtype=bool))
+        units = [max(_reference(spec), self.least.get(spec.name, 0.0)) for spec in self.free]
+        object.__setattr__(self, "_unit", np.array(units))
+        limits = tuple(read_only([getattr(s, end) for s in self.free]) for end in ("lower", "upper"))
+        object.__setattr__(self, "_limits", limits)
+        object.__setattr__(self, "_bounds", tuple(map(read_only, map(self._search, limits))))
+
+    def __len__(self) -> int:
+        return len(self.free)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return tuple(spec.name for spec in self.free)
+
+    @property
+    def start(self) -> FloatArray:
+        """(n,) start in search space."""
+        return self._search(np.array([spec.start for spec in self.free]))
+
+    @property
+    def lower(self) -> FloatArray:
+        """(n,) lower bounds in search space."""
+        return self._bounds[0]
+
+    @property
+    def upper(self) -> FloatArray:
+        """(n,) upper bounds in search space."""
+        return self._bounds[1]
+
+    @property
+    def bounded(self) -> bool:
+        """Whether every free parameter has both bounds, as global solvers need."""
+        return not self.unbounded
+
+    @property
+    def unbounded(self) -> tuple[str, ...]:
+        """Names of the free parameters that lack a bound."""
+        return tuple(s.name for s in self.free if not np.isfinite(s.lower) or not np.isfinite(s.upper))
+
+    def to_search(self, values: Mapping[str, float]) -> FloatArray:
+        """Return the (n,) search point of model-space `values`."""
+        return self._search(np.array([values[spec.name] for spec in self.free]))
+
+    def to_model(self, x: FloatArray) -> dict[str, float]:
+        """Return every parameter's model-space value (free, fixed and tied) at the (n,) search point `x`."""
+        free = np.minimum(np.maximum(self._model(x), self._limits[0]), self._limits[1]).tolist()
+        return self.followed(dict(self.fixed) | {s.name: v for s, v in zip(self.free, free, strict=True)})
+
+    def followed(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return `values` with what is tied to them."""
+        found = dict(values)
+        for name in self._order:
+            found[name] = self.ties[name](found)
+        return found
+
+    def slope(self, x: FloatArray) -> FloatArray:
+        """Return d model / d search, (n,), at `x`."""
+        return np.where(self._log, self._model(x), self._unit)
+
+    def moves(self, x: FloatArray, values: Mapping[str, float]) -> list[Move]:
+        """Return how the parameters move with every free one at the (n,) search point `x` with its `values`."""
+        found = []
+        for spec, step in zip(self.free, (_STEP * self.slope(x)).tolist(), strict=True):
+            slopes = {spec.name: 1.0}
+            for name in self._order:
+                if not slopes.keys().isdisjoint(self.ties[name].names):
+                    slopes[name] = self.ties[name].slope(values, slopes)
+            value = values[spec.name]
+            found.append(Move(slopes, (min(step, spec.upper - value), max(-step, spec.lower - value))))
+        return found
+
+    def _search(self, values: FloatArray) -> FloatArray:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self._log, np.log(np.maximum(values, 0.0)), values / self._unit)
+
+    def _model(self, x: FloatArray) -> FloatArray:
+        with np.errstate(over="ignore"):
+            return np.where(self._log, np.exp(np.where(self._log, x, 0.0)), x * self._unit)
+
+
+def expanded(
+    specs: Iterable[ParameterSpec],
+    free: Iterable[str],
+    best: Mapping[str, float],
+    ties: Mapping[str, str],
+    experiments: Iterable[str],
+) -> SearchSpace:
+    """Build the search space of a stage.
+
+    Parameters
+    ----------
+    specs
+        The campaign's parameters.
+    free
+        Names that are free in this stage; a per-experiment one stands for one each of `experiments`.
+    best
+        Best values so far, by (expanded) name.
+    ties
+        Follower -> expression text. What follows a per-experiment parameter has to be one too.
+    experiments
+        Ids of the stage's experiments.
+    """
+    by_name = {spec.name: spec for spec in specs}
+    experiments = tuple(experiments)
+    free = tuple(dict.fromkeys(free))
+    for name in (*free, *ties):
+        if name not in by_name:
+            raise ProblemError(f"unknown parameter '{name}'", fix=f"the campaign has: {', '.join(by_name)}")
+    free_specs: list[ParameterSpec] = []
+    fixed: dict[str, float] = {}
+    least: dict[str, float] = {}  # a stage may have left a parameter at next to nothing
+    for spec in by_name.values():
+        own = [f"{spec.name}{SEPARATOR}{e}" for e in experiments] if spec.per == "experiment" else []
+        if spec.name in ties:
+            continue
+        fixed[spec.name] = best.get(spec.name, spec.start)
+        if spec.name in free:
+            if not own:
+                del fixed[spec.name]
+            free_specs += [replace(spec, name=n, start=best.get(n, spec.start)) for n in own or [spec.name]]
+            least |= dict.fromkeys(own or [spec.name], _reference(spec))
+        else:
+            fixed |= {n: best[n] for n in own if n in best}
+    parsed = {name: parse(text, where=f"tie of '{name}'") for name, text in ties.items()}
+    parsed |= _of_single_runs(by_name, parsed, experiments)
+    for leader in {n for e in parsed.values() for n in e.names} - parsed.keys() - {s.name for s in free_specs}:
+        if SEPARATOR in leader:  # held, and so far the same in every run
+            fixed.setdefault(leader, fixed[leader.split(SEPARATOR)[0]])
+    order = {name: i for i, name in enumerate(free)}
+    free_specs.sort(key=lambda s: order[s.name.split(SEPARATOR)[0]])
+    return SearchSpace(tuple(free_specs), fixed, parsed, least)
+
+
+def _of_single_runs(
+    specs: Mapping[str, ParameterSpec], ties: Mapping[str, Expression], experiments: Iterable[str]
+) -> dict[str, Expression]:
+    """Return the ties of followers that each run has its own of, run by run."""
+    single = {name for name, spec in specs.items() if spec.per == "experiment"}
+    found: dict[str, Expression] = {}
+    for name, expression in ties.items():
+        leaders = expression.names & single
+        if leaders and name not in single:
+            leader = min(leaders)
+            raise ProblemError(
+                f"'{name}' is tied to '{leader}', which each run has its own of",
+                fix=f"write per = \"experiment\" for '{name}' too",
+            )
+        for run in experiments if name in single else ():
+            own = {leader: f"{leader}{SEPARATOR}{run}" for leader in leaders}
+            found[f"{name}{SEPARATOR}{run}"] = expression.renamed(own)
+    return found
+
+
+def _check(spec: ParameterSpec) -> None:
+    where = f"parameter '{spec.name}'"
+    if not spec.lower < spec.upper:
+        raise ProblemError(
+            f"lower bound {spec.lower:g} is not below upper {spec.upper:g}", where=where, fix="swap them"
+        )
+    if not spec.lower <= spec.start <= spec.upper:
+        raise ProblemError(
+            f"start {spec.start:g} is outside [{spec.lower:g}, {spec.upper:g}]",
+            where=where,
+            fix="move the start or the bound",
+        )
+    if spec.scale == "log" and not spec.start > 0.0:
+        raise ProblemError(
+            f"start {spec.start:g} cannot be searched on a log scale", where=where, fix='use scale = "linear"'
+        )
+
+
+def _reference(spec: ParameterSpec) -> float:
+    """Return the model-space size of one unit of the search coordinate."""
+    if spec.scale == "log":
+        return 1.0
+    if spec.start != 0.0:
+        return abs(spec.start)
+    spread = spec.upper - spec.lower
+    return 0.1 * spread if np.isfinite(spread) else 1.0

@@ -1,0 +1,261 @@
+"""What an identification found: estimates, how each stage went, and how far they can be trusted.
+
+Run folder: ``result.json`` (`Result.to_json`), ``history.h5`` (`history`), and what reports add to it.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+
+from fmuid.core.errors import FmuidError
+from fmuid.core.files import write_atomically
+from fmuid.core.formatting import html_lines, html_table, text_table
+from fmuid.identification.solvers.pareto import Front
+from fmuid.identification.solvers.search import Start, Status
+from fmuid.identification.uncertainty.confidence import Uncertainty
+from fmuid.identification.uncertainty.profiles import Profile
+from fmuid.identification.uncertainty.propagation import CriterionSpread
+
+FILE = "result.json"
+LEAST_SHOWN = 0.005  # share of a variance that is worth a column
+
+
+class ResultError(FmuidError):
+    """A result cannot be read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One estimated parameter, in model space.
+
+    `standard_error` and `interval` (95 %) are None where the experiments do not determine the parameter
+    alone, or where it sits at a bound. `inherited` is the share of its variance that comes from the errors of what
+    the stage held at earlier estimates. `truth` is the rig's, if it is known.
+    """
+
+    name: str
+    value: float
+    start: float
+    unit: str | None = None
+    lower: float | None = None
+    upper: float | None = None
+    standard_error: float | None = None
+    interval: tuple[float, float] | None = None
+    at_bound: str | None = None
+    truth: float | None = None
+    description: str = ""
+    inherited: float | None = None
+
+    @property
+    def relative_error(self) -> float | None:
+        """Deviation from the truth, relative to it; None if that is unknown or 0."""
+        return self.value / self.truth - 1.0 if self.truth else None
+
+
+@dataclass(frozen=True, slots=True)
+class CriterionValue:
+    """A criterion of a case at the start and at the end, each over its demand: at most 1 is satisfied."""
+
+    case: str
+    label: str
+    start: float | None
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class StageResult:
+    """How one stage went; `parameters` holds every value after it, free or not.
+
+    `cost` is None if no candidate could be simulated.
+    """
+
+    name: str
+    status: Status
+    message: str
+    solver: str
+    why: str
+    estimates: tuple[Estimate, ...]
+    experiments: tuple[str, ...]
+    criteria: tuple[CriterionValue, ...]
+    start_cost: float | None
+    cost: float | None
+    evaluations: int
+    failures: int
+    seconds: float
+    starts: tuple[Start, ...] = ()
+    uncertainty: Uncertainty | None = None
+    warnings: tuple[str, ...] = ()
+    ties: dict[str, str] = field(default_factory=dict)
+    parameters: dict[str, float] = field(default_factory=dict)
+    profiles: tuple[Profile, ...] = ()
+    spread: tuple[CriterionSpread, ...] = ()
+    front: Front | None = None
+
+    def __getitem__(self, name: str) -> Estimate:
+        return _find(self.estimates, name)
+
+    def __str__(self) -> str:
+        """Return the stage as text: one line on how it went, a table, warnings."""
+        front = [] if self.front is None else [str(self.front)]
+        return "\n".join(
+            [self.summary, text_table(_cells(self.estimates)), *front, *(f"! {w}" for w in self.warnings)]
+        )
+
+    def _repr_html_(self) -> str:
+        table = html_table(_cells(self.estimates))
+        return html_lines([self.summary]) + table + html_lines([f"! {w}" for w in self.warnings])
+
+    @property
+    def summary(self) -> str:
+        """How it went, in one line."""
+        cost = (
+            ""
+            if self.cost is None or self.start_cost is None
+            else (f", cost {self.start_cost:.4g} -> {self.cost:.4g}")
+        )
+        how = f"{self.name}: {self.status.value} ({self.message}) by {self.solver}"
+        return f"{how}, {self.evaluations} evaluations in {self.seconds:.1f} s{cost}"
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """The outcome of an identification; prints as tables, in a notebook as HTML.
+
+    Parameters
+    ----------
+    campaign, title, source
+        Name and title of the campaign, and the file it came from.
+    stages
+        How each stage went, in their order.
+    parameters
+        Best value of every parameter, free or not, in model space.
+    versions
+        Of fmuid and the libraries that the numbers come from.
+    inputs
+        SHA-256 of the measurement file and the FMUs, by name.
+    seconds
+        All that it took.
+    folder
+        The run folder, if there is one.
+    """
+
+    campaign: str
+    title: str
+    source: str
+    stages: tuple[StageResult, ...]
+    parameters: dict[str, float]
+    seconds: float = 0.0
+    versions: dict[str, str] = field(default_factory=dict)
+    inputs: dict[str, str] = field(default_factory=dict)
+    folder: str | None = None
+
+    @property
+    def status(self) -> Status:
+        """The worst of the stages'."""
+        order = [Status.FAILED, Status.INTERRUPTED, Status.BUDGET, Status.CONVERGED]
+        return min((stage.status for stage in self.stages), key=order.index, default=Status.INTERRUPTED)
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """Every estimated parameter, each as its last stage left it."""
+        last = {e.name: e for stage in self.stages for e in stage.estimates}
+        return tuple(last.values())
+
+    def __getitem__(self, name: str) -> Estimate:
+        """Return the estimate of a parameter."""
+        return _find(self.estimates, name)
+
+    def stage(self, name: str) -> StageResult:
+        """Return a stage by its name."""
+        for stage in self.stages:
+            if stage.name == name:
+                return stage
+        raise ResultError(f"no stage '{name}'", fix=f"there are: {', '.join(s.name for s in self.stages)}")
+
+    def __str__(self) -> str:
+        """Return the result as text, stage by stage."""
+        head = f"{self.title or self.campaign}: {self.status.value}, {self.seconds:.1f} s"
+        return "\n\n".join([head, *map(str, self.stages)])
+
+    def _repr_html_(self) -> str:
+        title = f"<h3>{html.escape(self.title or self.campaign)}</h3>"
+        return title + "".join(stage._repr_html_() for stage in self.stages)
+
+    def to_json(self, path: str | Path | None = None) -> str:
+        """Return the result as JSON, and write it to `path` if given."""
+        text = msgspec.json.format(msgspec.json.encode(self), indent=1).decode() + "\n"
+        if path is not None:
+            write_atomically(Path(path), text)
+        return text
+
+    @classmethod
+    def from_json(cls, path: str | Path) -> Result:
+        """Read a result from a file, or from the run folder that holds it.
+
+        Raises
+        ------
+        ResultError
+            There is none, or it is damaged.
+        """
+        path = Path(path)
+        file = path / FILE if path.is_dir() else path
+        try:
+            return msgspec.json.decode(file.read_bytes(), type=cls)
+        except OSError:
+            raise ResultError("no such file", where=file, fix="name a folder that fmuid identify wrote") from None
+        except (msgspec.DecodeError, msgspec.ValidationError) as error:
+            raise ResultError(f"is not a result ({error})", where=file, fix="identify again") from None
+
+
+def finite(value: float) -> float | None:
+    """Return `value`, or None if it is infinite or NaN, which JSON does not have."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _find(estimates: Sequence[Estimate], name: str) -> Estimate:
+    for estimate in estimates:
+        if estimate.name == name:
+            return estimate
+    raise ResultError(f"'{name}' was not estimated", fix=f"estimated: {', '.join(e.name for e in estimates)}")
+
+
+def _cells(estimates: Sequence[Estimate]) -> list[list[str]]:
+    with_truth = any(e.truth is not None for e in estimates)
+    with_inherited = any((e.inherited or 0.0) >= LEAST_SHOWN for e in estimates)
+    header = ["parameter", "value", "unit", "standard error", "95 % interval"]
+    header += ["inherited"] if with_inherited else []
+    rows = [[*header, "start", *(["truth", "deviation"] if with_truth else [])]]
+    for e in estimates:
+        error = f"at its {e.at_bound} bound" if e.at_bound else "–"  # the warnings say why
+        row = [
+            e.name,
+            f"{e.value:.6g}",
+            e.unit or "",
+            error if e.standard_error is None else f"{e.standard_error:.2g}",
+            "" if e.interval is None else f"{e.interval[0]:.5g} .. {e.interval[1]:.5g}",
+        ]
+        if with_inherited:
+            row.append("" if e.inherited is None else f"{100.0 * e.inherited:.0f} %")
+        row.append(f"{e.start:.4g}")
+        if with_truth:
+            deviation = e.relative_error
+            row += [
+                "" if e.truth is None else f"{e.truth:.6g}",
+                "" if deviation is None else f"{100.0 * deviation:+.2f} %",
+            ]
+        rows.append(row)
+    return rows
+
+
+def at_bound(value: float, lower: float, upper: float) -> str | None:
+    """Return ``lower`` or ``upper`` if `value` sits at that bound, within a thousandth of the range."""
+    width = upper - lower if math.isfinite(upper - lower) else max(abs(value), 1e-300)
+    if value - lower <= 1e-3 * width:
+        return "lower"
+    return "upper" if upper - value <= 1e-3 * width else None

@@ -1,0 +1,155 @@
+"""Solvers made of solvers: chains, multistart, and lexicographic order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.core.errors import ProblemError
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.problem.evaluation import Evaluation
+from fmuid.identification.solvers.parallel_searches import Abreast
+from fmuid.identification.solvers.search import Outcome, Search, Solver, Start, Status
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """One solver after the other, each from the best point of those before: global, then local."""
+
+    links: tuple[Solver, ...]
+
+    @property
+    def name(self) -> str:
+        """The links' names, in order."""
+        return " > ".join(link.name for link in self.links)
+
+    @property
+    def needs_residuals(self) -> bool:
+        """Whether any link does."""
+        return any(link.needs_residuals for link in self.links)
+
+    def check(self, problem: Problem) -> None:
+        """See `Solver.check`."""
+        for link in self.links:
+            link.check(problem)
+
+    def solve(self, search: Search, start: FloatArray) -> Outcome:
+        """See `Solver.solve`."""
+        outcome = Outcome(Status.FAILED, "no solver in the chain")
+        for link in self.links:
+            outcome = link.solve(search, start)
+            if search.reached is None:
+                break
+            start = search.reached.x
+        return outcome
+
+
+@dataclass(frozen=True, slots=True)
+class MultiStart:
+    """The same solver from several starts: the given one, and a scrambled Sobol sequence in the bounds.
+
+    The starts depend on the seed alone; they are searched from side by side (`parallel_searches`). Where each one
+    led is kept for the waterfall plot.
+    """
+
+    solver: Solver
+    starts: int
+
+    @property
+    def name(self) -> str:
+        """Number of starts and the solver's name."""
+        return f"{self.starts} x {self.solver.name}"
+
+    @property
+    def needs_residuals(self) -> bool:
+        """Whether the solver does."""
+        return self.solver.needs_residuals
+
+    def check(self, problem: Problem) -> None:
+        """See `Solver.check`."""
+        self.solver.check(problem)
+        if not problem.space.bounded:
+            raise ProblemError(
+                "several starts need both bounds of every free parameter",
+                fix=f"give lower and upper of {', '.join(problem.space.unbounded)}",
+            )
+
+    def points(self, search: Search, start: FloatArray) -> list[FloatArray]:
+        """Return the start points."""
+        from scipy.stats import qmc
+
+        sobol = qmc.Sobol(len(search), rng=np.random.default_rng(search.seed))
+        # Sobol sequences are balanced at powers of two only; draw one and use its beginning.
+        unit = sobol.random_base2(max(1, int(np.ceil(np.log2(max(self.starts - 1, 1))))))
+        width = search.upper - search.lower
+        return [start, *(search.lower + u * width for u in unit[: self.starts - 1])]
+
+    def solve(self, search: Search, start: FloatArray) -> Outcome:
+        """See `Solver.solve`."""
+        points = self.points(search, start)
+        abreast = Abreast(search, [partial(self.solver.solve, start=point) for point in points])
+        try:
+            abreast.run()
+        finally:
+            for point, (branch, outcome) in zip(points, abreast.ended, strict=True):
+                if (end := branch.best) is not None:
+                    started, ended = (tuple(map(float, x)) for x in (point, end.x))
+                    cost, count = search.cost_of(end), branch.evaluations
+                    search.starts.append(Start(started, ended, cost, outcome.status, count))
+        for branch, outcome in abreast.ended:
+            if search.best is not None and branch.best is search.best:
+                search.noise_floor = branch.noise_floor
+                return outcome
+        return Outcome(Status.FAILED, "no start could be simulated")
+
+
+@dataclass(frozen=True, slots=True)
+class Lexicographic:
+    """Minimises the criteria of priority 1, then those of 2 while the first get no worse, and so on."""
+
+    solver: Solver
+    slack: float = field(default=1e-3)  # relative: without it later levels could not move
+
+    @property
+    def name(self) -> str:
+        """The inner solver's name."""
+        return f"lexicographic {self.solver.name}"
+
+    @property
+    def needs_residuals(self) -> bool:
+        """Whether the inner solver does."""
+        return self.solver.needs_residuals
+
+    def check(self, problem: Problem) -> None:
+        """See `Solver.check`."""
+        self.solver.check(problem)
+
+    def solve(self, search: Search, start: FloatArray) -> Outcome:
+        """See `Solver.solve`."""
+        priorities = np.array([criterion.priority for _, criterion in search.problem.criteria])
+        outcome = Outcome(Status.FAILED, "no criteria")
+        held: list[tuple[int, float]] = []
+        for level in sorted(set(priorities.tolist())):
+            mine = np.flatnonzero(priorities == level)
+            limits = tuple(held)
+
+            def cost(evaluation: Evaluation, mine: NDArray[np.intp] = mine) -> float:
+                weights = search.problem.root_weights[mine] ** 2
+                return float(np.sum(weights * evaluation.criteria[mine] ** 2))
+
+            def excess(evaluation: Evaluation, limits: tuple[tuple[int, float], ...] = limits) -> FloatArray:
+                return np.array([evaluation.criteria[i] - limit for i, limit in limits])
+
+            search.refocus(cost, excess)
+            outcome = self.solver.solve(search, start)
+            if search.best is None:
+                break
+            start = search.best.x
+            # A criterion that is satisfied (at most 1) may give way up to its demand.
+            best = search.best.criteria
+            held += [(int(i), max(1.0, float(best[i]) * (1.0 + self.slack))) for i in mine]
+        return outcome

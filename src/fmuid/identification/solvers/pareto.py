@@ -1,0 +1,198 @@
+"""Trade-offs: points of the Pareto front, where no objective gets better unless another gets worse."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.core.campaign import ParetoSpec
+from fmuid.core.errors import ProblemError, SimulationError
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.combination import matching
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.problem.evaluation import Evaluation
+from fmuid.identification.solvers.search import Goals, Search, Solver, StopSearch
+
+_EQUAL = 1e-6  # of an objective's range over the front: nearer is the same
+_GIVES = 1e-3  # of its range that the end of the front may give way, so that the others show
+_SMALLEST_WEIGHT = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class FrontPoint:
+    """One trade-off: the objectives' values (over their demands), and the free parameters in model space."""
+
+    values: tuple[float, ...]
+    parameters: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Front:
+    """Trade-offs that were found, sorted by the first objective; none is worse than another in everything.
+
+    `chosen` are the objectives' values at the stage's estimate. `message` says how the search for them ended.
+    """
+
+    objectives: tuple[str, ...]
+    points: tuple[FrontPoint, ...]
+    chosen: tuple[float, ...]
+    evaluations: int
+    message: str
+
+    @property
+    def beats_chosen(self) -> bool:
+        """Whether a point is better than the stage's estimate by more than a hundredth, and worse in nothing."""
+        return any(
+            all(v <= c * (1.0 + _EQUAL) for v, c in zip(p.values, self.chosen, strict=True))
+            and any(v < 0.99 * c for v, c in zip(p.values, self.chosen, strict=True))
+            for p in self.points
+        )
+
+    def __str__(self) -> str:
+        """Return the front as a table."""
+        names = list(self.points[0].parameters) if self.points else []
+        rows = [[*self.objectives, *names]]
+        rows += [[f"{v:.5g}" for v in (*p.values, *p.parameters.values())] for p in self.points]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+        return "\n".join([f"Pareto front: {self.message}", *lines])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Objectives:
+    """The objectives of a problem: each is the weighted root mean square of the criteria that belong to it."""
+
+    names: tuple[str, ...]
+    rows: tuple[NDArray[np.intp], ...]
+    weights: FloatArray
+
+    @classmethod
+    def of(cls, problem: Problem, names: Sequence[str]) -> Objectives:
+        """Return the objectives that `names` (labels of criteria or globs) stand for; one for each label if empty.
+
+        Raises
+        ------
+        ProblemError
+            There are less than two, or one matches no criterion.
+        """
+        names = tuple(names or dict.fromkeys(criterion.label for _, criterion in problem.criteria))
+        rows = [np.array(matching(problem.labels, name), dtype=np.intp) for name in names]
+        for name, own in zip(names, rows, strict=True):
+            if not len(own):
+                raise ProblemError(
+                    f"no criterion matches the objective '{name}'",
+                    where=f"stage '{problem.name}'",
+                    fix=f"there are: {', '.join(problem.labels)}",
+                )
+        if len(names) < 2:
+            raise ProblemError(
+                "a Pareto front needs two objectives or more",
+                where=f"stage '{problem.name}'",
+                fix="add a criterion",
+            )
+        return cls(names, tuple(rows), problem.root_weights**2)
+
+    def __call__(self, evaluation: Evaluation) -> FloatArray:
+        """Return the (k,) values of the objectives."""
+        squares = self.weights * evaluation.criteria**2
+        totals = [(np.sum(squares[own]), np.sum(self.weights[own])) for own in self.rows]
+        return np.array([np.sqrt(total / max(weight, np.finfo(float).tiny)) for total, weight in totals])
+
+
+def trace(search: Search, spec: ParetoSpec, solver: Solver, best: Evaluation) -> Front:
+    """Find points of the Pareto front.
+
+    Each objective alone gives an end of the front. Between the ends lie rays, spread evenly as by Das and Dennis
+    (1998), from the ideal point (the best of every objective) into the front; along each the largest of the
+    scaled distances from the ideal is minimised (Wierzbicki, 1980), which reaches concave parts as well.
+
+    Parameters
+    ----------
+    search
+        A search of its own: what is best for an objective is not the stage's estimate.
+    solver
+        Minimises along a ray, from the nearest point that was found.
+    best
+        The stage's estimate, where the search begins.
+    """
+    objectives = Objectives.of(search.problem, spec.objectives)
+    found: list[Evaluation] = []
+    message = "complete"
+    try:
+        _trace(search, solver, objectives, spec.points, best, found)
+    except StopSearch as stop:
+        message = f"incomplete ({stop.outcome.message})"
+    names = search.problem.space.names
+    points = tuple(
+        FrontPoint(tuple(map(float, objectives(e))), {n: float(e.parameters[n]) for n in names})
+        for e in _undominated(found, objectives)
+    )
+    message = f"{message}, {len(points)} points in {search.evaluations} evaluations"
+    return Front(objectives.names, points, tuple(map(float, objectives(best))), search.evaluations, message)
+
+
+def _trace(
+    search: Search, solver: Solver, objectives: Objectives, points: int, best: Evaluation, found: list[Evaluation]
+) -> None:
+    """Add to `found`, so that what a budget leaves is there."""
+
+    def solve(start: Evaluation, goals: Goals, limits: Goals | None = None) -> Evaluation:
+        search.aim(goals, limits)
+        with suppress(SimulationError):
+            solver.solve(search, start.x)
+        return search.reached or start
+
+    k = len(objectives.names)
+    alone = [solve(best, lambda e, i=i: objectives(e)[[i]]) for i in range(k)]  # type: ignore[misc]
+    values = np.array([objectives(e) for e in alone])
+    ideal = np.min(values, axis=0)
+    reach = np.maximum(np.ptp(values, axis=0), _EQUAL * np.max(np.abs(values), axis=0) + np.finfo(float).tiny)
+
+    def distances(e: Evaluation) -> FloatArray:
+        return np.asarray((objectives(e) - ideal) / reach)
+
+    for i, end in enumerate(alone):  # an end may leave the others anywhere that costs it nothing
+        others = np.arange(k) != i
+        found.append(
+            solve(
+                end,
+                lambda e, others=others: distances(e)[others],  # type: ignore[misc]
+                lambda e, i=i: distances(e)[[i]] - _GIVES,  # type: ignore[misc]
+            )
+        )
+    rays = list(np.eye(k))
+    for ray in _between(k, points):
+        near = found[int(np.argmin([np.linalg.norm(ray - other) for other in rays]))]
+        weights = np.maximum(ray, _SMALLEST_WEIGHT)
+        found.append(solve(near, lambda e, weights=weights: distances(e) / weights))  # type: ignore[misc]
+        rays.append(ray)
+
+
+def _between(k: int, points: int) -> list[FloatArray]:
+    """Return the (k,) directions of a simplex lattice with `points` on each edge, without its corners."""
+    parts = points - 1
+    lattice = []
+    for bars in combinations(range(parts + k - 1), k - 1):
+        counts = np.diff([-1, *bars, parts + k - 1]) - 1
+        if np.max(counts) < parts:
+            lattice.append(counts / parts)
+    return lattice
+
+
+def _undominated(found: Sequence[Evaluation], objectives: Objectives) -> list[Evaluation]:
+    """Return what no other beats, once each, sorted by the first objective."""
+    values = np.array([objectives(e) for e in found]).reshape(len(found), len(objectives.names))
+    scaled = values / np.maximum(np.ptp(values, axis=0), np.finfo(float).tiny) if len(found) else values
+    kept: list[int] = []
+    for i in np.lexsort(values.T[::-1]).tolist():
+        nowhere_worse = np.all(scaled <= scaled[i] + _EQUAL, axis=1)
+        better = nowhere_worse & np.any(scaled < scaled[i] - _EQUAL, axis=1)
+        same = any(np.all(np.abs(scaled[i] - scaled[j]) <= _EQUAL) for j in kept)
+        if not same and not np.any(better):
+            kept.append(i)
+    return [found[i] for i in kept]

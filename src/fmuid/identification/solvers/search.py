@@ -1,0 +1,296 @@
+"""A search in progress, as a solver sees it: evaluations are counted, recorded and stopped here."""
+
+from __future__ import annotations
+
+import enum
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from fmuid.core.errors import ProblemError
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.derivatives import NoiseFloor
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.problem.evaluation import Evaluation
+
+FEASIBLE = 1e-6  # a constraint broken by less counts as kept
+_REMEMBERED = 64  # evaluations a solver may ask for again
+
+
+class Status(enum.StrEnum):
+    """How a search ended; a flag and a readable word."""
+
+    CONVERGED = "converged"
+    BUDGET = "budget spent"
+    INTERRUPTED = "interrupted"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A solver's last word."""
+
+    status: Status
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class StopRules:
+    """When to stop a search: number of evaluations, seconds of evaluation, or a cost that is good enough."""
+
+    evaluations: int | None = None
+    seconds: float | None = None
+    cost: float | None = None
+
+
+class StopSearch(Exception):  # noqa: N818 - not an error: control flow out of a solver's depths
+    """A stop rule holds."""
+
+    def __init__(self, outcome: Outcome) -> None:
+        super().__init__(outcome.message)
+        self.outcome = outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """One start of a search and where it led, in search space."""
+
+    start: tuple[float, ...]
+    end: tuple[float, ...]
+    cost: float
+    status: Status
+    evaluations: int
+
+
+Record = Callable[[Evaluation, str, bool], None]
+"""Told of every evaluation: the evaluation, its purpose, whether it is the best so far."""
+Recall = Callable[[FloatArray, bool], Evaluation | None]
+"""Gives an evaluation back that an earlier, interrupted run made; the flag asks for residuals too."""
+
+
+class Wish(NamedTuple):
+    """A point to evaluate, what for, and whether its Jacobian is best found in the same runs."""
+
+    x: FloatArray
+    purpose: str = "search"
+    differentiated: bool = False
+
+
+Simulate = Callable[[Sequence[Wish]], list[Evaluation]]
+"""Evaluates points."""
+Goals = Callable[[Evaluation], FloatArray]
+"""(k,) numbers of an evaluation."""
+
+
+class Search:
+    """The objective of one stage, as solvers see it.
+
+    Failed candidates have the cost NaN and never become the best.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        stop: StopRules | None = None,
+        *,
+        record: Record = lambda *_: None,
+        recall: Recall = lambda *_: None,
+        seed: int = 0,
+        needs_residuals: bool = True,
+    ) -> None:
+        self.problem = problem
+        self.stop = stop or StopRules()
+        self.seed = seed
+        self.needs_residuals = needs_residuals
+        self.lower, self.upper = problem.space.lower, problem.space.upper
+        self.evaluations = 0
+        self.failures = 0
+        self.seconds = 0.0
+        self.best: Evaluation | None = None
+        self.reached: Evaluation | None = None  # best since `refocus`
+        self.starts: list[Start] = []
+        self.cost_of: Callable[[Evaluation], float] = lambda evaluation: evaluation.cost
+        self.limits_of: Goals = lambda _: np.zeros(0)
+        # What the cost is the largest of, if it is: solvers that take constraints then have a smooth problem.
+        self.goals_of: Goals | None = None
+        if problem.combination.kind == "min_max":
+            self.goals_of = lambda evaluation: problem.root_weights**2 * evaluation.criteria
+        self.noise_floor: NoiseFloor | None = None  # a solver that measured it leaves it here
+        self._record, self.recall = record, recall
+        self._simulate: Simulate = lambda wanted: problem.evaluate_many(
+            [wish.x for wish in wanted], differentiated=[wish.differentiated for wish in wanted]
+        )
+        self._remembered = _REMEMBERED
+        self._recent: OrderedDict[bytes, Evaluation] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self.problem.space)
+
+    def refocus(self, cost_of: Callable[[Evaluation], float], limits_of: Goals) -> None:
+        """Minimise something else from now on, subject to further limits (each at most 0)."""
+        self.cost_of, self.limits_of, self.goals_of = cost_of, limits_of, None
+        self.reached, self.starts = None, []
+        if self.best is not None:
+            self._compare(self.best)
+
+    def aim(self, goals_of: Goals, limits_of: Goals | None = None) -> None:
+        """Minimise the largest of some goals from now on, subject to limits (each at most 0)."""
+        self.refocus(lambda evaluation: float(np.max(goals_of(evaluation))), limits_of or (lambda _: np.zeros(0)))
+        self.goals_of = goals_of
+
+    def evaluate(self, x: FloatArray, *, differentiated: bool = False) -> Evaluation:
+        """Evaluate one search point; `differentiated` if its Jacobian is wanted next (`Problem.evaluate_many`)."""
+        return self.evaluate_all([Wish(x, differentiated=differentiated)])[0]
+
+    def evaluate_many(self, points: Sequence[FloatArray], purpose: str = "search") -> list[Evaluation]:
+        """Evaluate points, in parallel where the problem's runner can.
+
+        Raises
+        ------
+        StopSearch
+            A stop rule holds.
+        """
+        return self.evaluate_all([Wish(x, purpose) for x in points])
+
+    def evaluate_all(self, wanted: Sequence[Wish]) -> list[Evaluation]:
+        """Evaluate points with a purpose each; see `evaluate_many`."""
+        self._check_budget()
+        keys: list[bytes] = []
+        wishes: dict[bytes, Wish] = {}
+        for wish in wanted:
+            x = np.clip(np.asarray(wish.x, dtype=np.float64), self.lower, self.upper)
+            keys.append(x.tobytes())
+            if keys[-1] not in wishes or wish.purpose == "search":
+                wishes[keys[-1]] = wish._replace(x=x)
+        found = {key: e for key in wishes if (e := self._recent.get(key)) is not None}
+        recalled = set()
+        for key, wish in wishes.items():
+            if key not in found and (old := self.recall(wish.x, self.needs_residuals)) is not None:
+                found[key] = old
+                recalled.add(key)
+        new = {key: wish for key, wish in wishes.items() if key not in found}
+        if new:
+            found |= zip(new, self._simulate(list(new.values())), strict=True)
+        for key, wish in wishes.items():
+            if key in new or key in recalled:
+                self._count(found[key], wish.purpose, recorded=key in recalled)
+                self._remember(key, found[key])
+            elif wish.purpose == "search":
+                self._compare(found[key])
+        return [found[key] for key in keys]
+
+    def cost(self, x: FloatArray) -> float:
+        """Return the cost at `x`, NaN where the simulation fails."""
+        evaluation = self.evaluate(x)
+        return self.cost_of(evaluation) if evaluation.ok else float("nan")
+
+    def violations(self, evaluation: Evaluation, *, equality: bool) -> FloatArray:
+        """Return the constraint violations of one kind, limits included among the inequalities."""
+        chosen = [c.is_equality is equality for c in self.problem.constraints]
+        own = evaluation.constraints[np.array(chosen, dtype=bool)]
+        return own if equality else np.concatenate([own, self.limits_of(evaluation)])
+
+    def feasible(self, evaluation: Evaluation) -> bool:
+        """Whether every constraint is kept."""
+        return bool(
+            np.all(self.violations(evaluation, equality=False) <= FEASIBLE)
+            and np.all(np.abs(self.violations(evaluation, equality=True)) <= FEASIBLE)
+        )
+
+    def _check_budget(self) -> None:
+        stop = self.stop
+        if stop.evaluations is not None and self.evaluations >= stop.evaluations:
+            raise StopSearch(Outcome(Status.BUDGET, f"{self.evaluations} evaluations"))
+        if stop.seconds is not None and self.seconds >= stop.seconds:
+            raise StopSearch(Outcome(Status.BUDGET, f"{stop.seconds:g} s"))
+        if stop.cost is not None and self.best is not None and self.best.cost <= stop.cost:
+            raise StopSearch(Outcome(Status.CONVERGED, f"cost at most {stop.cost:g}"))
+
+    def _count(self, evaluation: Evaluation, purpose: str, *, recorded: bool) -> None:
+        self.evaluations += 1
+        self.seconds += evaluation.seconds
+        self.failures += not evaluation.ok
+        improved = purpose == "search" and self._compare(evaluation)
+        if not recorded:
+            self._record(evaluation, purpose, improved)
+
+    def _compare(self, evaluation: Evaluation) -> bool:
+        """Take `evaluation` as the best if it is; return whether it is."""
+        if not evaluation.ok:
+            return False
+        if self.reached is None or self._better(evaluation, self.reached):
+            self.reached = evaluation
+        if self.best is None or self._better(evaluation, self.best):
+            self.best = evaluation
+            return True
+        return False
+
+    def _better(self, a: Evaluation, b: Evaluation) -> bool:
+        feasible_a, feasible_b = self.feasible(a), self.feasible(b)
+        if feasible_a != feasible_b:
+            return feasible_a
+        if not feasible_a:
+            return self._broken(a) < self._broken(b)
+        return self.cost_of(a) < self.cost_of(b)
+
+    def _broken(self, evaluation: Evaluation) -> float:
+        inequality = np.maximum(self.violations(evaluation, equality=False), 0.0)
+        return float(np.sum(inequality) + np.sum(np.abs(self.violations(evaluation, equality=True))))
+
+    def _remember(self, key: bytes, evaluation: Evaluation) -> None:
+        self._recent[key] = evaluation
+        while len(self._recent) > self._remembered:
+            self._recent.popitem(last=False)
+
+
+class Solver(Protocol):
+    """A way to search. Solvers are small immutable values; all of them have this one signature."""
+
+    @property
+    def name(self) -> str:
+        """The name it is asked for by."""
+        ...
+
+    @property
+    def needs_residuals(self) -> bool:
+        """Whether it works on the residual vector, not on the cost alone."""
+        ...
+
+    def check(self, problem: Problem) -> None:
+        """Raise what makes it impossible to solve a problem.
+
+        Raises
+        ------
+        ProblemError
+            The solver cannot take the problem's bounds, constraints or cost.
+        """
+        ...
+
+    def solve(self, search: Search, start: FloatArray) -> Outcome:
+        """Search from the (n,) `start`; what is reached is in ``search.reached`` and ``search.best``.
+
+        Raises
+        ------
+        StopSearch
+            A stop rule holds.
+        """
+        ...
+
+
+def number_of(options: Mapping[str, Any], key: str, default: float, *, solver: str) -> float:
+    """Return a solver's option that is a positive number.
+
+    Raises
+    ------
+    ProblemError
+        It is none.
+    """
+    value = options.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+        raise ProblemError(
+            f"option {key} of solver '{solver}' is {value!r}", fix=f"write a positive number, such as {default:g}"
+        )
+    return float(value)

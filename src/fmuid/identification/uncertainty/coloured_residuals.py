@@ -1,0 +1,175 @@
+"""Residuals that are not white: their covariance, their memory, and what a sample is worth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.problem.evaluation import Evaluation
+
+
+@dataclass(frozen=True, slots=True)
+class Whiteness:
+    """Whether the residuals of one channel are noise.
+
+    Parameters
+    ----------
+    variance
+        Mean square of the residuals in sigmas; 1 if the model is complete and sigma right.
+    lag_one
+        Autocorrelation from sample to sample.
+    p_value
+        Of Ljung and Box's test on 20 lags; small means not white.
+    samples, effective
+        Number of samples, and of independent ones that carry as much.
+    """
+
+    case: str
+    signal: str
+    variance: float
+    lag_one: float
+    p_value: float
+    samples: int
+    effective: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Record:
+    """Residuals (N,) of one channel over its case's samples, their Jacobian (N, n), where they exist (N,)."""
+
+    signal: str
+    residuals: FloatArray
+    jacobian: FloatArray
+    there: FloatArray
+
+    @property
+    def count(self) -> float:
+        """Number of samples."""
+        return float(self.there.sum())
+
+
+def score_covariance(
+    problem: Problem, best: Evaluation, j: FloatArray
+) -> tuple[FloatArray, tuple[Whiteness, ...]]:
+    """Return J' W J, (n, n), with W the covariance of coloured residuals, and the residuals' statistics.
+
+    W holds each case's auto- and cross-covariances, tapered (Bartlett) beyond the lag where they drown in their
+    own scatter.
+    """
+    n = j.shape[1]
+    meat = np.zeros((n, n))
+    by_case: dict[str, list[_Record]] = {}
+    for (case, criterion), rows in zip(problem.criteria, problem.slices, strict=True):
+        r, jr = best.residuals[rows], j[rows]
+        if criterion.rows is None:
+            meat += jr.T @ (jr * r[:, None] ** 2)
+            continue
+        length = len(case.task.time)
+        record = _Record(criterion.signal, np.zeros(length), np.zeros((length, n)), np.zeros(length))
+        record.residuals[criterion.rows], record.jacobian[criterion.rows] = r, jr
+        record.there[criterion.rows] = 1.0
+        by_case.setdefault(case.id, []).append(record)
+    whiteness: list[Whiteness] = []
+    for case_id, records in by_case.items():
+        # One filter for all channels of a case, so that their cross-covariances stay defined.
+        colour = float(np.mean([_colour(r.residuals, r.count) for r in records]))
+        white = [_prewhitened(r, colour) for r in records]
+        lag = max(_memory(w.residuals, w.count) for w in white)
+        for a in white:
+            for b in white:
+                meat += _quadratic(a, b, lag)
+        whiteness += [_whiteness(case_id, r, w, colour, lag) for r, w in zip(records, white, strict=True)]
+    return 0.5 * (meat + meat.T), tuple(whiteness)
+
+
+def _colour(r: FloatArray, count: float) -> float:
+    """Return the coefficient of a first-order autoregression of (N,) residuals; 0 if it is within scatter."""
+    rho = float(_correlations(r)[1]) if len(r) > 1 else 0.0
+    if abs(rho) < 2.0 / np.sqrt(max(count, 1.0)):
+        return 0.0
+    # Kendall (1954): the estimate is low by (1 + 3 rho) / N, a little more where parameters were fitted.
+    return float(np.clip(rho + (1.0 + 4.0 * rho) / max(count, 1.0), -0.97, 0.97))
+
+
+def _prewhitened(record: _Record, colour: float) -> _Record:
+    """Return ``L r`` and ``L^-T J`` for the autoregressive filter L, so that J' W J keeps its value.
+
+    Andrews and Monahan (1992): what is left of the correlation is short, and the kernel estimate of it is
+    hardly biased.
+    """
+    if colour == 0.0:
+        return record
+    from scipy.signal import lfilter
+
+    first = np.sqrt(1.0 - colour**2)
+    r = record.residuals.copy()
+    r[1:] -= colour * record.residuals[:-1]
+    r[0] *= first
+    j = lfilter([1.0], [1.0, -colour], record.jacobian[::-1], axis=0)[::-1].copy()
+    j[0] /= first
+    return _Record(record.signal, r, j, record.there)
+
+
+def _correlations(r: FloatArray) -> FloatArray:
+    """Return the autocorrelation of (N,) residuals at lags 0..N-1."""
+    covariance = _cross(r, r)[: len(r)]
+    return np.asarray(covariance / covariance[0] if covariance[0] > 0.0 else np.eye(1, len(r))[0])
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return sum_k a_k b_{k+l} for lags l = 0..N-1 and, at the end, -(N-1)..-1 of a (2N,) circle."""
+    size = 2 * len(a)
+    return np.asarray(np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size))
+
+
+def _memory(r: FloatArray, count: float) -> int:
+    """Return the lag beyond which autocorrelation is scatter: the first of five lags in a row within it."""
+    inside = np.abs(_correlations(r)[1:]) < 2.0 / np.sqrt(max(count, 1.0))
+    run = 5
+    for lag in range(len(inside) - run):
+        if np.all(inside[lag : lag + run]):
+            return lag
+    return max(len(inside) - run, 0)
+
+
+def _taper(n: int, lag: int) -> FloatArray:
+    """Return (n,) Bartlett weights; twice the memory keeps most of a decaying correlation."""
+    return np.maximum(1.0 - np.arange(n) / (2 * lag + 1), 0.0)
+
+
+def _quadratic(a: _Record, b: _Record, lag: int) -> FloatArray:
+    """Return sum_kl ja_k gamma_(l-k) jb_l with gamma the tapered covariance of channels a and b."""
+    n = len(a.residuals)
+    decay = _taper(n, lag)
+    taper = np.concatenate([decay, [0.0], decay[1:][::-1]])
+    gamma = _cross(a.residuals, b.residuals) / np.sqrt(a.count * b.count) * taper
+    # gamma belongs to l - k, so (W jb)_k = sum_l gamma_(l-k) jb_l is a correlation.
+    spectrum = np.conj(np.fft.rfft(gamma))
+    moved = np.fft.irfft(spectrum[:, None] * np.fft.rfft(b.jacobian, 2 * n, axis=0), 2 * n, axis=0)[:n]
+    return np.asarray(a.jacobian.T @ moved)
+
+
+def _whiteness(case: str, record: _Record, white: _Record, colour: float, lag: int) -> Whiteness:
+    from scipy.special import chdtrc
+
+    r, count = record.residuals, int(record.count)
+    rho = _correlations(r)
+    lags = min(20, max(count // 5, 1), len(rho) - 1)
+    terms = rho[1 : lags + 1] ** 2 / (count - np.arange(1, lags + 1))
+    ljung_box = count * (count + 2) * float(np.sum(terms))
+    # Long-run variance over variance: what a sample is worth.
+    rest = 1.0 + 2.0 * float(np.sum((_taper(len(r), lag) * _correlations(white.residuals))[1:]))
+    energy = float(np.sum(white.residuals**2)) / max(float(np.sum(r**2)), np.finfo(float).tiny)
+    inflation = max(energy * rest / (1.0 - colour) ** 2, 1.0)
+    return Whiteness(
+        case,
+        record.signal,
+        float(np.sum(r**2) / max(count, 1)),
+        float(rho[1]) if len(rho) > 1 else 0.0,
+        float(chdtrc(lags, ljung_box)) if lags > 0 else 1.0,
+        count,
+        count / inflation,
+    )

@@ -1,0 +1,243 @@
+"""How far estimates can be trusted: their covariance, under coloured residuals and near-collinearity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.derivatives import Differences, EvaluateMany, NoiseFloor, noise_floor
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.problem.evaluation import Evaluation
+from fmuid.identification.uncertainty.coloured_residuals import Whiteness, score_covariance
+from fmuid.identification.uncertainty.identifiability import Identifiability, identifiability
+from fmuid.identification.uncertainty.inherited import Held, effective_degrees
+
+Matrix = tuple[tuple[float, ...], ...]
+LEVEL = 0.95
+_COLLINEAR = 1000.0  # ratio of eigenvalues of the correlation from which a direction is walked
+_FARTHEST = 64.0
+_FOLLOWING = 4  # evaluations for the others to follow a parameter that is moved
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """Covariance of the free parameters, and what it rests on.
+
+    `covariance` (n, n) and `correlation` are in search space, `standard_errors` (n,) and `intervals` (95 %) in
+    model space; the latter are None where the experiments do not determine the parameter. All of them contain
+    what is `inherited`, (n, n), from the errors of parameters that earlier stages identified and this one holds:
+    `held` are their names, `held_slopes` (n, h) the derivatives of the estimate by them in model space.
+    `degrees_of_freedom` are those of the stage's own noise, `degrees` (n,) those of the standard errors.
+    """
+
+    names: tuple[str, ...]
+    point: tuple[float, ...]
+    covariance: Matrix
+    standard_errors: tuple[float | None, ...]
+    intervals: tuple[tuple[float, float] | None, ...]
+    correlation: Matrix
+    degrees_of_freedom: float
+    identifiability: Identifiability
+    whiteness: tuple[Whiteness, ...] = ()
+    naive_errors: tuple[float | None, ...] = field(default=())
+    noise_floor: float = 0.0
+    held: tuple[str, ...] = ()
+    held_slopes: Matrix = ()
+    inherited: Matrix = ()
+    degrees: tuple[float, ...] = ()
+
+    @property
+    def inherited_shares(self) -> tuple[float, ...]:
+        """(n,) share of each variance that comes from what the stage holds."""
+        if not self.inherited:
+            return (0.0,) * len(self.names)
+        pairs = zip(np.diag(self.inherited), np.diag(self.covariance), strict=True)
+        return tuple(float(part / whole) if whole > 0.0 else 0.0 for part, whole in pairs)
+
+
+def uncertainty_of(
+    problem: Problem,
+    best: Evaluation,
+    *,
+    evaluate: EvaluateMany | None = None,
+    floor: NoiseFloor | None = None,
+    held: Held | None = None,
+    evaluate_held: EvaluateMany | None = None,
+) -> Uncertainty:
+    """Return the uncertainty of the estimate `best` of a problem.
+
+    The covariance is the sandwich ``(J'J)^-1 J' W J (J'J)^-1`` in search space; W holds each case's residual
+    auto- and cross-covariances, tapered (Bartlett) beyond the lag where they drown in their own scatter. White
+    residuals give the textbook covariance, coloured ones (model error, friction) a wider one. The errors of what
+    the problem holds at an earlier stage's estimate are added (`fmuid.identification.uncertainty.inherited`).
+
+    Parameters
+    ----------
+    problem, best
+        The problem, and its evaluation at the estimate.
+    evaluate
+        Instead of the problem's own, as when evaluations are recorded.
+    floor
+        The simulator's noise floor, if it is known already.
+    held, evaluate_held
+        What the problem holds at an estimate of earlier stages (`inherited`), and what evaluates its problem.
+
+    Raises
+    ------
+    SimulationError
+        The neighbourhood of the estimate cannot be simulated.
+    """
+    from scipy.special import stdtrit
+
+    evaluate = evaluate or problem.evaluate_many
+    floor = floor or noise_floor(problem, best.x, evaluate=evaluate)
+    # A resumed run does not remember everything of an evaluation.
+    here = best if best.predictions and best.residuals.size else evaluate([best.x])[0]
+    differences = Differences(problem, floor, central=True)
+    j, tolerance = differences.jacobian(evaluate, here), differences.tolerance
+    scale = differences.column_scale(j)
+    first = identifiability(problem, best.x, j, scale, tolerance=tolerance)
+    scaled = j / scale
+    bread = np.linalg.pinv(scaled.T @ scaled, rcond=tolerance**2, hermitian=True) / np.outer(scale, scale)
+    meat, whiteness = score_covariance(problem, here, j)
+    n, m = len(best.x), len(here.residuals)
+    correction = m / max(m - n, 1)
+    covariance = correction * bread @ meat @ bread
+    if n > 1 and first.complete:
+        covariance = _widened(problem, evaluate, here, j, covariance)
+    found = identifiability(problem, best.x, j, scale, tolerance=tolerance, covariance=covariance)
+    found = found if first.complete else first
+    # Residuals that are no samples (whitened ones, features) count one by one.
+    others = sum(
+        r.stop - r.start for (_, c), r in zip(problem.criteria, problem.slices, strict=True) if c.rows is None
+    )
+    effective = sum(w.effective for w in whiteness) + others
+    own = max(effective - n, 1.0)
+    slope = problem.space.slope(best.x)
+    degrees, inherited, held_slopes = np.full(n, own), np.zeros((n, n)), np.zeros((n, 0))
+    if held is not None:
+        there, evaluate = replace(here, x=held.point(best.x)), evaluate_held or held.problem.evaluate_many
+        across = Differences(held.problem, floor, central=False).jacobian(evaluate, there, n)
+        moves = -bread @ j.T @ across
+        held_slopes = slope[:, None] * moves / held.problem.space.slope(there.x)[n:]
+        roots = moves @ held.rows
+        inherited = roots @ roots.T
+        parts = np.column_stack([np.maximum(np.diag(covariance), 0.0), roots**2])
+        degrees = effective_degrees(parts, np.append(own, held.degrees))
+        covariance = covariance + inherited
+    t = stdtrit(degrees, 0.5 + 0.5 * LEVEL)
+    variance = np.diag(covariance)
+    spread = np.sqrt(np.maximum(variance, 0.0))
+    low, high = (problem.space.to_model(best.x + sign * t * spread) for sign in (-1.0, 1.0))
+    # A kernel estimate can come out indefinite: a variance below zero is none.
+    sound = variance >= -1e-9 * np.max(np.abs(variance))
+    known = [n not in found.undetermined and bool(s) for n, s in zip(problem.space.names, sound, strict=True)]
+    naive = np.sqrt(np.diag(bread) * float(here.residuals @ here.residuals) / max(m - n, 1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = covariance / np.outer(spread, spread)
+    return Uncertainty(
+        names=problem.space.names,
+        point=tuple(map(float, best.x)),
+        covariance=_matrix(covariance),
+        standard_errors=tuple(float(s) if k else None for s, k in zip(slope * spread, known, strict=True)),
+        intervals=tuple(
+            (low[name], high[name]) if k else None for name, k in zip(problem.space.names, known, strict=True)
+        ),
+        correlation=_matrix(np.nan_to_num(correlation)),
+        degrees_of_freedom=own,
+        identifiability=found,
+        whiteness=whiteness,
+        naive_errors=tuple(float(s) if k else None for s, k in zip(slope * naive, known, strict=True)),
+        noise_floor=floor.residual,
+        held=() if held is None else held.names,
+        held_slopes=_matrix(held_slopes),
+        inherited=() if held is None else _matrix(inherited),
+        degrees=tuple(map(float, degrees)),
+    )
+
+
+def _widened(
+    problem: Problem, evaluate: EvaluateMany, best: Evaluation, j: FloatArray, covariance: FloatArray
+) -> FloatArray:
+    """Return the covariance, widened where parameters compensate each other better than it says.
+
+    Nearly collinear columns of a Jacobian differ by its own errors (kinks, noise), which look like information.
+    So in the weakest directions the leading parameter is moved by two standard errors and the others follow by
+    Gauss-Newton steps: where the cost grows by less than a quarter of what is expected, the parameter is moved
+    on until it does, and the way it went is its spread.
+    """
+    spread = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(covariance / np.outer(spread, spread))
+    plain = np.linalg.inv(j.T @ j)
+    for value, vector in zip(values[::-1], vectors.T[::-1], strict=True):
+        if value < _COLLINEAR * max(values[0], 0.0):
+            break
+        i = int(np.argmax(np.abs(vector)))
+        expected = 4.0 * spread[i] ** 2 / plain[i, i]
+        factor, way = 1.0, np.zeros(len(spread))
+        for sign in (1.0, -1.0):
+            offset = 2.0 * sign * covariance[i] / spread[i]  # where the others are expected
+            reach = 1.0
+            while reach <= _FARTHEST:
+                moved = _followed(problem, evaluate, best, j, best.x + offset, i)
+                if moved is None or moved.cost - best.cost >= 0.25 * expected:
+                    break
+                offset = 2.0 * (moved.x - best.x)
+                reach *= 2.0
+                if reach > factor:
+                    factor, way = reach, (moved.x - best.x) / reach
+        covariance = covariance + (factor**2 - 1.0) * np.outer(way, way)
+    return covariance
+
+
+def _followed(
+    problem: Problem, evaluate: EvaluateMany, best: Evaluation, j: FloatArray, x: FloatArray, i: int
+) -> Evaluation | None:
+    """Return the evaluation at `x` after all parameters but `i` have followed, or None where it fails."""
+    others = np.arange(len(x)) != i
+    solve = np.linalg.pinv(j[:, others])
+    for _ in range(_FOLLOWING):
+        if np.any(x < problem.space.lower) or np.any(x > problem.space.upper):
+            return None
+        (here,) = evaluate([x])
+        if not here.ok:
+            return None
+        if here.cost <= best.cost:
+            break
+        x = x.copy()
+        x[others] -= solve @ here.residuals
+    return here
+
+
+def _matrix(values: FloatArray) -> Matrix:
+    return tuple(tuple(float(v) for v in row) for row in values)
+
+
+def without_intervals(estimate: Uncertainty, names: Sequence[str]) -> Uncertainty:
+    """Return `estimate` without standard errors for `names`, as for parameters at a bound."""
+    hide = partial(_hidden, estimate.names, names)
+    return replace(estimate, standard_errors=hide(estimate.standard_errors), intervals=hide(estimate.intervals))
+
+
+def with_held(estimate: Uncertainty, held: Held) -> Uncertainty:
+    """Return `estimate` with what the stage holds as further parameters, for draws of both together."""
+    space, n = held.problem.space, len(estimate.names)
+    point = held.point(np.array(estimate.point))
+    slope = space.slope(point)
+    moves = np.array(estimate.held_slopes) * slope[n:] / slope[:n, None]
+    root = np.vstack([moves @ held.rows, held.rows])
+    covariance = root @ root.T
+    covariance[:n, :n] = estimate.covariance
+    return replace(estimate, names=space.names, point=tuple(map(float, point)), covariance=_matrix(covariance))
+
+
+_T = TypeVar("_T")
+
+
+def _hidden(names: tuple[str, ...], hidden: Sequence[str], values: tuple[_T | None, ...]) -> tuple[_T | None, ...]:
+    return tuple(None if n in hidden else v for n, v in zip(names, values, strict=True))

@@ -1,0 +1,97 @@
+"""What the stages so far have found and how sure of it they are, for a stage that fixes parameters there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from fmuid.core.campaign import ParameterSpec
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.problem.search_space import SEPARATOR
+from fmuid.identification.uncertainty.confidence import Uncertainty
+from fmuid.identification.uncertainty.inherited import Held
+
+_STEP = 1e-3  # standard errors, of the differences of ties
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What the stages so far are sure of.
+
+    Parameters
+    ----------
+    rows
+        Estimated or tied parameter -> (k,) its error in model space, as a sum of k independent sources of unit
+        variance.
+    degrees
+        (k,) degrees of freedom of each source.
+    unsure
+        Parameters that were estimated, but have no standard error.
+    """
+
+    rows: Mapping[str, FloatArray] = field(default_factory=dict)
+    degrees: FloatArray = field(default_factory=lambda: np.zeros(0))
+    unsure: frozenset[str] = frozenset()
+
+    def held_in(self, problem: Problem, specs: Mapping[str, ParameterSpec]) -> Held | None:
+        """Return what of it the problem holds and its models see; None if that is nothing."""
+        space = problem.space
+        names = [n for n in self.rows if n in space.fixed and problem.sees(n)]
+        if not names:
+            return None
+        free = []
+        for name in names:  # a tied one may have left its own bounds
+            spec, value = specs[name.split(SEPARATOR)[0]], space.fixed[name]
+            low, high = min(spec.lower, value), max(spec.upper, value)
+            free.append(replace(spec, name=name, start=value, lower=low, upper=high, scale="linear"))
+        fixed = {n: v for n, v in space.fixed.items() if n not in names}
+        joint = problem.over(replace(space, free=(*space.free, *free), fixed=fixed))
+        slope = joint.space.slope(joint.space.start)[len(space) :]
+        return Held(joint, np.array([self.rows[n] for n in names]) / slope[:, None], self.degrees)
+
+    def after(self, problem: Problem, found: Uncertainty | None, values: Mapping[str, float]) -> Known:
+        """Return what is known after the stage `problem` with its uncertainty, at the `values` it ended with."""
+        space = problem.space
+        own = np.zeros((0, 0))
+        if found is not None:
+            slope = space.slope(np.array(found.point))
+            scatter, axes = np.linalg.eigh(np.array(found.covariance) - np.array(found.inherited or 0.0))
+            own = slope[:, None] * axes * np.sqrt(np.maximum(scatter, 0.0))
+        rows = {n: np.append(row, np.zeros(len(own))) for n, row in self.rows.items() if n not in space.ties}
+        errors = [] if found is None else found.standard_errors
+        sure = {n for n, error in zip(space.names, errors, strict=False) if error is not None}
+        moved = {}
+        for k, name in enumerate(space.names):
+            rows.pop(name, None)
+            if found is not None and name in sure:
+                inherited = sum(
+                    (s * self.rows[h] for h, s in zip(found.held, found.held_slopes[k], strict=True)),
+                    np.zeros(len(self.degrees)),
+                )
+                moved[name] = np.append(inherited, own[k])
+        rows |= moved
+        rows |= _tied(problem, rows, values, len(self.degrees) + len(own))
+        degrees = np.append(
+            self.degrees, np.full(len(own), found.degrees_of_freedom if found is not None else 1.0)
+        )
+        unsure = (self.unsure | set(space.names)) - sure - space.ties.keys()
+        return Known(rows, degrees, unsure)
+
+
+def _tied(
+    problem: Problem, rows: Mapping[str, FloatArray], values: Mapping[str, float], sources: int
+) -> dict[str, FloatArray]:
+    """Return the rows of what is tied to parameters with `rows`, by differences."""
+    ties = problem.space.ties
+    found = {name: np.zeros(sources) for name in ties}
+    for k in range(sources):
+        above, below = (
+            problem.space.followed(dict(values) | {n: values[n] + step * row[k] for n, row in rows.items()})
+            for step in (_STEP, -_STEP)
+        )
+        for name, row in found.items():
+            row[k] = (above[name] - below[name]) / (2.0 * _STEP)
+    return {name: row for name, row in found.items() if row.any()}

@@ -1,0 +1,181 @@
+"""Predictions of an identified model on runs that were not used, beside what the sensors' noise allows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from fmuid.core.campaign import Campaign
+from fmuid.core.errors import CampaignError, ProblemError, SimulationError
+from fmuid.core.formatting import html_table, text_table
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.check import load_models
+from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
+from fmuid.identification.result import Result
+from fmuid.simulation.runners import Runner, in_process
+from fmuid.simulation.simulator import Simulator
+
+
+@dataclass(frozen=True, slots=True)
+class RunScore:
+    """How well one signal of one run (all its repeats together) is predicted.
+
+    Parameters
+    ----------
+    rmse
+        Root mean square error, in `unit`.
+    nrmse
+        `rmse` over the standard deviation of the measurement; 0 is perfect, 1 no better than its mean.
+    relative_error
+        Norm of the error over the norm of the measurement, mean not removed.
+    noise_floor
+        Root mean square of the sensor noise, in `unit`: no model can be expected below it. None if unknown.
+    """
+
+    experiment: str
+    setup: str
+    signal: str
+    unit: str | None
+    repeats: int
+    rmse: float
+    nrmse: float
+    relative_error: float
+    noise_floor: float | None
+    failure: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Validation:
+    """Scores of every run and signal; prints as a table.
+
+    `cases` and `predictions`, (signals, N) each, are there for pictures.
+    """
+
+    scores: tuple[RunScore, ...]
+    cases: tuple[Case, ...] = field(default=(), repr=False)
+    predictions: tuple[FloatArray | None, ...] = field(default=(), repr=False)
+
+    def __getitem__(self, key: tuple[str, str]) -> RunScore:
+        """Return the score of (experiment, signal)."""
+        for score in self.scores:
+            if (score.experiment, score.signal) == key:
+                return score
+        raise ProblemError(f"no score of {key[1]} in {key[0]}", fix="see the table of scores")
+
+    def __str__(self) -> str:
+        """Return the scores as a table."""
+        return text_table(self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table(self._rows())
+
+    def _rows(self) -> list[list[str]]:
+        header = ["run", "signal", "unit", "RMSE", "noise", "NRMSE", "relative error"]
+        rows = [header]
+        for s in self.scores:
+            noise = "" if s.noise_floor is None else f"{s.noise_floor:.3g}"
+            numbers = [f"{s.rmse:.4g}", noise, f"{100 * s.nrmse:.3g} %", f"{100 * s.relative_error:.3g} %"]
+            rows.append([s.experiment, s.signal, s.unit or "", *(numbers if s.failure is None else [s.failure])])
+            rows[-1] += [""] * (len(header) - len(rows[-1]))
+        return rows
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the scores as plain values."""
+        return {"scores": [asdict(score) for score in self.scores]}
+
+
+def validate(
+    result: Result | Mapping[str, float],
+    campaign: Campaign | str | Path | None = None,
+    *,
+    experiments: Iterable[str] | None = None,
+    simulators: Mapping[str, Simulator] | None = None,
+    runner: Runner = in_process,
+) -> Validation:
+    """Simulate runs with identified parameters and compare.
+
+    Parameters
+    ----------
+    result
+        An identification's result, or parameter values by name. Per-experiment parameters have their start
+        value in runs that were not identified.
+    campaign
+        By default the one that `result` came from.
+    experiments
+        Ids or globs; the campaign's validation set by default. Repeats are compared together.
+    simulators
+        Models by setup; the campaign's FMUs by default.
+    runner
+        What simulates; in this process by default.
+
+    Returns
+    -------
+    Validation
+        Scores by run and signal; prints as a table.
+
+    Raises
+    ------
+    CampaignError
+        There is nothing to validate on.
+    """
+    if campaign is None:
+        if not isinstance(result, Result) or not result.source:
+            raise CampaignError("no campaign to validate on", fix="give one as second argument")
+        campaign = result.source
+    if not isinstance(campaign, Campaign):
+        from fmuid.campaigns.campaign_toml import load_campaign
+
+        campaign = load_campaign(campaign)
+    ids = list(campaign.validation if experiments is None else experiments)
+    if not ids:
+        raise CampaignError("no runs are kept for validation", where="[roles]", fix="name some in validation")
+    chosen = experiments_of(campaign, ids, where="validation")
+    found = result.parameters if isinstance(result, Result) else result
+    unknown = sorted(n for n in found if n.split("@")[0] not in campaign.parameters)
+    if unknown:
+        raise CampaignError(
+            f"parameter '{unknown[0]}' of the result is not in campaign '{campaign.name}'",
+            fix="validate on a campaign with the same parameters",
+        )
+    values = {name: spec.start for name, spec in campaign.parameters.items()} | dict(found)
+    cases = from_campaign(campaign, chosen, (), simulators or load_models(campaign))
+    outcomes = runner([(case.simulator, case.task, case.start_values(values)) for case in cases])
+    scores: list[RunScore] = []
+    predictions: list[FloatArray | None] = []
+    for case, outcome in zip(cases, outcomes, strict=True):
+        if isinstance(outcome, SimulationError):
+            scores += _scores(case, None, str(outcome))
+            predictions.append(None)
+        else:
+            sensed = case.sensed(outcome, values)
+            scores += _scores(case, sensed, None)
+            predictions.append(sensed)
+    return Validation(tuple(scores), cases, tuple(predictions))
+
+
+def _scores(case: Case, prediction: FloatArray | None, failure: str | None) -> Sequence[RunScore]:
+    scores = []
+    for k, channel in enumerate(case.channels):
+        measured = channel.repeats
+        there = np.isfinite(measured)
+        error = np.full(1, np.nan) if prediction is None else (prediction[k] - measured)[there]
+        rmse = float(np.sqrt(np.mean(error**2)))
+        spread, size = float(np.std(measured[there])), float(np.sqrt(np.mean(measured[there] ** 2)))
+        scores.append(
+            RunScore(
+                case.id,
+                case.setup,
+                channel.signal,
+                channel.unit,
+                len(measured),
+                rmse,
+                rmse / spread if spread > 0.0 else float("nan"),
+                rmse / size if size > 0.0 else float("nan"),
+                None if channel.noise == "unknown" else float(np.sqrt(np.mean(channel.sigma**2))),
+                failure,
+            )
+        )
+    return scores

@@ -1,0 +1,196 @@
+"""From what a diagnosis found to the arrays its report draws."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.core.errors import SimulationError
+from fmuid.core.immutable import FloatArray
+from fmuid.diagnosis.candidates import Fitted
+from fmuid.diagnosis.diagnose import Found
+from fmuid.diagnosis.extended_model import Prediction
+from fmuid.diagnosis.ports import Basis, Port, hats, quantile_knots, times
+from fmuid.diagnosis.regimes import Regime, folded
+from fmuid.diagnosis.scores import stack
+from fmuid.report.diagnosis_figures import (
+    Branch,
+    DiagnosisPictures,
+    ExcessEnergy,
+    MissingQuantity,
+    RegimeBins,
+    ResidualPair,
+)
+from fmuid.report.plots.figure_data import Axis
+
+_KNOTS = 11
+_ONE_WAY = 0.05  # share of the samples that go the rarer way, below which directions are not told apart
+_PRIOR = 1.0 / 30.0  # an ordinate that no signal shows stays within thirty magnitudes of zero
+
+
+def pictures_of(found: Found) -> DiagnosisPictures:
+    """Return the arrays behind the pictures of a diagnosis; simulates the campaign some sixty times.
+
+    Raises
+    ------
+    SimulationError
+        The refitted nominal model cannot be simulated.
+    """
+    models = _named(found)
+    nominal, *with_effects = found.subject.model.predict(
+        [found.nominal.fit.values, *(m.fit.values for m in models)]
+    )
+    if isinstance(nominal, SimulationError):
+        raise nominal
+    laws = {
+        " + ".join(model.names): outcome
+        for model, outcome in zip(models, with_effects, strict=True)
+        if not isinstance(outcome, SimulationError)
+    }
+    after = next(iter(laws.values()), None)
+    missing = _missing(found, nominal, laws)
+    return DiagnosisPictures(_residuals(found, nominal, after), _excess(found), missing, _steps(found))
+
+
+def _named(found: Found) -> list[Fitted]:
+    """Return the models that the verdict speaks of, the corrected one first; in an "A or B" the others as well."""
+    verdict = found.diagnosis.verdict
+    if found.best is None or not verdict.effects:
+        return []
+    others = [
+        c
+        for c in found.candidates
+        if verdict.kind == "ambiguous"
+        and set(c.names) <= set(verdict.effects) - set(found.best.names)
+        and len(c.names) == len(found.best.names)
+    ]
+    return [found.best, *others]
+
+
+def _steps(found: Found) -> dict[str, float]:
+    """Return the gaps that the first effects of the verdict leave without the later ones."""
+    if found.best is None:
+        return {}
+    parts = [found.best.effects[:k] for k in range(1, len(found.best.effects))]
+    return {" + ".join(c.effects): c.gap for part in parts for c in found.candidates if c.effects == part}
+
+
+def _residuals(found: Found, before: Prediction, after: Prediction | None) -> tuple[ResidualPair, ...]:
+    """Return the signal with the most excess energy of each setup."""
+    cases = {case.id: case for case in found.subject.model.cases}
+    runs = {run.id: k for k, run in enumerate(found.subject.observed.runs)}
+    pairs: dict[str, ResidualPair] = {}
+    for row in np.argsort(-found.excess.energy):
+        experiment, signal = found.excess.rows[row]
+        index = runs[experiment]
+        run = found.subject.observed.runs[index]
+        if run.setup in pairs:
+            continue
+        c = run.channels.index(signal)
+        measured = np.where(run.mask[c] > 0, run.mean[c], np.nan)
+        sigma = found.subject.observed.noise[run.setup].sigma[signal]
+        pairs[run.setup] = ResidualPair(
+            run.setup,
+            experiment,
+            signal,
+            cases[experiment].channels[c].unit or "",
+            run.time,
+            before[index][c] - measured,
+            None if after is None else after[index][c] - measured,
+            float(sigma / np.sqrt(run.n_repeats)),
+        )
+    return tuple(pairs.values())
+
+
+def _excess(found: Found) -> ExcessEnergy | None:
+    energy = found.excess
+    total = float(energy.energy.sum())
+    if total <= 0.0:
+        return None
+    regimes = found.subject.catalogue.regimes
+    axes = {r.name: Axis(r.name, r.unit) for r in regimes.values()} | {"time": Axis("time", "s")}
+    bins = tuple(RegimeBins(axes.get(name, Axis(name)), edges) for name, edges in energy.edges.items())
+    share = np.hstack([energy.binned[name] for name in energy.edges]) * energy.energy[:, None] / total
+    return ExcessEnergy(energy.rows, bins, share)
+
+
+def _missing(found: Found, nominal: Prediction, laws: Mapping[str, Prediction]) -> tuple[MissingQuantity, ...]:
+    """Return what a free function of each regime variable has to add at the verdict's port.
+
+    A law is drawn as the free function that moves the nominal model as its effects do.
+    """
+    port = found.subject.catalogue.ports.get(found.diagnosis.verdict.port or "")
+    if port is None or port.input is None:
+        return ()
+    quantity = Axis(f"missing at {port.name}", port.unit)
+    missing = []
+    for regime in found.subject.catalogue.regimes.values():
+        if regime.ports and port.name not in regime.ports:
+            continue
+        parts = _parts(found, regime)
+        basis = tuple(b for _, _, own in parts for b in own)
+        solved = _ordinates(found, port, basis, nominal, list(laws.values()))
+        if solved is None:
+            continue
+        values, errors, lines, explained = solved
+        ends = np.cumsum([len(knots) for _, knots, _ in parts])
+        branches = []
+        for (direction, knots, _), end in zip(parts, ends, strict=True):
+            own = slice(end - len(knots), end)
+            named = tuple((name, line[own]) for name, line in zip(laws, lines, strict=True))
+            branches.append(Branch(knots, values[own], errors[own], named, direction))
+        missing.append(MissingQuantity(Axis(regime.name, regime.unit), quantity, tuple(branches), explained))
+    return tuple(sorted(missing, key=lambda m: -(m.explained or 0.0)))
+
+
+def _parts(found: Found, regime: Regime) -> list[tuple[str, FloatArray, Basis]]:
+    """Return piecewise-linear functions of a regime and their knots, for each direction if it goes both ways."""
+    path = folded(found.paths, found.subject.catalogue.regimes)[regime.name]
+    speed = next((r.name for r in found.subject.catalogue.regimes.values() if r.kind == "speed"), None)
+    if regime.kind != "speed" and speed is not None:
+        forward = [w > 0.0 for w in found.paths[speed]]
+        share = np.mean(np.concatenate(forward))
+        if _ONE_WAY <= share <= 1.0 - _ONE_WAY:
+            ways = {"forward": forward, "backward": [~f for f in forward]}
+            return [(name, *_functions(path, taken)) for name, taken in ways.items()]
+    return [("", *_functions(path, [np.ones(len(p), dtype=bool) for p in path]))]
+
+
+def _functions(path: Sequence[FloatArray], taken: Sequence[NDArray[np.bool_]]) -> tuple[FloatArray, Basis]:
+    knots = quantile_knots([p[t] for p, t in zip(path, taken, strict=True) if t.any()], _KNOTS)
+    return knots, times(hats(path, knots), [t.astype(float) for t in taken])
+
+
+def _ordinates(
+    found: Found, port: Port, basis: Basis, nominal: Prediction, laws: Sequence[Prediction]
+) -> tuple[FloatArray, FloatArray, list[FloatArray], float] | None:
+    """Fit the (K,) ordinates of functions at a port beside the nominal parameters, linearly.
+
+    Returns them with their standard errors, what the models with effects would have there, and the share of the
+    residual's energy that is explained; None if one cannot be simulated.
+    """
+    observed, fit = found.subject.observed, found.nominal.fit
+    assert port.input is not None
+    drives = [{port.input: [port.magnitude * b for b in one]} for one in basis]
+    outcomes = found.subject.model.predict_driven(fit.values, drives)
+    moved = [o for o in outcomes if not isinstance(o, SimulationError)]
+    if len(moved) < len(outcomes):
+        return None
+    base = observed.residuals(nominal)
+    columns = [stack([a - b for a, b in zip(observed.residuals(m), base, strict=True)], observed) for m in moved]
+    steps = np.array([u.step for u in fit.unknowns])
+    a = np.hstack([stack(fit.jacobian, observed) * steps, np.stack(columns, axis=1)])
+    prior = np.concatenate([np.full(len(steps), 1e-3), np.full(len(basis), _PRIOR)])
+    covariance = np.linalg.inv(a.T @ a + np.diag(prior**2))
+    residual = stack(base, observed)
+    solution = -covariance @ (a.T @ residual)
+    left = float(np.mean((residual + a @ solution) ** 2))
+    own = slice(len(steps), None)
+    errors = port.magnitude * np.sqrt(max(1.0, left) * np.diag(covariance)[own])
+    lines = []
+    for law in laws:
+        change = stack(observed.whiten([p - q for p, q in zip(law, nominal, strict=True)]), observed)
+        lines.append(port.magnitude * (covariance @ (a.T @ change))[own])
+    return port.magnitude * solution[own], errors, lines, 1.0 - left / float(np.mean(residual**2))

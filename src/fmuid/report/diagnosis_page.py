@@ -1,0 +1,138 @@
+"""The report of a diagnosis: where the gap lies, what causes it, how far it shrinks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from fmuid.diagnosis.summary import facts
+from fmuid.report import diagnosis_figures as pictures_of
+from fmuid.report.diagnosis_figures import DiagnosisPictures
+from fmuid.report.document import Document, Section, write_document
+from fmuid.report.plots import Format
+from fmuid.report.plots.figure_data import Figure, Table
+from fmuid.report.provenance_table import provenance_table
+
+_NOTHING = DiagnosisPictures()
+
+
+def write_diagnosis_report(
+    diagnosis: Mapping[str, Any],
+    out: str | Path,
+    *,
+    campaign: str,
+    pictures: DiagnosisPictures = _NOTHING,
+    provenance: Mapping[str, str] | None = None,
+    formats: tuple[Format, ...] = ("png",),
+) -> Path:
+    """Write the report of a diagnosis and return the path of its ``index.html``.
+
+    Parameters
+    ----------
+    diagnosis
+        The value of the diagnosis' JSON (``fmuid-diagnosis``, version 1).
+    out
+        Folder for ``index.html``, ``figures/`` and ``data/``.
+    campaign
+        Title of the campaign.
+    pictures
+        The arrays behind the pictures.
+    provenance
+        Name and value of what the result depends on: hashes, versions, commands.
+    formats
+        File formats of the figures.
+
+    Raises
+    ------
+    FmuidError
+        The folder cannot be written.
+    """
+    sections = (
+        Section("Where", _present(_excess(pictures), pictures_of.where_table(diagnosis))),
+        Section(
+            "What",
+            _present(
+                pictures_of.effects_figure(diagnosis),
+                pictures_of.missing_figure(pictures.missing),
+                pictures_of.ports_figure(diagnosis),
+                pictures_of.effects_table(diagnosis),
+            ),
+            _aliases(diagnosis),
+        ),
+        Section(
+            "How much",
+            _present(
+                pictures_of.gap_figure(diagnosis, pictures.steps),
+                pictures_of.residuals_figure(pictures.residuals),
+            ),
+            _floors(diagnosis),
+            _present(_model_table(diagnosis)),
+            "The corrected model",
+        ),
+        Section("Next experiment", (), f"{_next_experiment(diagnosis)} {_added_sensor(diagnosis)}".strip()),
+        Section("Notes", (), " ".join(diagnosis.get("notes", ()))),
+        Section("Provenance", (provenance_table(provenance or {}),)),
+    )
+    document = Document(
+        f"Diagnosis: {campaign}",
+        "Where simulation and measurement part, which effect causes it, and how far the gap shrinks with it.",
+        facts(diagnosis),
+        tuple(s for s in sections if s.items or s.text),
+    )
+    return write_document(document, Path(out), formats)
+
+
+def _present(*items: Figure | Table | None) -> tuple[Figure | Table, ...]:
+    return tuple(i for i in items if i is not None and not (isinstance(i, Table) and not i.rows))
+
+
+def _excess(pictures: DiagnosisPictures) -> Figure | None:
+    return pictures_of.excess_figure(pictures.excess)
+
+
+def _aliases(diagnosis: Mapping[str, Any]) -> str:
+    classes = [" = ".join(c) for c in diagnosis["alias_classes"] if len(c) > 1]
+    return (
+        ""
+        if not classes
+        else "Cannot be told apart with these sensors and experiments: " + "; ".join(classes) + "."
+    )
+
+
+def _floors(diagnosis: Mapping[str, Any]) -> str:
+    floors = diagnosis["gap"]["floor_units"]
+    if not floors:
+        return ""
+    text = "Noise floor: " + ", ".join(f"{name} {value:.3g}" for name, value in floors.items()) + "."
+    if not diagnosis["gap"].get("calibrated", True):
+        text += " Uncalibrated: fewer than five repeats of some experiments."
+    return text
+
+
+def _model_table(diagnosis: Mapping[str, Any]) -> Table:
+    rows = tuple(diagnosis["model"]["parameters"].items())
+    return Table(("parameter", "value"), rows, "corrected-model", "The corrected model")
+
+
+def _next_experiment(diagnosis: Mapping[str, Any]) -> str:
+    proposal = diagnosis.get("next_experiment")
+    if not proposal:
+        return ""
+    between = " from ".join(proposal.get("between", ()))
+    text = f"{proposal.get('description', '')} (setup {proposal.get('setup', '?')})"
+    if between:
+        text += f" would separate {between}"
+    if proposal.get("separation_sigma") is not None:
+        text += f" by {proposal['separation_sigma']:.3g} standard deviations"
+    return text + "."
+
+
+def _added_sensor(diagnosis: Mapping[str, Any]) -> str:
+    sensor = diagnosis.get("added_sensor")
+    if not sensor:
+        return ""
+    separated = f"{' from '.join(sensor['between'])} by {sensor['separation_sigma']:.3g} standard deviations"
+    return (
+        f"With a further sensor ({sensor['description']}) the experiments as they are would separate {separated}."
+    )

@@ -1,0 +1,319 @@
+"""The report of an identification run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fmuid.core.campaign import Campaign
+from fmuid.core.formatting import Fact, counted
+from fmuid.identification.history import read_history
+from fmuid.identification.result import LEAST_SHOWN, Estimate, Result
+from fmuid.identification.solvers import Status
+from fmuid.identification.validate import RunScore, validate
+from fmuid.report import figures
+from fmuid.report.document import Document, Section, write_document
+from fmuid.report.figures import Overlay
+from fmuid.report.friction_figures import bearing_friction
+from fmuid.report.plots import Format
+from fmuid.report.plots.figure_data import Cell, Figure, Table, pretty_unit, slug
+from fmuid.report.predicted import judged_signals, overlays
+from fmuid.report.provenance_table import provenance_table
+from fmuid.report.stage_sections import search_history, stage_section
+from fmuid.simulation.runners import Runner, in_process
+from fmuid.simulation.simulator import Simulator
+
+_SIMULATED = 0.3  # of the time that a report takes, until figures are drawn
+
+
+def write_report(
+    run_folder: str | Path,
+    out: str | Path | None = None,
+    *,
+    campaign: Campaign | None = None,
+    simulators: Mapping[str, Simulator] | None = None,
+    formats: tuple[Format, ...] = ("png",),
+    runner: Runner = in_process,
+    progress: Callable[[float, str], None] = lambda *_: None,
+) -> Path:
+    """Write the report of an identification run and return the path of its ``index.html``.
+
+    Parameters
+    ----------
+    run_folder
+        What ``fmuid identify --out`` wrote: ``result.json`` and ``history.h5``.
+    out
+        Folder for ``index.html``, ``figures/`` and ``data/``; ``report`` in the run folder by default.
+    campaign, simulators
+        The campaign and its models by setup; read from where the result says by default.
+    formats
+        File formats of the figures: png, svg, pdf.
+    runner
+        What simulates; in this process by default.
+    progress
+        Called with the share of the work that is behind, and what is done next.
+
+    Raises
+    ------
+    FmuidError
+        Result, history, campaign or a model cannot be read, or `out` cannot be written.
+    """
+    folder = Path(run_folder)
+    result = Result.from_json(folder)
+    recorded = read_history(folder)
+    if campaign is None and result.source:
+        from fmuid.campaigns.campaign_toml import load_campaign
+
+        campaign = load_campaign(result.source)
+    if campaign is not None and simulators is None:
+        from fmuid.identification.check import load_models
+
+        simulators = load_models(campaign)
+    models = simulators or {}
+    sections = [_estimates_section(result, campaign)]
+    validation: tuple[RunScore, ...] = ()
+    progress(0.0, "simulating the runs")
+    if campaign is not None:
+        seen, validation = _fit_sections(result, campaign, models, runner)
+        sections += seen
+    searches = [search_history(s, recorded[s.name]) for s in result.stages if s.name in recorded]
+    searches = [s for s in searches if np.isfinite(s.cost).any()]
+    if searches:
+        sections.append(Section("Search", (figures.cost_figure(searches), _stages_table(result))))
+    for k, stage in enumerate(result.stages):
+        progress(_SIMULATED * (1 + k) / (1 + len(result.stages)), f"simulating stage {stage.name}")
+        sections.append(stage_section(stage, recorded.get(stage.name), campaign, models))
+    sections.append(Section("Provenance", (provenance_table(_provenance(result)),)))
+    document = Document(
+        f"Identification: {result.title or result.campaign}",
+        f"{counted(len(result.estimates), 'parameter')} in {counted(len(result.stages), 'stage')}.",
+        facts(result, validation),
+        tuple(s for s in sections if s.items or s.text),
+    )
+
+    def drawing(share: float) -> None:
+        progress(_SIMULATED + (1 - _SIMULATED) * share, "drawing")
+
+    return write_document(document, folder / "report" if out is None else Path(out), formats, drawing)
+
+
+def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
+    """Return what a reader wants first: did it work, how near, how well on runs that were not used."""
+    evaluations = sum(s.evaluations for s in result.stages)
+    good = result.status is Status.CONVERGED
+    found = [
+        Fact(
+            "Outcome",
+            f"{result.status.value}, {evaluations} evaluations in {result.seconds:.1f} s",
+            "good" if good else "warn",
+        )
+    ]
+    known = [e for e in result.estimates if e.relative_error is not None]
+    if known:
+        worst = max(known, key=lambda e: abs(e.relative_error or 0.0))
+        found.append(
+            Fact("Farthest from the truth", f"{worst.name}, {100 * (worst.relative_error or 0.0):+.2f} %")
+        )
+    usable = [f for f in validation if np.isfinite(f.nrmse)]
+    if usable:
+        worst_fit = max(usable, key=lambda f: f.nrmse)
+        median = float(np.median([f.nrmse for f in usable]))
+        found.append(
+            Fact(
+                "NRMSE on validation runs",
+                f"median {100 * median:.2g} %, worst {100 * worst_fit.nrmse:.2g} % ({worst_fit.experiment})",
+            )
+        )
+    criteria = {(c.case, c.label): c.value for s in result.stages for c in s.criteria}  # the last stage counts
+    if criteria:
+        satisfied = sum(value <= 1 for value in criteria.values())
+        tone = "good" if satisfied == len(criteria) else "plain"
+        largest = max(criteria.values())
+        text = f"{satisfied} of {len(criteria)}" + (
+            f", the worst at {largest:.3g} of its own" if largest > 1 else ""
+        )
+        found.append(Fact("Demands satisfied", text, tone))
+    warnings = sum(len(s.warnings) for s in result.stages)
+    if warnings:
+        found.append(Fact("Warnings", f"{warnings}, in the stages below", "warn"))
+    return tuple(found)
+
+
+def _estimates_section(result: Result, campaign: Campaign | None) -> Section:
+    published = {} if campaign is None else published_groups(campaign)
+    names = {e.name for e in result.estimates}
+    columns = {group: v for group, v in published.items() if names & v.keys()}
+    items: list[Figure | Table | None] = [_estimates_table(result, campaign, columns)]
+    ordered = _in_order(result, campaign)
+    items.append(figures.deviation_figure([_plain(e, e.truth) for e in ordered], "truth"))
+    rest = tuple(
+        (group, name, value)
+        for group, values in published.items()
+        for name, value in values.items()
+        if not (group in columns and name in names)
+    )
+    if rest:
+        items.append(Table(("source", "figure", "value"), rest, "published", "Published figures"))
+    return Section("Estimates", tuple(i for i in items if i is not None))
+
+
+def _estimates_table(
+    result: Result, campaign: Campaign | None, published: Mapping[str, Mapping[str, float]]
+) -> Table:
+    stage_of = {e.name: s.name for s in result.stages for e in s.estimates}
+    first = {e.name: e.start for s in reversed(result.stages) for e in s.estimates}
+    truths = any(e.truth is not None for e in result.estimates)
+    inherited = any((e.inherited or 0.0) >= LEAST_SHOWN for e in result.estimates)
+    header = ["parameter", "unit", "start", "estimate", "standard error", "95 % from", "to"]
+    header += ["inherited, %"] if inherited else []
+    header += ["truth", "deviation, %"] if truths else []
+    header += [*published, "stage", "note"]
+    rows = []
+    for e in _in_order(result, campaign):
+        row: list[Cell] = [e.name, pretty_unit(e.unit or ""), first[e.name], e.value, e.standard_error]
+        row += e.interval or (None, None)
+        row += [None if e.inherited is None else round(100 * e.inherited)] if inherited else []
+        if truths:
+            row += [e.truth, None if e.relative_error is None else 100 * e.relative_error]
+        row += [values.get(e.name) for values in published.values()]
+        row += [stage_of[e.name], f"at its {e.at_bound} bound" if e.at_bound else e.description]
+        rows.append(tuple(row))
+    caption = (
+        "Standard errors and intervals are of the noise, the residuals' colour, and the errors of what the stage "
+        "held at estimates of earlier stages (inherited: their share of the variance). What no stage identified "
+        "counts as known. A dash: none can be given; the stage's warnings say why."
+    )
+    digits = tuple({"standard error": 2, "deviation, %": 2, "inherited, %": 2}.get(name, 5) for name in header)
+    return Table(tuple(header), tuple(rows), "estimates", "Estimates", caption, digits)
+
+
+def _in_order(result: Result, campaign: Campaign | None) -> list[Estimate]:
+    order = {} if campaign is None else {name: k for k, name in enumerate(campaign.parameters)}
+    return sorted(result.estimates, key=lambda e: order.get(e.name, len(order)))
+
+
+def published_groups(campaign: Campaign) -> dict[str, dict[str, float]]:
+    """Return the campaign's published numbers by source."""
+    groups: dict[str, dict[str, float]] = {}
+    for key, value in campaign.published.items():
+        if isinstance(value, Mapping):
+            numbers = {n: float(v) for n, v in value.items() if isinstance(v, int | float)}
+            groups[key.replace("_", " ")] = numbers
+        elif isinstance(value, int | float):
+            groups.setdefault("published", {})[key] = float(value)
+    return groups
+
+
+def _stages_table(result: Result) -> Table:
+    header = ("stage", "outcome", "solver", "free", "evaluations", "failed", "seconds", "start cost", "cost")
+    rows = tuple(
+        (
+            s.name,
+            f"{s.status.value} ({s.message})",
+            s.solver,
+            ", ".join(e.name for e in s.estimates if e.name not in s.ties),
+            s.evaluations,
+            s.failures,
+            s.seconds,
+            s.start_cost,
+            s.cost,
+        )
+        for s in result.stages
+    )
+    return Table(header, rows, "stages", "Stages", digits=(5, 5, 5, 5, 6, 6, 3, 4, 4))
+
+
+def _fit_sections(
+    result: Result, campaign: Campaign, simulators: Mapping[str, Simulator], runner: Runner
+) -> tuple[list[Section], tuple[RunScore, ...]]:
+    """Simulate every run at the final values: friction over speed, validation, then the runs that were used."""
+    judged = judged_signals(campaign)
+    of_setup = {(setup, signal) for setup, _, signal in judged}
+    used = {e for s in result.stages for e in s.experiments}
+    sections: list[Section] = []
+    start = {e.name: e.start for s in reversed(result.stages) for e in s.estimates}
+    friction = bearing_friction(campaign, simulators, start, result.parameters)
+    if friction is not None:
+        sections.append(Section("Friction over speed", (friction,)))
+    validation: tuple[RunScore, ...] = ()
+    for role, title, text in (
+        ("validation", "Validation", "Runs that were not used, simulated at the final values."),
+        ("identification", "Fit", "Runs that were used, simulated at the final values."),
+    ):
+        runs = campaign.validation if role == "validation" else sorted(used)
+        if not runs:
+            continue
+        found = validate(result, campaign, experiments=runs, simulators=simulators, runner=runner)
+        # A run that was used shows what it was used for, another one what runs like it were used for.
+        keep = (
+            judged
+            if role == "identification"
+            else {(s.setup, s.experiment, s.signal) for s in found.scores if (s.setup, s.signal) in of_setup}
+        )
+        drawn: dict[tuple[str, str], list[Overlay]] = {}
+        for case, predicted in zip(found.cases, found.predictions, strict=True):
+            for overlay in overlays(campaign, case, [("simulation", "final", predicted)]):
+                if (case.setup, case.id, overlay.signal) in keep:
+                    drawn.setdefault((case.setup, overlay.signal), []).append(overlay)
+        scores = tuple(s for s in found.scores if (s.setup, s.experiment, s.signal) in keep)
+        sections.append(_fit_section(title, text, role, drawn, scores, found.scores))
+        validation = scores if role == "validation" else validation
+    return sections, validation
+
+
+def _fit_section(
+    title: str,
+    text: str,
+    role: str,
+    drawn: Mapping[tuple[str, str], Sequence[Overlay]],
+    judged: Sequence[RunScore],
+    scores: Sequence[RunScore],
+) -> Section:
+    items: list[Figure | Table] = []
+    residuals: list[Figure | Table] = []
+    for (setup, signal), some in drawn.items():
+        stem, what = f"{role}-{slug(setup)}-{slug(signal)}", f"{signal}, {setup}"
+        if role == "validation":  # the stages show the other runs with their history
+            items.append(figures.overlay_figure(stem, f"{what}: measurement and simulation", some))
+        caption = "Simulation minus measurement (mean of the repeats)."
+        simulated = [o for o in some if o.predictions]
+        if simulated:
+            residuals.append(figures.residual_figure(f"{stem}-residual", f"{what}: residual", simulated, caption))
+    if any(s.failure is None for s in judged):
+        items.append(figures.fit_figure(f"nrmse-{role}", judged))
+    header = ("run", "signal", "unit", "repeats", "RMSE", "noise floor", "NRMSE, %", "relative error, %", "note")
+    rows = tuple(
+        (
+            s.experiment,
+            s.signal,
+            pretty_unit(s.unit or ""),
+            s.repeats,
+            s.rmse,
+            s.noise_floor,
+            100 * s.nrmse,
+            100 * s.relative_error,
+            s.failure or "",
+        )
+        for s in scores
+    )
+    caption = (
+        "Over all repeats. Noise floor: RMSE that the sensor noise alone leaves. NRMSE: over the standard "
+        "deviation of the measurement; relative error: over its root mean square."
+    )
+    digits = (5, 5, 5, 5, 3, 3, 3, 3, 5)
+    items.append(Table(header, rows, f"fit-{role}", "Fit, run by run", caption, digits))
+    return Section(title, tuple(items), text, tuple(residuals), "Residuals")
+
+
+def _plain(e: Estimate, reference: float | None) -> figures.Estimate:
+    return figures.Estimate(e.name, e.value, e.standard_error, reference)
+
+
+def _provenance(result: Result) -> dict[str, str]:
+    return {
+        "campaign": result.campaign,
+        **{f"{name} (SHA-256)": value for name, value in result.inputs.items()},
+        **{f"version of {name}": value for name, value in result.versions.items()},
+    }

@@ -1,0 +1,42 @@
+"""What a result depends on: versions of the software and hashes of the files."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Iterable, Mapping
+from importlib.metadata import version
+from pathlib import Path
+
+from fmuid.identification import provenance
+from fmuid.report.plots.figure_data import Table
+
+_PACKAGES = ("fmuid", "numpy", "scipy", "nlopt", "fmpy", "h5py", "casadi", "rumoca")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that numbers depend on."""
+    return {"python": platform.python_version(), **provenance.versions(_PACKAGES)}
+
+
+def file_hash(path: Path) -> str:
+    """Return the SHA-256 of a file's content, in hex."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def hashes(paths: Iterable[Path], folder: Path) -> dict[str, str]:
+    """Return ``name (SHA-256)`` -> hash of every file that exists, named relative to `folder` if inside."""
+    found = {}
+    for path in paths:
+        if path.is_file():
+            inside = path.is_relative_to(folder)
+            name = path.relative_to(folder).as_posix() if inside else path.name
+            found[f"{name} (SHA-256)"] = file_hash(path)
+    return found
+
+
+def provenance_table(values: Mapping[str, str]) -> Table:
+    """Return `values`, as recorded by the run, and what wrote the report, as a table."""
+    writer = ", ".join(f"{n} {version(n)}" for n in ("fmuid", "matplotlib", "plotly"))
+    return Table(("what", "value"), (*values.items(), ("report written by", writer)), "provenance")

@@ -1,0 +1,139 @@
+"""The part of a report that belongs to one stage of an identification."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from fmuid.core.campaign import Campaign
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.history import StageHistory as Recorded
+from fmuid.identification.problem import cases as case_building
+from fmuid.identification.result import StageResult
+from fmuid.report import figures
+from fmuid.report.analysis_sections import front_items, profile_items, spread_table, starts_figure, whiteness_table
+from fmuid.report.document import Section
+from fmuid.report.figures import Overlay, StageHistory
+from fmuid.report.plots.figure_data import Figure, Role, Table, slug
+from fmuid.report.predicted import overlays
+from fmuid.simulation.simulator import Simulator
+
+_PANELS = 6
+_DETAILS = "Residuals, parallel coordinates, correlation, criteria"
+
+
+def stage_section(
+    result: StageResult,
+    recorded: Recorded | None,
+    campaign: Campaign | None,
+    simulators: Mapping[str, Simulator],
+) -> Section:
+    """Return how one stage went: history over the measurement, cost, parallel coordinates, criteria."""
+    items: list[Figure | Table | None] = []
+    details: list[Figure | Table | None] = []
+    history = None if recorded is None else search_history(result, recorded)
+    if campaign is not None and recorded is not None and result.name in campaign.stages:
+        shown = _most_improved(result, iterates(result, recorded, campaign, simulators))
+        items.append(_history_figure(result.name, shown))
+        details.append(_residual_figure(result.name, shown))
+    if history is not None and np.isfinite(history.cost).any() and len(history.names) > 1:
+        specs = {} if campaign is None else campaign.parameters
+        truths = {e.name: e.truth for e in result.estimates if e.truth is not None}
+        details.append(figures.parallel_figure(history, specs, truths))
+    details += [starts_figure(result), _correlation(result), _criteria(result), whiteness_table(result)]
+    items += [*front_items(result), *profile_items(result)]
+    details.append(spread_table(result))
+    text = ". ".join(s[:1].upper() + s[1:] for s in (result.summary.partition(": ")[2], result.why)) + "."
+    text += "".join(f" Warning: {w}." for w in result.warnings)
+    return Section(f"Stage {result.name}", _present(items), text, _present(details), _DETAILS)
+
+
+def _present(items: Sequence[Figure | Table | None]) -> tuple[Figure | Table, ...]:
+    return tuple(i for i in items if i is not None)
+
+
+def search_history(result: StageResult, recorded: Recorded) -> StageHistory:
+    """Return what the search evaluated, without what was asked about its result."""
+    rows = [r for r in recorded.rows if r.purpose in ("search", "derivative")]
+    names = tuple(e.name for e in result.estimates if e.name not in result.ties)
+    values = np.array([[r.parameters[n] for n in names] for r in rows]).reshape(len(rows), len(names))
+    return StageHistory(result.name, names, values, np.array([r.cost for r in rows], dtype=np.float64))
+
+
+def iterates(
+    result: StageResult, recorded: Recorded, campaign: Campaign, simulators: Mapping[str, Simulator]
+) -> list[Overlay]:
+    """Return measurement, start, some intermediate iterates and the final one of every judged signal.
+
+    Nothing is simulated: the history holds the predictions of every iterate that improved.
+    """
+    spec = campaign.stages[result.name]
+    runs = case_building.experiments_of(campaign, spec.experiments, where=result.name)
+    cases = {c.id: c for c in case_building.from_campaign(campaign, runs, spec.criteria, simulators)}
+    rows = list(recorded.iterates())
+    if not rows:
+        return []
+    costs = np.array([row.cost for _, row in rows])
+    chosen = [(0, "start", "start"), *((k, "", "iterate") for k in figures.milestones(costs, 4))]
+    if len(rows) > 1:
+        chosen.append((len(rows) - 1, "final", "final"))
+    found: list[Overlay] = []
+    for i, case_id in enumerate(recorded.cases):
+        if case_id not in cases:
+            continue
+        versions: list[tuple[str, Role, FloatArray | None]] = []
+        for k, label, role in chosen:
+            number, row = rows[k]
+            kind: Any = role
+            versions.append((label or f"evaluation {number + 1}", kind, row.predictions[i]))
+        found += overlays(campaign, cases[case_id], versions)
+    return found
+
+
+def _most_improved(result: StageResult, found: Sequence[Overlay]) -> list[Overlay]:
+    """Keep the signals whose criteria were worst at the start, in the campaign's order."""
+    worst: dict[str, float] = {}
+    for c in result.criteria:
+        worst[c.case] = max(worst.get(c.case, 0.0), c.start if c.start is not None else np.inf)
+    ranked = sorted(range(len(found)), key=lambda k: -worst.get(found[k].experiment, 0.0))
+    return [found[k] for k in sorted(ranked[:_PANELS])]
+
+
+def _history_figure(name: str, shown: Sequence[Overlay]) -> Figure | None:
+    if not shown:
+        return None
+    title = f"Optimisation history over the measurement: {name}"
+    caption = "Measurement, start, some iterates that were the best when they were made, and the final one."
+    return figures.overlay_figure(f"history-{slug(name)}", title, shown, caption)
+
+
+def _residual_figure(name: str, shown: Sequence[Overlay]) -> Figure | None:
+    if not shown:
+        return None
+    ends = [replace(o, predictions=tuple(p for p in o.predictions if p[1] in ("start", "final"))) for o in shown]
+    title, caption = f"Residual at the start and at the end: {name}", "Prediction minus measurement."
+    return figures.residual_figure(f"history-residual-{slug(name)}", title, ends, caption)
+
+
+def _correlation(result: StageResult) -> Figure | None:
+    found = result.uncertainty
+    if found is None or len(found.names) < 2:
+        return None
+    return figures.correlation_figure(result.name, found.names, np.array(found.correlation))
+
+
+def _criteria(result: StageResult) -> Table | None:
+    if not result.criteria:
+        return None
+    rows = tuple((c.case, c.label, c.start, c.value, "yes" if c.value <= 1 else "no") for c in result.criteria)
+    return Table(
+        ("case", "criterion", "start", "end", "satisfied"),
+        rows,
+        f"criteria-{slug(result.name)}",
+        "Criteria over their demands",
+        "Each criterion is divided by its demand value: at most 1 means satisfied.",
+        (5, 5, 3, 3, 5),
+    )

@@ -1,0 +1,377 @@
+/* The master of several coupled FMUs: one call of fmuid_run_coupled is one whole simulation.
+ *
+ * Every FMU has a Plan (stepper.h) whose times and inputs are a window of two rows: the beginning and the end of the
+ * current communication step. layout.py fills in a System.
+ */
+#include "../stepper.h"
+
+#include <float.h>
+#include <math.h>
+#include <string.h>
+#include <time.h>
+
+typedef struct {        /* an input that follows an output: factor * output + offset */
+    int32_t source;     /* the output's place among all outputs ... */
+    int32_t from;       /* ... and whose it is */
+    int32_t component, column;
+    int32_t linear;     /* extrapolated along a line, else held */
+    int32_t unknown;    /* its place among the unknowns of an iterated loop, else -1 */
+    double factor, offset;
+    double start;       /* in initialisation, until the output is known */
+} Link;
+
+typedef struct {        /* an input that follows a signal of the task */
+    int32_t signal, component, column, linear;
+    double factor, offset;
+} Feed;
+
+typedef struct {        /* an output of the system */
+    int32_t source, unused;
+    double factor, offset;
+} Record;
+
+typedef struct {
+    Plan **plans;             /* in the order they are stepped */
+    const int32_t *places;    /* (n_components + 1) where the outputs of each begin among all outputs */
+    const int32_t *loops;     /* of each: where the iterated loop that begins with it ends, 0 if none begins */
+    void **states;            /* of each: its state before the step, in an iterated loop */
+    const Link *links;
+    const Feed *feeds;
+    const Record *records;
+    int32_t n_components, n_links, n_feeds, n_records, n_values, n_signals, n_unknowns;
+    int32_t gauss_seidel, iterations;
+    double tolerance;
+    int64_t n_times;
+    const double *time;       /* (n_times) of the samples */
+    const int32_t *steps;     /* (n_times - 1) communication steps between them */
+    const double *signals;    /* (n_times, n_signals) */
+    double *outputs;          /* (n_records, n_times) */
+    double *window;           /* beginning and end of the communication step */
+    double *before, *now, *next; /* (n_values) all outputs: a step ago, at the beginning, at the end */
+    int32_t *known;           /* (n_components) outputs in `next` are there */
+    int32_t *members;         /* unknowns of the loop in hand */
+    double *unknowns, *residual, *last, *change, *moved, *left, *scale, *inverse; /* (n_unknowns), inverse its square */
+    /* progress and outcome */
+    int64_t reached;          /* last sample whose outputs are there */
+    int32_t step;             /* communication steps since then */
+    int32_t failed;           /* component */
+    double step_before;       /* size of the last communication step, 0 if there was none */
+} System;
+
+static double *inputs_of(const Plan *plan) { return (double *)plan->inputs; }
+
+/* The window of component c: its connected inputs. In a loop that is iterated, unknowns stand for outputs of the loop. */
+static void follow(System *s, int32_t c, bool iterating)
+{
+    Plan *plan = s->plans[c];
+    double h = s->window[1] - s->window[0];
+    for (const Link *l = s->links; l < s->links + s->n_links; l++) {
+        if (l->component != c) continue;
+        double now = s->now[l->source], begin = now, end = now;
+        bool solved = iterating && l->unknown >= 0;
+        if (s->gauss_seidel && s->known[l->from] && !solved) {
+            end = s->next[l->source];
+            if (!l->linear) begin = end;
+        } else if (l->linear && s->step_before > 0)
+            end = now + (now - s->before[l->source]) * (h / s->step_before);
+        begin = l->factor * begin + l->offset;
+        end = l->factor * end + l->offset;
+        if (solved) {
+            end = s->unknowns[l->unknown];
+            if (!l->linear) begin = end;
+        }
+        inputs_of(plan)[l->column] = begin;
+        inputs_of(plan)[plan->n_inputs + l->column] = end;
+    }
+}
+
+/* The same for inputs that follow signals of the task. */
+static void feed(System *s, int32_t c)
+{
+    Plan *plan = s->plans[c];
+    const double *u = s->signals + s->reached * s->n_signals, *v = u + s->n_signals;
+    double n = s->steps[s->reached];
+    for (const Feed *f = s->feeds; f < s->feeds + s->n_feeds; f++) {
+        if (f->component != c) continue;
+        double begin = u[f->signal], end = begin;
+        if (f->linear) {
+            double rise = v[f->signal] - begin;
+            begin += rise * (s->step / n);
+            end += rise * ((s->step + 1) / n);
+        }
+        inputs_of(plan)[f->column] = f->factor * begin + f->offset;
+        inputs_of(plan)[plan->n_inputs + f->column] = f->factor * end + f->offset;
+    }
+}
+
+static int32_t take_outputs(System *s, int32_t c)
+{
+    Plan *plan = s->plans[c];
+    double *row = s->next + s->places[c];
+    TRY(get_values(plan, row));
+    s->known[c] = 1;
+    for (size_t j = 0; j < plan->n_outputs; j++)
+        if (!isfinite(row[j])) {
+            plan->column = (int32_t)j;
+            plan->reached_time = s->window[plan->reached < 0 ? 0 : 1];
+            return NOT_FINITE;
+        }
+    return DONE;
+}
+
+/* One component over the communication step. */
+static int32_t step_one(System *s, int32_t c, bool iterating)
+{
+    Plan *plan = s->plans[c];
+    s->failed = c;
+    feed(s, c);
+    follow(s, c, iterating);
+    plan->reached_time = s->window[0];
+    TRY(plan->model_exchange ? integrate(plan, 0) : do_step(plan, 0));
+    return take_outputs(s, c);
+}
+
+/* One component in initialisation: its outputs for the inputs that are known. */
+static int32_t initialise_one(System *s, int32_t c, bool iterating)
+{
+    Plan *plan = s->plans[c];
+    s->failed = c;
+    for (const Link *l = s->links; l < s->links + s->n_links; l++) {
+        if (l->component != c) continue;
+        double value = s->known[l->from] ? l->factor * s->next[l->source] + l->offset : l->start;
+        inputs_of(plan)[l->column] = iterating && l->unknown >= 0 ? s->unknowns[l->unknown] : value;
+    }
+    TRY(set_values(plan, plan->input_groups, plan->n_input_groups, plan->inputs));
+    s->known[c] = 1;
+    return get_values(plan, s->next + s->places[c]);
+}
+
+/* ---- Loops: the connected inputs z of which each is what the outputs make of it, by Broyden's method. ---- */
+
+/* What each unknown of components first to last should be, less what it is; true if that is next to nothing. What it
+ * is compared with does not grow while the iteration runs away. */
+static bool miss(System *s, int32_t first, int32_t last, bool begins)
+{
+    bool solved = true;
+    for (const Link *l = s->links; l < s->links + s->n_links; l++) {
+        int32_t i = l->unknown;
+        if (i < 0 || l->component < first || l->component >= last) continue;
+        double value = l->factor * s->next[l->source] + l->offset;
+        s->residual[i] = value - s->unknowns[i];
+        if (begins) s->scale[i] = fmax(s->scale[i], fabs(value));
+        double allowed = s->tolerance * s->scale[i]; /* a value whose rounding exceeds it proves nothing */
+        solved &= fabs(s->residual[i]) <= allowed && DBL_EPSILON * fabs(value) <= allowed;
+    }
+    return solved;
+}
+
+/* Better the inverse Jacobian by what the last change did to the residual (Broyden, 1965). */
+static void learn(System *s, int32_t m)
+{
+    const int32_t n = s->n_unknowns, *i = s->members;
+    double *inverse = s->inverse, along = 0;
+    for (int32_t a = 0; a < m; a++) {
+        s->moved[a] = s->left[a] = 0;
+        for (int32_t b = 0; b < m; b++) {
+            s->moved[a] += inverse[i[a] * n + i[b]] * (s->residual[i[b]] - s->last[i[b]]);
+            s->left[a] += s->change[i[b]] * inverse[i[b] * n + i[a]];
+        }
+        along += s->change[i[a]] * s->moved[a];
+    }
+    if (along == 0 || !isfinite(along)) return;
+    for (int32_t a = 0; a < m; a++)
+        for (int32_t b = 0; b < m; b++)
+            inverse[i[a] * n + i[b]] += (s->change[i[a]] - s->moved[a]) * s->left[b] / along;
+}
+
+static int32_t keep_states(System *s, int32_t first, int32_t last)
+{
+    for (int32_t c = first; c < last; c++) {
+        Plan *plan = s->plans[c];
+        s->failed = c;
+        CALL(GET_FMU_STATE, int32_t (*)(Instance, void **), plan->instance, s->states + c);
+    }
+    return DONE;
+}
+
+static int32_t go_back(System *s, int32_t first, int32_t last)
+{
+    for (int32_t c = first; c < last; c++) {
+        Plan *plan = s->plans[c];
+        s->failed = c;
+        CALL(SET_FMU_STATE, int32_t (*)(Instance, void *), plan->instance, s->states[c]);
+    }
+    return DONE;
+}
+
+/* Find the unknowns of the loop, as a first guess where they were heading. */
+static int32_t guess(System *s, int32_t first, int32_t last, bool initialising)
+{
+    int32_t m = 0;
+    double h = s->window[1] - s->window[0];
+    for (const Link *l = s->links; l < s->links + s->n_links; l++) {
+        if (l->unknown < 0 || l->component < first || l->component >= last) continue;
+        s->members[m++] = l->unknown;
+        double value = s->now[l->source];
+        if (s->step_before > 0) value += (value - s->before[l->source]) * (h / s->step_before);
+        s->unknowns[l->unknown] = initialising ? l->start : l->factor * value + l->offset;
+    }
+    return m;
+}
+
+static int32_t solve_loop(System *s, int32_t first, int32_t last, bool initialising)
+{
+    const int32_t m = guess(s, first, last, initialising), n = s->n_unknowns, *i = s->members;
+    if (!initialising) TRY(keep_states(s, first, last));
+    for (int32_t iteration = 0; iteration < s->iterations; iteration++) {
+        if (iteration > 0 && !initialising) TRY(go_back(s, first, last));
+        for (int32_t c = first; c < last; c++) TRY(initialising ? initialise_one(s, c, true) : step_one(s, c, true));
+        memcpy(s->last, s->residual, (size_t)n * sizeof(double));
+        if (miss(s, first, last, iteration == 0)) return DONE;
+        if (iteration > 0) learn(s, m);
+        for (int32_t a = 0; a < m; a++) {
+            s->change[i[a]] = 0;
+            for (int32_t b = 0; b < m; b++) s->change[i[a]] -= s->inverse[i[a] * n + i[b]] * s->residual[i[b]];
+        }
+        for (int32_t a = 0; a < m; a++) s->unknowns[i[a]] += s->change[i[a]];
+    }
+    s->failed = first;
+    s->plans[first]->reached_time = s->window[initialising ? 0 : 1];
+    return LOOP_NOT_SOLVED;
+}
+
+/* ---- The whole system ---- */
+
+/* Outputs that follow from inputs that follow from outputs: again until nothing changes. */
+static int32_t settle_initialisation(System *s)
+{
+    const size_t size = (size_t)s->n_values * sizeof(double);
+    for (int32_t pass = 0; pass <= s->iterations + s->n_links; pass++) {
+        memcpy(s->now, s->next, size);
+        for (int32_t c = 0; c < s->n_components; c++) {
+            if (s->loops[c]) {
+                TRY(solve_loop(s, c, s->loops[c], true));
+                c = s->loops[c] - 1;
+            } else
+                TRY(initialise_one(s, c, false));
+        }
+        bool settled = pass > 0;
+        for (int32_t i = 0; settled && i < s->n_values; i++)
+            settled = fabs(s->next[i] - s->now[i]) <= (pass < s->n_links + 2 ? 0 : s->tolerance * fabs(s->next[i]));
+        if (settled) return DONE;
+    }
+    s->failed = 0;
+    s->plans[0]->reached_time = s->window[0];
+    return LOOP_NOT_SOLVED;
+}
+
+static void record(System *s)
+{
+    for (int32_t i = 0; i < s->n_records; i++) {
+        const Record *r = s->records + i;
+        s->outputs[i * s->n_times + s->reached] = r->factor * s->now[r->source] + r->offset;
+    }
+}
+
+static void set_window(System *s)
+{
+    double begin = s->time[s->reached], size = s->time[s->reached + 1] - begin, n = s->steps[s->reached];
+    s->window[0] = begin + size * (s->step / n);
+    s->window[1] = s->step + 1 == s->steps[s->reached] ? s->time[s->reached + 1] : begin + size * ((s->step + 1) / n);
+}
+
+static int32_t initialise_all(System *s)
+{
+    s->reached = s->step = 0;
+    s->step_before = 0;
+    memset(s->known, 0, (size_t)s->n_components * sizeof *s->known);
+    for (int32_t i = 0; i < s->n_unknowns; i++) {
+        s->scale[i] = 1e-6;
+        for (int32_t j = 0; j < s->n_unknowns; j++) s->inverse[i * s->n_unknowns + j] = i == j ? -1 : 0;
+    }
+    memset(s->next, 0, (size_t)s->n_values * sizeof(double));
+    set_window(s);
+    for (int32_t c = 0; c < s->n_components; c++) {
+        s->failed = c;
+        feed(s, c);
+        TRY(enter_initialisation(s->plans[c]));
+    }
+    TRY(settle_initialisation(s));
+    for (int32_t c = 0; c < s->n_components; c++) {
+        Plan *plan = s->plans[c];
+        s->failed = c;
+        CALL(EXIT_INITIALIZATION, Plain, plan->instance);
+        if (plan->model_exchange) TRY(begin_model_exchange(plan));
+    }
+    for (int32_t c = 0; c < s->n_components; c++) {
+        s->failed = c;
+        TRY(take_outputs(s, c));
+        s->plans[c]->reached = 0;
+    }
+    memcpy(s->now, s->next, (size_t)s->n_values * sizeof(double));
+    record(s);
+    return DONE;
+}
+
+static int32_t step_all(System *s)
+{
+    set_window(s);
+    memset(s->known, 0, (size_t)s->n_components * sizeof *s->known);
+    for (int32_t c = 0; c < s->n_components; c++) {
+        if (s->loops[c]) {
+            TRY(solve_loop(s, c, s->loops[c], false));
+            c = s->loops[c] - 1;
+        } else
+            TRY(step_one(s, c, false));
+    }
+    double *oldest = s->before;
+    s->before = s->now, s->now = s->next, s->next = oldest;
+    s->step_before = s->window[1] - s->window[0];
+    if (++s->step == s->steps[s->reached]) {
+        s->step = 0;
+        s->reached++;
+        record(s);
+    }
+    return DONE;
+}
+
+static double seconds(void)
+{
+    struct timespec now;
+    timespec_get(&now, TIME_UTC);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+static int32_t run(System *s, int32_t resume, double slice)
+{
+    if (!resume) TRY(initialise_all(s));
+    double begun = seconds(), checked = begun;
+    for (int64_t stride = 1, left = 1; s->reached < s->n_times - 1; left--) {
+        TRY(step_all(s));
+        if (left > 0) continue;
+        /* Look at the clock often enough for Ctrl-C, seldom enough to cost nothing. */
+        double now = seconds();
+        if (now - begun > slice && s->reached < s->n_times - 1) return PAUSED;
+        stride = now - checked < 1e-3 ? 2 * stride : (stride + 1) / 2;
+        left = stride;
+        checked = now;
+    }
+    return DONE;
+}
+
+/* Simulate, or go on where the last call paused; returns PAUSED after about `slice` seconds. */
+int32_t fmuid_run_coupled(System *s, int32_t resume, double slice)
+{
+    int32_t outcome = run(s, resume, slice);
+    if (outcome == PAUSED) return outcome;
+    for (int32_t c = 0; c < s->n_components; c++) {
+        Plan *plan = s->plans[c];
+        bool dead = outcome == CALL_FAILED && c == s->failed && plan->status > 3; /* fmi2Fatal: no further call */
+        if (s->states[c] && !dead)
+            ((int32_t (*)(Instance, void **))plan->function[FREE_FMU_STATE])(plan->instance, s->states + c);
+        s->states[c] = NULL;
+        /* Results are complete: what Terminate answers cannot change them. */
+        if (outcome == DONE && plan->function[TERMINATE]) ((Plain)plan->function[TERMINATE])(plan->instance);
+    }
+    return outcome;
+}

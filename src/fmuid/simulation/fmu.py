@@ -1,0 +1,509 @@
+"""Simulating any FMU: FMI 2.0 and 3.0, co-simulation and model exchange. The only module that knows FMPy."""
+
+from __future__ import annotations
+
+import functools
+import os
+import re
+import shutil
+import stat
+import tempfile
+import threading
+import time
+import weakref
+import zipfile
+import zlib
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+from types import MappingProxyType, TracebackType
+from typing import Any, Literal
+
+import fmpy
+import numpy as np
+
+from fmuid.core import scratch
+from fmuid.core.campaign import Interface
+from fmuid.core.errors import FmuError, SimulationError
+from fmuid.core.immutable import FloatArray
+from fmuid.simulation import resets, stepper
+from fmuid.simulation.fmu_library import FmuLibrary, ProcessSpentError
+from fmuid.simulation.fmu_plan import PreparedTask
+from fmuid.simulation.fmu_variables import Slot, in_words, read_feedthrough, read_variables
+from fmuid.simulation.simulator import Task, Variable
+from fmuid.simulation.stepper import FUNCTIONS, Outcome
+
+_STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
+_FATAL = 4
+_CHECK_BUDGET = 0.5  # s for seeing whether a reset is as good as a new instance
+_MAX_PREPARED = 64 * 2**20  # bytes of signals kept laid out, oldest out first
+
+
+class Fmu:
+    """An FMU that is extracted once, instantiated once and reset between simulations; a `Simulator`.
+
+    Parameters
+    ----------
+    path
+        The ``.fmu`` file.
+    interface
+        ``co-simulation`` or ``model exchange``; None takes co-simulation where the FMU has it.
+
+    Notes
+    -----
+    * Inputs without a signal in the task hold their start value.
+    * Start values can be set of parameters (fixed and tunable), of inputs, and of variables with ``initial``
+      exact (the states' start values) or approx (a guess that the FMU may change), before initialisation.
+    * Integer, Boolean and enumeration variables are set by their FMI type and take whole numbers only.
+    * The first simulation is repeated after a reset (for up to half a second); an FMU whose reset is missing,
+      fails or changes the predictions is instantiated anew for every simulation. `renewal` tells which. One that
+      crashes does so in one of a pool's worker processes; the others instantiate. FMUs of ``fmuid build`` reset.
+    * After a failed simulation the next one gets a new instance, after fmi2Fatal a new copy of the library:
+      predictions depend on the parameters alone, not on what was simulated before.
+    * Simulations of one object exclude each other; for parallel ones use processes (`simulation.pool.workers`).
+
+    Raises
+    ------
+    FmuError
+        No FMU, an FMI version other than 2.0 or 3.0, unsafe file names inside, no library for this machine,
+        or no interface that can be simulated.
+    """
+
+    def __init__(self, path: str | Path, interface: Interface | None = None) -> None:
+        self.path = Path(path)
+        self._file = self.path.resolve()  # the working folder may change, in workers too
+        self._asked = interface
+        self._description: Any = _read_description(self.path)
+        self.version = int(str(self._description.fmiVersion).split(".")[0])
+        self.interface = self._choose(interface)
+        described = (
+            self._description.modelExchange
+            if self.interface == "model exchange"
+            else self._description.coSimulation
+        )
+        self._described: Any = described
+        self._variables, self._slots = read_variables(self._description, self.version)
+        self._view = MappingProxyType(self._variables)
+        self._lock = threading.RLock()
+        self._library: FmuLibrary | None = None
+        self._folder: Path | None = None
+        self._instance: int | None = None
+        self._instantiated = False  # ever, in this process
+        self._used = False  # the instance has simulated and needs a reset
+        self._renewal: Literal["reset", "instantiate"] | None = None
+        self._set_before: dict[str, None] = {}
+        self._differentiates: dict[frozenset[str], bool] = {}
+        self._prepared: dict[tuple[int, tuple[str, ...]], PreparedTask] = {}
+
+    @property
+    def variables(self) -> Mapping[str, Variable]:
+        """Every scalar variable by name; arrays of FMI 3.0 element by element, as ``table[1,2]``."""
+        return self._view
+
+    @property
+    def slots(self) -> Mapping[str, Slot]:
+        """Where the FMU keeps each variable, by name."""
+        return MappingProxyType(self._slots)
+
+    @property
+    def name(self) -> str:
+        """The model's name."""
+        return str(self._description.modelName)
+
+    @property
+    def tool(self) -> str:
+        """The tool that made the FMU."""
+        return str(self._description.generationTool or "unknown")
+
+    @property
+    def token(self) -> str:
+        """The FMU's guid (FMI 2.0) or instantiation token (FMI 3.0)."""
+        return str(self._description.guid)
+
+    @property
+    def default_experiment(self) -> Mapping[str, float]:
+        """What the FMU suggests of ``start``, ``stop``, ``step`` (s) and ``tolerance``."""
+        e = self._description.defaultExperiment
+        given = {"start": "startTime", "stop": "stopTime", "step": "stepSize", "tolerance": "tolerance"}
+        values = {k: getattr(e, a) for k, a in given.items()} if e is not None else {}
+        return {k: float(v) for k, v in values.items() if v is not None}
+
+    @property
+    def even_steps(self) -> bool:
+        """Whether the FMU takes communication steps of one size only."""
+        co_simulation = self._description.coSimulation if self.interface == "co-simulation" else None
+        return bool(co_simulation and not co_simulation.canHandleVariableCommunicationStepSize)
+
+    @property
+    def saves_state(self) -> bool:
+        """Whether the FMU can be brought back to a state it was in."""
+        return bool(self._described.canGetAndSetFMUstate)
+
+    @property
+    def feedthrough(self) -> Mapping[str, frozenset[str]]:
+        """The inputs that each output depends on without delay; every input where the FMU does not say."""
+        return read_feedthrough(self._description, self._variables)
+
+    def literals(self, name: str) -> Mapping[str, int]:
+        """Return the values of an enumeration variable by their names, empty for other variables."""
+        declared = next((v.declaredType for v in self._description.modelVariables if v.name == name), None)
+        return {item.name: int(item.value) for item in getattr(declared, "items", None) or ()}
+
+    @property
+    def renewal(self) -> Literal["reset", "instantiate"] | None:
+        """How simulations are kept apart; None before the first one."""
+        return self._renewal
+
+    def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
+        """Return predictions, shape (len(task.outputs), N); see `fmuid.simulation.simulator.Simulator`.
+
+        Parameters
+        ----------
+        task
+            Times, inputs and outputs; laid out for the FMU once and remembered as long as the task is in use.
+        parameters
+            Start values by variable name; they take precedence over the task's.
+
+        Raises
+        ------
+        FmuError
+            A name is unknown or cannot be set or read; the FMU cannot be instantiated.
+        SimulationError
+            The FMU failed, ended the simulation, or an output is not finite.
+        """
+        with self._lock:
+            prepared = self.prepare(task, parameters)
+            if self._renewal is None and resets.deadly(self.token):
+                self._renewal = "instantiate"
+            if self._renewal is None:
+                return self._first(prepared)
+            return self._simulate(prepared)
+
+    def renew(self, how: Literal["reset", "instantiate"]) -> None:
+        """Keep simulations apart in this way from now on, as found out by simulating."""
+        self._renewal = how
+
+    def differentiates(self, names: Collection[str]) -> bool:
+        """Whether runs can be differentiated by the parameters `names`: FMUs of ``fmuid build``."""
+        with self._lock:
+            key = frozenset(names)
+            if key not in self._differentiates:
+                slots = [self._slots.get(name) for name in sorted(key)]
+                references = [s.reference for s in slots if s is not None and s.size == 1 and s.suffix]
+                ours = self.tool == "fmuid"  # no other FMU is loaded into this process to ask it
+                self._differentiates[key] = (
+                    ours and len(references) == len(slots) and self._try_directions(references)
+                )
+            return self._differentiates[key]
+
+    def _try_directions(self, references: Sequence[int]) -> bool:
+        library = self._load()
+        if library.functions[FUNCTIONS.index("SET_DIRECTIONS")] is None:
+            return False
+        instance = library.instantiate(self.name, self.token, ((self._folder or Path()) / "resources").resolve())
+        try:
+            return library.takes_directions(instance, references)
+        finally:
+            library.free(instance)
+
+    def close(self) -> None:
+        """Free the instance and remove the extracted files; the next simulation extracts them again."""
+        with self._lock:
+            self.discard()
+            self._library = None
+            self._prepared.clear()
+            if self._folder is not None:
+                shutil.rmtree(self._folder, ignore_errors=True)
+                self._folder = None
+
+    def __enter__(self) -> Fmu:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return load_fmu, (self._file, self._asked)
+
+    def __repr__(self) -> str:
+        return f"Fmu({str(self.path)!r}, FMI {self._description.fmiVersion}, {self.interface})"
+
+    def _choose(self, asked: Interface | None) -> Interface:
+        offered: list[Interface] = []
+        if self._description.coSimulation is not None:
+            offered.append("co-simulation")
+        if self._description.modelExchange is not None:
+            offered.append("model exchange")
+        if not offered or (asked is not None and asked not in offered):
+            raise FmuError(
+                f"offers {' and '.join(offered) or 'scheduled execution only'}"
+                + (f", not {asked}" if asked else ""),
+                where=self.path,
+                fix=f"export it for {asked or 'co-simulation'}",
+            )
+        chosen = asked or offered[0]
+        clocks = [v.name for v in self._description.modelVariables if v.type == "Clock" and v.causality == "input"]
+        if chosen == "model exchange" and clocks:
+            raise FmuError(
+                f"has the input clock '{clocks[0]}', and clocks are not supported in model exchange",
+                where=self.path,
+                fix="export it for co-simulation",
+            )
+        return chosen
+
+    def _load(self) -> FmuLibrary:
+        if self._library is None:
+            self._folder = extract(self.path, without=_NOT_RUN)
+            weakref.finalize(self, _remove, self._folder, os.getpid())
+            platform = fmpy.platform if self.version == 2 else fmpy.platform_tuple
+            identifier = self._described.modelIdentifier
+            library = self._folder / "binaries" / platform / f"{identifier}{fmpy.sharedLibraryExtension}"
+            if not library.is_file():
+                there = sorted(p.name for p in (self._folder / "binaries").glob("*") if any(p.iterdir()))
+                raise FmuError(
+                    f"has no library for {platform} (it has: {', '.join(there) or 'none'})",
+                    where=self.path,
+                    fix="export it for this machine, or compile its sources with `fmpy compile`",
+                )
+            self._library = FmuLibrary(library, self.version, self.interface == "model exchange", self.path)
+            functions = dict(zip(FUNCTIONS, self._library.functions, strict=True))
+            if functions["RESET"] is None:
+                self._renewal = "instantiate"
+            elif functions["SET_DIRECTIONS"] is not None:  # of `fmuid build`: it does all that instantiating does
+                self._renewal = "reset"
+        return self._library
+
+    def prepare(self, task: Task, parameters: Mapping[str, float]) -> PreparedTask:
+        """Return the task laid out for this FMU, with `parameters` as the next run's."""
+        names = tuple(parameters)
+        prepared = self._prepared.get((id(task), names))
+        if prepared is None:
+            library = self._load()
+            co_simulation = self._description.coSimulation if self.interface == "co-simulation" else None
+            prepared = PreparedTask(
+                task,
+                names,
+                list(self._set_before),
+                variables=self._variables,
+                slots=self._slots,
+                library=library,
+                described=self._description,
+                linear_inputs=bool(co_simulation and getattr(co_simulation, "canInterpolateInputs", False)),
+                even_steps=self.even_steps,
+            )
+            new = [n for n in (*names, *task.start_values) if n not in self._set_before]
+            if new:  # tasks prepared earlier must from now on put these back
+                self._set_before.update(dict.fromkeys(new))
+                self._prepared.clear()
+            while self._prepared and sum(p.size for p in self._prepared.values()) > _MAX_PREPARED:
+                self._prepared.pop(next(iter(self._prepared)))
+            self._prepared[id(task), names] = prepared  # keeps the task, and so its id, alive
+        prepared.set_parameters(parameters)
+        return prepared
+
+    def _first(self, prepared: PreparedTask) -> FloatArray:
+        """Simulate, and see whether a reset brings the FMU back to where it began."""
+        begun = time.perf_counter()
+        predictions = self._simulate(prepared)
+        elapsed = time.perf_counter() - begun
+        if self._renewal is None:  # not found wanting meanwhile
+            n = len(prepared.task.time)
+            n = min(n, max(2, int(n * _CHECK_BUDGET / max(elapsed, 1e-9))))
+            same = False
+            with suppress(SimulationError), resets.first(self.token):
+                again = self._simulate(prepared, n)
+                same = np.array_equal(again, predictions[:, :n])
+            if self._renewal is None:
+                self._renewal = "reset" if same else "instantiate"
+        return predictions
+
+    def engage(self, prepared: PreparedTask) -> None:
+        """Give the plan an instance to run on, a new one where a reset is not as good; see `discard`."""
+        library = self._load()
+        if self._used and self._renewal == "instantiate":
+            self.discard()
+        if self._instance is None:
+            resources = (self._folder or Path()) / "resources"
+            try:
+                self._instance = library.instantiate(self.name, self.token, resources.resolve())
+            except FmuError:
+                if not self._instantiated:
+                    raise
+                raise ProcessSpentError(
+                    "can neither be reset nor be instantiated again in one process",
+                    where=self.path.name,
+                    fix="simulate it in worker processes (`fmuid.WorkerPool`), which start anew for it",
+                ) from None
+            self._used, self._instantiated = False, True
+        prepared.plan.instance = self._instance
+        prepared.plan.reset = int(self._used)
+        self._used = True
+        library.log.clear()
+
+    def _simulate(self, prepared: PreparedTask, n_times: int | None = None) -> FloatArray:
+        plan = prepared.plan
+        predictions = prepared.outputs(n_times)
+        self.engage(prepared)
+        fatal = False
+        finished = False
+        try:
+            outcome = stepper.run_to_end(_run(), plan)
+            if outcome == Outcome.DONE:
+                finished = True
+                return predictions
+            failed = FUNCTIONS[plan.call] if outcome == Outcome.CALL_FAILED else None
+            fatal = failed is not None and plan.status == _FATAL
+            error = self.failure(Outcome(outcome), prepared)
+        finally:
+            if not finished:  # also on Ctrl-C: nobody knows what state it is in
+                self.discard(fatal)
+        if failed == "RESET":
+            self._renewal = "instantiate"
+            return self._simulate(prepared, n_times)
+        raise error
+
+    def failure(self, outcome: Outcome, prepared: PreparedTask) -> SimulationError:
+        """Return what went wrong in a run that ended with `outcome`, with what the FMU said."""
+        plan, library = prepared.plan, prepared.library
+        at = f"at t = {plan.reached_time:.9g} s"
+        if outcome == Outcome.CALL_FAILED:
+            function = library.function_name(FUNCTIONS[plan.call])
+            status = _STATUS[plan.status] if plan.status < len(_STATUS) else str(plan.status)
+            during = "in initialisation" if plan.reached < 0 else at
+            what = f"{function} answered fmi{library.version}{status} {during}"
+        elif outcome == Outcome.NOT_FINITE:
+            what = f"output '{prepared.task.outputs[plan.column]}' is not finite {at}"
+        else:
+            what = f"{_REASONS[outcome]} {at}"
+        said = library.log.read()
+        given = in_words(dict(zip(prepared.names, prepared.values.tolist(), strict=True)))
+        return SimulationError(
+            what + (f": {said}" if said else "") + (f" (with {given})" if given else ""), where=self.path.name
+        )
+
+    def discard(self, fatal: bool = False) -> None:
+        """Give the instance up; after fmi2Fatal nothing of the library may be called again."""
+        if self._instance is not None and self._library is not None and not fatal:
+            self._library.free(self._instance)
+        self._instance, self._used = None, False
+        if fatal:
+            self._library = None
+            self._prepared.clear()
+
+
+_REASONS = {
+    Outcome.TERMINATED: "the FMU ended the simulation",
+    Outcome.EARLY_RETURN: "the FMU returned early from a step, which was not allowed,",
+    Outcome.STEP_TOO_SMALL: "the integrator cannot keep its error within the tolerance",
+    Outcome.EVENTS_DO_NOT_SETTLE: "the event iteration does not settle",
+}
+
+
+def load_fmu(path: str | Path, interface: Interface | None = None) -> Fmu:
+    """Return the FMU at `path`: in one process always the same object as long as the file does not change.
+
+    Parameters
+    ----------
+    path
+        An ``.fmu`` file of FMI 2.0 or 3.0.
+    interface
+        ``co-simulation`` or ``model exchange``; None takes co-simulation where the FMU has it.
+
+    Raises
+    ------
+    FmuError
+        As `Fmu`.
+    """
+    file = Path(path).resolve()
+    try:
+        state = file.stat()
+    except OSError as error:
+        raise FmuError(f"cannot be read ({error.strerror})", where=path, fix="check the path") from None
+    return _loaded(file, interface, state.st_mtime_ns, state.st_size)
+
+
+MAX_EXTRACTED = 4e9  # bytes
+_NOT_RUN = ("sources/", "documentation/")
+_VERSION = re.compile(rb"""fmiVersion\s*=\s*["']([^"']*)""")
+
+
+@functools.lru_cache(maxsize=64)
+def _loaded(file: Path, interface: Interface | None, _mtime: int, _size: int) -> Fmu:
+    return Fmu(file, interface)
+
+
+def _read_description(path: Path) -> Any:
+    try:
+        _check_members(path)
+        _check_version(path)
+        with path.open("rb") as file:  # FMPy leaves a file open whose XML it cannot parse
+            description = fmpy.read_model_description(file, validate=False)
+    except FmuError:
+        raise
+    except Exception as error:  # FMPy raises whatever its parsers raise
+        reason = getattr(error, "strerror", None) or error
+        raise FmuError(f"is no readable FMU ({reason})", where=path, fix="check the file") from None
+    return description
+
+
+def _check_members(path: Path) -> None:
+    """Refuse an archive that would write outside the folder it is extracted to, or fill the disk."""
+    with zipfile.ZipFile(path) as archive:
+        size = sum(member.file_size for member in archive.infolist())
+        if size > MAX_EXTRACTED:
+            raise FmuError(f"is {size / 1e9:.3g} GB unpacked", where=path, fix="do not use it")
+        for member in archive.infolist():
+            name = member.filename
+            climbs = name.startswith("/") or "\\" in name or ":" in name or ".." in PurePosixPath(name).parts
+            if climbs or stat.S_ISLNK(member.external_attr >> 16):
+                raise FmuError(
+                    f"holds the file name '{name}', which leads out of it", where=path, fix="do not use it"
+                )
+
+
+def _check_version(path: Path) -> None:
+    with zipfile.ZipFile(path) as archive, archive.open("modelDescription.xml") as file:
+        version = _VERSION.search(file.read(10_000))
+    if version and version[1][:1] not in b"23":
+        words = version[1].decode(errors="replace")
+        raise FmuError(f"is of FMI {words}; 2.0 and 3.0 are supported", where=path, fix="export it anew")
+
+
+def _remove(folder: Path, process: int) -> None:
+    if os.getpid() == process:  # not in a fork, whose parent still needs it
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _run() -> Callable[[stepper.Plan, int, float], int]:
+    found: Callable[[stepper.Plan, int, float], int] = stepper.library().fmuid_run
+    return found
+
+
+def extract(path: Path, without: tuple[str, ...] = ()) -> Path:
+    """Return a new folder with the content of an FMU or another archive, which the caller removes.
+
+    Parameters
+    ----------
+    path
+        The archive.
+    without
+        How the names of members begin that are left out.
+
+    Raises
+    ------
+    FmuError
+        It cannot be read, or would write outside the folder.
+    """
+    folder = Path(tempfile.mkdtemp(dir=scratch.of_process())).resolve()
+    try:
+        _check_members(path)  # the file may have changed since
+        with zipfile.ZipFile(path) as archive:
+            archive.extractall(folder, [name for name in archive.namelist() if not name.startswith(without)])
+    except BaseException as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        if isinstance(error, OSError | zipfile.BadZipFile | zlib.error | RuntimeError):  # the last: encrypted
+            raise FmuError(f"cannot be extracted ({error})", where=path, fix="check the file") from None
+        raise
+    return folder

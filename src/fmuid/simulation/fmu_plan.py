@@ -1,0 +1,283 @@
+"""A task laid out for one FMU as the stepper wants it: prepared once, run many times."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu_build.suggest import suggestion
+from fmuid.core.errors import FmuError
+from fmuid.core.immutable import FloatArray
+from fmuid.simulation.fmu_library import FmuLibrary
+from fmuid.simulation.fmu_variables import Slot
+from fmuid.simulation.simulator import Task, Variable
+from fmuid.simulation.stepper import DTYPES, FUNCTIONS, Group, Plan
+
+_TOLERANCE = 1e-6  # of the integration of model-exchange FMUs that suggest none
+
+
+class PreparedTask:
+    """A `Plan` for one task and one set of parameter names, with the arrays it points into.
+
+    Parameters
+    ----------
+    names
+        Parameters that every run sets, in the order of their values.
+    restored
+        Names set in earlier runs of the same instance; put back to their start values, for an FMU whose reset
+        forgets to.
+    linear_inputs
+        Whether a co-simulation FMU interpolates its inputs (fmi2SetRealInputDerivatives).
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        names: tuple[str, ...],
+        restored: Sequence[str],
+        *,
+        variables: Mapping[str, Variable],
+        slots: Mapping[str, Slot],
+        library: FmuLibrary,
+        described: Any,
+        linear_inputs: bool,
+        even_steps: bool,
+    ) -> None:
+        self.task, self.names = task, names
+        self.library = library
+        self._slots, self._where = slots, library.where
+        self._kept: list[Any] = []  # arrays the plan points into
+        n = len(task.time)
+        self.size = 8 * n * (2 * len(task.inputs) + 1)  # bytes, about, with the task's own
+        self._check_time(task.time, even_steps)
+        inputs = np.empty((n, len(task.inputs)))
+        for j, (name, values) in enumerate(task.inputs.items()):
+            if self._slot(name) and variables[name].causality != "input":
+                known = [v.name for v in variables.values() if v.causality == "input"]
+                raise FmuError(
+                    f"'{name}' is no input but has causality {variables[name].causality}",
+                    where=self._where,
+                    fix=suggestion(name, known),
+                )
+            if slots[name].suffix is None:
+                raise FmuError(
+                    f"'{name}' is a {variables[name].type}, not a number", where=self._where, fix="leave it out"
+                )
+            if values.shape != (n,) or not np.isfinite(values).all():
+                raise FmuError(
+                    f"input '{name}' must have {n} finite samples, one for each time",
+                    where=self._where,
+                    fix="an input may not have missing samples",
+                )
+            inputs[:, j] = values
+            self._check_whole(name, values)
+        fixed = {k: v for k, v in task.start_values.items() if k not in names}
+        back = [name for name in restored if name not in names and name not in fixed and slots[name].has_start]
+        for name in [*names, *fixed]:
+            refusal = self._slot(name).refusal
+            if refusal is not None:
+                settable = [k for k, s in slots.items() if s.refusal is None and variables[k].causality != "input"]
+                raise FmuError(
+                    f"'{name}' {refusal}: its start value cannot be set",
+                    where=self._where,
+                    fix=suggestion(name, settable),
+                )
+            if name in task.inputs:
+                raise FmuError(
+                    f"'{name}' has both a signal and a start value", where=self._where, fix="give one of them"
+                )
+        # Put back first: an alias among the names that are really set then wins.
+        self.starts = np.zeros(len(back) + len(fixed) + len(names))
+        self.starts[: len(back)] = [slots[k].starts[slots[k].element] for k in back]
+        for i, (name, value) in enumerate(fixed.items()):
+            self.starts[len(back) + i] = self._checked(name, value)
+        self.values = self.starts[len(back) + len(fixed) :]
+        self._whole = np.array([slots[k].whole_numbers for k in names], dtype=bool)
+        self._any_whole = bool(self._whole.any())
+        for name in task.outputs:
+            if self._slot(name).suffix is None:
+                raise FmuError(
+                    f"'{name}' is a {variables[name].type}, not a number",
+                    where=self._where,
+                    fix="record another",
+                )
+        plan = self.plan = Plan()
+        plan.function = library.functions
+        plan.fmi, plan.model_exchange = library.version, library.model_exchange
+        plan.linear = task.interpolation == "linear"
+        plan.tolerance_defined = task.tolerance is not None
+        plan.tolerance = task.tolerance or 0.0
+        if library.model_exchange:
+            self._integrate(described, inputs.shape[1])
+        # Sums of time and step size may round up past the last time; the FMU must not refuse that.
+        plan.stop = float(np.max(task.time[:-1] + np.diff(task.time)))
+        plan.n_times, plan.n_inputs, plan.n_outputs = n, inputs.shape[1], len(task.outputs)
+        plan.n_starts = len(self.starts)
+        plan.time, plan.inputs, plan.starts = map(self._pointer, (task.time, inputs, self.starts))
+        plan.row = self._pointer(np.zeros(max(inputs.shape[1], len(task.outputs), 1)))
+        plan.n_start_groups, plan.start_groups = self._groups([*back, *fixed, *names], "Set")
+        plan.n_input_groups, plan.input_groups = self._groups(list(task.inputs), "Set")
+        plan.n_output_groups, plan.output_groups = self._groups(list(task.outputs), "Get")
+        if task.along:
+            self._differentiate(task)
+        if plan.linear:
+            self._interpolate(variables, linear_inputs or library.model_exchange)
+
+    def set_parameters(self, parameters: Mapping[str, float]) -> None:
+        """Take the values of `names`, in their order, for the next run."""
+        if not self.names:
+            return
+        self.values[:] = list(parameters.values())
+        fine = all(map(math.isfinite, parameters.values()))
+        if not fine or (self._any_whole and np.any((self.values % 1 != 0) & self._whole)):
+            for name, value in parameters.items():
+                self._checked(name, value)
+
+    def outputs(self, n_times: int | None = None) -> FloatArray:
+        """Return a new array for the predictions, of all or `n_times` samples, and point the plan at it."""
+        self.plan.n_times = len(self.task.time) if n_times is None else n_times
+        array = np.empty((self.plan.n_outputs * (1 + self.plan.n_directions), self.plan.n_times))
+        if array.size:
+            self.plan.outputs = ctypes.addressof(ctypes.c_char.from_buffer(array.data))  # the quickest way there
+        return array
+
+    def _slot(self, name: str) -> Slot:
+        try:
+            return self._slots[name]
+        except KeyError:
+            raise FmuError(f"no variable '{name}'", where=self._where, fix=suggestion(name, self._slots)) from None
+
+    def _check_time(self, time: FloatArray, even_steps: bool) -> None:
+        if time.ndim != 1 or len(time) < 2 or not np.isfinite(time).all() or np.any(np.diff(time) <= 0):
+            raise FmuError(
+                "times must be at least two, finite and strictly increasing",
+                where=self._where,
+                fix="check them",
+            )
+        steps = np.diff(time)
+        if even_steps and np.ptp(steps) > 1e-6 * steps[0]:
+            raise FmuError(
+                f"steps of {steps.min():g} to {steps.max():g} s, but the FMU declares that it cannot handle "
+                "a variable communication step size",
+                where=self._where,
+                fix="record or resample on even times, or export the FMU for variable steps",
+            )
+
+    def _check_whole(self, name: str, values: FloatArray) -> None:
+        if self._slots[name].whole_numbers and np.any(values % 1 != 0):
+            raise FmuError(f"'{name}' takes whole numbers only", where=self._where, fix="round its values")
+
+    def _checked(self, name: str, value: float) -> float:
+        if not np.isfinite(value):
+            raise FmuError(f"'{name}' cannot be set to {value}", where=self._where, fix="give a finite value")
+        self._check_whole(name, np.array(value, dtype=np.float64))
+        return float(value)
+
+    def _pointer(self, array: NDArray[Any]) -> int:
+        self._kept.append(array)
+        address: int = array.__array_interface__["data"][0]
+        return address
+
+    def _groups(self, names: Sequence[str], action: str, only: Sequence[int] | None = None) -> tuple[int, Any]:
+        """Lay out variables, all or `only` those columns of the row, as one call for each FMI type."""
+        groups: list[Group] = []
+        chosen = range(len(names)) if only is None else only
+        for suffix in dict.fromkeys(self._slots[names[j]].suffix for j in chosen):
+            columns = [j for j in chosen if self._slots[names[j]].suffix == suffix]
+            members = [self._slots[names[j]] for j in columns]
+            offsets: dict[int, int] = {}
+            buffer: list[float] = []
+            for slot in members:
+                if slot.reference not in offsets:
+                    offsets[slot.reference] = len(buffer)
+                    buffer += [0.0 if np.isnan(s) else s for s in slot.starts]
+                    if action == "Set" and slot.size > 1 and np.isnan(slot.starts).any():
+                        raise FmuError(
+                            "an array without start values cannot be set element by element",
+                            where=self._where,
+                            fix="export the FMU with start values",
+                        )
+            function = self.library.address(f"{action}{suffix}")
+            if function is None:
+                raise FmuError(
+                    f"its library lacks fmi{self.library.version}{action}{suffix}",
+                    where=self._where,
+                    fix="export the FMU again",
+                )
+            storage = members[0].storage
+            values = np.array(buffer, dtype=np.float64).astype(DTYPES[storage])
+            groups.append(
+                Group(
+                    function=function,
+                    references=self._pointer(np.array(list(offsets), dtype=np.uint32)),
+                    n_references=len(offsets),
+                    n_values=len(buffer),
+                    type=storage,
+                    direct=int(storage == 0 and len(columns) == len(names) == len(buffer) == len(offsets)),
+                    n_columns=len(columns),
+                    column=self._pointer(np.array(columns, dtype=np.int32)),
+                    place=self._pointer(
+                        np.array([offsets[s.reference] + s.element for s in members], dtype=np.int32)
+                    ),
+                    buffer=self._pointer(values),
+                )
+            )
+        array = (Group * max(1, len(groups)))(*groups)
+        self._kept.append(array)
+        return len(groups), ctypes.cast(array, ctypes.POINTER(Group))
+
+    def _integrate(self, described: Any, n_inputs: int) -> None:
+        """Provide for the integrator of model_exchange.c."""
+        plan, experiment = self.plan, described.defaultExperiment
+        suggested = experiment.tolerance if experiment is not None else None
+        plan.tolerance = self.task.tolerance or float(suggested or _TOLERANCE)
+        plan.n_states, plan.n_indicators = described.numberOfContinuousStates, described.numberOfEventIndicators
+        exchange = described.modelExchange
+        plan.completed_step_needed = bool(exchange.needsCompletedIntegratorStep)
+        n, nz = plan.n_states, plan.n_indicators
+        plan.work = self._pointer(np.zeros(15 * n + 2 * n * n + 2 * nz + n_inputs + 1))
+        plan.pivots = self._pointer(np.zeros(n + 1, dtype=np.int32))
+
+    def _differentiate(self, task: Task) -> None:
+        """Provide for the outputs' derivatives along directions."""
+        plan, moved = self.plan, list(dict.fromkeys(name for along in task.along for name in along))
+        if self.library.model_exchange or not self.library.functions[FUNCTIONS.index("SET_DIRECTIONS")]:
+            raise FmuError(
+                "it cannot differentiate its runs", where=self._where, fix="use finite differences of runs"
+            )
+        for name in [*moved, *task.outputs]:
+            if self._slots[name].suffix not in ("Real", "Float64") or self._slots[name].size != 1:
+                raise FmuError(
+                    f"'{name}' is no real scalar: it has no derivatives", where=self._where, fix="leave it out"
+                )
+        plan.n_directions, plan.n_moved = len(task.along), len(moved)
+        plan.moved = self._pointer(np.array([self._slots[n].reference for n in moved], dtype=np.uint32))
+        plan.weights = self._pointer(np.array([[along.get(n, 0.0) for n in moved] for along in task.along]))
+        references = [self._slots[n].reference for n in task.outputs]
+        plan.output_references = self._pointer(np.array(references, dtype=np.uint32))
+        plan.sensitivities = self._pointer(np.zeros((len(task.outputs), len(task.along))))
+        self.size *= 1 + len(task.along)
+
+    def _interpolate(self, variables: Mapping[str, Variable], linear_inputs: bool) -> None:
+        columns = [j for j, name in enumerate(self.task.inputs) if variables[name].variability == "continuous"]
+        if columns and not linear_inputs:
+            raise FmuError(
+                "it cannot interpolate its inputs between communication points",
+                where=self._where,
+                fix='use interpolation = "hold", or an FMU for model exchange',
+            )
+        names = list(self.task.inputs)
+        plan = self.plan
+        plan.n_slope_groups, plan.slope_groups = self._groups(names, "Set", columns)
+        plan.n_slopes = len(columns)
+        plan.slope_columns = self._pointer(np.array(columns, dtype=np.int32))
+        plan.slope_references = self._pointer(
+            np.array([self._slots[names[j]].reference for j in columns], dtype=np.uint32)
+        )
+        plan.slope_orders = self._pointer(np.ones(len(columns), dtype=np.int32))
+        plan.slopes = self._pointer(np.zeros(max(1, len(columns))))

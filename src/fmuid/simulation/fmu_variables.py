@@ -1,0 +1,159 @@
+"""The variables of a model description: what users see of them, and where the FMU keeps them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice, product
+from typing import Any
+
+from fmuid.simulation.simulator import Variable
+
+# FMI type -> (function suffix, place in stepper.CTYPES)
+_STORAGE = {
+    2: {
+        "Real": ("Real", 0),
+        "Integer": ("Integer", 6),
+        "Enumeration": ("Integer", 6),
+        "Boolean": ("Boolean", 6),
+    },
+    3: {
+        "Float64": ("Float64", 0),
+        "Float32": ("Float32", 1),
+        "Int8": ("Int8", 2),
+        "UInt8": ("UInt8", 3),
+        "Int16": ("Int16", 4),
+        "UInt16": ("UInt16", 5),
+        "Int32": ("Int32", 6),
+        "UInt32": ("UInt32", 7),
+        "Int64": ("Int64", 8),
+        "UInt64": ("UInt64", 9),
+        "Enumeration": ("Int64", 8),
+        "Boolean": ("Boolean", 3),
+    },
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """Where the FMU keeps a scalar: element `element` of the `size` values behind `reference`.
+
+    `suffix` names the functions (``Real`` of fmi2SetReal), None if there are none for numbers. `refusal` says
+    why the start value cannot be set, None if it can. `starts` are those of all elements.
+    """
+
+    reference: int
+    suffix: str | None
+    storage: int
+    element: int
+    size: int
+    starts: tuple[float, ...]
+    refusal: str | None
+    whole_numbers: bool
+
+    @property
+    def has_start(self) -> bool:
+        """Whether the description gives the start value."""
+        return math.isfinite(self.starts[self.element])
+
+
+def in_words(parameters: Mapping[str, float], limit: int = 12) -> str:
+    """Return parameters for a message, as ``c = 1, d = 2``, cut at `limit`."""
+    shown = ", ".join(f"{k} = {v:.9g}" for k, v in islice(parameters.items(), limit))
+    return shown + (f" and {len(parameters) - limit} more" if len(parameters) > limit else "")
+
+
+def _number(text: str | None) -> float:
+    if text is None:
+        return math.nan
+    folded = text.strip().casefold()
+    if folded in {"true", "false"}:
+        return float(folded == "true")
+    try:
+        return float(folded)
+    except ValueError:
+        return math.nan
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _refusal(variable: Any) -> str | None:
+    """Say why a start value cannot be set before initialisation, in FMI's terms."""
+    causality, variability, initial = variable.causality, variable.variability, variable.initial
+    if variability == "constant":
+        return "is a constant"
+    if causality in {"calculatedParameter", "structuralParameter", "independent"}:
+        return f"is a {causality}" if causality != "independent" else "is the independent variable"
+    if causality == "input" or initial in {"exact", "approx"}:
+        return None
+    return f"is {'an output' if causality == 'output' else 'a local variable'} that the FMU calculates"
+
+
+def _elements(shape: tuple[int, ...]) -> Iterator[str]:
+    """Yield the subscripts of an array in FMI's row-major order, counted from one as Modelica counts."""
+    for index in product(*(range(1, n + 1) for n in shape)):
+        yield f"[{','.join(map(str, index))}]" if index else ""
+
+
+def read_variables(description: Any, version: int) -> tuple[dict[str, Variable], dict[str, Slot]]:
+    """Return the scalar variables of a FMPy model description, and their slots, by name.
+
+    An FMI 3.0 array is listed element by element, as ``table[1,2]``.
+    """
+    variables: dict[str, Variable] = {}
+    slots: dict[str, Slot] = {}
+    for v in description.modelVariables:
+        suffix, storage = _STORAGE[version].get(v.type, (None, 0))
+        declared = v.declaredType
+        unit = v.unit or getattr(declared, "unit", None)
+        low, high = (
+            _number(getattr(v, bound) or getattr(declared, bound, None)) if suffix else math.nan
+            for bound in ("min", "max")
+        )
+        shape = tuple(v.shape or ())
+        size = math.prod(shape)
+        starts = [_number(s) for s in (v.start or "").split()] if suffix else []
+        starts = starts * size if len(starts) == 1 else starts
+        starts += [math.nan] * (size - len(starts))
+        for i, subscript in enumerate(_elements(shape)):
+            name = f"{v.name}{subscript}"
+            variables[name] = Variable(
+                name=name,
+                causality=v.causality,
+                variability=v.variability,
+                unit=unit,
+                start=_finite(starts[i]),
+                min=_finite(low),
+                max=_finite(high),
+                description=v.description or "",
+                type=v.type,
+            )
+            slots[name] = Slot(
+                reference=v.valueReference,
+                suffix=suffix,
+                storage=storage,
+                element=i,
+                size=size,
+                starts=tuple(starts),
+                refusal=_refusal(v) if suffix else f"is a {v.type}, not a number",
+                whole_numbers=storage > 1,
+            )
+    return variables, slots
+
+
+def read_feedthrough(description: Any, variables: Mapping[str, Variable]) -> dict[str, frozenset[str]]:
+    """Return the inputs that each output depends on without delay, element by element (all where not said)."""
+    elements: dict[str, list[str]] = {}
+    for v in description.modelVariables:
+        names = [f"{v.name}{subscript}" for subscript in _elements(tuple(v.shape or ()))]
+        elements[v.name] = names
+    inputs = frozenset(n for n, v in variables.items() if v.causality == "input")
+    found = {n: inputs for n, v in variables.items() if v.causality == "output"}
+    for unknown in description.outputs:
+        if unknown.dependencies is not None:
+            known = frozenset(n for v in unknown.dependencies for n in elements[v.name]) & inputs
+            found |= dict.fromkeys(elements[unknown.variable.name], known)
+    return found

@@ -1,0 +1,44 @@
+"""Where simulations run: on an executor, in worker processes, or in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from typing import Any
+
+from fmuid.core.errors import FmuidError
+from fmuid.simulation.pool.workers import WorkerPool
+from fmuid.simulation.runners import Runner, in_process
+
+
+@contextmanager
+def runner_on(
+    workers: int | None = None,
+    *,
+    executor: Executor | None = None,
+    time_limit: float | None = None,
+    memory_limit: int | None = None,
+) -> Iterator[Runner]:
+    """Yield what simulates: on `executor`, else in so many worker processes (None: one a processor; 0: here).
+
+    `time_limit` (s) and `memory_limit` (bytes) are those of a `WorkerPool` by default.
+
+    Raises
+    ------
+    FmuidError
+        A limit without workers.
+    """
+    asked = {"time_limit": time_limit, "memory_limit": memory_limit}
+    limits: dict[str, Any] = {name: limit for name, limit in asked.items() if limit is not None}
+    if executor is not None:
+        from fmuid.simulation.pool.remote import on_executor
+
+        yield on_executor(executor, **limits)
+    elif workers != 0:
+        with WorkerPool(workers, **limits) as pool:
+            yield pool.run
+    elif limits:
+        raise FmuidError(f"a {next(iter(limits)).replace('_', ' ')} needs worker processes", fix="use workers = 1")
+    else:
+        yield in_process

@@ -1,0 +1,69 @@
+"""Models and tasks packed for other processes, on this machine or another."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import pickle
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fmuid.core import scratch
+from fmuid.core.errors import FmuidError
+
+
+@dataclass(frozen=True, slots=True)
+class Parcel:
+    """A pickled object and the SHA-256 of it. Files are in it with their content: no common disk is needed."""
+
+    digest: str
+    content: bytes
+    name: str
+
+
+class _Packer(pickle.Pickler):
+    def persistent_id(self, thing: Any) -> Any:
+        # An FMU, and what is made of several, is pickled as how to load it from files.
+        return (thing.name, thing.read_bytes()) if isinstance(thing, Path) and thing.is_file() else None
+
+
+class _Unpacker(pickle.Unpickler):
+    def persistent_load(self, pid: Any) -> Any:
+        name, content = pid
+        path = Path(tempfile.mkdtemp(dir=scratch.of_process())) / name
+        path.write_bytes(content)
+        return path
+
+
+def pickled(thing: Any, pickler: type[pickle.Pickler] = pickle.Pickler) -> bytes:
+    """Return `thing` as bytes; FmuidError if it cannot be pickled."""
+    buffer = io.BytesIO()
+    try:
+        pickler(buffer, pickle.HIGHEST_PROTOCOL).dump(thing)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise FmuidError(
+            f"cannot be sent to a worker process ({error})",
+            where=type(thing).__name__,
+            fix="define it in a module, or run in this process",
+        ) from None
+    return buffer.getvalue()
+
+
+def packed(thing: Any) -> Parcel:
+    """Return `thing` as a parcel; FmuidError if it cannot be pickled."""
+    content = pickled(thing, _Packer)
+    return Parcel(hashlib.sha256(content).hexdigest(), content, name_of(thing))
+
+
+def unpacked(content: bytes) -> Any:
+    """Return what `content` was made of; the FMUs of a parcel are laid into the folder for temporary files."""
+    return _Unpacker(io.BytesIO(content)).load()
+
+
+def name_of(simulator: Any) -> str:
+    """Return what errors call a simulator: the name of its file, or of its class."""
+    if isinstance(simulator, Parcel):
+        return simulator.name
+    return str(getattr(getattr(simulator, "path", None), "name", type(simulator).__name__))

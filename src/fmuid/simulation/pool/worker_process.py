@@ -1,0 +1,113 @@
+"""What runs inside a worker process of `fmuid.simulation.pool.workers.WorkerPool`."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from fmuid.core.errors import FmuidError
+from fmuid.simulation import resets
+from fmuid.simulation.fmu_library import ProcessSpentError
+from fmuid.simulation.pool.channel import Channel
+from fmuid.simulation.pool.parcels import unpacked
+from fmuid.simulation.runners import simulate
+
+_WEIGH_INTERVAL = 0.02  # s between looks at the memory
+HOLD, JOB, CALL = range(3)
+"""Kinds of message: keep an object under a number; simulate with kept ones; call a function."""
+
+
+def resident_memory(pid: int) -> int:
+    """Return the resident memory of a process in bytes, 0 where that is unknown."""
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_bytes().split()[1])
+    except (OSError, IndexError):  # no Linux, or the process is gone
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def main(connection: Channel, folder: str) -> None:
+    """Answer messages until the other end closes; temporary files go to `folder`."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    with suppress(ImportError, ValueError, OSError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # FMUs may crash a thousand times
+    tempfile.tempdir = folder
+    resets.keep_notes(Path(folder))
+    threading.Thread(target=_leave_with_parent, args=(folder,), daemon=True).start()
+    with suppress(EOFError, OSError):  # the pool has let go of this worker, or is gone
+        _serve(connection)
+    sys.stdout.flush()
+    parent = multiprocessing.parent_process()
+    if parent is None or not parent.is_alive():  # else it clears up itself
+        _clear(folder)
+    os._exit(0)  # an FMU's own exit handlers have brought down more than one process
+
+
+def _serve(connection: Channel) -> None:
+    kept: dict[int, Any] = {}
+    memory, weighed = resident_memory(os.getpid()), time.monotonic()
+    _send(connection, True, None, memory)
+    while True:
+        message, _ = connection.receive()
+        try:
+            kind, *content = pickle.loads(message)
+            if kind == HOLD:
+                number, held = content
+                kept[number] = unpacked(held)
+                continue
+            if kind == JOB:
+                simulator, task, parameters = content
+                result: Any = simulate((kept[simulator], kept[task], parameters))
+                if isinstance(result, ProcessSpentError):
+                    os._exit(1)  # the pool tries it again in a fresh worker
+            else:
+                function, arguments, keywords = content
+                result = function(*arguments, **keywords)
+            fine = True
+        except BaseException as error:
+            fine, result = False, error
+        if time.monotonic() - weighed > _WEIGH_INTERVAL:
+            memory, weighed = resident_memory(os.getpid()), time.monotonic()
+        _send(connection, fine, result, memory)
+
+
+def _send(connection: Channel, fine: bool, content: Any, memory: int) -> None:
+    buffers: list[pickle.PickleBuffer] = []
+    try:
+        message = pickle.dumps((fine, content, memory), pickle.HIGHEST_PROTOCOL, buffer_callback=buffers.append)
+        if not fine:
+            pickle.loads(message, buffers=buffers)  # some exceptions can be packed but not unpacked
+    except Exception:
+        problem = FmuidError(
+            f"a worker's answer cannot be sent: {content!r:.200}", fix="return values that can be pickled"
+        )
+        message, buffers = pickle.dumps((False, problem, memory)), []
+    connection.send(message, buffers)
+
+
+def _leave_with_parent(folder: str) -> None:
+    """End this process when its parent is gone, even in the middle of an FMU's endless loop."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        _clear(folder)
+        os._exit(1)
+
+
+def _clear(folder: str) -> None:
+    """Remove this worker's folder, and the pool's with the last of them."""
+    shutil.rmtree(folder, ignore_errors=True)
+    with suppress(OSError):
+        Path(folder).parent.rmdir()

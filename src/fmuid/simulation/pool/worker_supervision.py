@@ -1,0 +1,377 @@
+"""Hands evaluations to worker processes, watches over them and replaces the ones that die; for `workers`."""
+
+from __future__ import annotations
+
+import atexit
+import multiprocessing
+import os
+import pickle
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Future
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from multiprocessing import connection as mp_connection
+from pathlib import Path
+from typing import Any
+
+from fmuid.core.errors import FmuidError, SimulationError
+from fmuid.core.scratch import Scratch
+from fmuid.simulation import resets
+from fmuid.simulation.fmu_variables import in_words
+from fmuid.simulation.pool import worker_process
+from fmuid.simulation.pool.channel import Channel, channels
+from fmuid.simulation.pool.worker_process import resident_memory
+
+_START_LIMIT = 60.0  # s for a worker to come up
+_MEMORY_INTERVAL = 0.1  # s between looks at the memory of busy workers
+_AHEAD = 2  # evaluations a worker has at hand, so that it never waits for the next
+_SMALL = 16_384  # bytes that can be sent to a busy worker without waiting for it
+_MAX_FAILED_STARTS = 3
+
+
+_START_HINT = {
+    "where": "worker pool",
+    "fix": 'keep the script in a file, its work under `if __name__ == "__main__":`',
+}
+
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Have processes that start now do linear algebra in one thread: the workers share the processors already."""
+    ours = [name for name in _THREADS if name not in os.environ]
+    os.environ.update(dict.fromkeys(ours, "1"))
+    try:
+        yield
+    finally:
+        for name in ours:
+            os.environ.pop(name, None)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a worker may take: s and bytes for one evaluation, evaluations and bytes of growth before it goes."""
+
+    time: float | None
+    memory: int
+    evaluations: int | None
+    growth: int
+
+
+@dataclass(eq=False, slots=True)
+class Call:
+    """One evaluation: its message, what has to be held by the worker first, and its future."""
+
+    message: bytes
+    holds: tuple[int, ...]
+    future: Future[Any]
+    name: str
+    parameters: Mapping[str, float]
+    retried: bool = False
+
+
+@dataclass(eq=False, slots=True)
+class Worker:
+    """A process and what it is busy with."""
+
+    process: Any
+    connection: Channel
+    folder: Path
+    started: float = field(default_factory=time.monotonic)
+    ready: bool = False
+    begun: float = 0.0  # when the evaluation at the head was taken up
+    calls: deque[Call] = field(default_factory=deque)
+    held: set[int] = field(default_factory=set)
+    done: int = 0
+    first_memory: int = 0
+    retiring: bool = False
+    killed: str | None = None  # why, if the pool did it
+
+
+class Supervisor:
+    """A team of workers, its queue and the thread that serves them.
+
+    `messages` holds, by number, what makes a worker keep an object; whoever enqueues a call that needs one puts
+    it there first.
+    """
+
+    def __init__(self, size: int, limits: Limits) -> None:
+        self._size, self._limits = size, limits
+        methods = multiprocessing.get_all_start_methods()
+        self._context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+        if "forkserver" in methods:  # imported once, not by every worker
+            self._context.set_forkserver_preload(
+                ["__main__", "fmuid.simulation.fmu", "fmuid.simulation.pool.worker_process"]
+            )
+        self._scratch = Scratch("fmuid-workers-")
+        self.messages: dict[int, bytes] = {}
+        self._lock = threading.Lock()
+        self._pending: deque[Call] = deque()
+        self._team: list[Worker] = []
+        self._failed_starts = 0
+        self._weighed = 0.0  # when the memory of the workers was looked at
+        self._closing = self._abandoning = False
+        self._wake_reader, self._wake_writer = self._context.Pipe(duplex=False)
+        self._thread: threading.Thread | None = None
+
+    # ---- in the callers' threads ------------------------------------------------------------------------
+
+    def enqueue(self, calls: list[Call]) -> None:
+        """Have `calls` evaluated, in their order as far as possible."""
+        with self._lock:
+            if self._closing:
+                raise FmuidError("it has been shut down", where="worker pool", fix="open a new one")
+            self._pending.extend(calls)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._supervise, name="fmuid workers", daemon=True)
+                self._thread.start()
+                atexit.register(self.shutdown, wait=True, abandon=True)  # no thread goes on in a dying interpreter
+        self._wake()
+
+    def shutdown(self, wait: bool, abandon: bool) -> None:
+        """End the workers when all is done, or at once."""
+        with self._lock:
+            self._closing = True
+            self._abandoning |= abandon
+            thread = self._thread
+        if thread is None:
+            self._scratch.remove()
+            return
+        self._wake()
+        if wait and thread is not threading.current_thread():
+            thread.join()
+
+    def _wake(self) -> None:
+        with suppress(OSError):
+            self._wake_writer.send_bytes(b"")
+
+    # ---- in the supervising thread ----------------------------------------------------------------------
+
+    def _supervise(self) -> None:
+        try:
+            while self._turn():
+                pass
+        except FmuidError as error:
+            self._fail_all(error)
+        except BaseException as error:  # never leave anyone waiting
+            self._fail_all(FmuidError(f"its supervision failed ({error!r})", where="worker pool"))
+        finally:
+            with self._lock:
+                self._closing = True
+            self._fail_all(FmuidError("it has been shut down", where="worker pool"), cancel=True)
+            for worker in list(self._team):
+                self._dismiss(worker)
+            self._scratch.remove()
+            atexit.unregister(self.shutdown)
+
+    def _turn(self) -> bool:
+        """Hand out work, wait for something to happen, and deal with it; False when all is over."""
+        with self._lock:
+            abandoning, over = self._abandoning, self._closing and not self._pending
+        if abandoning or (over and not any(w.calls for w in self._team)):
+            return False
+        self._hand_out()
+        sources = [self._wake_reader.fileno(), *(w.connection.fileno() for w in self._team)]
+        for source in mp_connection.wait(sources, self._patience()):
+            if source == self._wake_reader.fileno():
+                self._wake_reader.recv_bytes()
+                continue
+            worker = next((w for w in self._team if w.connection.fileno() == source), None)
+            if worker is not None:
+                self._receive(worker)
+        self._enforce_limits()
+        return True
+
+    def _hand_out(self) -> None:
+        with self._lock:
+            waiting = len(self._pending)
+            fresh = bool(self._pending) and self._pending[0].retried
+        if fresh and not any(w.done == 0 and not w.calls for w in self._team):
+            idle = next((w for w in self._team if w.ready and not w.calls), None)
+            if idle is not None:  # it makes room for the fresh worker that is wanted
+                self._dismiss(idle)
+        busy = sum(bool(w.calls) for w in self._team)
+        while len(self._team) < min(self._size, busy + waiting):
+            self._recruit()
+        for depth in range(_AHEAD):  # everyone gets a first before anyone gets a second
+            for worker in list(self._team):
+                if worker.ready and not worker.retiring and len(worker.calls) == depth:
+                    call = self._next(worker, depth)
+                    if call is not None:
+                        self._give(worker, call)
+
+    def _next(self, worker: Worker, depth: int) -> Call | None:
+        with self._lock:
+            while self._pending:
+                call = self._pending[0]
+                if call.retried and (worker.done or depth):  # wants a fresh worker
+                    return None
+                # A busy worker does not read: only what fits into the pipe may be sent to it.
+                if depth and (len(call.message) > _SMALL or not worker.held.issuperset(call.holds)):
+                    return None
+                self._pending.popleft()
+                if call.future.running() or call.future.set_running_or_notify_cancel():
+                    return call
+        return None
+
+    def _give(self, worker: Worker, call: Call) -> None:
+        if not worker.calls:
+            worker.begun = time.monotonic()
+        worker.calls.append(call)
+        try:
+            for number in call.holds:
+                if number not in worker.held:
+                    worker.connection.send(self.messages[number])
+                    worker.held.add(number)
+            worker.connection.send(call.message)
+        except OSError:
+            pass  # it is dead; its connection says so in a moment
+
+    def _receive(self, worker: Worker) -> None:
+        try:
+            message, buffers = worker.connection.receive()
+        except (EOFError, OSError):
+            self._bury(worker)
+            return
+        fine, content, memory = pickle.loads(message, buffers=buffers)
+        if not worker.ready:
+            worker.ready, self._failed_starts = True, 0
+            return
+        call = worker.calls.popleft()
+        worker.begun = time.monotonic()
+        worker.done += 1
+        worker.first_memory = worker.first_memory or memory
+        if fine:
+            call.future.set_result(content)
+        else:
+            call.future.set_exception(content)
+        grown = memory - worker.first_memory > self._limits.growth
+        if grown or (self._limits.evaluations is not None and worker.done >= self._limits.evaluations):
+            worker.retiring = True
+            self._take_back(worker)
+        if worker.retiring and not worker.calls:
+            self._dismiss(worker)
+
+    def _take_back(self, worker: Worker) -> None:
+        """Replace `worker`; what it has not begun goes back to the head of the queue."""
+        with self._lock:
+            self._pending.extendleft(reversed(worker.calls))
+        worker.calls.clear()
+
+    def _bury(self, worker: Worker) -> None:
+        """Settle what a dead worker leaves: its evaluation failed or is tried again, the rest goes elsewhere."""
+        worker.process.join(5.0)
+        code = worker.process.exitcode
+        if not worker.ready:
+            self._failed_starts += 1
+        head = worker.calls.popleft() if worker.calls else None
+        self._take_back(worker)
+        in_reset = resets.ended(worker.folder)
+        self._dismiss(worker)
+        if head is None:
+            if self._failed_starts >= _MAX_FAILED_STARTS:
+                raise FmuidError("worker processes do not start", **_START_HINT)
+            return
+        if (worker.done or in_reset) and not head.retried and worker.killed != "time":
+            head.retried = True
+            with self._lock:
+                self._pending.appendleft(head)
+            return
+        head.future.set_exception(self._verdict(worker, head, code))
+
+    def _verdict(self, worker: Worker, call: Call, code: int | None) -> SimulationError:
+        if worker.killed == "time":
+            what = f"took longer than the time limit of {self._limits.time:g} s"
+        elif worker.killed == "memory":
+            what = f"took more memory than the limit of {self._limits.memory / 2**20:.0f} MB"
+        else:
+            what = f"crashed ({_cause(code)})"
+        given = in_words(call.parameters)
+        return SimulationError(what + (f" (with {given})" if given else ""), where=call.name)
+
+    def _patience(self) -> float | None:
+        """Seconds until somebody has to be looked after, None if nobody has."""
+        now = time.monotonic()
+        waits: list[float] = []
+        for w in self._team:
+            if not w.ready:
+                waits.append(w.started + _START_LIMIT - now)
+            elif w.calls:
+                if self._limits.time is not None:
+                    waits.append(w.begun + self._limits.time - now)
+                if self._limits.memory and sys.platform == "linux":
+                    waits.append(_MEMORY_INTERVAL)
+        return max(0.0, min(waits)) if waits else None
+
+    def _enforce_limits(self) -> None:
+        now = time.monotonic()
+        weigh = bool(self._limits.memory) and now - self._weighed >= _MEMORY_INTERVAL
+        if weigh:
+            self._weighed = now
+        for worker in list(self._team):
+            late = now - worker.begun > self._limits.time if self._limits.time is not None else False
+            if not worker.ready:
+                if now - worker.started > _START_LIMIT:
+                    worker.process.kill()
+            elif worker.killed is None and worker.calls:
+                if late:
+                    worker.killed = "time"
+                elif weigh and resident_memory(worker.process.pid) > self._limits.memory:
+                    worker.killed = "memory"
+                if worker.killed is not None:
+                    worker.process.kill()
+
+    def _recruit(self) -> None:
+        ours, theirs = channels()
+        folder = Path(tempfile.mkdtemp(dir=self._scratch.path))
+        process = self._context.Process(
+            target=worker_process.main, args=(theirs, str(folder)), name="fmuid worker", daemon=True
+        )
+        try:
+            with _one_thread_each():
+                process.start()
+        except (OSError, EOFError, RuntimeError) as error:
+            raise FmuidError(f"worker processes cannot be started ({error})", **_START_HINT) from None
+        finally:
+            theirs.close()
+        self._team.append(Worker(process, ours, folder))
+
+    def _dismiss(self, worker: Worker) -> None:
+        """End a worker: kindly if it is idle, else at once."""
+        if worker in self._team:
+            self._team.remove(worker)
+        if worker.calls or not worker.ready:
+            worker.process.kill()
+        worker.connection.close()  # it leaves when it sees this
+        worker.process.join(1.0)
+        if worker.process.is_alive():
+            worker.process.kill()
+            worker.process.join()
+        worker.process.close()
+        shutil.rmtree(worker.folder, ignore_errors=True)
+
+    def _fail_all(self, error: FmuidError, cancel: bool = False) -> None:
+        with self._lock:
+            calls = [*self._pending, *(c for w in self._team for c in w.calls)]
+            self._pending.clear()
+        for call in calls:
+            if call.future.running() or (not cancel and call.future.set_running_or_notify_cancel()):
+                call.future.set_exception(error)
+            else:
+                call.future.cancel()
+
+
+def _cause(code: int | None) -> str:
+    if code is not None and code < 0:
+        with suppress(ValueError):
+            return signal.Signals(-code).name
+    return f"exit code {code}"

@@ -1,0 +1,166 @@
+"""Worker processes that are watched over, so that no FMU can stop a search.
+
+Use a pool as the runner of a problem (``runner=pool.run``), or as any `concurrent.futures.Executor`::
+
+    with WorkerPool(2, time_limit=30.0) as pool:
+        outcomes = pool.run([(fmu, task, {"c": 100.0}), (fmu, task, {"c": 200.0})])
+
+Each worker extracts and instantiates an FMU once and receives a task's data once. An evaluation that crashes
+its worker, exceeds the time limit or the memory limit becomes a `SimulationError`; the worker is replaced.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_EXCEPTION, Executor, Future, wait
+from types import TracebackType
+from typing import Any, ParamSpec, TypeVar
+
+from fmuid.core.errors import FmuidError
+from fmuid.simulation.pool import worker_process
+from fmuid.simulation.pool.parcels import Parcel, name_of, pickled
+from fmuid.simulation.pool.worker_supervision import Call, Limits, Supervisor
+from fmuid.simulation.runners import Job, Outcome, outcome_of
+from fmuid.simulation.simulator import Simulator, Task
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class WorkerPool(Executor):
+    """A pool of supervised worker processes.
+
+    Parameters
+    ----------
+    workers
+        Number of processes; None takes the number of processors this process may use.
+    time_limit
+        Seconds one evaluation may take; None for no limit.
+    memory_limit
+        Resident bytes a worker may reach; None takes half of the machine's memory shared by the workers. Only
+        Linux tells; elsewhere there is no limit.
+    recycle_after
+        Evaluations after which a worker is replaced; None for never.
+    recycle_growth
+        Bytes a worker may grow after its first evaluation before it is replaced between two evaluations, for
+        FMUs that leak.
+
+    Notes
+    -----
+    An evaluation that crashes a worker which had done others before is tried again in a fresh one: whether
+    it fails then depends on its parameters alone, and results are the same for any number of workers. What
+    exceeds the time limit is not tried again.
+
+    Workers start by ``forkserver`` where there is one, else by ``spawn``: a script must start its work under
+    ``if __name__ == "__main__":``.
+    """
+
+    TIME_LIMIT = 300.0
+
+    def __init__(
+        self,
+        workers: int | None = None,
+        *,
+        time_limit: float | None = TIME_LIMIT,
+        memory_limit: int | None = None,
+        recycle_after: int | None = None,
+        recycle_growth: int = 256 * 2**20,
+    ) -> None:
+        self.workers = workers if workers is not None else available_processors()
+        if self.workers < 1:
+            raise FmuidError(f"{workers} workers", where="worker pool", fix="ask for one or more")
+        limits = Limits(
+            time_limit,
+            memory_limit if memory_limit is not None else memory_share(self.workers),
+            recycle_after,
+            recycle_growth,
+        )
+        self._supervisor = Supervisor(self.workers, limits)
+        self._lock = threading.Lock()
+        self._objects: dict[int, tuple[int, Any]] = {}  # id -> number, object (keeps the id its own)
+        self._numbers = itertools.count()
+
+    def run(self, jobs: Sequence[Job]) -> list[Outcome]:
+        """Simulate `jobs` in the workers; outcomes in the jobs' order, a failed one as its `SimulationError`.
+
+        Raises
+        ------
+        FmuidError
+            A job is wrong whatever its parameters' values (an unknown name), or workers cannot be started.
+        """
+        return outcomes_of(self._enqueue([self._call(*job) for job in jobs]))
+
+    def submit_packed(self, jobs: Sequence[tuple[Parcel, Parcel, Mapping[str, float]]]) -> list[Future[Any]]:
+        """Begin to simulate what another process has packed; `outcomes_of` waits for it."""
+        return self._enqueue([self._call(*job) for job in jobs])
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Call ``fn(*args, **kwargs)`` in a worker; see `concurrent.futures.Executor.submit`.
+
+        The future raises `SimulationError` if the call crashes the worker or exceeds a limit.
+        """
+        message = pickled((worker_process.CALL, fn, args, kwargs))
+        return self._enqueue([Call(message, (), Future(), getattr(fn, "__name__", "call"), {})])[0]
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the workers; see `concurrent.futures.Executor.shutdown`.
+
+        With `cancel_futures` evaluations that have begun are abandoned too.
+        """
+        self._supervisor.shutdown(wait, abandon=cancel_futures)
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc_value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.shutdown(cancel_futures=exc_type is not None)
+
+    def _call(self, simulator: Simulator | Parcel, task: Task | Parcel, parameters: Mapping[str, float]) -> Call:
+        numbers = self._hold(simulator), self._hold(task)
+        message = pickled((worker_process.JOB, *numbers, dict(parameters)))
+        return Call(message, numbers, Future(), name_of(simulator), parameters)
+
+    def _hold(self, thing: Any) -> int:
+        """Give `thing` a number; workers receive it once."""
+        with self._lock:
+            if id(thing) in self._objects:
+                return self._objects[id(thing)][0]
+        content = thing.content if isinstance(thing, Parcel) else pickled(thing)
+        with self._lock:
+            number = next(self._numbers)
+            self._supervisor.messages[number] = pickled((worker_process.HOLD, number, content))
+            self._objects[id(thing)] = number, thing
+        return number
+
+    def _enqueue(self, calls: list[Call]) -> list[Future[Any]]:
+        self._supervisor.enqueue(calls)
+        return [call.future for call in calls]
+
+
+def outcomes_of(futures: Sequence[Future[Any]]) -> list[Outcome]:
+    """Wait for simulations; what is left of them is cancelled if one raises something else than its failure."""
+    try:
+        wait(futures, return_when=FIRST_EXCEPTION)  # woken once, not by every evaluation
+        return [outcome_of(future) for future in futures]
+    except BaseException:
+        for future in futures:
+            future.cancel()
+        raise
+
+
+def available_processors() -> int:
+    """Return the number of processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def memory_share(workers: int) -> int:
+    """Return the bytes that each of so many workers may take, 0 (no limit) where the machine does not tell."""
+    try:
+        return int(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2 // workers)
+    except (AttributeError, OSError, ValueError):
+        return 0

@@ -1,0 +1,62 @@
+"""Where simulations run: in this process, or on its threads; elsewhere see `workers` and `remote`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+from fmuid.core.errors import SimulationError
+from fmuid.core.immutable import FloatArray
+from fmuid.simulation.simulator import Simulator, Task
+
+Job = tuple[Simulator, Task, Mapping[str, float]]
+Outcome = FloatArray | SimulationError
+Runner = Callable[[Sequence[Job]], list[Outcome]]
+"""Simulates jobs and returns their outcomes in the same order; a failed run is its error, never a number."""
+
+
+def simulate(job: Job) -> Outcome:
+    """Run one job."""
+    simulator, task, parameters = job
+    try:
+        return simulator.simulate(task, parameters)
+    except SimulationError as error:
+        return error
+
+
+def simulated(runner: Runner, simulator: Simulator, task: Task, parameters: Mapping[str, float]) -> FloatArray:
+    """Return the predictions of one simulation on `runner`; raises `SimulationError` if it fails."""
+    (outcome,) = runner([(simulator, task, parameters)])
+    if isinstance(outcome, SimulationError):
+        raise outcome
+    return outcome
+
+
+def in_process(jobs: Sequence[Job]) -> list[Outcome]:
+    """Run `jobs` one after the other, here."""
+    return [simulate(job) for job in jobs]
+
+
+def outcome_of(future: Future[Any]) -> Outcome:
+    """Wait for a simulation; one that raised is its error."""
+    try:
+        outcome: Outcome = future.result()
+    except SimulationError as error:
+        return error
+    return outcome
+
+
+def on_threads(executor: ThreadPoolExecutor) -> Runner:
+    """Return a runner that simulates on the threads of `executor`."""
+
+    def run(jobs: Sequence[Job]) -> list[Outcome]:
+        futures: list[Future[Outcome]] = [executor.submit(simulate, job) for job in jobs]
+        try:
+            return [outcome_of(future) for future in futures]
+        except BaseException:
+            for future in futures:
+                future.cancel()
+            raise
+
+    return run

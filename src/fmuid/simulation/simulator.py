@@ -1,0 +1,108 @@
+"""What a model is to the rest of fmuid: parameters and an experiment go in, predictions come out."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+from fmuid.core.campaign import Interpolation
+from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A scalar variable of a model, in FMI's words.
+
+    Parameters
+    ----------
+    name, description
+        As in the model description.
+    causality, variability
+        Such as ``parameter``, ``input``, ``output``, ``local``; ``fixed``, ``tunable``, ``continuous``.
+    unit
+        None where none is stated.
+    start, min, max
+        Start value and bounds, None where there is none.
+    type
+        ``Real``, ``Integer``, ``Boolean``, ``Float64`` and so on.
+    """
+
+    name: str
+    causality: str
+    variability: str = "continuous"
+    unit: str | None = None
+    start: float | None = None
+    min: float | None = None
+    max: float | None = None
+    description: str = ""
+    type: str = "Real"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    """One simulation to be run many times with different parameters.
+
+    Parameters
+    ----------
+    time
+        (N,) communication points in s, strictly increasing.
+    inputs
+        FMU variable name -> (N,) samples.
+    outputs
+        FMU variable names to record.
+    start_values
+        Values set before initialisation in every run (settings, initial states).
+    interpolation
+        ``hold``: input sample k acts on [t_k, t_{k+1}); ``linear``: between the samples.
+    tolerance
+        Relative tolerance handed to the FMU, or None for its default.
+    along
+        Directions to differentiate along, each a weight by parameter: the prediction then has below the outputs
+        their derivatives, direction by direction, (1 + len(along)) * len(outputs) rows. Of simulators that
+        `differentiates` tells of.
+    """
+
+    time: FloatArray
+    inputs: Mapping[str, FloatArray]
+    outputs: tuple[str, ...]
+    start_values: Mapping[str, float] = field(default_factory=dict)
+    interpolation: Interpolation = "hold"
+    tolerance: float | None = None
+    along: tuple[Mapping[str, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", read_only(self.time))
+        object.__setattr__(self, "inputs", frozen_mapping({k: read_only(v) for k, v in self.inputs.items()}))
+        object.__setattr__(self, "start_values", frozen_mapping(self.start_values))
+        object.__setattr__(self, "along", tuple(frozen_mapping(d) for d in self.along))
+
+
+@runtime_checkable
+class Simulator(Protocol):
+    """A model that can be simulated: an FMU, a reference model or an analytic one.
+
+    Outputs at ``time[0]`` are those after initialisation with the first input sample; outputs at
+    ``time[k+1]`` are those at the end of the step from ``time[k]``, before input sample k+1 is set.
+    """
+
+    @property
+    def variables(self) -> Mapping[str, Variable]:
+        """Every variable by name."""
+        ...
+
+    def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
+        """Return predictions, shape (len(task.outputs), N).
+
+        Raises
+        ------
+        SimulationError
+            The run failed; there is no prediction for these parameters.
+        """
+        ...
+
+
+def differentiates(simulator: Simulator, names: Collection[str]) -> bool:
+    """Whether a simulator gives the exact derivatives of its runs by the parameters `names` (see `Task.along`)."""
+    method = getattr(simulator, "differentiates", None)
+    return method is not None and bool(method(names))

@@ -1,0 +1,304 @@
+/* The loop over communication points for any FMU: FMI 2.0 and 3.0, co-simulation and model exchange.
+ *
+ * One call of fmuid_run is one whole simulation: reset, set start values, initialise, then set inputs, step and
+ * read outputs at every communication point. The caller (stepper.py) fills in a Plan.
+ */
+#include "stepper.h"
+
+#include <float.h>
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+#include <time.h>
+
+int32_t fail(Plan *plan, int32_t place, int32_t status)
+{
+    plan->call = place;
+    plan->status = status;
+    return CALL_FAILED;
+}
+
+static inline int32_t exchange(Plan *plan, const Group *g, int32_t place, void *buffer)
+{
+    int32_t status;
+    if (plan->fmi == 2)
+        status = ((int32_t (*)(Instance, const uint32_t *, size_t, void *))g->function)(
+            plan->instance, g->references, g->n_references, buffer);
+    else
+        status = ((int32_t (*)(Instance, const uint32_t *, size_t, void *, size_t))g->function)(
+            plan->instance, g->references, g->n_references, buffer, g->n_values);
+    return status > 1 ? fail(plan, place, status) : DONE;
+}
+
+#define EACH(statement) for (int32_t i = 0; i < g->n_columns; i++) { statement; } break
+#define PUT(T) EACH(((T *)g->buffer)[g->place[i]] = (T)row[g->column[i]])
+#define TAKE(T) EACH(row[g->column[i]] = (double)((const T *)g->buffer)[g->place[i]])
+
+int32_t set_values(Plan *plan, const Group *groups, int32_t n_groups, const double *row)
+{
+    for (const Group *g = groups; g < groups + n_groups; g++) {
+        if (g->direct) {
+            TRY(exchange(plan, g, SET_VALUES, (void *)row));
+            continue;
+        }
+        switch (g->type) {
+        case FLOAT64: PUT(double);
+        case FLOAT32: PUT(float);
+        case INT8: PUT(int8_t);
+        case UINT8: PUT(uint8_t);
+        case INT16: PUT(int16_t);
+        case UINT16: PUT(uint16_t);
+        case INT32: PUT(int32_t);
+        case UINT32: PUT(uint32_t);
+        case INT64: PUT(int64_t);
+        default: PUT(uint64_t);
+        }
+        TRY(exchange(plan, g, SET_VALUES, g->buffer));
+    }
+    return DONE;
+}
+
+int32_t get_values(Plan *plan, double *row)
+{
+    for (const Group *g = plan->output_groups; g < plan->output_groups + plan->n_output_groups; g++) {
+        TRY(exchange(plan, g, GET_VALUES, g->direct ? row : g->buffer));
+        if (g->direct) continue;
+        switch (g->type) {
+        case FLOAT64: TAKE(double);
+        case FLOAT32: TAKE(float);
+        case INT8: TAKE(int8_t);
+        case UINT8: TAKE(uint8_t);
+        case INT16: TAKE(int16_t);
+        case UINT16: TAKE(uint16_t);
+        case INT32: TAKE(int32_t);
+        case UINT32: TAKE(uint32_t);
+        case INT64: TAKE(int64_t);
+        default: TAKE(uint64_t);
+        }
+    }
+    return DONE;
+}
+
+static int32_t read_sensitivities(Plan *plan, size_t k)
+{
+    const size_t n = plan->n_outputs, directions = plan->n_directions;
+    CALL(GET_SENSITIVITIES, int32_t (*)(Instance, const uint32_t *, size_t, double *), plan->instance,
+         plan->output_references, n, plan->sensitivities);
+    for (size_t j = 0; j < n; j++)
+        for (size_t d = 0; d < directions; d++) {
+            const double value = plan->sensitivities[j * directions + d];
+            plan->outputs[((1 + d) * n + j) * plan->n_times + k] = value;
+            if (!isfinite(value)) {
+                plan->column = (int32_t)j;
+                plan->reached_time = plan->time[k];
+                return NOT_FINITE;
+            }
+        }
+    return DONE;
+}
+
+static int32_t read_outputs(Plan *plan, size_t k)
+{
+    double *row = plan->row;
+    TRY(get_values(plan, row));
+    for (size_t j = 0; j < plan->n_outputs; j++) {
+        plan->outputs[j * plan->n_times + k] = row[j];
+        if (!isfinite(row[j])) {
+            plan->column = (int32_t)j;
+            plan->reached_time = plan->time[k];
+            return NOT_FINITE;
+        }
+    }
+    if (plan->n_directions > 0) TRY(read_sensitivities(plan, k));
+    plan->reached = (int64_t)k;
+    plan->reached_time = plan->time[k];
+    return DONE;
+}
+
+int32_t enter_initialisation(Plan *plan)
+{
+    Instance c = plan->instance;
+    plan->reached = -1;
+    plan->reached_time = plan->time[0];
+    if (plan->reset) CALL(RESET, Plain, c);
+    if (plan->fmi == 2)
+        CALL(SETUP_EXPERIMENT, int32_t (*)(Instance, int, double, double, int, double), c, plan->tolerance_defined,
+             plan->tolerance, plan->time[0], 1, plan->stop);
+    if (plan->n_directions > 0)
+        CALL(SET_DIRECTIONS, int32_t (*)(Instance, const uint32_t *, size_t, const double *, size_t), c, plan->moved,
+             plan->n_moved, plan->weights, plan->n_directions);
+    TRY(set_values(plan, plan->start_groups, plan->n_start_groups, plan->starts));
+    if (plan->fmi == 2)
+        CALL(ENTER_INITIALIZATION, Plain, c);
+    else
+        CALL(ENTER_INITIALIZATION, int32_t (*)(Instance, bool, double, double, bool, double), c,
+             (bool)plan->tolerance_defined, plan->tolerance, plan->time[0], true, plan->stop);
+    return DONE;
+}
+
+static int32_t initialise(Plan *plan)
+{
+    TRY(enter_initialisation(plan));
+    TRY(set_values(plan, plan->input_groups, plan->n_input_groups, plan->inputs));
+    CALL(EXIT_INITIALIZATION, Plain, plan->instance);
+    return DONE;
+}
+
+static inline int32_t advance(Plan *plan, double t, double h)
+{
+    Instance c = plan->instance;
+    if (plan->fmi == 2) {
+        int32_t status = ((int32_t (*)(Instance, double, double, int))plan->function[DO_STEP])(c, t, h, !plan->rewinds);
+        if (status == 2 && plan->function[GET_BOOLEAN_STATUS]) { /* discarded: perhaps it ended the simulation */
+            int terminated = 0;
+            int32_t answer = ((int32_t (*)(Instance, int, int *))plan->function[GET_BOOLEAN_STATUS])(c, 3, &terminated);
+            if (answer <= 1 && terminated) return TERMINATED;
+        }
+        return status > 1 ? fail(plan, DO_STEP, status) : DONE;
+    }
+    bool event = false, terminate = false, early = false;
+    double last = t;
+    CALL(DO_STEP, int32_t (*)(Instance, double, double, bool, bool *, bool *, bool *, double *), c, t, h,
+         !plan->rewinds, &event, &terminate, &early, &last);
+    if (terminate) return TERMINATED;
+    if (early) {
+        plan->reached_time = last;
+        return EARLY_RETURN;
+    }
+    return DONE;
+}
+
+int32_t do_step(Plan *plan, size_t k)
+{
+    const double t = plan->time[k], h = plan->time[k + 1] - t, *u = plan->inputs + k * plan->n_inputs;
+    TRY(set_values(plan, plan->input_groups, plan->n_input_groups, u));
+    if (plan->n_slopes > 0 && plan->fmi == 2) {
+        for (int32_t i = 0; i < plan->n_slopes; i++) {
+            int32_t j = plan->slope_columns[i];
+            plan->slopes[i] = (u[plan->n_inputs + j] - u[j]) / h;
+        }
+        CALL(SET_INPUT_DERIVATIVES, int32_t (*)(Instance, const uint32_t *, size_t, const int32_t *, const double *),
+             plan->instance, plan->slope_references, (size_t)plan->n_slopes, plan->slope_orders, plan->slopes);
+    }
+    return advance(plan, t, h);
+}
+
+static int32_t any_steps(Plan *plan, size_t k, size_t last)
+{
+    for (; k < last; k++) {
+        TRY(plan->model_exchange ? integrate(plan, k) : do_step(plan, k));
+        TRY(read_outputs(plan, k + 1));
+    }
+    return DONE;
+}
+
+static bool all_real(const Plan *plan)
+{
+    return !plan->model_exchange && plan->n_directions == 0 && plan->n_slopes == 0 && plan->n_output_groups == 1 && plan->output_groups->direct
+        && (plan->n_input_groups == 0 || (plan->n_input_groups == 1 && plan->input_groups->direct));
+}
+
+/* The same for the usual case, real scalars in and out, with everything at hand: an FMU's step may take 20 ns. */
+static int32_t real_steps(Plan *plan, size_t k, size_t last)
+{
+    const Group inputs = plan->n_input_groups ? plan->input_groups[0] : (Group){0}, outputs = plan->output_groups[0];
+    const size_t n_inputs = plan->n_inputs, n_outputs = plan->n_outputs, n_times = plan->n_times;
+    const double *const time = plan->time, *u = plan->inputs + k * n_inputs;
+    double *const row = plan->row, *y = plan->outputs + k + 1;
+    for (; k < last; k++, u += n_inputs, y++) {
+        if (n_inputs > 0) TRY(exchange(plan, &inputs, SET_VALUES, (void *)u));
+        TRY(advance(plan, time[k], time[k + 1] - time[k]));
+        TRY(exchange(plan, &outputs, GET_VALUES, row));
+        bool finite = true;
+        for (size_t j = 0; j < n_outputs; j++) {
+            double value = row[j];
+            y[j * n_times] = value;
+            finite &= fabs(value) <= DBL_MAX;
+        }
+        if (!finite) return read_outputs(plan, k + 1); /* which finds out which one it is */
+        plan->reached = (int64_t)k + 1;
+        plan->reached_time = time[k + 1];
+    }
+    return DONE;
+}
+
+/* ---- The FMU's log: the messages of the highest severity since the last fmuid_clear_log of this thread. ---- */
+
+#ifdef _MSC_VER
+#define THREAD_LOCAL __declspec(thread)
+#else
+#define THREAD_LOCAL _Thread_local
+#endif
+
+static THREAD_LOCAL struct { int32_t severity; size_t length; char text[1024]; } kept;
+
+void fmuid_clear_log(void) { memset(&kept, 0, sizeof kept); }
+
+const char *fmuid_read_log(void) { return kept.text; }
+
+static void keep(int32_t severity, const char *message, va_list *values)
+{
+    if (severity < 1 || severity < kept.severity || message == NULL) return;
+    if (severity > kept.severity) kept.length = 0;
+    kept.severity = severity;
+    size_t room = sizeof kept.text - kept.length;
+    if (room < 8) return;
+    const char *comma = kept.length ? ", " : "";
+    char *to = kept.text + kept.length;
+    int n = snprintf(to, room, "%s", comma), m;
+    if (values)
+        m = vsnprintf(to + n, room - (size_t)n, message, *values);
+    else
+        m = snprintf(to + n, room - (size_t)n, "%s", message);
+    if (m > 0) kept.length += (size_t)n + ((size_t)m < room - (size_t)n ? (size_t)m : room - (size_t)n - 1);
+}
+
+void fmuid_log_fmi2(void *environment, const char *instance, int status, const char *category, const char *message, ...)
+{
+    (void)environment, (void)instance, (void)category;
+    va_list values;
+    va_start(values, message);
+    keep(status, message, &values);
+    va_end(values);
+}
+
+void fmuid_log_fmi3(void *environment, int status, const char *category, const char *message)
+{
+    (void)environment, (void)category;
+    keep(status, message, NULL);
+}
+
+static double seconds(void)
+{
+    struct timespec now;
+    timespec_get(&now, TIME_UTC);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+/* Simulate, or go on where the last call paused; returns PAUSED after about `slice` seconds. */
+int32_t fmuid_run(Plan *plan, int32_t resume, double slice)
+{
+    if (!resume) {
+        TRY(initialise(plan));
+        if (plan->model_exchange) TRY(begin_model_exchange(plan));
+        TRY(read_outputs(plan, 0));
+    }
+    int32_t (*steps)(Plan *, size_t, size_t) = all_real(plan) ? real_steps : any_steps;
+    double begun = seconds(), checked = begun;
+    size_t end = plan->n_times - 1, stride = 1;
+    for (size_t k = (size_t)plan->reached, next; k < end; k = next) {
+        next = stride < end - k ? k + stride : end;
+        TRY(steps(plan, k, next));
+        /* Look at the clock often enough for Ctrl-C, seldom enough to cost nothing. */
+        double now = seconds();
+        if (now - begun > slice && next < end) return PAUSED;
+        stride = now - checked < 1e-3 ? 2 * stride : (stride + 1) / 2;
+        checked = now;
+    }
+    /* Results are complete: what Terminate answers cannot change them. */
+    if (plan->function[TERMINATE]) ((Plain)plan->function[TERMINATE])(plan->instance);
+    return DONE;
+}
+
+int32_t fmuid_plan_size(void) { return (int32_t)sizeof(Plan); } /* to see that caller and library are of one version */

@@ -1,0 +1,172 @@
+"""The loop over communication points in compiled code, over any FMU's C functions.
+
+``stepper.c``, ``model_exchange.c`` and ``coupled/master.c`` are one library, which is compiled when fmuid is
+installed (``setup.py``). It does not know Python, so one build serves every version of it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Callable
+from ctypes import POINTER, c_char_p, c_double, c_int32, c_int64, c_size_t, c_void_p
+from enum import IntEnum
+from importlib.util import find_spec
+from typing import TypeVar
+
+from fmuid.core.errors import FmuError
+
+T = TypeVar("T")
+_REINSTALL = "install fmuid again, in a clone with `pip install --editable .`"
+_SLICE = 0.1  # s between looks at Ctrl-C
+FUNCTIONS = (
+    "RESET",
+    "SETUP_EXPERIMENT",
+    "ENTER_INITIALIZATION",
+    "EXIT_INITIALIZATION",
+    "TERMINATE",
+    "DO_STEP",
+    "SET_INPUT_DERIVATIVES",
+    "GET_BOOLEAN_STATUS",
+    "ENTER_EVENT_MODE",
+    "UPDATE_DISCRETE_STATES",
+    "ENTER_CONTINUOUS_TIME_MODE",
+    "COMPLETED_INTEGRATOR_STEP",
+    "SET_TIME",
+    "SET_STATES",
+    "GET_STATES",
+    "GET_DERIVATIVES",
+    "GET_INDICATORS",
+    "GET_NOMINALS",
+    "GET_FMU_STATE",
+    "SET_FMU_STATE",
+    "FREE_FMU_STATE",
+    "SET_DIRECTIONS",
+    "GET_SENSITIVITIES",
+    "SET_VALUES",
+    "GET_VALUES",
+)
+"""Places in `Plan.function`, as in stepper.c."""
+
+DTYPES = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8")
+"""How values of `Group.type` are stored on the FMU's side, as in stepper.c."""
+
+
+class Outcome(IntEnum):
+    """Why a run ended, as in stepper.c."""
+
+    DONE = 0
+    PAUSED = 1
+    CALL_FAILED = 2
+    NOT_FINITE = 3
+    TERMINATED = 4
+    EARLY_RETURN = 5
+    STEP_TOO_SMALL = 6
+    EVENTS_DO_NOT_SETTLE = 7
+    LOOP_NOT_SOLVED = 8
+
+
+class Group(ctypes.Structure):
+    """Variables of one type, set or read by one call; as in stepper.c."""
+
+    _fields_ = (
+        ("function", c_void_p),
+        ("references", c_void_p),
+        ("n_references", c_size_t),
+        ("n_values", c_size_t),
+        ("type", c_int32),
+        ("direct", c_int32),
+        ("n_columns", c_int32),
+        ("unused", c_int32),
+        ("column", c_void_p),
+        ("place", c_void_p),
+        ("buffer", c_void_p),
+    )
+
+
+class Plan(ctypes.Structure):
+    """Everything one simulation needs; as in stepper.c."""
+
+    _fields_ = (
+        ("instance", c_void_p),
+        ("function", c_void_p * len(FUNCTIONS)),
+        ("fmi", c_int32),
+        ("model_exchange", c_int32),
+        ("reset", c_int32),
+        ("linear", c_int32),
+        ("tolerance_defined", c_int32),
+        ("completed_step_needed", c_int32),
+        ("rewinds", c_int32),
+        ("tolerance", c_double),
+        ("stop", c_double),
+        ("n_times", c_size_t),
+        ("n_inputs", c_size_t),
+        ("n_outputs", c_size_t),
+        ("n_starts", c_size_t),
+        ("n_states", c_size_t),
+        ("n_indicators", c_size_t),
+        ("time", c_void_p),
+        ("inputs", c_void_p),
+        ("starts", c_void_p),
+        ("outputs", c_void_p),
+        ("row", c_void_p),
+        ("n_start_groups", c_int32),
+        ("n_input_groups", c_int32),
+        ("n_output_groups", c_int32),
+        ("n_slope_groups", c_int32),
+        ("n_slopes", c_int32),
+        ("start_groups", POINTER(Group)),
+        ("input_groups", POINTER(Group)),
+        ("output_groups", POINTER(Group)),
+        ("slope_groups", POINTER(Group)),
+        ("slope_references", c_void_p),
+        ("slope_columns", c_void_p),
+        ("slope_orders", c_void_p),
+        ("slopes", c_void_p),
+        ("n_directions", c_size_t),
+        ("n_moved", c_size_t),
+        ("moved", c_void_p),
+        ("weights", c_void_p),
+        ("output_references", c_void_p),
+        ("sensitivities", c_void_p),
+        ("work", c_void_p),
+        ("pivots", c_void_p),
+        ("step_size", c_double),
+        ("next_event", c_double),
+        ("next_event_defined", c_int32),
+        ("reached", c_int64),
+        ("status", c_int32),
+        ("call", c_int32),
+        ("column", c_int32),
+        ("reached_time", c_double),
+    )
+
+
+@functools.cache
+def library() -> ctypes.CDLL:
+    """Return the compiled stepper.
+
+    Raises
+    ------
+    FmuError
+        It is not beside the code, or was compiled from other sources.
+    """
+    spec = find_spec("fmuid.simulation._stepper")
+    if spec is None or spec.origin is None:
+        raise FmuError("the compiled stepper is missing", where="fmuid", fix=_REINSTALL)
+    stepper = ctypes.CDLL(spec.origin)
+    if stepper.fmuid_plan_size() != ctypes.sizeof(Plan):
+        raise FmuError("the compiled stepper is older than the code", where=spec.origin, fix=_REINSTALL)
+    stepper.fmuid_run.argtypes = [POINTER(Plan), c_int32, c_double]
+    stepper.fmuid_run.restype = c_int32
+    stepper.fmuid_clear_log.restype = None
+    stepper.fmuid_read_log.restype = c_char_p
+    return stepper
+
+
+def run_to_end(run: Callable[[T, int, float], int], subject: T) -> int:
+    """Return the outcome of ``run(subject, resume, slice)``, which pauses so that Ctrl-C is seen."""
+    outcome = run(subject, 0, _SLICE)
+    while outcome == Outcome.PAUSED:
+        outcome = run(subject, 1, _SLICE)
+    return outcome

@@ -1,0 +1,60 @@
+"""The layout of the source: one direction, no circles, one name for one module."""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+FILES = {
+    ".".join(path.relative_to(base).with_suffix("").parts).removesuffix(".__init__"): path
+    for base, package in ((ROOT / "src", "fmuid"), (ROOT, "fmu_build"))
+    for path in (base / package).rglob("*.py")
+}
+
+
+def imported(module: str) -> set[str]:
+    """Modules of ours that a module imports anywhere in it, for types only too."""
+    found = set()
+    for node in ast.walk(ast.parse(FILES[module].read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module} has a relative import"
+            names = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= (names & FILES.keys()) or {str(node.module)}
+    return found & FILES.keys()
+
+
+def package_of(module: str) -> str:
+    """Its folder; the public face `fmuid` and `diagnosis_pipeline` beside it are rooms of their own."""
+    inside = FILES[module].name == "__init__.py" or module.count(".") < 2
+    return module if inside else module.rpartition(".")[0]
+
+
+IMPORTS = {module: imported(module) for module in FILES}
+
+
+def test_no_module_and_no_package_imports_itself_through_others() -> None:
+    TopologicalSorter(IMPORTS).prepare()  # raises CycleError, which names the circle
+    packages: dict[str, set[str]] = {}
+    for module, others in IMPORTS.items():
+        own = package_of(module)
+        packages.setdefault(own, set()).update({package_of(other) for other in others} - {own})
+    TopologicalSorter(packages).prepare()
+
+
+def test_the_export_imports_nothing_of_fmuid() -> None:
+    users = {
+        m
+        for m, others in IMPORTS.items()
+        if m.startswith("fmu_build") and any(o.startswith("fmuid") for o in others)
+    }
+    assert users == set()
+
+
+def test_no_two_modules_have_one_name() -> None:
+    names = Counter(module.rpartition(".")[2] for module in FILES)
+    assert {name for name, number in names.items() if number > 1} == {"errors"}  # of either package
