@@ -9,7 +9,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +21,7 @@ from stepping import with_c, with_fmuid
 from timing import Times, in_turn
 
 import fmuid
+from fmu_build import build
 from fmuid.core.errors import FmuidError
 from fmuid.identification.problem.cases import Case
 from fmuid.identification.problem.derivatives import Differences, NoiseFloor
@@ -271,6 +272,16 @@ def imports(repeats: int) -> dict[str, float]:
     )
     bare = times.pop("bare").median
     return {name: found.median - bare for name, found in times.items()}
+
+
+def builds(folder: Path, setups: Sequence[str]) -> dict[str, float]:
+    """Return seconds of processor time, compilers included, from Modelica to a new FMU of each setup."""
+    spent = {}
+    for name in setups:
+        begun = sum(os.times()[:4])
+        build(ROOT / "modelica" / "Drives" / "Setups" / f"{name}.mo", f"Drives.Setups.{name}", folder)
+        spent[name] = sum(os.times()[:4]) - begun
+    return spent
 
 
 def grows(sizes: tuple[int, ...], make: Callable[[int], Callable[[], object]], budget: float) -> dict[int, float]:

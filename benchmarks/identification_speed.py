@@ -173,7 +173,7 @@ def with_peer(peer: tuple[str, str | None, str, tuple[str, ...]], file: Path, li
         return Finish(name, **json.loads(done.stdout.splitlines()[-1]))
     except (IndexError, ValueError, TypeError):
         last = (done.stderr.strip() or done.stdout.strip() or "no output").splitlines()[-1]
-        return Finish(name, missing=f"failed: {last[:120]}")
+        return Finish(name, missing=f"failed: {last.replace(f'{ROOT}/', '')[:200]}")
 
 
 def measure(folder: Path, *, limit: float = 40.0, repeats: int = 5) -> dict[str, list[Finish]]:

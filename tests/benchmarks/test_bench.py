@@ -17,6 +17,10 @@ def headings(page: str) -> list[str]:
     return re.findall(r"^## (.*)$", page, re.MULTILINE)
 
 
+def tables_of(page: str) -> list[str]:
+    return re.findall(r"(?:^\|.*\n)+", page, re.MULTILINE)
+
+
 def test_the_committed_page_is_the_command_s():
     import bench
 
@@ -27,9 +31,7 @@ def test_the_committed_page_is_the_command_s():
     assert "benchmarks/bench.py" in (ROOT / "Makefile").read_text()
     for tool in ("AixCaliBuHA", "ModestPy", "FMPy", "CVODES", "CMA-ES", "Dask"):
         assert tool in page
-    tables = re.findall(r"(?:^\|.*\n)+", page, re.MULTILINE)
-    assert len(tables) == 9
-    for rows in tables:
+    for rows in tables_of(page):
         assert len({line.count("|") for line in rows.splitlines()}) == 1
         assert len(rows.splitlines()) >= 3
     assert (ROOT / "docs" / bench.FIGURE).is_file()
@@ -41,10 +43,12 @@ def test_a_missing_peer_is_said_to_be_missing(tmp_path, monkeypatch):
     monkeypatch.setattr(identification, "ENVIRONMENTS", ROOT / "build" / "nowhere")
     (tmp_path / "job.json").write_text("{}")
     absent = identification.with_peer(("Tool 1.0", "tool", "race.py", ()), tmp_path / "job.json", 1.0)
-    broken = identification.with_peer(("Tool 2.0", None, "nothing.py", ()), tmp_path / "job.json", 1.0)
+    script = tmp_path / "broken.py"
+    script.write_text("raise ImportError('no module named tool')")
+    broken = identification.with_peer(("Tool 2.0", None, str(script), ()), tmp_path / "job.json", 1.0)
     page = identification.page({"a run": [identification.Finish("fmuid", 1.0, 10, 0.1, True), absent, broken]})
     assert "| a run | Tool 1.0 | missing |  | no environment in build/nowhere/tool |" in page
-    assert re.search(r"\| Tool 2.0 \| missing \|  \| failed: .*nothing.py", page)
+    assert "| Tool 2.0 | missing |  | failed: ImportError: no module named tool |" in page
 
 
 def test_times_are_taken_in_turn():
@@ -70,11 +74,11 @@ def test_everything_runs(tmp_path, fmus):
         ],
         check=True,
         capture_output=True,
-        timeout=600,
     )
     page = (tmp_path / "benchmarks.md").read_text()
     assert "quick mode" in page
     assert (tmp_path / "figures" / "benchmarks-scaling.png").stat().st_size > 5000
-    rows = [line for line in page.splitlines() if line.startswith(("| fmuid", "| the pendulum | fmuid"))]
-    assert len(rows) == 2, page
+    tables = tables_of(page)
+    assert len(tables) == len(tables_of((ROOT / "docs" / "benchmarks.md").read_text()))
+    assert all(len(rows.splitlines()) >= 3 for rows in tables), page
     assert not re.search(r"\bnan\b", page)

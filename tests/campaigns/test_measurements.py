@@ -399,7 +399,7 @@ def test_killed_while_writing_leaves_no_file(tmp_path: Path) -> None:
         "    os.kill(os.getpid(), signal.SIGKILL)\n"
         "hdf5.write_file(Path('m.h5'), fill)\n"
     )
-    ended = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, timeout=60, check=False)
+    ended = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, timeout=600, check=False)
     assert ended.returncode == -signals.SIGKILL
     assert list(tmp_path.iterdir()) == []
 

@@ -210,7 +210,7 @@ def test_without_the_library_of_a_format(module: str, file: str, line: str, tmp_
         env=os.environ | {"PYTHONPATH": str(tmp_path)},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
     )
     assert (ran.returncode, ran.stderr) == (2, f"fmuid: {line}\n")
 

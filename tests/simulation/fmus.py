@@ -39,7 +39,7 @@ _VARIABLES = [
 ]  # fmt: skip
 FAULTS = {
     "crash": 1, "hang": 2, "nan": 3, "fails": 4, "leaks": 5, "devours": 6, "fatal": 7, "ends": 8, "segfault": 9,
-    "slow": 10, "leaves": 11,
+    "slow": 10, "leaves": 11, "interrupts": 12,
 }  # fmt: skip
 
 

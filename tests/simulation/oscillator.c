@@ -5,9 +5,10 @@
  *
  * Co-simulation integrates with the explicit midpoint rule, 1 ms at most. `fault` makes it misbehave at t >= 0.1.
  * Compile with -DFMI=2 or 3 and perhaps -DRESET_FAILS, -DRESET_CRASHES, -DRESET_FORGETS_STATE, -DRESET_FORGETS_PARAMETERS, -DONCE,
- * -DBAD=fault (where c > 140), -DTIRES=n (dies at the n-th instantiation), -DLIMIT=x, -DSTUCK, -DRESTLESS (events without end).
+ * -DBAD=fault (where c > 140), -DCALLS (`count` is of the calls that set, step and get reals in co-simulation), -DTIRES=n (dies at the n-th instantiation), -DLIMIT=x, -DSTUCK, -DRESTLESS (events without end).
  */
 #include <math.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -26,7 +27,7 @@ typedef fmi3Instance Handle;
 #endif
 
 enum { OK, WARNING, DISCARD, ERROR, FATAL };
-enum { NO_FAULT, CRASH, HANG, NOT_A_NUMBER, FAILS, LEAKS, DEVOURS, FATALLY, ENDS, SEGFAULTS, SLOW, LEAVES };
+enum { NO_FAULT, CRASH, HANG, NOT_A_NUMBER, FAILS, LEAKS, DEVOURS, FATALLY, ENDS, SEGFAULTS, SLOW, LEAVES, INTERRUPTS };
 /* value references */
 enum { TIME, M, D, C, GAIN, U, X, V, Y, DX, DV, FLIP, FAULT, BIAS, COUNT, LEVEL, TICKS, MODE, TABLE, TABLE_SUM, ZERO, W, KICK, N };
 
@@ -44,7 +45,7 @@ typedef struct {
 #endif
 } Model;
 
-static int instances, age;
+static int instances, age, interrupted;
 static void *volatile leaked;
 
 static int fault(const Model *s)
@@ -93,6 +94,15 @@ static Status say(Model *s, Status status, const char *text)
     return status;
 }
 
+static void called(Model *s)
+{
+#ifdef CALLS
+    s->r[COUNT]++;
+#else
+    (void)s;
+#endif
+}
+
 static Status misbehave(Model *s)
 {
     if (s->broken) return say(s, ERROR, "still broken");
@@ -102,6 +112,7 @@ static Status misbehave(Model *s)
     case SEGFAULTS: *(volatile int *)8 = 1; break;
     case LEAVES: exit(0);
     case HANG: for (volatile int i = 0;; i = !i); break;
+    case INTERRUPTS: if (!interrupted++) raise(SIGINT); /* falls through */
     case SLOW: usleep(20000); break;
     case FAILS: s->broken = 1; return say(s, ERROR, "the bearing has melted");
     case FATALLY: return say(s, FATAL, "everything is lost");
@@ -227,15 +238,16 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean td, fmi2Real tol, fm
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { ((Model *)c)->continuous = 0; return OK; }
 #define GETTER(T) for (size_t i = 0; i < n; i++) value_[i] = (T)value(c, vr[i]); return OK
 #define SETTER for (size_t i = 0; i < n; i++) ((Model *)c)->r[vr[i]] = value_[i]; return OK
-fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value_[]) { GETTER(double); }
+fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value_[]) { called(c); GETTER(double); }
 fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Integer value_[]) { GETTER(int); }
 fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Boolean value_[]) { GETTER(int); }
-fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Real value_[]) { SETTER; }
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Real value_[]) { called(c); SETTER; }
 fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer value_[]) { SETTER; }
 fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Boolean value_[]) { SETTER; }
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean n)
 {
     (void)n;
+    called(c);
     if (((Model *)c)->r[FAULT] == ENDS && t >= 0.1) return DISCARD;
     return advance(c, t, h);
 }

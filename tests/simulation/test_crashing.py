@@ -57,7 +57,7 @@ def bench(build, tmp_path_factory) -> Path:
 
 def fmuid(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", "from fmuid.cli import main; main()", *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=100, check=False)
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
 
 
 def name(folder: Path, model: str) -> str:

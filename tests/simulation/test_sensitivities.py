@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 import pytest
@@ -142,16 +143,19 @@ def test_a_search_ends_at_the_same_optimum_with_either_jacobian(slider, monkeypa
     for exact in (True, False):
         if not exact:
             monkeypatch.setattr(exact_derivatives, "differentiates", lambda *_: False)
-        search = Search(_problem(slider, start={"m": 0.8, "d": 0.5, "f": 0.4}))
+        purposes = []
+        problem = _problem(slider, start={"m": 0.8, "d": 0.5, "f": 0.4})
+        search = Search(problem, record=lambda _, purpose, __, purposes=purposes: purposes.append(purpose))
         assert TrustRegion().solve(search, search.problem.space.start).status is Status.CONVERGED
-        ends.append((search.best, search.evaluations))
-    (a, fewer), (b, more) = ends
+        ends.append((search.best, [key for key, _ in groupby(purposes)].count("derivative")))
+    (a, once), (b, always) = ends
     assert a.parameters == pytest.approx(
         {**a.parameters, "m": 1.0, "d": 0.3, "forward": 0.35, "scale": 1.02}, rel=2e-2
     )
     assert a.cost == pytest.approx(b.cost, rel=1e-4)
     assert a.x == pytest.approx(b.x, rel=1e-3)
-    assert fewer < 0.6 * more
+    assert once <= 1  # for the noise of the simulations, no slope among them
+    assert always > 2
 
 
 def test_other_fmus_have_none(build):
@@ -168,10 +172,10 @@ def test_a_diagnosis_takes_exact_derivatives(slider):
     y = fmu.simulate(task, {"m": 1.0, "d": 0.3, "fc[1]": 0.35, "fc[2]": 0.38})
     runs = y + noise.normal(0.0, [[[1e-4], [1e-3]]], (4, *y.shape))
     case = replace(measured_case("run", fmu, task, {"x": runs[:, 0], "v": runs[:, 1]}), setup="bench")
-    jobs = []
+    batches = []
     model = CampaignModel(
         (case,),
-        lambda asked: jobs.extend(asked) or in_process(asked),
+        lambda asked: batches.append(len(asked)) or in_process(asked),
         fixed={"friction": 0.36},
         tie={"fc[2]": parse("1.05 * friction", where="test"), "fc[1]": parse("friction", where="test")},
     )
@@ -187,12 +191,14 @@ def test_a_diagnosis_takes_exact_derivatives(slider):
     observed = observe(model, unknowns, (effect,))
     found = []
     for tangents in (model.tangents, None):
-        jobs.clear()
+        batches.clear()
         fit = refit(model.predict, observed, unknowns, tangents=tangents, tolerance=1e-9, max_iterations=30)
         (score,) = score_effects(model.predict, observed, fit, [effect])
-        found.append((fit, score, len(jobs)))
-    (exact, a, fewer), (finite, b, more) = found
-    assert fewer < 0.6 * more
+        found.append((fit, score, [size for size in batches if size > 1]))
+    (exact, a, once), (finite, b, always) = found
+    assert once == [len(unknowns)]  # differences are taken at the end alone, of a plausible size
+    assert set(always) == {len(unknowns)}
+    assert len(always) > 2
     assert exact.cost == pytest.approx(finite.cost, rel=1e-3)
     assert exact.values == pytest.approx(finite.values, rel=3e-2, abs=3e-3)
     assert a.drop == pytest.approx(b.drop, rel=1e-3)
