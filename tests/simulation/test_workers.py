@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import textwrap
 import time
 from concurrent.futures import Executor
@@ -162,7 +163,7 @@ def test_what_killed_owners_left_is_cleared_up(tmp_path, monkeypatch):
         os.utime(folder, (0, 0))
     with WorkerPool(1) as pool:
         pool.submit(os.getpid).result()
-    left = {p.name for p in tmp_path.iterdir() if not p.name.startswith("pymp-")}  # multiprocessing's own
+    left = {p.name for p in tmp_path.iterdir() if not p.name.startswith("fmuid-sockets-")}  # till the end
     assert left == {here.path.name, "fmuid-workers-new", "else"}
     here.remove()
 
@@ -193,6 +194,55 @@ def test_a_pool_that_nobody_closed_ends_with_the_interpreter(tmp_path):
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=600, env=environment)
     assert (done.returncode, done.stdout, done.stderr) == (0, "8\n", "")
     assert not list((tmp_path / "tmp").glob("fmuid-workers-*"))
+
+
+POWERS = """
+import os, signal, sys
+from fmuid.simulation.pool import start_method
+from fmuid.simulation.pool.workers import WorkerPool
+if __name__ == "__main__":
+    if "nowhere" in sys.argv:
+        start_method._folders = lambda: ()
+    with WorkerPool(1) as pool:
+        print(*pool.map(pow, [2, 3], [3, 2]), start_method.start_method())
+    if "killed" in sys.argv:
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize(("argument", "method"), [("", "forkserver"), ("nowhere", "spawn")])
+def test_the_folder_for_temporary_files_may_have_a_long_path(tmp_path, argument, method):
+    """A socket's path may not: it is put elsewhere, or done without."""
+    long = tmp_path / ("a" * 120)
+    long.mkdir()
+    (tmp_path / "powers.py").write_text(POWERS)
+    command, environment = [sys.executable, tmp_path / "powers.py", argument], {**os.environ, "TMPDIR": str(long)}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, env=environment)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"8 9 {method}\n", "")
+    assert list(long.iterdir()) == []
+
+
+def test_the_socket_of_a_killed_run_is_cleared_up_by_the_next(tmp_path):
+    script = tmp_path / "powers.py"
+    script.write_text(POWERS)
+    with tempfile.TemporaryDirectory(dir="/tmp") as short:
+        environment = {**os.environ, "TMPDIR": short}
+        for arguments in (["killed"], []):
+            subprocess.run([sys.executable, script, *arguments], timeout=600, env=environment, check=not arguments)
+            left = list(Path(short).iterdir())
+            assert len(left) == len(arguments)
+            for folder in left:
+                os.utime(folder, (0, 0))
+
+
+def test_what_the_machine_lacks_for_a_worker_is_not_blamed_on_the_script(monkeypatch):
+    def full(*_):
+        raise OSError(24, "Too many open files")
+
+    with WorkerPool(1) as pool:
+        monkeypatch.setattr(pool._supervisor._context.Process, "start", full)
+        with pytest.raises(FmuidError, match=r"Too many open files\); free open files, processes or memory"):
+            pool.submit(pow, 2, 3).result()
 
 
 def test_a_script_without_a_guard_is_told_so(tmp_path):

@@ -27,6 +27,7 @@ from fmuid.simulation import resets
 from fmuid.simulation.fmu_variables import in_words
 from fmuid.simulation.pool import worker_process
 from fmuid.simulation.pool.channel import Channel, channels
+from fmuid.simulation.pool.start_method import start_method
 from fmuid.simulation.pool.worker_process import resident_memory
 
 _START_LIMIT = 60.0  # s for a worker to come up
@@ -40,6 +41,7 @@ _START_HINT = {
     "where": "worker pool",
     "fix": 'keep the script in a file, its work under `if __name__ == "__main__":`',
 }
+_LACKING_HINT = {"where": "worker pool", "fix": "free open files, processes or memory, or ask for fewer workers"}
 
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
@@ -106,9 +108,8 @@ class Supervisor:
 
     def __init__(self, size: int, limits: Limits) -> None:
         self._size, self._limits = size, limits
-        methods = multiprocessing.get_all_start_methods()
-        self._context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
-        if "forkserver" in methods:  # imported once, not by every worker
+        self._context: Any = multiprocessing.get_context(start_method())
+        if start_method() == "forkserver":  # imported once, not by every worker
             self._context.set_forkserver_preload(
                 ["__main__", "fmuid.simulation.fmu", "fmuid.simulation.pool.worker_process"]
             )
@@ -340,7 +341,10 @@ class Supervisor:
             with _one_thread_each():
                 process.start()
         except (OSError, EOFError, RuntimeError) as error:
-            raise FmuidError(f"worker processes cannot be started ({error})", **_START_HINT) from None
+            ours.close()
+            lacking = isinstance(error, OSError) and not isinstance(error, ConnectionError)
+            hint = _LACKING_HINT if lacking else _START_HINT
+            raise FmuidError(f"worker processes cannot be started ({error})", **hint) from None
         finally:
             theirs.close()
         self._team.append(Worker(process, ours, folder))
