@@ -113,11 +113,14 @@ lint: $(DEVELOPER)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# In two processes, a file in one of them: fixtures of a file are made once.
+ABREAST := --numprocesses 2 --dist loadfile
+
 test: lint
-	$(BIN)/pytest -m "not slow"
+	$(BIN)/pytest $(ABREAST) -m "not slow"
 
 test-all: lint
-	$(BIN)/pytest
+	$(BIN)/pytest $(ABREAST)
 
 # Every peer has an environment of its own; one that cannot be set up is listed as missing.
 PEERS := aixcalibuha modestpy

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import fcntl
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pytest
@@ -13,11 +14,20 @@ MODELICA = ROOT / "modelica"
 SETUPS = ("FixedShaft", "FreeShaft", "EccentricLoad", "LinearAxisOpenLoop", "LinearAxisClosedLoop")
 
 
+def build_once(file: Path, class_name: str, out: Path = FMUS, fmi: str = "2", roots: Sequence[Path] = ()) -> Path:
+    """The FMU of a class; of two test processes that want the same one, only the first builds it."""
+    fmu_build = pytest.importorskip("fmu_build")
+    locks = out / ".locks"
+    locks.mkdir(parents=True, exist_ok=True)
+    with (locks / class_name).open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return fmu_build.build(file, class_name, out, fmi, roots=roots)
+
+
 def build_setups(names: tuple[str, ...], fmi: str = "2") -> Mapping[str, Path]:
     """FMUs of shipped setups by name, built from their Modelica sources unless they are up to date."""
-    fmu_build = pytest.importorskip("fmu_build")
     setups, out = MODELICA / "Drives" / "Setups", FMUS if fmi == "2" else FMUS / "fmi3"
-    return {name: fmu_build.build(setups / f"{name}.mo", f"Drives.Setups.{name}", out, fmi) for name in names}
+    return {name: build_once(setups / f"{name}.mo", f"Drives.Setups.{name}", out, fmi) for name in names}
 
 
 @pytest.fixture(scope="session")

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmu_build import build
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.simulator import Task
-from tests.conftest import FMUS, MODELICA
+from tests.conftest import MODELICA, build_once, build_setups
 from tests.fmu_build.test_events import set_valued_gear
 from tests.reference.experiments import LOSSY, eccentric_load
 from tests.reference.test_friction import table_1
@@ -24,8 +23,8 @@ PRESLIDING = 2e-5
 
 def fmu(name: str) -> Fmu:
     if name.startswith("StickSlip."):
-        return Fmu(build(MODELS, name, FMUS, roots=[MODELICA]))
-    return Fmu(build(MODELICA / "Drives" / "Setups" / f"{name}.mo", f"Drives.Setups.{name}", FMUS))
+        return Fmu(build_once(MODELS, name, roots=[MODELICA]))
+    return Fmu(build_setups((name,))[name])
 
 
 def uniform(values: Mapping[int, float]) -> dict[str, float]:

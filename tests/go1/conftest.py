@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmu_build import build
 from fmuid.simulation.simulator import Task
-from tests.conftest import FMUS, MODELICA
+from tests.conftest import MODELICA, build_once
 
 SETUPS = ("PositionDriven", "TorqueDriven")
 LAW_M6 = {
@@ -46,4 +45,4 @@ def pendulum_fmus() -> Mapping[str, Path]:
     """The FMUs of the servo pendulum by name, plain and with effects."""
     setups = MODELICA / "Pendulum" / "Setups"
     names = [name + suffix for name in SETUPS for suffix in ("", "WithEffects")]
-    return {n: build(setups / f"{n}.mo", f"Pendulum.Setups.{n}", FMUS, roots=[MODELICA]) for n in names}
+    return {n: build_once(setups / f"{n}.mo", f"Pendulum.Setups.{n}", roots=[MODELICA]) for n in names}
