@@ -1,3 +1,5 @@
+import json
+import os
 import signal
 import subprocess
 import sys
@@ -23,7 +25,7 @@ from fmuid import (
     measured_case,
     read_history,
 )
-from fmuid.identification.history import JOURNAL, HistoryError
+from fmuid.identification.history import JOURNAL, HistoryError, _records
 
 # A run that identifies the mass-spring-damper with a slow model, to be killed from outside.
 SCRIPT = """
@@ -142,7 +144,8 @@ def test_failed_candidates_are_recorded_as_failed(tmp_path, analytic, msd, msd_t
 
 def test_a_journal_cut_anywhere_is_read_up_to_the_cut(tmp_path, msd):
     identify(msd(), solver="bobyqa", out=tmp_path, observer=Interrupt(6))
-    whole = (tmp_path / JOURNAL).read_bytes()
+    *_, (_, after_rows), (_, _) = _records(tmp_path / JOURNAL)  # the result comes last
+    whole = (tmp_path / JOURNAL).read_bytes()[:after_rows]
     rows = len(read_history(tmp_path)["msd"].rows)
     for cut in range(1, 600, 7):
         (tmp_path / JOURNAL).write_bytes(whole[:-cut])
@@ -151,6 +154,47 @@ def test_a_journal_cut_anywhere_is_read_up_to_the_cut(tmp_path, msd):
     damaged[-5] ^= 0xFF
     (tmp_path / JOURNAL).write_bytes(damaged)
     assert len(read_history(tmp_path)["msd"].rows) == rows - 1
+
+
+def broken_at_every_file_operation(folder, *arguments):
+    """Return what `broken_disk.py` says of the run that nothing happens to, and of the others."""
+    script = Path(__file__).with_name("broken_disk.py")
+    command = [sys.executable, str(script), str(folder), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    whole, *runs = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(runs) > 12
+    for run in runs:
+        assert run["resumed"] == whole["resumed"], run
+        assert not run["left"], run
+    return whole, runs
+
+
+@pytest.mark.parametrize("step", [7, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("more", [(), ("interrupted",)])
+def test_killed_at_any_file_operation_a_run_can_be_read_and_resumed(tmp_path, step, more):
+    whole, runs = broken_at_every_file_operation(tmp_path, "killed", step, *more)
+    assert {run["code"] for run in runs} == {9}
+    # What could be read before the run was resumed: ever more, and in the end as much as of the whole run.
+    reached = [run["read"] for run in runs if run["read"] is not None]
+    assert len(reached) > len(runs) - 6
+    assert [r["evaluations"] for r in reached] == sorted(r["evaluations"] for r in reached)
+    assert reached[-1] == whole["read"]
+
+
+@pytest.mark.parametrize("step", [7, pytest.param(1, marks=pytest.mark.slow)])
+def test_a_disk_that_gets_full_is_one_line_and_loses_nothing(tmp_path, step):
+    _, runs = broken_at_every_file_operation(tmp_path, "full", step)
+    for run in runs:
+        refused = run["code"] == 2 and "cannot be written (No space left on device); " in run["line"]
+        assert refused or (run["code"] == 0 and run["read"] == run["resumed"]), run
+
+
+def test_a_record_that_is_written_in_parts_is_whole(tmp_path, msd, monkeypatch):
+    write = os.write
+    monkeypatch.setattr(os, "write", lambda file, data: write(file, data[: len(data) // 2 + 1]))
+    identify(msd(), solver="bobyqa", out=tmp_path, observer=Interrupt(20))
+    assert len(read_history(tmp_path)["msd"].rows) == 20
 
 
 def test_a_changed_problem_is_not_resumed(tmp_path, msd):

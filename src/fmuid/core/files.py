@@ -9,6 +9,8 @@ from pathlib import Path
 
 from fmuid.core.errors import FmuidError
 
+_UNFINISHED = ".fmuid-unfinished"
+
 
 def make_folder(folder: Path) -> None:
     """Make a folder, with those above it, unless it is there.
@@ -25,6 +27,13 @@ def make_folder(folder: Path) -> None:
         raise FmuidError(what, where=folder, fix="name a folder that can be written") from None
 
 
+def remove_unfinished(folder: Path) -> None:
+    """Remove the beginnings of files that a killed process has left in a folder."""
+    for path in folder.glob(f".*{_UNFINISHED}"):
+        with suppress(OSError):
+            path.unlink()
+
+
 def write_atomically(path: Path, content: bytes | str) -> None:
     """Write `content` to `path` so that a reader sees the old file or the new one, never half of it.
 
@@ -39,7 +48,7 @@ def write_atomically(path: Path, content: bytes | str) -> None:
     temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-", suffix=".tmp")
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-", suffix=_UNFINISHED)
         temporary = Path(name)
         with os.fdopen(handle, "wb") as file:
             file.write(data)

@@ -2,13 +2,15 @@
 
 While a run goes on, each evaluation is one record at the end of ``history.journal``: length, checksum,
 content. A kill can only cut the last record short, and reading stops there. When the run ends (Ctrl-C
-included) its content is written to ``history.h5`` in one atomic step; once it is complete the journal goes. An
-interrupted run is resumed by running it again: solvers are deterministic, and what the journal knows is not
-simulated a second time, so the run goes on exactly where it stopped.
+included) its result becomes the journal's last record, the content is written to ``history.h5`` in one atomic
+step, ``result.json`` follows, and if the run is complete the journal goes last. As long as there is a journal, it
+is what counts: whatever moment a run was killed at, its result can be read. An interrupted run is resumed by
+running it again: solvers are deterministic, and what the journal knows is not simulated a second time, so the run
+goes on exactly where it stopped.
 
-``history.h5``, version 1: root attributes ``format = "fmuid-history"``, ``version``. For each stage a group
-``/stages/<name>`` with attributes ``parameters`` (names of the columns), ``criteria`` (labels), ``cases``,
-``signals`` and datasets with one row an evaluation:
+``history.h5``, version 1: root attributes ``format = "fmuid-history"``, ``version``, and a dataset ``result``, the
+bytes of ``result.json``. For each stage a group ``/stages/<name>`` with attributes ``parameters`` (names of the
+columns), ``criteria`` (labels), ``cases``, ``signals`` and datasets with one row an evaluation:
 
 ================  ==================  ===================================================================
 ``parameters``    (n, n_parameters)   model space
@@ -31,6 +33,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -40,7 +43,7 @@ import msgspec
 import numpy as np
 
 from fmuid.core.errors import FmuidError, MeasurementsError
-from fmuid.core.files import make_folder
+from fmuid.core.files import make_folder, remove_unfinished, write_atomically
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.data import hdf5
 from fmuid.data.isolated_reader import read_apart
@@ -49,7 +52,7 @@ from fmuid.identification.problem.evaluation import Evaluation
 
 JOURNAL, FILE = "history.journal", "history.h5"
 FORMAT, VERSION = "fmuid-history", 1
-_MAGIC = b"fmuid-journal 1\n"
+_MAGIC = b"fmuid-journal 2\n"
 _HEAD = struct.Struct("<II")  # length and CRC-32 of the content
 _LARGEST_RECORD = 1 << 30
 
@@ -101,6 +104,7 @@ class StageHistory:
     cases: tuple[str, ...]
     signals: tuple[tuple[str, ...], ...]
     rows: list[Row] = field(default_factory=list)
+    begun: bytes | None = None  # its result, as JSON, before the first evaluation
     result: bytes | None = None
     asked: str = ""  # what was to be found about the result
 
@@ -114,6 +118,42 @@ class StageHistory:
         return ((i, row) for i, row in enumerate(self.rows) if row.improved)
 
 
+@dataclass(slots=True, eq=False)
+class RecordedRun:
+    """All that is recorded of a run; results are JSON.
+
+    `begun` is the run's result before its first stage, `result` what it ended with, None if it was killed.
+    """
+
+    stages: dict[str, StageHistory] = field(default_factory=dict)
+    begun: bytes | None = None
+    result: bytes | None = None
+
+    def take(self, kind: str, content: Mapping[str, Any]) -> None:
+        """Take in one record of a journal."""
+        self.result = None  # what was reached before it went on
+        match kind:
+            case "run":
+                self.begun = content["begun"]
+            case "stage":
+                self.stages[content["stage"]] = StageHistory(
+                    content["stage"],
+                    content["fingerprint"],
+                    tuple(content["parameters"]),
+                    tuple(content["criteria"]),
+                    tuple(content["cases"]),
+                    tuple(tuple(s) for s in content["signals"]),
+                    begun=content["begun"],
+                )
+            case "row":
+                self.stages[content["stage"]].rows.append(_unpacked(content))
+            case "result":
+                stage = self.stages[content["stage"]]
+                stage.result, stage.asked = content["result"], content["asked"]
+            case "end":
+                self.result = content["result"]
+
+
 class History:
     """The history of one run folder, open for appending.
 
@@ -123,29 +163,33 @@ class History:
         The run folder, or None to keep the history in memory.
     resume
         Take up the journal of an interrupted run; without it an old history is replaced.
+    begun
+        The run's result before its first stage, as JSON.
     """
 
-    def __init__(self, folder: Path | None, *, resume: bool = False) -> None:
+    def __init__(self, folder: Path | None, *, resume: bool = False, begun: bytes = b"") -> None:
         self.folder = folder
-        self.stages: dict[str, StageHistory] = {}
+        self._run = RecordedRun()
         self._known: dict[str, dict[bytes, Row]] = {}
         self._journal: BinaryIO | None = None
         if folder is None:
             return
         make_folder(folder)
+        remove_unfinished(folder)
         path = folder / JOURNAL
-        end = len(_MAGIC)
         if resume and path.exists():
-            for record, end in _records(path):  # noqa: B007 - the last end counts
-                self._take(record)
+            self._run, end = _read_journal(path)
+            self._journal = path.open("r+b", buffering=0)
+            self._journal.truncate(end)
+            self._journal.seek(end)
         elif resume and (folder / FILE).exists():
             raise HistoryError("the run is complete", where=folder, fix="leave out --resume, or change --out")
         else:
-            (folder / FILE).unlink(missing_ok=True)
-            path.write_bytes(_MAGIC)
-        self._journal = path.open("r+b")
-        self._journal.truncate(end)
-        self._journal.seek(end)
+            write_atomically(path, _MAGIC)
+            self._journal = path.open("r+b", buffering=0)
+            self._journal.seek(len(_MAGIC))
+        self._append("run", {"begun": begun})
+        self._run.take("run", {"begun": begun})
 
     def __enter__(self) -> History:
         return self
@@ -153,10 +197,16 @@ class History:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close(complete=False)
+        with suppress(FmuidError) if error is not None else nullcontext():  # the journal has it all
+            self.close(complete=False)
 
-    def begin(self, problem: Problem, fingerprint: str) -> StageHistory:
-        """Start (or take up) the stage that `problem` is.
+    @property
+    def stages(self) -> Mapping[str, StageHistory]:
+        """What is recorded, by stage."""
+        return self._run.stages
+
+    def begin(self, problem: Problem, fingerprint: str, begun: bytes) -> StageHistory:
+        """Start (or take up) the stage that `problem` is; `begun` is its result, as JSON, without an evaluation.
 
         Raises
         ------
@@ -180,9 +230,11 @@ class History:
             "criteria": list(problem.labels),
             "cases": [case.id for case in problem.cases],
             "signals": [[c.signal for c in case.channels] for case in problem.cases],
+            "begun": begun,
         }
         self._append("stage", head)
-        return self._take(("stage", head))
+        self._run.take("stage", head)
+        return self.stages[problem.name]
 
     def record(self, stage: str, evaluation: Evaluation, purpose: str, improved: bool, *, residuals: bool) -> None:
         """Append one evaluation; with `residuals` if the solver will ask for them when it resumes."""
@@ -215,51 +267,63 @@ class History:
 
     def finish(self, stage: str, result: bytes, asked: str) -> None:
         """Record that a stage is done, with its result and what was to be found about it."""
-        self._take(("result", {"stage": stage, "result": result, "asked": asked}))
-        self._append("result", {"stage": stage, "result": result, "asked": asked})
+        record = {"stage": stage, "result": result, "asked": asked}
+        self._append("result", record)
+        self._run.take("result", record)
         for row_number, row in enumerate(self.stages[stage].rows):
             if row.residuals is not None:  # nobody asks for them again
                 object.__setattr__(self.stages[stage].rows[row_number], "residuals", None)
 
-    def write(self) -> None:
-        """Write ``history.h5`` in one atomic step."""
-        if self.folder is not None:
-            hdf5.write_file(self.folder / FILE, lambda file: _fill(file, self.stages.values()))
+    def conclude(self, result: bytes) -> None:
+        """Record what the run ended with, as JSON, and write ``history.h5``."""
+        self._append("end", {"result": result})
+        self._run.take("end", {"result": result})
+        self._write()
 
     def close(self, *, complete: bool) -> None:
-        """Close the journal, and remove it if the run is complete."""
+        """Close the journal, and remove it if the run is complete and its result is written elsewhere."""
         if self._journal is None or self.folder is None:
             return
         self._journal.close()
         self._journal = None
-        self.write()
         if complete:
-            (self.folder / JOURNAL).unlink()
+            try:
+                (self.folder / JOURNAL).unlink()
+            except OSError as error:
+                raise _unwritable(self.folder, error) from None
+        elif self._run.result is None:
+            self._write()
+
+    def _write(self) -> None:
+        if self.folder is not None:
+            hdf5.write_file(self.folder / FILE, lambda file: _fill(file, self._run))
 
     def _append(self, kind: str, content: Mapping[str, Any]) -> None:
         if self._journal is None:
             return
         data = msgspec.msgpack.encode((kind, content))
-        # One write a record: what the kernel has taken survives the death of the process.
-        os.write(self._journal.fileno(), _HEAD.pack(len(data), zlib.crc32(data)) + data)
+        # Unbuffered: what the kernel has taken survives the death of the process.
+        record = memoryview(_HEAD.pack(len(data), zlib.crc32(data)) + data)
+        begin = self._journal.tell()
+        try:
+            while record:  # a disk that gets full takes a part
+                record = record[os.write(self._journal.fileno(), record) :]
+            if kind != "row":
+                os.fsync(self._journal.fileno())
+        except OSError as error:
+            with suppress(OSError):  # nothing may follow half a record
+                os.ftruncate(self._journal.fileno(), begin)
+            self._journal.close()
+            self._journal = None
+            raise _unwritable(self.folder, error) from None
 
-    def _take(self, record: tuple[str, Mapping[str, Any]]) -> StageHistory:
-        kind, content = record
-        name = content["stage"]
-        if kind == "stage":
-            self.stages[name] = StageHistory(
-                name,
-                content["fingerprint"],
-                tuple(content["parameters"]),
-                tuple(content["criteria"]),
-                tuple(content["cases"]),
-                tuple(tuple(s) for s in content["signals"]),
-            )
-        elif kind == "row":
-            self.stages[name].rows.append(_unpacked(content))
-        else:
-            self.stages[name].result, self.stages[name].asked = content["result"], content["asked"]
-        return self.stages[name]
+
+def _unwritable(folder: Path | None, error: OSError) -> HistoryError:
+    return HistoryError(
+        f"cannot be written ({error.strerror or error})",
+        where=None if folder is None else folder / JOURNAL,
+        fix="make room for it; with --resume the run then goes on where it stopped",
+    )
 
 
 def read_history(path: str | Path) -> Mapping[str, StageHistory]:
@@ -275,30 +339,43 @@ def read_history(path: str | Path) -> Mapping[str, StageHistory]:
     HistoryError
         There is none, or it is damaged.
     """
+    return read_run(path).stages
+
+
+def read_run(path: str | Path) -> RecordedRun:
+    """Read all that is recorded of a run; see `read_history`."""
     path = Path(path)
     if path.is_dir() and (path / JOURNAL).exists():
-        history = History(None)
-        for record, _ in _records(path / JOURNAL):
-            history._take(record)
-        return history.stages
+        return _read_journal(path / JOURNAL)[0]
     try:
         return read_apart(_read, path / FILE if path.is_dir() else path)
     except MeasurementsError as error:
         raise HistoryError(error.what, where=error.where, fix=error.fix) from None
 
 
-def _read(file: Path) -> Mapping[str, StageHistory]:
+def _read(file: Path) -> RecordedRun:
     with hdf5.reading(file, HistoryError, fix="run fmuid identify with --out") as source:
         if source.attrs.get("format") != FORMAT or source.attrs.get("version") != VERSION:
             raise HistoryError("is not a fmuid history of version 1", where=file, fix="record it again")
-        return {name: _read_stage(name, group) for name, group in source["stages"].items()}
+        result = source["result"][()].tobytes() if "result" in source else None
+        stages = {name: _read_stage(name, group) for name, group in source["stages"].items()}
+        return RecordedRun(stages, result=result or None)
+
+
+def _read_journal(path: Path) -> tuple[RecordedRun, int]:
+    """Return what the whole records of a journal say, and the position after them."""
+    run, end = RecordedRun(), len(_MAGIC)
+    for (kind, content), end in _records(path):  # noqa: B007 - the last end counts
+        run.take(kind, content)
+    return run, end
 
 
 def _records(path: Path) -> Iterator[tuple[tuple[str, Mapping[str, Any]], int]]:
     """Return the whole records of a journal, each with the position after it."""
     with path.open("rb") as file:
         if file.read(len(_MAGIC)) != _MAGIC:
-            raise HistoryError("is not a journal of fmuid", where=path, fix="start anew without --resume")
+            fix = "remove it to start anew, or name another folder"
+            raise HistoryError("is not a journal of this version of fmuid", where=path, fix=fix)
         while len(head := file.read(_HEAD.size)) == _HEAD.size:
             length, checksum = _HEAD.unpack(head)
             data = file.read(length) if length < _LARGEST_RECORD else b""
@@ -341,10 +418,11 @@ def _unpacked(content: Mapping[str, Any]) -> Row:
     )
 
 
-def _fill(file: Any, stages: Any) -> None:
+def _fill(file: Any, run: RecordedRun) -> None:
     file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
+    file["result"] = np.frombuffer(run.result or b"", dtype=np.uint8)
     parent = file.create_group("stages", track_order=True)
-    for stage in stages:
+    for stage in run.stages.values():
         group = parent.create_group(stage.name)
         group.attrs["fingerprint"] = stage.fingerprint
         for key in ("parameters", "criteria", "cases"):

@@ -148,9 +148,19 @@ def identify(
     results: list[StageResult] = []
     best: dict[str, float] = {}
     known = Known()
+    summary = Result(
+        campaign=campaign.name if campaign else plan[0].name,
+        title=campaign.title if campaign else "",
+        source=str(campaign.folder) if campaign else "",
+        stages=(),
+        parameters={},
+        versions=versions(_LIBRARIES),
+        inputs=hashes_of(campaign) if campaign else {},
+        folder=None if folder is None else str(folder),
+    )
     with (
         runner_on(workers, executor=executor, time_limit=time_limit, memory_limit=memory_limit) as runner,
-        History(folder, resume=resume) as history,
+        History(folder, resume=resume, begun=msgspec.json.encode(summary)) as history,
     ):
         run = _Run(history, observer or Observer(), seed, specs)
         for step in plan:
@@ -162,20 +172,12 @@ def identify(
                 known = known.after(asked.problem, result.uncertainty, best)
             if result.status is Status.INTERRUPTED:
                 break
-        summary = Result(
-            campaign=campaign.name if campaign else results[0].name,
-            title=campaign.title if campaign else "",
-            source=str(campaign.folder) if campaign else "",
-            stages=tuple(results),
-            parameters=best,
-            seconds=clock.perf_counter() - begin,
-            versions=versions(_LIBRARIES),
-            inputs=hashes_of(campaign) if campaign else {},
-            folder=None if folder is None else str(folder),
-        )
+        summary = replace(summary, stages=tuple(results), parameters=best, seconds=clock.perf_counter() - begin)
+        # A kill between any two of these leaves what the result can be read from.
+        history.conclude(msgspec.json.encode(summary))
+        if folder is not None:
+            summary.to_json(folder / FILE)
         history.close(complete=summary.status is not Status.INTERRUPTED)
-    if folder is not None:
-        summary.to_json(folder / FILE)
     return summary
 
 
@@ -206,7 +208,10 @@ def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
     problem, stop = asked.problem, asked.stop
     solver, why = make(asked.solver, asked.options, problem)
     seed = int(asked.options.get("seed", run.seed))
-    recorded = run.history.begin(problem, fingerprint(problem, solver, asked.options, seed))
+    begun = _begun(run, problem, solver, why)
+    recorded = run.history.begin(
+        problem, fingerprint(problem, solver, asked.options, seed), msgspec.json.encode(begun)
+    )
     if recorded.result is not None and recorded.asked == repr(asked.analyses):
         result = msgspec.json.decode(recorded.result, type=StageResult)
         run.observer.finished(result)
@@ -271,6 +276,14 @@ def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
         run.history.finish(problem.name, msgspec.json.encode(result), repr(asked.analyses))
     run.observer.finished(result)
     return result
+
+
+def _begun(run: _Run, problem: Problem, solver: Solver, why: str) -> StageResult:
+    """Return the result of a stage without an evaluation; its criteria are there to be filled in."""
+    nothing = Search(problem)
+    begun = _result(run, problem, nothing, None, _INTERRUPTED, solver, why, Findings(), 0.0)
+    criteria = tuple(CriterionValue(case.id, criterion.label, None, 0.0) for case, criterion in problem.criteria)
+    return replace(begun, criteria=criteria, warnings=())
 
 
 def _result(

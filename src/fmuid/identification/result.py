@@ -1,14 +1,15 @@
 """What an identification found: estimates, how each stage went, and how far they can be trusted.
 
-Run folder: ``result.json`` (`Result.to_json`), ``history.h5`` (`history`), and what reports add to it.
+Run folder: ``result.json`` (`Result.to_json`), ``history.h5`` (`history`), and what reports add to it. The result of
+a run that was killed is made from what its history recorded.
 """
 
 from __future__ import annotations
 
 import html
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
@@ -16,6 +17,8 @@ import msgspec
 from fmuid.core.errors import FmuidError
 from fmuid.core.files import write_atomically
 from fmuid.core.formatting import html_lines, html_table, text_table
+from fmuid.identification.history import FILE as HISTORY
+from fmuid.identification.history import JOURNAL, StageHistory, read_run
 from fmuid.identification.solvers.pareto import Front
 from fmuid.identification.solvers.search import Start, Status
 from fmuid.identification.uncertainty.confidence import Uncertainty
@@ -196,7 +199,7 @@ class Result:
 
     @classmethod
     def from_json(cls, path: str | Path) -> Result:
-        """Read a result from a file, or from the run folder that holds it.
+        """Read a result from a file, or from the run folder that holds it; of a killed run, what it had reached.
 
         Raises
         ------
@@ -206,11 +209,70 @@ class Result:
         path = Path(path)
         file = path / FILE if path.is_dir() else path
         try:
+            if path.is_dir() and ((path / JOURNAL).exists() or not file.exists()):
+                recorded = _recorded(path)
+                if recorded is not None:
+                    return recorded
             return msgspec.json.decode(file.read_bytes(), type=cls)
         except OSError:
             raise ResultError("no such file", where=file, fix="name a folder that fmuid identify wrote") from None
-        except (msgspec.DecodeError, msgspec.ValidationError) as error:
+        except (msgspec.DecodeError, msgspec.ValidationError, UnicodeDecodeError) as error:
             raise ResultError(f"is not a result ({error})", where=file, fix="identify again") from None
+
+
+def _recorded(folder: Path) -> Result | None:
+    """Return the result that the history in a run folder tells, None if there is no history."""
+    if not ((folder / JOURNAL).exists() or (folder / HISTORY).exists()):
+        return None
+    run = read_run(folder)
+    if run.result is not None:
+        return msgspec.json.decode(run.result, type=Result)
+    if run.begun is None:
+        return None
+    stages = tuple(_reached(stage) for stage in run.stages.values() if stage.begun is not None)
+    if not stages:
+        raise ResultError("the run was stopped before its first stage", where=folder, fix="identify again")
+    return replace(
+        msgspec.json.decode(run.begun, type=Result),
+        stages=stages,
+        parameters=dict(stages[-1].parameters),
+        seconds=sum(stage.seconds for stage in stages),
+    )
+
+
+def _reached(stage: StageHistory) -> StageResult:
+    """Return the result of a recorded stage, finished or not."""
+    begun = msgspec.json.decode(stage.result or stage.begun or b"", type=StageResult)
+    if stage.result is not None:
+        return begun
+    rows = [row for row in stage.rows if row.purpose in ("search", "derivative")]
+    first = next((row for row in rows if row.failure is None), None)
+    best = next((row for _, row in reversed(list(stage.iterates()))), None)
+    counted = replace(
+        begun,
+        evaluations=len(rows),
+        failures=sum(row.failure is not None for row in rows),
+        seconds=sum(row.seconds for row in stage.rows),
+        start_cost=None if first is None else first.cost,
+    )
+    if best is None or first is None:
+        return replace(counted, criteria=())
+    values = dict(best.parameters)
+    estimates = [replace(e, value=values[e.name], at_bound=_bound(e, values)) for e in begun.estimates]
+    measures = zip(begun.criteria, first.criteria, best.criteria, strict=True)
+    return replace(
+        counted,
+        cost=best.cost,
+        parameters=values,
+        estimates=tuple(estimates),
+        criteria=tuple(replace(c, start=float(a), value=float(b)) for c, a, b in measures),
+    )
+
+
+def _bound(estimate: Estimate, values: Mapping[str, float]) -> str | None:
+    ends = (estimate.lower, estimate.upper)
+    low, high = (end if e is None else e for e, end in zip(ends, (-math.inf, math.inf), strict=True))
+    return at_bound(values[estimate.name], low, high)
 
 
 def finite(value: float) -> float | None:
