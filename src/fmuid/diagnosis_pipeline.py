@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import CampaignError
 from fmuid.core.files import write_atomically
+from fmuid.core.folder_lock import claim
 from fmuid.diagnosis import calibration
 from fmuid.diagnosis.calibration import Calibration
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
@@ -87,7 +89,10 @@ def diagnose(
     from fmuid.simulation.coupled.loading import load_model
     from fmuid.simulation.pool.choice import runner_on
 
-    with runner_on(workers, time_limit=time_limit, memory_limit=memory_limit) as runner:
+    with (
+        runner_on(workers, time_limit=time_limit, memory_limit=memory_limit) as runner,
+        nullcontext() if out is None else claim(Path(out)),
+    ):
         if say is not None:
             say("noise floor", 0.0)
         subject = subject_of(campaign, load_model, runner=runner, experiments=experiments)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,6 +12,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 from scipy.io import savemat
+
+from fmuid.identification.history import History, Row, _packed
 
 CAMPAIGN = Path("bench/campaign.toml")
 MEASUREMENTS = Path("bench/measurements.h5")
@@ -107,6 +111,24 @@ def without_binary() -> None:
             new.writestr(name, content)
 
 
+def taken() -> None:
+    """Another process writes into the folder, until this one ends."""
+    folder = Path("runs/bench")
+    folder.mkdir(parents=True)
+    (folder / ".lock").write_text("'fmuid identify' (process 4711 on rig, since 2026-05-01 12:00:00)\n")
+    fcntl.flock(os.open(folder / ".lock", os.O_RDWR), fcntl.LOCK_EX)
+
+
+def interrupted() -> None:
+    """What a run leaves that was killed in its first stage."""
+    Path("runs/bench").mkdir(parents=True)
+    named = dict.fromkeys(("parameters", "criteria", "cases", "signals"), ())
+    row = Row(np.zeros(1), {}, np.zeros(0), np.zeros(0), 1.0, None, "search", 0.1, True)
+    with History(Path("runs/bench")) as history:
+        history._append("stage", {"stage": "all", "fingerprint": "", "begun": b"", **named})
+        history._append("row", {"stage": "all", **_packed(row)})
+
+
 def shared_parameter() -> None:
     toml("[settings]", '[effects]\ncatalogue = "effects.toml"\nnominal = ["m"]\n[settings]')()
     effect = '[effects.{}]\ndescription = ""\nport = "friction"\ntrials = [{{ d = 1 }}]\n[effects.{}.parameters]\n'
@@ -183,6 +205,10 @@ CASES = [
         ("Files", "a campaign started where one is", write("run.csv", "time,u,x\n" + GOOD), "init run.csv --fmu Oscillator.fmu --out bench"),
         ("Files", "a file that is no campaign", nothing, "check Oscillator.fmu"),
         ("Files", "a run folder that is a file", write("taken", ""), "identify bench --out taken"),
+        ("Files", "a run folder that another process writes into", taken, "identify bench"),
+        ("Files", "a diagnosis into such a folder", lambda: (toml("[settings]", '[effects]\ncatalogue = "effects.toml"\n[settings]')(), taken()), "diagnose bench --out runs/bench"),
+        ("Files", "an interrupted run, begun anew", interrupted, "identify bench"),
+        ("Files", "an interrupted run of another campaign", interrupted, "identify bench --resume"),
         ("Files", "an FMU into a file", lambda: (modelica("Real x = 1;")(), write("taken", "")()), "build M.mo M --out taken"),
         ("campaign.toml", "text that is no TOML", toml("[settings]", "[settings"), CHECK),
         ("campaign.toml", "a file in another encoding", lambda: CAMPAIGN.write_bytes("# Prüfstand\n".encode("latin-1")), CHECK),

@@ -6,6 +6,7 @@ import sys
 import textwrap
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from fmuid import (
     measured_case,
     read_history,
 )
+from fmuid.core.folder_lock import LockedError
 from fmuid.identification.history import JOURNAL, HistoryError, _records
 
 # A run that identifies the mass-spring-damper with a slow model, to be killed from outside.
@@ -48,12 +50,12 @@ SCRIPT = """
 """
 
 
-def start(tmp_path, solver, *more, pause=0.004):
+def start(tmp_path, solver, *more, pause=0.004, folder=None, stderr=None):
     script = tmp_path / "run.py"
-    folder = str(Path(__file__).parent)
-    script.write_text(textwrap.dedent(SCRIPT.format(folder=folder, solver=solver, pause=pause)))
-    command = [sys.executable, str(script), str(tmp_path / "run"), *more]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    here = str(Path(__file__).parent)
+    script.write_text(textwrap.dedent(SCRIPT.format(folder=here, solver=solver, pause=pause)))
+    command = [sys.executable, str(script), str(folder or tmp_path / "run"), *more]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)
 
 
 def killed_and_resumed(tmp_path, solver, kills, generator):
@@ -188,6 +190,37 @@ def test_a_disk_that_gets_full_is_one_line_and_loses_nothing(tmp_path, step):
     for run in runs:
         refused = run["code"] == 2 and "cannot be written (No space left on device); " in run["line"]
         assert refused or (run["code"] == 0 and run["read"] == run["resumed"]), run
+
+
+def test_an_interrupted_run_is_never_overwritten(tmp_path, msd):
+    stopped = identify(msd(), solver="bobyqa", out=tmp_path, observer=Interrupt(6))
+    with pytest.raises(HistoryError, match="holds an interrupted run; go on with --resume"):
+        identify(msd(), solver="bobyqa", out=tmp_path)
+    assert Result.from_json(tmp_path) == stopped
+    done = identify(msd(), solver="bobyqa", out=tmp_path, resume=True)
+    again = identify(msd(), solver="bobyqa", out=tmp_path)  # a complete one is
+    assert again.parameters == done.parameters
+
+
+def test_two_writers_the_second_is_told_who_the_first_is(tmp_path, msd):
+    class Second(Observer):
+        """Starts another run in the same folder while the first one goes on: in a thread, in a process."""
+
+        said = ()
+
+        def started(self, problem, solver, why, stop):
+            with ThreadPoolExecutor(1) as pool, pytest.raises(LockedError) as refused:
+                pool.submit(identify, msd(), solver="bobyqa", out=tmp_path).result()
+            with start(tmp_path, "bobyqa", folder=tmp_path, stderr=subprocess.PIPE) as other:
+                self.said = (str(refused.value), other.communicate(timeout=60)[1])
+
+    observer = Second()
+    found = identify(msd(), solver="bobyqa", out=tmp_path, observer=observer)
+    for said in observer.said:
+        assert f"(process {os.getpid()} on " in said
+        assert "writes into this folder; wait for it, or name another folder" in said
+    assert Result.from_json(tmp_path) == found
+    assert {p.name for p in tmp_path.iterdir()} == {"result.json", "history.h5", "run.py"}
 
 
 def test_a_record_that_is_written_in_parts_is_whole(tmp_path, msd, monkeypatch):

@@ -52,6 +52,7 @@ def identify(
     Example: fmuid identify campaigns/force_feedback --dask tcp://127.0.0.1:8786
     """
     from fmuid.campaigns.campaign_toml import load_campaign
+    from fmuid.core.folder_lock import claim
     from fmuid.identification.identify import identify as run
     from fmuid.identification.solvers import Status, StopRules
     from fmuid.simulation.pool.choice import runner_on
@@ -63,7 +64,7 @@ def identify(
     stop = StopRules(evaluations, seconds) if evaluations or seconds else None
     printer = Printer(quiet, json)
     limits: dict[str, Any] = {"time_limit": time_limit, "memory_limit": in_bytes(memory_limit)}
-    with dask_executor(dask) if dask else nullcontext() as executor:
+    with claim(folder), dask_executor(dask) if dask else nullcontext() as executor:
         with _progress(quiet) as observer:
             result = run(
                 loaded,

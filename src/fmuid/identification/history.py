@@ -162,9 +162,14 @@ class History:
     folder
         The run folder, or None to keep the history in memory.
     resume
-        Take up the journal of an interrupted run; without it an old history is replaced.
+        Take up the journal of an interrupted run; without it the history of a complete run is replaced.
     begun
         The run's result before its first stage, as JSON.
+
+    Raises
+    ------
+    HistoryError
+        The folder holds an interrupted run and `resume` is not asked for, or a complete one and it is.
     """
 
     def __init__(self, folder: Path | None, *, resume: bool = False, begun: bytes = b"") -> None:
@@ -177,6 +182,9 @@ class History:
         make_folder(folder)
         remove_unfinished(folder)
         path = folder / JOURNAL
+        if path.exists() and not resume and any(s.rows for s in _read_journal(path)[0].stages.values()):
+            fix = "go on with --resume, or remove the folder to start anew"
+            raise HistoryError("holds an interrupted run", where=folder, fix=fix)
         if resume and path.exists():
             self._run, end = _read_journal(path)
             self._journal = path.open("r+b", buffering=0)
@@ -219,7 +227,7 @@ class History:
                 raise HistoryError(
                     f"the campaign has changed since stage '{problem.name}' was recorded",
                     where=self.folder,
-                    fix="start anew without --resume",
+                    fix="take the change back, or name another folder",
                 )
             return old
         values = problem.space.to_model(problem.space.start)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import msgspec
 
 from fmuid.core.campaign import AnalysisSpec, Campaign, ParameterSpec, StageSpec
 from fmuid.core.errors import ProblemError, SimulationError
+from fmuid.core.folder_lock import claim
 from fmuid.identification.analyses import Findings, analyse
 from fmuid.identification.history import History
 from fmuid.identification.observer import Observer, Progress
@@ -82,7 +84,8 @@ def identify(
     what
         A campaign, the path of one, or a problem.
     out
-        Run folder for result and history; None keeps both in memory.
+        Run folder for result and history; None keeps both in memory. What an interrupted run has left there is
+        never replaced.
     stages
         Names of the stages to run, in the campaign's order; all by default.
     solver, options
@@ -117,7 +120,8 @@ def identify(
     Raises
     ------
     FmuidError
-        The campaign, a model or a stage cannot be used as given.
+        The campaign, a model or a stage cannot be used as given; another process writes into `out`, or it holds an
+        interrupted run and `resume` is not asked for.
     """
     begin = clock.perf_counter()
     campaign = _campaign(what) if not isinstance(what, Problem) else None
@@ -160,6 +164,7 @@ def identify(
     )
     with (
         runner_on(workers, executor=executor, time_limit=time_limit, memory_limit=memory_limit) as runner,
+        nullcontext() if folder is None else claim(folder),
         History(folder, resume=resume, begun=msgspec.json.encode(summary)) as history,
     ):
         run = _Run(history, observer or Observer(), seed, specs)

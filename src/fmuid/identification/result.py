@@ -1,7 +1,7 @@
 """What an identification found: estimates, how each stage went, and how far they can be trusted.
 
-Run folder: ``result.json`` (`Result.to_json`), ``history.h5`` (`history`), and what reports add to it. The result of
-a run that was killed is made from what its history recorded.
+Run folder: ``result.json`` (`Result.to_json`), ``history.h5`` (`history`), and what reports add to it. The result
+of a run that was killed is made from what its history recorded.
 """
 
 from __future__ import annotations

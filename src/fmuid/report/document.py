@@ -12,6 +12,7 @@ from typing import Any
 import jinja2
 
 from fmuid.core.files import write_atomically
+from fmuid.core.folder_lock import claim
 from fmuid.core.formatting import Fact
 from fmuid.report.interactive import specification
 from fmuid.report.plots import Format, save_data, save_figures
@@ -64,17 +65,18 @@ def write_document(
         The folder cannot be written.
     """
     drawn: list[Figure] = []
-    for section in document.sections:
-        for item in (*section.items, *section.details):
-            if isinstance(item, Table):
-                if item.name:
-                    write_atomically(out / "data" / f"{item.name}.csv", item.csv())
-            else:
-                drawn.append(item)
-                save_data(item, out / "data")
-    save_figures(drawn, out / "figures", formats, progress)
     path = out / "index.html"
-    write_atomically(path, rendered(document))
+    with claim(out):
+        for section in document.sections:
+            for item in (*section.items, *section.details):
+                if isinstance(item, Table):
+                    if item.name:
+                        write_atomically(out / "data" / f"{item.name}.csv", item.csv())
+                else:
+                    drawn.append(item)
+                    save_data(item, out / "data")
+        save_figures(drawn, out / "figures", formats, progress)
+        write_atomically(path, rendered(document))
     return path
 
 
