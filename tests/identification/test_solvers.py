@@ -3,9 +3,22 @@ import threading
 import numpy as np
 import pytest
 
-from fmuid import CriterionSpec, ParameterSpec, Problem, Status, StopRules, Task, identify, measured_case
+from fmuid import (
+    CriterionSpec,
+    ParameterSpec,
+    Problem,
+    Status,
+    StopRules,
+    Task,
+    identify,
+    measured_case,
+    read_history,
+)
 from fmuid.core.errors import ProblemError
+from fmuid.core.formulas import parse
 from fmuid.identification.problem.combination import Combination, Constraint
+from fmuid.identification.problem.criteria import register
+from fmuid.identification.problem.search_space import expanded
 from fmuid.identification.solvers import choose
 from fmuid.simulation.runners import in_process
 
@@ -424,3 +437,60 @@ def test_every_kind_of_criterion_can_be_minimised(analytic, msd, msd_truth, crit
     assert stage.cost < 0.02 * stage.start_cost
     if criteria[0][0].startswith(("integral", "quantile", "user")):  # they see the whole response
         assert stage.parameters["k"] == pytest.approx(30.0, rel=0.02)
+
+
+def raising(time, prediction, measured):
+    """A user's criterion with a mistake that shows where the response is small."""
+    if np.max(prediction) < 0.055:
+        raise ZeroDivisionError("division by zero")
+    return prediction - measured
+
+
+def ragged(time, prediction, measured):
+    return (prediction - measured)[2 if np.max(prediction) < 0.055 else 0 :]
+
+
+def nowhere(time, prediction, measured):
+    """It has no value on the measurement itself."""
+    error = np.sum((prediction - measured) ** 2)
+    if error == 0.0:
+        raise ValueError("nothing to compare")
+    return [1e3 * np.sqrt(error)]
+
+
+@pytest.mark.parametrize("solver", ["trf", "bobyqa", "sbplx"])
+@pytest.mark.parametrize(
+    ("posed", "said"),
+    [
+        ({"tie": {"d": "0.7 + 0*log(34 - k)"}}, "'0.7 + 0*log(34 - k)' has no value"),
+        ({"constraints": [Constraint("c", parse("sqrt(34 - k)"), minimum=0.0)]}, "'sqrt(34 - k)' has no value"),
+        ({"function": raising}, "its function raises ZeroDivisionError (division by zero)"),
+        ({"function": ragged}, "299 residuals, but 301 on the measurement"),
+        ({"function": nowhere}, None),
+    ],
+    ids=["tie", "constraint", "raising", "ragged", "nowhere"],
+)
+def test_a_point_without_a_value_has_failed_and_the_search_goes_on(msd, msd_truth, tmp_path, solver, posed, said):
+    if "constraints" in posed and solver == "trf":  # it takes none
+        solver = "slsqp"
+    exact = msd()
+    criteria = []
+    if "function" in posed:
+        register("of_a_user", posed["function"])
+        criteria = [CriterionSpec("y", "of_a_user")]
+    case = measured_case(
+        "step",
+        exact.cases[0].simulator,
+        exact.cases[0].task,
+        {"y": exact.cases[0].channels[0].mean},
+        criteria=criteria,
+    )
+    tie = posed.get("tie", {})
+    specs = [ParameterSpec("d", 0.7), ParameterSpec("k", 32.0, 20.0, 40.0), ParameterSpec("m", 1.2)]
+    space = expanded(specs, ["k"], {}, tie, ["step"])
+    problem = Problem([case], space, constraints=posed.get("constraints", ()))
+    stage = identify(problem, solver=solver, options={"starts": 3}, out=tmp_path).stages[0]
+    assert stage.parameters["k"] == pytest.approx(30.0, rel=1e-3)
+    failures = {row.failure for row in read_history(tmp_path)["identification"].rows if row.failure}
+    assert bool(failures) is (said is not None)
+    assert all(said in failure for failure in failures)

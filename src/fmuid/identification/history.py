@@ -230,7 +230,7 @@ class History:
                     fix="take the change back, or name another folder",
                 )
             return old
-        values = problem.space.to_model(problem.space.start)
+        values, _ = problem.space.tried(problem.space.start)
         head = {
             "stage": problem.name,
             "fingerprint": fingerprint,

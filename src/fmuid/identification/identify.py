@@ -303,7 +303,7 @@ def _result(
     seconds: float,
 ) -> StageResult:
     best, found = search.best, findings.uncertainty
-    values = problem.space.to_model(problem.space.start) if best is None else dict(best.parameters)
+    values = problem.space.tried(problem.space.start)[0] if best is None else dict(best.parameters)
     estimates = []
     for i, free in enumerate(problem.space.free):
         spec = run.specs.get(free.name.split(SEPARATOR)[0], free)

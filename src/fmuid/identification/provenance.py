@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
 
 from fmuid.core.campaign import Campaign
+from fmuid.core.errors import SimulationError
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.solvers import Solver
 
@@ -31,7 +33,8 @@ def fingerprint(problem: Problem, solver: Solver, options: Mapping[str, Any], se
         means = {channel.signal: np.nan_to_num(channel.mean) for channel in case.channels}
         for criterion in case.criteria:
             digest.update(repr((criterion.kind, criterion.demand, criterion.weight)).encode())
-            with np.errstate(all="ignore"):  # its options show in what it makes of some prediction
+            # Its options show in what it makes of some prediction; a user's function may have no value there.
+            with np.errstate(all="ignore"), suppress(SimulationError):
                 digest.update(criterion.residuals(1.1 * means[criterion.signal]).tobytes())
     return digest.hexdigest()
 

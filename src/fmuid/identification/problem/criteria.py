@@ -26,6 +26,7 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.core.campaign import CriterionSpec
-from fmuid.core.errors import ProblemError
+from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise_colour import estimate_colour
 from fmuid.data.noise_spectrum import RepeatedRuns
@@ -81,6 +82,23 @@ class Criterion:
     rows: Rows | None = None
     priority: int = 1
     affine: bool = False
+
+    def length(self, measured: FloatArray) -> int:
+        """Return the number of its residuals; (N,) `measured` tells, or what lies beside it.
+
+        Raises
+        ------
+        ProblemError
+            A user's function has a value on neither.
+        """
+        for prediction in (measured, 1.1 * measured + 1e-3):
+            with suppress(SimulationError):
+                return len(self.residuals(prediction))
+        raise ProblemError(
+            "has a value neither on the measurement nor beside it",
+            where=f"criterion '{self.label}'",
+            fix="correct its function",
+        )
 
 
 User = Callable[[FloatArray, FloatArray, FloatArray], Any]
@@ -173,7 +191,7 @@ def _residuals(kind: str, target: Target, rows: Rows, options: dict[str, Any], w
         return lambda p: np.array([feature(time, p[rows]) - aim])
     if kind == "user" or kind in _registered:
         user = _registered[kind] if kind in _registered else _load(options.pop("function", None), where)
-        return lambda p: np.atleast_1d(np.asarray(user(time, p[rows], measured), dtype=np.float64))
+        return lambda p: _called(user, where, time, p[rows], measured)
     known = ["least_squares", "error_vector", "maximum", "quantile", "integral_absolute", "integral_squared"]
     known += ["integral_time_absolute", *features.FEATURES, "magnitude", "phase", "user", *_registered]
     raise ProblemError("unknown kind of criterion", where=where, fix=f"known: {', '.join(known)}")
@@ -226,6 +244,19 @@ def _spectral(kind: str, target: Target, rows: Rows, options: dict[str, Any], wh
         return 20.0 * np.log10(np.abs(ratio)) if kind == "magnitude" else np.angle(ratio, deg=True)
 
     return residuals
+
+
+def _called(user: User, where: str, *arguments: FloatArray) -> FloatArray:
+    """Return what a user's function makes of a prediction, as (m,); the point has failed if there is nothing."""
+    try:
+        found = np.atleast_1d(np.asarray(user(*arguments), dtype=np.float64))
+    except Exception as error:
+        what = f"its function raises {type(error).__name__} ({error})"
+        raise SimulationError(what, where=where, fix="correct it, or the bounds") from error
+    if found.ndim > 1 or found.size == 0:
+        what = f"its function returns an array of shape {found.shape}"
+        raise SimulationError(what, where=where, fix="return a number, or a vector of residuals")
+    return found
 
 
 def _positive(number: Any, name: str, where: str) -> float:

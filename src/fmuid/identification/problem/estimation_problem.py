@@ -101,7 +101,7 @@ class Problem:
             name=stage.name,
         )
         for constraint in problem.constraints:
-            constraint.check(problem.labels, problem.space.to_model(problem.space.start), where=where)
+            constraint.check(problem.labels, problem.space.tried(problem.space.start)[0], where=where)
         return problem
 
     @cached_property
@@ -111,7 +111,7 @@ class Problem:
         for case, criterion in self.criteria:
             channel = next(c for c in case.channels if c.signal == criterion.signal)
             # A residual function tells its length on any prediction; the measurement itself is at hand.
-            n = len(criterion.residuals(np.nan_to_num(channel.mean)))
+            n = criterion.length(np.nan_to_num(channel.mean))
             slices.append(slice(begin, begin + n))
             begin += n
         return tuple(slices)
@@ -139,18 +139,21 @@ class Problem:
     ) -> list[Evaluation]:
         """Evaluate several candidates; what two of them share is simulated once.
 
-        The runs of those that are `differentiated` find their Jacobians as well, where the models can tell them
-        (`exact` then has them).
+        A candidate for which a tie, a criterion or a constraint has no value has failed, as one that cannot be
+        simulated. The runs of those that are `differentiated` find their Jacobians as well, where the models can
+        tell them (`exact` then has them).
         """
         begin = clock.perf_counter()
         points = [np.array(x, dtype=np.float64) for x in points]
-        values = [self.space.to_model(x) for x in points]
+        values, failures = zip(*map(self.space.tried, points), strict=True)
         at_once: dict[tuple[int, tuple[float, ...]], FloatArray] = {}
         if any(differentiated):
-            at_once = self.exact.simulate(
-                [(x, v) for x, v, d in zip(points, values, differentiated, strict=True) if d]
-            )
-        starts = [[case.start_values(v) for case in self.cases] for v in values]
+            tried = zip(points, values, failures, differentiated, strict=True)
+            at_once = self.exact.simulate([(x, v) for x, v, failure, d in tried if d and failure is None])
+        starts = [
+            [case.start_values(v) for case in self.cases] if failure is None else []
+            for v, failure in zip(values, failures, strict=True)
+        ]
         keys = [[(i, tuple(s.values())) for i, s in enumerate(row)] for row in starts]
         wanted = {key: s for ks, row in zip(keys, starts, strict=True) for key, s in zip(ks, row, strict=True)}
         known = at_once | {key: self._predictions[key] for key in wanted if key in self._predictions}
@@ -163,11 +166,23 @@ class Problem:
         seconds = (clock.perf_counter() - begin) / len(points)
         found = known | outcomes
         return [
-            self._judge(x, v, [found[k] for k in ks], seconds)
-            for x, v, ks in zip(points, values, keys, strict=True)
+            self._judge(x, v, [found[k] for k in ks], seconds) if why is None else self._failed(x, v, why, seconds)
+            for x, v, why, ks in zip(points, values, failures, keys, strict=True)
         ]
 
     def _judge(
+        self,
+        x: FloatArray,
+        values: Mapping[str, float],
+        outcomes: Sequence[FloatArray | SimulationError],
+        seconds: float,
+    ) -> Evaluation:
+        try:
+            return self._judged(x, values, outcomes, seconds)
+        except (ProblemError, SimulationError) as error:  # an expression or a user's criterion
+            return self._failed(x, values, str(error), seconds)
+
+    def _judged(
         self,
         x: FloatArray,
         values: Mapping[str, float],
@@ -182,6 +197,10 @@ class Problem:
                 return self._failed(x, values, f"{case.id}: the prediction is not finite", seconds)
             predictions.append(case.sensed(outcome, values))
         vectors = [r for c, p in zip(self.cases, predictions, strict=True) for r in c.residuals(p)]
+        for label, place, vector in zip(self.labels, self.slices, vectors, strict=True):
+            if len(vector) != place.stop - place.start:
+                what = f"{label}: {len(vector)} residuals, but {place.stop - place.start} on the measurement"
+                return self._failed(x, values, what, seconds)
         criteria = np.array([value(r) for r in vectors])
         if not np.isfinite(criteria).all():
             label = self.labels[int(np.argmin(np.isfinite(criteria)))]

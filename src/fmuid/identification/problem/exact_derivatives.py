@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from fmuid.core.errors import SimulationError
+from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.cases import Case, Channel
 from fmuid.identification.problem.evaluation import Evaluation
@@ -74,7 +74,10 @@ class ExactDerivatives:
         if len(points) > 1 and len(points) * problem.slices[-1].stop * len(problem.space) > _KEPT:
             return {}
         predictions: dict[tuple[int, tuple[float, ...]], FloatArray] = {}
-        moves = [problem.space.moves(x, values)[first:] for x, values in points]
+        try:
+            moves = [problem.space.moves(x, values)[first:] for x, values in points]
+        except ProblemError:  # a tie has no derivative at one of them
+            return {}
         for (_, values), there in zip(points, moves, strict=True):
             tasks = self._differentiated([move.slopes for move in there], tuple(values))
             if tasks is None:
@@ -90,7 +93,11 @@ class ExactDerivatives:
                     self._keep((x.tobytes(), first), None)
                     break
                 predictions[k, tuple(starts.values())] = run[: len(task.outputs)].copy()
-                blocks += _blocks(case, task, np.asarray(run), there, values)
+                try:
+                    blocks += _blocks(case, task, np.asarray(run), there, values)
+                except (ProblemError, SimulationError):  # a sensor or a user's criterion has no value beside it
+                    self._keep((x.tobytes(), first), None)
+                    break
             else:
                 slope = problem.space.slope(x)[first:, None]
                 jacobian = np.empty((problem.slices[-1].stop, len(slope)))

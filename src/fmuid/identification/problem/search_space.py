@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import graphlib
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -138,9 +139,21 @@ class SearchSpace:
         return self._search(np.array([values[spec.name] for spec in self.free]))
 
     def to_model(self, x: FloatArray) -> dict[str, float]:
-        """Return every parameter's model-space value (free, fixed and tied) at the (n,) search point `x`."""
-        free = np.minimum(np.maximum(self._model(x), self._limits[0]), self._limits[1]).tolist()
-        return self.followed(dict(self.fixed) | {s.name: v for s, v in zip(self.free, free, strict=True)})
+        """Return every parameter's model-space value (free, fixed and tied) at the (n,) search point `x`.
+
+        Raises
+        ------
+        ProblemError
+            What is tied has no value there.
+        """
+        return self.followed(self._untied(x))
+
+    def tried(self, x: FloatArray) -> tuple[dict[str, float], str | None]:
+        """Return the values as `to_model` does, and why there are none: what is tied is NaN then."""
+        try:
+            return self.to_model(x), None
+        except ProblemError as error:
+            return self._untied(x) | dict.fromkeys(self._order, math.nan), str(error)
 
     def followed(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return `values` with what is tied to them."""
@@ -148,6 +161,10 @@ class SearchSpace:
         for name in self._order:
             found[name] = self.ties[name](found)
         return found
+
+    def _untied(self, x: FloatArray) -> dict[str, float]:
+        free = np.minimum(np.maximum(self._model(x), self._limits[0]), self._limits[1]).tolist()
+        return dict(self.fixed) | {s.name: v for s, v in zip(self.free, free, strict=True)}
 
     def slope(self, x: FloatArray) -> FloatArray:
         """Return d model / d search, (n,), at `x`."""
