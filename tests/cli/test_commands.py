@@ -17,9 +17,11 @@ import pytest
 from scipy.io import savemat
 
 from fmuid.core.experiments import Measurements
+from fmuid.core.folder_lock import claim
 from fmuid.data.crosscheck_csv import Table, read_csv, write_csv
 from fmuid.data.measurements import read_measurements
 from fmuid.data.recordings.conversion import table_from_experiment
+from fmuid.identification.result import Result
 
 Command = Callable[..., tuple[int, str, str]]
 COMMANDS = [
@@ -39,6 +41,29 @@ FMUID = [sys.executable, "-c", "from fmuid.cli import main; main()"]
 
 
 # ---- the program itself
+
+
+@pytest.mark.parametrize("after", [0.05, 0.1, 0.2, 0.4, 0.8, 1.6])
+def test_ctrl_c_while_modules_are_loaded_is_one_line(folder: Path, after: float) -> None:
+    script = "import sys; from fmuid.cli import main; print(flush=True); main()"
+    run = subprocess.Popen(
+        [sys.executable, "-c", script, "check", "bench"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert run.stdout is not None
+    run.stdout.readline()
+    clock.sleep(after)
+    run.send_signal(signal.SIGINT)
+    _, err = run.communicate(timeout=600)
+    assert (run.returncode, err) == (130, "fmuid: interrupted\n") or run.returncode == 0
+
+
+def test_output_that_cannot_be_written_is_one_line(folder: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*FMUID, "check", "bench"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    said = "fmuid: the output: cannot be read or written (No space left on device)\n"
+    assert (done.returncode, done.stderr) == (2, said)
 
 
 def test_help_lists_the_commands_without_loading_a_library() -> None:
@@ -452,26 +477,55 @@ def test_identify_validate_report(folder: Path, fmuid: Command) -> None:
     assert sorted(p.name for p in Path("csv").iterdir()) == ["sine.csv", "step.csv"]
 
 
-def test_ctrl_c_ends_with_130_and_keeps_what_was_reached(folder: Path) -> None:
+def endless(folder: Path) -> None:
+    """Have the campaign search for a minute."""
     text = (folder / "campaign.toml").read_text()
     (folder / "campaign.toml").write_text(
         text.replace("[stages.all]", '[stages.all]\nsolver = "isres"').replace(
             "evaluations = 100", "seconds = 3600"
         )
     )
-    run = subprocess.Popen(
-        [*FMUID, "identify", "bench", "--out", "run"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    deadline = clock.monotonic() + 300
-    journal = Path("run/history.journal")
+
+
+def under_way(out: Path) -> None:
+    """Wait until a run has recorded something."""
+    deadline, journal = clock.monotonic() + 300, out / "history.journal"
     while not (journal.exists() and journal.stat().st_size > 10_000) and clock.monotonic() < deadline:
         clock.sleep(0.05)
-    run.send_signal(signal.SIGINT)
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_whatever_stops_a_run_it_ends_with_130_and_says_how_it_goes_on(folder: Path, name: str) -> None:
+    endless(folder)
+    command = [*FMUID, "identify", "bench", "--out", "run", "--seed", "3"]
+    run = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    under_way(Path("run"))
+    os.killpg(run.pid, getattr(signal, name))  # batch systems tell every process of a job
     out, err = run.communicate(timeout=600)
     assert run.returncode == 130, err
     assert "Traceback" not in err
-    assert "--resume" in out
-    assert json.loads(Path("run/result.json").read_text())["parameters"]["m"] > 0
+    assert "go on with: fmuid identify bench --out run --seed 3 --resume" in out
+    assert "fmuid: interrupted" in err
+    result = json.loads(Path("run/result.json").read_text())
+    assert result["parameters"]["m"] > 0
+    assert result["stages"][0]["failures"] == 0  # no worker was taken for one that crashed
+
+
+def test_a_second_ctrl_c_ends_at_once_in_one_line(folder: Path) -> None:
+    endless(folder)
+    run = subprocess.Popen([*FMUID, "identify", "bench", "--out", "run"], stderr=subprocess.PIPE, text=True)
+    under_way(Path("run"))
+    for _ in range(50):
+        run.send_signal(signal.SIGINT)
+    _, err = run.communicate(timeout=600)
+    assert run.returncode == 130, err
+    assert err.splitlines()[-1] in ("fmuid: stopped at once", "fmuid: interrupted")
+    assert "Traceback" not in err
+    assert Result.from_json("run").parameters["m"] > 0
+    with claim(Path("run")):  # a lock goes with its process
+        pass
 
 
 def test_build_finds_the_packages_that_are_shipped(

@@ -1,5 +1,24 @@
 """The command line `fmuid`. Heavy imports happen inside the commands, so that `--help` is quick."""
 
-from fmuid.cli.app import app, main
+from __future__ import annotations
 
-__all__ = ["app", "main"]
+import sys
+
+from fmuid.cli.interruption import INTERRUPTED, Interruption
+
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    interruption = Interruption()
+    try:
+        from fmuid.cli.app import run, warn_in_one_line
+
+        warn_in_one_line()
+        code = run()
+    except KeyboardInterrupt:  # while modules are loaded
+        print("fmuid: interrupted", file=sys.stderr)
+        code = INTERRUPTED
+    interruption.end()
+    sys.exit(code)

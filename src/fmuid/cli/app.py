@@ -6,14 +6,16 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 
 import typer
 
 from fmu_build.errors import UserError
 from fmuid.cli import building, checking, comparing, importing, simulating
 from fmuid.cli import identifying as identification
+from fmuid.cli.interruption import INTERRUPTED
 
-DONE, NO, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+DONE, NO, BAD_INPUT = 0, 1, 2
 
 app = typer.Typer(
     name="fmuid",
@@ -53,6 +55,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; every mistake of the user's is one line on stderr."""
     try:
         code = app(arguments, standalone_mode=False)
+        sys.stdout.flush()  # a full disk is noticed here, not when Python ends
     except UserError as error:
         return _complain(str(error))
     except typer.TyperException as error:  # unknown option, missing argument, value of the wrong type
@@ -60,17 +63,22 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except (typer.Abort, KeyboardInterrupt):
         return _complain("interrupted", INTERRUPTED)
     except BrokenPipeError:  # the reader (head, less) has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return NO
+    except OSError as error:  # a disk that is full or gone, a terminal that was closed
+        _drop_output()
+        place = error.filename or "the output"
+        return _complain(f"{place}: cannot be read or written ({error.strerror or error})")
+    except MemoryError:
+        return _complain("the memory is not enough; use fewer workers, or less data")
     if code == INTERRUPTED:  # Typer has caught the Ctrl-C
         return _complain("interrupted", INTERRUPTED)
     return code if isinstance(code, int) else DONE
 
 
-def main() -> None:
-    """Entry point of the console script."""
+def warn_in_one_line() -> None:
+    """Have warnings look like errors do."""
     warnings.formatwarning = _warning
-    sys.exit(run())
 
 
 def _warning(message: Warning | str, *_where: object, **_line: object) -> str:
@@ -78,5 +86,11 @@ def _warning(message: Warning | str, *_where: object, **_line: object) -> str:
 
 
 def _complain(message: str, code: int = BAD_INPUT) -> int:
-    print(f"fmuid: {' '.join(message.split())}", file=sys.stderr)
+    with suppress(OSError):  # the terminal is gone
+        print(f"fmuid: {' '.join(message.split())}", file=sys.stderr)
     return code
+
+
+def _drop_output() -> None:
+    """Have nothing more written to standard output: not what waits in its buffer either, when Python ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

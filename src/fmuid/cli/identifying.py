@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json as json_library
-from collections.abc import Sequence
-from contextlib import nullcontext
+import shlex
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fmuid.cli.diagnosis_text import print_diagnosis, print_validation
+from fmuid.cli.interruption import INTERRUPTED
 from fmuid.cli.output import CampaignPath, Json, Printer, Quiet
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, in_bytes, supervised
 from fmuid.core.errors import FmuidError
@@ -21,7 +24,6 @@ if TYPE_CHECKING:
     from fmuid.identification.validate import Validation
     from fmuid.simulation.runners import Runner
 
-INTERRUPTED = 130
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that fmuid identify wrote.")]
 
 
@@ -64,7 +66,12 @@ def identify(
     stop = StopRules(evaluations, seconds) if evaluations or seconds else None
     printer = Printer(quiet, json)
     limits: dict[str, Any] = {"time_limit": time_limit, "memory_limit": in_bytes(memory_limit)}
-    with claim(folder), dask_executor(dask) if dask else nullcontext() as executor:
+    asked = {"--stage": stage, "--solver": solver, "--evaluations": evaluations, "--seconds": seconds}
+    with (
+        _told_how_to_go_on(folder, _again("identify", campaign, folder, asked | {"--seed": seed}), printer),
+        claim(folder),
+        dask_executor(dask) if dask else nullcontext() as executor,
+    ):
         with _progress(quiet) as observer:
             result = run(
                 loaded,
@@ -93,10 +100,6 @@ def identify(
                 printer.say(f"\nreport: {summary['report']}")
             if result.status not in (Status.INTERRUPTED, Status.FAILED):
                 summary |= _write_back(result, loaded, folder, printer, runner)
-    if interrupted:
-        # Whoever presses Ctrl-C does not wait for figures.
-        printer.say(f"\ngo on with: fmuid identify {campaign} --out {folder} --resume")
-        printer.say(f"or look at what was reached with: fmuid report {folder}")
     printer.write(summary)
     return INTERRUPTED if interrupted else int(result.status is Status.FAILED)
 
@@ -247,6 +250,34 @@ def _write_back(
     for warning in written.warnings:
         printer.say(f"! {warning}")
     return {"identified": {"fmus": written.fmus, "parameters": written.parameters}}
+
+
+def _again(command: str, campaign: Path, folder: Path, options: Mapping[str, Any]) -> str:
+    """Return the command that goes on with an interrupted one."""
+    words = ["fmuid", command, str(campaign), "--out", str(folder)]
+    for name, value in options.items():
+        for one in value if isinstance(value, list) else [value]:
+            words += [] if not one else [name, str(one)]
+    return shlex.join([*words, "--resume"])
+
+
+@contextmanager
+def _told_how_to_go_on(folder: Path, again: str, printer: Printer) -> Iterator[None]:
+    """Say at the end what an interrupted run left, and how it goes on; nobody waits for figures then."""
+    from fmuid.identification.history import JOURNAL
+    from fmuid.identification.result import FILE
+
+    report = shlex.join(["fmuid", "report", str(folder)])
+    try:
+        yield
+    except KeyboardInterrupt:
+        if not (folder / JOURNAL).exists() and (folder / FILE).exists():
+            printer.say(f"\nthe result is in {folder}; write the report with: {report}")
+        raise
+    finally:
+        if (folder / JOURNAL).exists() and not isinstance(sys.exception(), FmuidError):
+            printer.say(f"\ngo on with: {again}")
+            printer.say(f"or look at what was reached with: {report}")
 
 
 def _progress(quiet: bool) -> Any:

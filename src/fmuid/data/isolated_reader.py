@@ -107,7 +107,9 @@ atexit.register(_end)
 
 def serve() -> None:
     """Answer until the other end closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # they are the parent's to handle
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     connection = Connection(int(sys.argv[1]))
     while True:
         try:

@@ -318,9 +318,12 @@ class History:
                 record = record[os.write(self._journal.fileno(), record) :]
             if kind != "row":
                 os.fsync(self._journal.fileno())
-        except OSError as error:
+        except BaseException as error:
             with suppress(OSError):  # nothing may follow half a record
                 os.ftruncate(self._journal.fileno(), begin)
+                self._journal.seek(begin)
+            if not isinstance(error, OSError):
+                raise
             self._journal.close()
             self._journal = None
             raise _unwritable(self.folder, error) from None

@@ -38,7 +38,9 @@ def resident_memory(pid: int) -> int:
 
 def main(connection: Channel, folder: str) -> None:
     """Answer messages until the other end closes; temporary files go to `folder`."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # they are the parent's to handle
+        with suppress(AttributeError, ValueError):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     with suppress(ImportError, ValueError, OSError):
         import resource
 
