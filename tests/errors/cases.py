@@ -95,6 +95,16 @@ def archive(*members: tuple[str, str]) -> Callable[[], object]:
     return make
 
 
+def description(variables: str, version: str = "2.0") -> Callable[[], object]:
+    """An FMU that nobody can run, with these variables."""
+    identity = "instantiationToken" if version == "3.0" else "guid"
+    text = (
+        f'<fmiModelDescription fmiVersion="{version}" modelName="M" {identity}="1"><CoSimulation modelIdentifier="M"/>'
+        f"<ModelVariables>{variables}</ModelVariables><ModelStructure/></fmiModelDescription>"
+    )
+    return archive(("modelDescription.xml", text))
+
+
 def bomb() -> None:
     archive(("modelDescription.xml", "x"))()
     content = bytearray(Path("Oscillator.fmu").read_bytes())
@@ -229,6 +239,14 @@ CASES = [
         ("campaign.toml", "an option that a solver does not have", stage('solver = { name = "bobyqa", tolerances = 1e-3 }'), CHECK),
         ("campaign.toml", "an option that is no number", stage('solver = { name = "trf", tolerance = "small" }'), CHECK),
         ("campaign.toml", "a first step of nothing", stage('solver = { name = "dfols", initial_step = 0 }'), CHECK),
+        ("campaign.toml", "more starts than anybody waits for", stage('solver = { name = "trf", starts = 1_000_000_000 }'), CHECK),
+        ("campaign.toml", "more draws than anybody waits for", stage("monte_carlo = 1_000_000_000"), CHECK),
+        ("campaign.toml", "more points of a front than anybody waits for", stage("pareto = { points = 1_000_000 }"), CHECK),
+        ("campaign.toml", "a stage with the name of a path", toml("[stages.all]", '[stages."a/b"]'), CHECK),
+        ("campaign.toml", "a stage with the name of a folder", toml("[stages.all]", '[stages."."]'), CHECK),
+        ("campaign.toml", "a null character in a name", toml('name = "bench"', 'name = "ben\\u0000ch"'), CHECK),
+        ("campaign.toml", "a null character in a key", toml("[parameters.d]", '[parameters."d\\u0000"]'), CHECK),
+        ("campaign.toml", "a file that is much too large", write("bench/campaign.toml", "#" * 10_000_001), CHECK),
         ("campaign.toml", "a seed that is no whole number", stage('solver = { name = "trf", seed = 1.5 }'), CHECK),
         ("campaign.toml", "options that belong to no link of a chain", stage('solver = { name = "crs2 > bobyqa", evaluations = 100 }'), CHECK),
         ("campaign.toml", "no local solver for MLSL", stage('solver = { name = "mlsl", local = "crs2" }'), CHECK),
@@ -284,6 +302,7 @@ CASES = [
         ("measurements.h5", "data kept in another file", instead("experiments/step/signals/position", shape=(201,), dtype="f8", external="/etc/passwd"), CHECK),
         ("Recorded runs", "a first column that is not time", csv(GOOD, "x,u [N],t"), IMPORT),
         ("Recorded runs", "a column without a unit", csv(GOOD, "time,u [N],x"), IMPORT),
+        ("Recorded runs", "more columns than a run has", csv("0" + ",1" * 200_000 + "\n", "time" + "".join(f",c{i} [m]" for i in range(200_000))), IMPORT),
         ("Recorded runs", "a column twice", csv(GOOD, "time,u [N],u [N]"), IMPORT),
         ("Recorded runs", "a cell that is no number", csv("0,1,2\n1,n/a,3\n"), IMPORT),
         ("Recorded runs", "decimal commas where commas separate", csv("0,1,2\n0,5,2,5,3\n"), IMPORT),
@@ -313,6 +332,9 @@ CASES = [
         ("FMUs", "a description that is no XML", archive(("modelDescription.xml", "<fmi")), CHECK),
         ("FMUs", "FMI 1.0", archive(("modelDescription.xml", DESCRIPTION.format("1.0"))), CHECK),
         ("FMUs", "an archive that climbs out of its folder", archive(("../../.bashrc", "true")), CHECK),
+        ("FMUs", "a value reference outside of FMI's", description('<ScalarVariable name="x" valueReference="4294967296"><Real/></ScalarVariable>'), CHECK),
+        ("FMUs", "more variables than a model has", description('<ScalarVariable name="x" valueReference="1"/>' * 300_000), CHECK),
+        ("FMUs", "an array of more elements than memory holds", description('<Float64 name="x" valueReference="1"><Dimension start="1000000000"/></Float64>', "3.0"), CHECK),
         ("FMUs", "an archive that would fill the disk", bomb, CHECK),
         ("FMUs", "no binary for this machine", without_binary, "simulate Oscillator.fmu"),
         ("FMUs", "a parameter that it does not have", toml("[parameters.d]", "[parameters.D]"), CHECK),

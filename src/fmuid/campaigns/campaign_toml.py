@@ -34,6 +34,7 @@ from fmuid.data.measurements import read_measurements
 from fmuid.simulation.coupled.coupling_table import CoupledTable, coupling_of
 
 FILE_NAME = "campaign.toml"
+MAX_STARTS, MAX_DRAWS, MAX_POINTS = 1000, 100_000, 1000  # of a solver, of Monte Carlo, on a front
 _Table = Mapping[str, Any]
 
 
@@ -163,6 +164,10 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None) -
     roles = _Roles.from_table(document.roles, recorded, str(file))
     models = {s: _model(s, t, folder, f"{file} [models.{s}]") for s, t in document.models.items()}
     _check_models(models, recorded, roles, parameters, settings, str(file))
+    for n in document.stages:
+        if n in ("", ".", "..") or "/" in n or not n.isprintable():  # groups and files are called so
+            fix = "use letters, digits, spaces, . - _"
+            raise CampaignError(f"'{n}' is no name of a stage", where=f"{file} [stages]", fix=fix)
     stages = {
         n: _stage(n, t, recorded, roles, parameters, f"{file} [stages.{n}]") for n, t in document.stages.items()
     }
@@ -385,10 +390,11 @@ def _stage(
     solver, options = _solver(table.solver, where)
     budget = convert(table.budget, _BudgetTable, f"{where} budget")
     pareto = None if table.pareto is None else convert(table.pareto, _ParetoTable, f"{where} pareto")
-    if pareto is not None and pareto.points < 2:
-        raise CampaignError(f"pareto points is {pareto.points}", where=where, fix="write 2 or more")
-    if table.monte_carlo < 0:
-        raise CampaignError(f"monte_carlo is {table.monte_carlo}", where=where, fix="write a number of draws")
+    if pareto is not None and not 2 <= pareto.points <= MAX_POINTS:
+        raise CampaignError(f"pareto points is {pareto.points}", where=where, fix=f"write 2 to {MAX_POINTS}")
+    if not 0 <= table.monte_carlo <= MAX_DRAWS:
+        fix = f"write a number of draws up to {MAX_DRAWS}"
+        raise CampaignError(f"monte_carlo is {table.monte_carlo}", where=where, fix=fix)
     for key in ("evaluations", "seconds"):
         limit = getattr(budget, key)
         if limit is not None and not limit > 0:
@@ -470,8 +476,9 @@ def _solver(raw: str | _Table, where: str) -> tuple[str, dict[str, Any]]:
     if not isinstance(name, str):
         raise CampaignError("solver has no name", where=where, fix='write solver = { name = "bobyqa", ... }')
     starts = options.get("starts", 1)
-    if type(starts) is not int or starts < 1:
-        raise CampaignError(f"solver starts {starts!r} times", where=where, fix="write a whole number from 1 on")
+    if type(starts) is not int or not 1 <= starts <= MAX_STARTS:
+        fix = f"write a whole number from 1 to {MAX_STARTS}"
+        raise CampaignError(f"solver starts {starts!r} times", where=where, fix=fix)
     return name, options
 
 

@@ -6,7 +6,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -14,6 +14,8 @@ import msgspec
 
 from fmu_build.suggest import suggestion
 from fmuid.core.errors import CampaignError
+
+MAX_BYTES = 10_000_000
 
 
 class Table(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
@@ -23,7 +25,9 @@ class Table(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 def read_toml(file: Path) -> dict[str, Any]:
     """Return the tables of a TOML file; CampaignError with the line if it cannot be read."""
     try:
-        return tomllib.loads(file.read_bytes().decode())
+        if file.stat().st_size > MAX_BYTES:
+            raise CampaignError("is larger than 10 MB", where=file, fix="keep measurements in a file of their own")
+        tables = tomllib.loads(file.read_bytes().decode())
     except FileNotFoundError:
         campaign = "campaign" in file.name or not file.suffix
         fix = (
@@ -42,6 +46,23 @@ def read_toml(file: Path) -> dict[str, Any]:
         where = f"{file} line {line[1]}" if line else f"{file} at its end" if place else str(file)
         what = what[:1].lower() + what[1:]
         raise CampaignError(f"is not TOML: {what}", where=where, fix="correct the line") from None
+    for text in _texts(tables):
+        if "\0" in text:
+            raise CampaignError(f"{text!r:.80} holds a null character", where=file, fix="take it out")
+    return tables
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Yield every key and every text below a TOML value."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        yield from value
+        for inner in value.values():
+            yield from _texts(inner)
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _texts(inner)
 
 
 _T = TypeVar("_T", bound=Table)

@@ -24,6 +24,7 @@ from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 from fmuid.core.units import check_unit, conversion
 
 MAX_BYTES = 2_000_000_000
+MAX_COLUMNS = 10_000
 TIMES = ("time", "t", "timestamp", "timestamps", "datetime")
 """Names of a time axis, in any case."""
 _DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab"}
@@ -158,13 +159,18 @@ def _read_header(header: list[str], path: Path) -> tuple[list[str], dict[str, st
         raise MeasurementsError(
             f"the first column is '{names[0][:40]}'", where=path, fix="it must be 'time', in s"
         )
+    if len(names) > MAX_COLUMNS:
+        what = f"has {len(names)} columns, more than {MAX_COLUMNS}"
+        raise MeasurementsError(what, where=path, fix="leave out those that are not used")
     if len(names) < 2:
         raise MeasurementsError("has no column beside time", where=path, fix="add the signals")
+    seen: set[str] = set()
     for i, name in enumerate(names):
         if not name or not name.isprintable():
             raise MeasurementsError(f"column {i + 1} has no name", where=path, fix="name every column")
-        if name in names[:i]:
+        if name in seen:
             raise MeasurementsError(f"column '{name}' is there twice", where=path, fix="rename one of the two")
+        seen.add(name)
     return names, {name: unit for name, unit in cells if unit is not None}
 
 

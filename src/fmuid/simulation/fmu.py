@@ -29,7 +29,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.simulation import resets, stepper
 from fmuid.simulation.fmu_library import FmuLibrary, ProcessSpentError
 from fmuid.simulation.fmu_plan import PreparedTask
-from fmuid.simulation.fmu_variables import Slot, in_words, read_feedthrough, read_variables
+from fmuid.simulation.fmu_variables import MAX_VARIABLES, Slot, in_words, read_feedthrough, read_variables
 from fmuid.simulation.simulator import Task, Variable
 from fmuid.simulation.stepper import FUNCTIONS, Outcome
 
@@ -82,7 +82,7 @@ class Fmu:
             else self._description.coSimulation
         )
         self._described: Any = described
-        self._variables, self._slots = read_variables(self._description, self.version)
+        self._variables, self._slots = read_variables(self._description, self.version, self.path)
         self._view = MappingProxyType(self._variables)
         self._lock = threading.RLock()
         self._library: FmuLibrary | None = None
@@ -465,10 +465,16 @@ def _check_members(path: Path) -> None:
 
 def _check_version(path: Path) -> None:
     with zipfile.ZipFile(path) as archive, archive.open("modelDescription.xml") as file:
-        version = _VERSION.search(file.read(10_000))
+        begin = chunk = file.read(10_000)
+        count, version = 0, _VERSION.search(begin)
+        while chunk and count <= MAX_VARIABLES:
+            count += chunk.count(b"valueReference=")
+            chunk = file.read(1_000_000)
     if version and version[1][:1] not in b"23":
         words = version[1].decode(errors="replace")
         raise FmuError(f"is of FMI {words}; 2.0 and 3.0 are supported", where=path, fix="export it anew")
+    if count > MAX_VARIABLES:
+        raise FmuError(f"has more than {MAX_VARIABLES} variables", where=path, fix="export it with fewer")
 
 
 def _remove(folder: Path, process: int) -> None:

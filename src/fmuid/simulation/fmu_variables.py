@@ -6,9 +6,13 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice, product
+from pathlib import Path
 from typing import Any
 
+from fmuid.core.errors import FmuError
 from fmuid.simulation.simulator import Variable
+
+MAX_VARIABLES = 200_000
 
 # FMI type -> (function suffix, place in stepper.CTYPES)
 _STORAGE = {
@@ -98,10 +102,15 @@ def _elements(shape: tuple[int, ...]) -> Iterator[str]:
         yield f"[{','.join(map(str, index))}]" if index else ""
 
 
-def read_variables(description: Any, version: int) -> tuple[dict[str, Variable], dict[str, Slot]]:
+def read_variables(description: Any, version: int, where: Path) -> tuple[dict[str, Variable], dict[str, Slot]]:
     """Return the scalar variables of a FMPy model description, and their slots, by name.
 
     An FMI 3.0 array is listed element by element, as ``table[1,2]``.
+
+    Raises
+    ------
+    FmuError
+        There are too many, or one has no value reference; `where` names the FMU.
     """
     variables: dict[str, Variable] = {}
     slots: dict[str, Slot] = {}
@@ -115,6 +124,12 @@ def read_variables(description: Any, version: int) -> tuple[dict[str, Variable],
         )
         shape = tuple(v.shape or ())
         size = math.prod(shape)
+        if not 0 <= v.valueReference < 2**32:
+            what = f"variable '{v.name}' has the value reference {v.valueReference}"
+            raise FmuError(what, where=where, fix="export it anew: FMI has 0 to 4294967295")
+        if len(variables) + size > MAX_VARIABLES:
+            what = f"has more than {MAX_VARIABLES} variables, the elements of arrays counted"
+            raise FmuError(what, where=where, fix="export it with fewer")
         starts = [_number(s) for s in (v.start or "").split()] if suffix else []
         starts = starts * size if len(starts) == 1 else starts
         starts += [math.nan] * (size - len(starts))
