@@ -42,13 +42,15 @@ class Mass:
         port = task.inputs["port"].tolist() if "port" in task.inputs else [0.0] * len(u)
         x = v = 0.0
         rows = [(x, v)]
-        for k in range(len(u) - 1):
-            for _ in range(2):
+        for k, step in enumerate(np.diff(task.time)):
+            count = math.ceil(2 * step / DT - 1e-9)
+            h = float(step) / count
+            for _ in range(count):
                 s = math.tanh(v / 0.02)
                 dry = fc + (grip if 0.1 < x % 0.3 < 0.15 else 0.0)
                 force = u[k] - d * v - dry * s - a * abs(s) - constant - square * v * abs(v) - port[k]
-                v += 0.5 * DT * force / m
-                x += 0.5 * DT * v
+                v += h * force / m
+                x += h * v
             rows.append((x, v))
         named = dict(zip(("x", "v"), np.array(rows).T, strict=True))
         return np.array([named[o] for o in task.outputs])

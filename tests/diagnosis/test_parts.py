@@ -16,7 +16,6 @@ from fmuid.diagnosis.ports import fit_decoys, harmonics, hats, quantile_knots
 from fmuid.diagnosis.refit import Refit, Unknown, refit
 from fmuid.diagnosis.regimes import Regime, bases, own_bases, trajectories
 from fmuid.diagnosis.scores import alias_classes, nominal_basis, project_off, stack
-from fmuid.diagnosis.signal_effects import disturb_input, disturb_output, split_signal_parameters
 from fmuid.simulation.runners import in_process
 
 TIME = np.linspace(0.0, 1.0, 501)
@@ -265,46 +264,6 @@ def test_a_law_of_a_confined_variable_is_sought_at_its_port_alone():
     assert at_port[1].held_out.gap > 2.0 * at_port[0].held_out.gap
     without = fit_decoys(subject.model, observed, again.fit, ports, free)
     assert {d.over for d in decoys} - {d.over for d in without} == set(own)
-
-
-def test_signal_parameters_are_told_from_the_model_s():
-    plain, disturbed = split_signal_parameters(
-        {"d": 1.0, "gear.gain": 3.0, "y.gain": 1.1, "y.offset": 0.0, "u.delay": 2e-3}, {"y", "u"}
-    )
-    assert plain == {"d": 1.0, "gear.gain": 3.0}
-    assert disturbed == {"y": {"gain": 1.1}, "u": {"delay": 2e-3}}
-
-
-@pytest.mark.parametrize("delay", [1e-3, 5e-3, 7e-3])
-def test_a_delayed_input_is_the_earlier_one(delay):
-    u = np.sin(2 * np.pi * 2 * TIME)
-    # A held sample stands for the mean of its step, half a step later.
-    late = disturb_input(TIME, u, {"delay": delay})
-    step = TIME[1] - TIME[0]
-    np.testing.assert_allclose(late[10:-1], np.interp(TIME - delay, TIME, u)[10:-1], atol=2 * np.pi * 2 * step)
-    assert disturb_input(TIME, u, {}) is u
-    np.testing.assert_allclose(disturb_input(TIME, u, {"delay": step})[1:], u[:-1], atol=1e-12)
-
-
-def test_lags_settle_at_the_input_and_take_their_time():
-    step = np.ones(len(TIME))
-    lagged = disturb_input(TIME, step, {"lag": 0.05})
-    assert lagged[0] < 0.05
-    at = int(np.searchsorted(TIME, 0.05))
-    assert lagged[at] == pytest.approx(1 - np.exp(-1), abs=0.02)
-    assert lagged[-1] == pytest.approx(1.0, abs=1e-6)
-    y = np.stack([np.where(TIME < 0.1, 0.0, 1.0), TIME])
-    read = disturb_output(TIME, y, ("a", "b"), {"a": {"lag": 0.05}})
-    assert read[0, np.searchsorted(TIME, 0.15)] == pytest.approx(1 - np.exp(-1), abs=0.02)
-    assert np.array_equal(read[1], y[1])
-
-
-def test_sensors_that_read_wrongly():
-    y = np.stack([TIME, -TIME])
-    read = disturb_output(TIME, y, ("a", "b"), {"a": {"gain": 2.0, "offset": 0.5}, "b": {"saturation": 0.5}})
-    np.testing.assert_allclose(read[0], 2.0 * TIME + 0.5)
-    assert np.abs(read[1]).max() < 0.5
-    assert read[1, 1] == pytest.approx(-TIME[1], rel=1e-3)
 
 
 def test_a_parameter_never_leaves_its_bounds():

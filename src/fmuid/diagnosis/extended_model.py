@@ -13,10 +13,16 @@ from fmuid.core.errors import SimulationError
 from fmuid.core.formulas import Expression
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.data.noise_spectrum import RepeatedRuns
-from fmuid.diagnosis.signal_effects import disturb_input, disturb_output, split_signal_parameters
+from fmuid.diagnosis.signal_effects import (
+    Disturbed,
+    Effects,
+    disturbed_readings,
+    disturbed_task,
+    split_signal_parameters,
+)
 from fmuid.identification.problem.cases import Case
 from fmuid.simulation.runners import Job, Outcome, Runner, in_process
-from fmuid.simulation.simulator import Task, differentiates
+from fmuid.simulation.simulator import Task, differentiates, takes_any_times
 
 Prediction = tuple[FloatArray, ...]
 """(C, N) predicted signals, one array an experiment."""
@@ -166,14 +172,15 @@ class CampaignModel:
         signals |= {name for case in self.cases for name in case.task.inputs}
         split = [split_signal_parameters({**self.fixed, **values}, signals) for values, _ in wanted]
         keys: list[_Key] = []
+        around: list[Disturbed | None] = []
         jobs: dict[_Key, Job] = {}
         for (_, drive), (plain, signal) in zip(wanted, split, strict=True):
             for k, case in enumerate(self.cases):
-                values, inputs = self._start_values(case, plain), _changed_inputs(case, k, signal, drive)
-                keys.append(_key(k, case, values, inputs))
+                values, disturbed = self._start_values(case, plain), _disturbed(case, k, signal, drive)
+                keys.append(_key(k, case, values, disturbed))
+                around.append(disturbed)
                 if keys[-1] not in self._kept and keys[-1] not in jobs:
-                    task = replace(case.task, inputs={**case.task.inputs, **inputs}) if inputs else case.task
-                    jobs[keys[-1]] = (case.simulator, task, values)
+                    jobs[keys[-1]] = (case.simulator, _task(case.task, disturbed), values)
         known = {key: self._kept[key] for key in keys if key in self._kept}
         found = known | dict(zip(jobs, self.runner(list(jobs.values())) if jobs else [], strict=True))
         self._keep(found)
@@ -181,16 +188,18 @@ class CampaignModel:
         results: list[Prediction | SimulationError] = []
         n = len(self.cases)
         for i, (plain, signal) in enumerate(split):
-            part = outcomes[i * n : (i + 1) * n]
-            failed = next((o for o in part if isinstance(o, SimulationError)), None)
+            own = slice(i * n, (i + 1) * n)
+            failed = next((o for o in outcomes[own] if isinstance(o, SimulationError)), None)
             if failed is not None:
                 results.append(failed)
                 continue
             rows = []
-            for case, outcome in zip(self.cases, part, strict=True):
-                sensed = case.sensed(np.asarray(outcome), {**self.fixed, **plain})
-                names = [c.signal for c in case.channels]
-                rows.append(disturb_output(case.time, sensed, names, signal))
+            for case, outcome, disturbed in zip(self.cases, outcomes[own], around[own], strict=True):
+                shown = np.asarray(outcome)
+                if disturbed is not None:
+                    shown = disturbed.readings(shown, [c.differentiated for c in case.channels])
+                sensed = case.sensed(shown, {**self.fixed, **plain})
+                rows.append(disturbed_readings(sensed, [c.signal for c in case.channels], signal))
             results.append(tuple(rows))
         return results
 
@@ -211,29 +220,37 @@ def _direction(above: Mapping[str, float], below: Mapping[str, float], width: fl
     return {name: round(slope / size, 9) for name, slope in slopes.items()}, size
 
 
-def _key(index: int, case: Case, values: Mapping[str, float], inputs: Mapping[str, FloatArray]) -> _Key:
+def _key(index: int, case: Case, values: Mapping[str, float], disturbed: Disturbed | None) -> _Key:
     """Return what a simulation depends on: a value that is the model's own start value changes nothing."""
     variables, settings = case.simulator.variables, case.task.start_values
     own = frozenset((n, v) for n, v in values.items() if v != variables[n].start or n in settings)
-    return index, own, tuple((n, hashlib.blake2b(u.tobytes()).digest()) for n, u in inputs.items())
+    changed = {} if disturbed is None else dict(disturbed.inputs)
+    if disturbed is not None and disturbed.time is not case.task.time:
+        changed[""] = disturbed.time
+    return index, own, tuple((n, hashlib.blake2b(u.tobytes()).digest()) for n, u in changed.items())
 
 
-def _changed_inputs(
-    case: Case,
-    index: int,
-    signal: Mapping[str, Mapping[str, float]],
-    drive: Mapping[str, Sequence[FloatArray]] | None,
-) -> dict[str, FloatArray]:
-    """Return the inputs that differ from those of the case's own task."""
-    task = case.task
-    inputs = {n: disturb_input(task.time, u, signal[n]) for n, u in task.inputs.items() if n in signal}
+def _task(task: Task, disturbed: Disturbed | None) -> Task:
+    if disturbed is None or (disturbed.time is task.time and not disturbed.inputs):
+        return task
+    return replace(task, time=disturbed.time, inputs={**task.inputs, **disturbed.inputs})
+
+
+def _disturbed(
+    case: Case, index: int, signal: Effects, drive: Mapping[str, Sequence[FloatArray]] | None
+) -> Disturbed | None:
+    """Return the case's task with its signals disturbed and further inputs driven; None if it stays as it is."""
+    driven = {}
     for name, series in (drive or {}).items():
         values = _held(np.asarray(series[index]))
         # A step of the model ends at a measured sample: what acts during it is known at that sample.
         values = np.append(values, values[-1]) if case.lead else values
         if np.any(values) or case.simulator.variables[name].start != 0.0:
-            inputs[name] = values
-    return inputs
+            driven[name] = values
+    names = [c.signal for c in case.channels]
+    if not driven and not any(name in signal for name in (*names, *case.task.inputs)):
+        return None
+    return disturbed_task(case.task, signal, names, driven, any_times=takes_any_times(case.simulator))
 
 
 def _held(values: FloatArray) -> FloatArray:

@@ -2,18 +2,32 @@
 
 A parameter named ``<signal>.<property>`` disturbs that signal: ``offset``, ``gain`` (neutral 1), ``lag`` (s),
 ``delay`` (s) and ``saturation`` (largest absolute value over the unit; 0 for none).
+
+Before its first sample a signal is settled: it has always been what that sample says. This holds for the delay and
+the lag of inputs and of outputs alike.
+
+A late signal changes between the samples, and the simulation gets further communication points there, so that
+delays and lags far below a sample time are simulated as they are. Replacing a late input by its mean over each
+step instead would make a delay of f samples too small by ``(1 - f) dt / (2 T)`` of itself in a plant with time
+constant T.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
+from numpy.typing import NDArray
 
 from fmuid.core.immutable import FloatArray
+from fmuid.simulation.simulator import Task
 
 NEUTRAL = {"offset": 0.0, "gain": 1.0, "lag": 0.0, "delay": 0.0, "saturation": 0.0}
+_APART = 1e-6  # of the shortest step: points that are nearer to each other are one
+
+Effects = Mapping[str, Mapping[str, float]]
+"""Signal -> property -> value."""
 
 
 def split_signal_parameters(
@@ -32,66 +46,197 @@ def split_signal_parameters(
     return plain, disturbed
 
 
-def disturb_input(time: FloatArray, u: FloatArray, effect: Mapping[str, float]) -> FloatArray:
-    """Return the (N,) samples that reach the model; delay and lag of held inputs act in the mean over a step."""
-    if not effect:
-        return u
-    y = u * effect.get("gain", 1.0) + effect.get("offset", 0.0)
-    limit = effect.get("saturation", 0.0)
-    if limit > 0.0:
-        y = limit * np.tanh(y / limit)
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """A signal over time: (M,) `values`, each held from its one of the `edges` on, or linear between them."""
+
+    edges: FloatArray
+    values: FloatArray
+    linear: bool
+
+    def on(self, grid: FloatArray, *, average: bool = False) -> FloatArray:
+        """Return (len(grid),) samples of it; where it is held, `average` takes its mean over each step."""
+        if self.linear:
+            return np.asarray(np.interp(grid, self.edges, self.values))
+        if average:
+            fine = np.union1d(grid, self.edges[(self.edges > grid[0]) & (self.edges < grid[-1])])
+            area = np.concatenate([[0.0], np.cumsum(self.on(fine)[:-1] * np.diff(fine))])
+            means = np.diff(area[np.searchsorted(fine, grid)]) / np.diff(grid)
+            return np.append(means, means[-1])
+        middle = np.append(0.5 * (grid[:-1] + grid[1:]), grid[-1])
+        return np.asarray(self.values[np.maximum(np.searchsorted(self.edges, middle, "right") - 1, 0)])
+
+
+def disturbed_input(time: FloatArray, u: FloatArray, effect: Mapping[str, float], *, linear: bool) -> Course:
+    """Return what reaches the model of the (N,) samples `u` of an input: scaled, limited, delayed, lagged."""
+    y = _limited(u * effect.get("gain", 1.0) + effect.get("offset", 0.0), effect)
+    edges = time
     if effect.get("delay", 0.0) > 0.0:
-        y = _delayed_hold(time, y, effect["delay"])
-    if effect.get("lag", 0.0) > 0.0:
-        y = _lagged_hold(time, y, effect["lag"])
-    return np.asarray(y)
+        edges, y = np.append(time[0], time + effect["delay"]), np.append(y[0], y)
+    course = Course(edges, y, linear)
+    return _behind(course, _joined(time, edges), effect["lag"]) if effect.get("lag", 0.0) > 0.0 else course
 
 
-def disturb_output(
-    time: FloatArray, y: FloatArray, names: Sequence[str], effects: Mapping[str, Mapping[str, float]]
-) -> FloatArray:
-    """Return the (C, N) readings of disturbed sensors."""
+def _behind(course: Course, edges: FloatArray, lag: float) -> Course:
+    """Return the course after a first-order lag, exact at `edges`, with one further point in each interval.
+
+    Linear, it has the integral of the exact response over each interval; held, its integral and its centre of
+    area, and it never leaves the range of the response.
+    """
+    from scipy.special import gammainc
+
+    h, y = np.diff(edges), course.on(edges)
+    slope = np.diff(y) / h if course.linear else np.zeros(len(h))
+    x = _lagged(h, y[:-1], slope, np.zeros(len(h)), lag, y[0])
+    decaying = x[:-1] - (y[:-1] - lag * slope)  # with exp(-s / lag) towards a line
+    left, area = np.exp(-h / lag), -lag * np.expm1(-h / lag)
+    if course.linear:
+        split = -lag * np.log1p(-0.5 * area / lag)
+        height = (2.0 * area - split - left * (h - split)) / h
+        first, second = x[:-1], x[1:] - decaying * left + slope * (split - h) + decaying * height
+    else:
+        split = 2.0 * lag * gammainc(3, h / lag) / gammainc(2, h / lag)
+        first, second = x[1:] + decaying * lag * gammainc(2, h / lag) / split, x[1:]
+    points, values = np.column_stack([edges[:-1], edges[:-1] + split]), np.column_stack([first, second])
+    return Course(np.append(points, edges[-1]), np.append(values, x[-1]), course.linear)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Disturbed:
+    """A task whose signals are disturbed.
+
+    Attributes
+    ----------
+    time
+        (M,) communication points.
+    inputs
+        What differs from the task's own inputs, (M,) each; all of them if the times do.
+    """
+
+    time: FloatArray
+    inputs: Mapping[str, FloatArray]
+    _samples: FloatArray
+    _breaks: FloatArray
+    _late: Mapping[int, Mapping[str, float]]
+
+    def readings(self, outcome: FloatArray, differentiated: Sequence[bool]) -> FloatArray:
+        """Return the (C, N) outputs at the task's own times, late where they are to be.
+
+        Parameters
+        ----------
+        outcome
+            (C, M) outputs of the simulation.
+        differentiated
+            Which of them will be differentiated: these go on before the first sample as they begin.
+        """
+        out = np.array(outcome[:, np.searchsorted(self.time, self._samples)])
+        width = (len(self.time) - 1) // (len(self._breaks) - 1)  # points an interval
+        for row, effect in self._late.items():
+            begin = self._samples[0]
+            slope = (out[row, 1] - out[row, 0]) / (self._samples[1] - begin) if differentiated[row] else 0.0
+            y = outcome[row] - slope * (self.time - begin)
+            at_breaks = y[::width]
+            if effect.get("lag", 0.0) > 0.0:
+                at_breaks = _lagged(np.diff(self._breaks), *_smooth(self._breaks, y, width), effect["lag"], y[0])
+            moved = self._samples - effect.get("delay", 0.0)
+            out[row] = np.interp(moved, self._breaks, at_breaks) + slope * (self._samples - begin)
+        return out
+
+
+def disturbed_task(
+    task: Task, effects: Effects, outputs: Sequence[str], drive: Mapping[str, FloatArray], *, any_times: bool
+) -> Disturbed:
+    """Return how a task is simulated with disturbed signals.
+
+    Parameters
+    ----------
+    effects
+        By variable for inputs and by signal for outputs, neutral ones left out.
+    outputs
+        The signals that the task's outputs are.
+    drive
+        (N,) samples of further inputs, or of others in place of the task's.
+    any_times
+        Whether the model takes further communication points. Without them a late input acts in its mean over
+        each step, and outputs are linear between samples.
+    """
+    linear = task.interpolation == "linear"
+    courses = {
+        n: disturbed_input(task.time, u, effects[n], linear=linear) for n, u in task.inputs.items() if n in effects
+    }
+    courses |= {n: Course(task.time, u, linear) for n, u in drive.items()}
+    late = {
+        row: effects[name]
+        for row, name in enumerate(outputs)
+        if any(effects.get(name, {}).get(prop, 0.0) > 0.0 for prop in ("lag", "delay"))
+    }
+    if not any_times:
+        inputs = {n: c.on(task.time, average=True) for n, c in courses.items()}
+        return Disturbed(task.time, inputs, task.time, task.time, late)
+    delays = {effect["delay"] for effect in late.values() if effect.get("delay", 0.0) > 0.0}
+    breaks = _joined(task.time, *(c.edges for c in courses.values()), *(task.time - d for d in delays))
+    if len(breaks) == len(task.time):
+        breaks = task.time
+    grid = breaks
+    if any(effect.get("lag", 0.0) > 0.0 for effect in late.values()):
+        thirds = np.linspace(breaks[:-1], breaks[1:], 3, endpoint=False, axis=1)
+        grid = np.append(thirds.ravel(), breaks[-1])
+    if grid is not task.time:
+        courses = {n: Course(task.time, u, linear) for n, u in task.inputs.items()} | courses
+    return Disturbed(grid, {n: c.on(grid) for n, c in courses.items()}, task.time, breaks, late)
+
+
+def disturbed_readings(y: FloatArray, names: Sequence[str], effects: Effects) -> FloatArray:
+    """Return the (C, N) readings `y` of sensors that saturate, or have a wrong scale or zero."""
     if not any(name in effects for name in names):
         return y
     out = np.array(y)
-    for row, name in enumerate(names):
-        effect = effects.get(name)
-        if not effect:
-            continue
-        if effect.get("lag", 0.0) > 0.0:
-            out[row] = _lagged_samples(time, out[row], effect["lag"])
-        if effect.get("delay", 0.0) > 0.0:
-            out[row] = np.interp(time - effect["delay"], time, out[row])
-        limit = effect.get("saturation", 0.0)
-        if limit > 0.0:
-            out[row] = limit * np.tanh(out[row] / limit)
-        out[row] = effect.get("gain", 1.0) * out[row] + effect.get("offset", 0.0)
+    for row, effect in ((row, effects[name]) for row, name in enumerate(names) if name in effects):
+        out[row] = effect.get("gain", 1.0) * _limited(out[row], effect) + effect.get("offset", 0.0)
     return out
 
 
-def _delayed_hold(time: FloatArray, u: FloatArray, delay: float) -> FloatArray:
-    """Mean over each step of a held input delayed by `delay`."""
-    edges = np.append(time, 2 * time[-1] - time[-2])
-    area = np.concatenate([[0.0], np.cumsum(u * np.diff(edges))])
-    shifted = np.interp(edges - delay, edges, area)
-    early = edges - delay < edges[0]
-    shifted[early] = u[0] * (edges[early] - delay - edges[0])
-    return np.asarray(np.diff(shifted) / np.diff(edges))
+def _limited(y: FloatArray, effect: Mapping[str, float]) -> FloatArray:
+    limit = effect.get("saturation", 0.0)
+    return np.asarray(limit * np.tanh(y / limit)) if limit > 0.0 else y
 
 
-def _lagged_hold(time: FloatArray, u: FloatArray, lag: float) -> FloatArray:
-    """Mean over each step of a held input after a first-order lag, at rest before the first sample."""
-    dt = float(np.mean(np.diff(time)))
-    keep = np.exp(-dt / lag)
-    end = lfilter([1.0 - keep], [1.0, -keep], u)
-    begin = np.concatenate([[0.0], end[:-1]])
-    return np.asarray(u + (begin - u) * lag / dt * (1.0 - keep))
+def _joined(time: FloatArray, *others: FloatArray) -> FloatArray:
+    """Return the points of `time` and the others between them; those that all but coincide are one."""
+    between = np.unique(np.concatenate([np.zeros(0), *others]))
+    between = between[(between > time[0]) & (between < time[-1])]
+    apart = _APART * float(np.min(np.diff(time)))
+    place: NDArray[np.intp] = np.searchsorted(time, between)
+    between = between[(between - time[place - 1] > apart) & (time[place] - between > apart)]
+    between = between[np.diff(between, prepend=-np.inf) > apart]
+    return np.sort(np.concatenate([time, between]))
 
 
-def _lagged_samples(time: FloatArray, y: FloatArray, lag: float) -> FloatArray:
-    """First-order lag of samples taken as linear between each other, settled before the first."""
-    dt = float(np.mean(np.diff(time)))
-    keep = np.exp(-dt / lag)
-    mean = lag / dt * (1.0 - keep)
-    out = np.asarray(lfilter([1.0 - mean, mean - keep], [1.0, -keep], y - y[0]))
-    return out + float(y[0])
+def _smooth(breaks: FloatArray, y: FloatArray, width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return begin, slope and half the curvature of `y` in each interval, by its last `width` points up to three.
+
+    An output may jump where an input does, so that where it begins is extrapolated.
+    """
+    h = np.diff(breaks)
+    if width == 1:
+        return y[:-1], np.diff(y) / h, np.zeros(len(h))
+    a, b, c = y[1::3], y[2::3], y[3::3]
+    return 3.0 * (a - b) + c, (-15.0 * a + 24.0 * b - 9.0 * c) / (2.0 * h), 9.0 * (a - 2.0 * b + c) / (2.0 * h**2)
+
+
+def _lagged(
+    h: FloatArray, begin: FloatArray, slope: FloatArray, bend: FloatArray, lag: float, first: float
+) -> FloatArray:
+    """Return the (M+1,) states of a first-order lag that starts at `first`.
+
+    It is driven by ``begin + slope s + bend s**2``, s from 0 to h, in each of M intervals; exact for that.
+    """
+    from scipy.linalg import solve_banded
+
+    keep = np.exp(-h / lag)
+    start = begin - lag * slope + 2.0 * lag**2 * bend  # what it follows
+    stop = start + (slope + bend * h - 2.0 * lag * bend) * h
+    ends = np.append(first, stop - keep * start)
+    # x[k+1] - keep[k] x[k] = ends[k+1]
+    bands = np.vstack([np.ones(len(ends)), np.append(-keep, 0.0)])
+    return np.asarray(solve_banded((1, 0), bands, ends))

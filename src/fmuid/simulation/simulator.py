@@ -106,3 +106,8 @@ def differentiates(simulator: Simulator, names: Collection[str]) -> bool:
     """Whether a simulator gives the exact derivatives of its runs by the parameters `names` (see `Task.along`)."""
     method = getattr(simulator, "differentiates", None)
     return method is not None and bool(method(names))
+
+
+def takes_any_times(simulator: Simulator) -> bool:
+    """Whether further communication points change nothing but the accuracy of a simulator's predictions."""
+    return not getattr(simulator, "even_steps", False)

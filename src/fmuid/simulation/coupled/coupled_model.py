@@ -116,6 +116,11 @@ class CoupledModel:
         """Every variable by name; connected inputs are local."""
         return self._view
 
+    @property
+    def even_steps(self) -> bool:
+        """True: the communication step is part of what a coupled model is."""
+        return True
+
     def stepped(self, master: Master) -> CoupledModel:
         """Return the same FMUs under another master."""
         return CoupledModel(
