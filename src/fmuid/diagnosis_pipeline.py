@@ -53,7 +53,8 @@ def diagnose(
     out
         Folder for ``diagnosis.json`` and the report ``index.html``; nothing is written without it.
     experiments
-        Ids or globs, instead of the campaign's choice.
+        Ids or globs, instead of the campaign's choice: what ``[effects]`` names, or every run that is not kept for
+        validation. Repeats come along.
     workers
         Worker processes to simulate in; the number of processors by default, 0 for none.
     time_limit, memory_limit
@@ -148,12 +149,16 @@ def answer_of(found: Found) -> dict[str, Any]:
     for regime in (place["regime"] for place in answer["where"] if "regime" in place):
         if units.get(regime["variable"]):
             regime["unit"] = units[regime["variable"]]
+    recordings = found.subject.recordings
+    answer["experiments"] = [{"id": name, "sha256": digest} for name, digest in recordings.items()]
     answer["nominal"] = {"parameters": found.subject.model.expanded(found.nominal.fit.values)}
     at_bounds = _at_bounds(found)
     if at_bounds:
         answer["notes"].append(
             f"At a bound of the campaign, so hardly determined by these experiments: {', '.join(at_bounds)}."
         )
+    for effect, value in found.subject.modelled.items():
+        answer["notes"].append(f"Not looked for, since the campaign puts it into the model: {effect} ({value}).")
     if found.subject.observed.modelled_noise:
         answer["notes"].append(_MODELLED)
     return answer

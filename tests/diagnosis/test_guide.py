@@ -3,8 +3,10 @@
 import json
 import re
 import shutil
+from importlib.resources import files
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from fmuid.data.measurements import write_measurements
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.simulator import Task
 
+SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
 GUIDE = Path(__file__).parents[2] / "docs" / "diagnosis.md"
 TIME = 5e-3 * np.arange(400)
 INPUTS = {
@@ -33,9 +36,9 @@ def trolley(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def record(folder: Path, repeats: int = 5, **truth: float) -> None:
+def record(folder: Path, repeats: int = 5, seed: int = 1, **truth: float) -> None:
     """Write runs of a trolley with `truth` and noise."""
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed)
     fmu, found = load_fmu(folder / "Trolley.fmu"), {}
     for name, u in INPUTS.items():
         (v,) = fmu.simulate(Task(TIME, {"u": u}, ("v",)), {"m": 1.0, "d": 0.8, **truth})
@@ -66,13 +69,59 @@ def test_an_effect_of_one_s_own_is_found(trolley, tmp_path, capsys):
     # On other data: the corrected model beside the nominal one.
     other = tmp_path / "other"
     shutil.copytree(trolley, other)
-    record(other, drag=0.3)
+    record(other, seed=2, drag=0.3)
+    capsys.readouterr()
     assert run(["validate", str(out / "diagnosis.json"), str(other), "--json", str(tmp_path / "v.json")]) == 0
     gaps = json.loads((tmp_path / "v.json").read_text())["gaps"]
-    assert "corrected: with air_drag" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "corrected: with air_drag" in said
+    assert "not used for the diagnosis: sine, sine_r1" in said
     assert gaps["all"]["nominal"] > 0.5
     assert gaps["all"]["corrected"] < 0.25
     assert gaps["all"]["closure"] > 0.7
+
+    # On the data that it was made from: not unless they are named, and then it is said.
+    assert run(["validate", str(out / "diagnosis.json"), str(trolley), "--json", str(tmp_path / "v.json")]) == 2
+    said = capsys.readouterr().err
+    assert "every run was used for the diagnosis; record others" in said
+    assert said.count("\n") == 1
+    assert run(["validate", str(out / "diagnosis.json"), str(trolley), "-e", "slow"]) == 0
+    assert "used for the diagnosis, so no test of it: slow\n" in capsys.readouterr().out
+
+
+def test_validation_runs_and_their_repeats_stay_out_of_a_diagnosis(trolley, tmp_path, capsys):
+    shutil.copytree(trolley, tmp_path, dirs_exist_ok=True)
+    text = (tmp_path / "campaign.toml").read_text()
+    record(tmp_path)
+    (tmp_path / "campaign.toml").write_text(f'[roles]\nvalidation = ["slow"]\n{text}')
+    file = tmp_path / "diagnosis" / "diagnosis.json"
+    assert run(["diagnose", str(tmp_path), "--out", str(file.parent), "--workers", "0", "--quiet"]) == 0
+    answer = json.loads(file.read_text())
+    jsonschema.Draft202012Validator(SCHEMA).validate(answer)
+    ids = {recording["id"] for recording in answer["experiments"]}
+    assert ids == {f"{name}{k}" for name in ("sine", "steps") for k in ("", "_r1", "_r2", "_r3", "_r4")}
+
+    validated = tmp_path / "v.json"
+    assert run(["validate", str(file), str(tmp_path), "--json", str(validated)]) == 0
+    found = json.loads(validated.read_text())
+    assert {run.partition("_")[0] for run in found["runs"]} == {"slow"}
+    assert found["used_for_the_diagnosis"] == []
+    capsys.readouterr()
+
+    # A diagnosis of an earlier version did not say what it was made from.
+    del answer["experiments"]
+    file.write_text(json.dumps(answer))
+    assert run(["validate", str(file), str(tmp_path)]) == 0
+    assert "does not say which runs" in capsys.readouterr().out
+    (tmp_path / "campaign.toml").write_text(text)
+    assert run(["validate", str(file), str(tmp_path)]) == 2
+    assert "does not say which runs it was made from; diagnose again" in capsys.readouterr().err
+
+    (tmp_path / "campaign.toml").write_text(
+        f'[roles]\nvalidation = ["slow"]\n{text}'.replace("[effects]", '[effects]\nexperiments = ["slow"]')
+    )
+    assert run(["diagnose", str(tmp_path), "--workers", "0"]) == 2
+    assert "[effects] experiments: 'slow' is kept for validation" in capsys.readouterr().err
 
 
 def test_experiments_named_bring_their_repeats_and_quiet_is_quiet(trolley, tmp_path, capsys):
@@ -83,6 +132,40 @@ def test_experiments_named_bring_their_repeats_and_quiet_is_quiet(trolley, tmp_p
     answer = json.loads((tmp_path / "answer.json").read_text())
     assert answer["gap"]["calibrated"] is True
     assert answer["verdict"]["kind"] == "complete"
+
+
+HELD = "start = {}\nlower = -1\nupper = 500\nfree = false\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "mapped", "more"),
+    [("drag", "", ""), ("c_w", 'map = { c_w = "drag" }\n', ""), ("drag", "", 'unit = "N.s2/cm2"\n')],
+    ids=["same name", "another name", "another unit"],
+)
+def test_a_parameter_held_at_its_neutral_value_does_not_hide_an_effect(trolley, tmp_path, name, mapped, more):
+    shutil.copytree(trolley, tmp_path, dirs_exist_ok=True)
+    record(tmp_path, drag=0.3)
+    text = (tmp_path / "campaign.toml").read_text().replace("[models.bench]\n", f"[models.bench]\n{mapped}")
+    (tmp_path / "campaign.toml").write_text(f"{text}\n[parameters.{name}]\n{HELD.format(0.0)}{more}")
+    file = tmp_path / "answer.json"
+    assert run(["diagnose", str(tmp_path), "--out", str(tmp_path), "--workers", "0", "--json", str(file)]) == 0
+    answer = json.loads(file.read_text())
+    assert answer["verdict"]["effects"] == ["air_drag"]
+    assert answer["model"]["parameters"]["drag"] == pytest.approx(0.3, rel=0.03)
+
+
+def test_an_effect_that_the_campaign_puts_into_the_model_is_no_candidate_and_that_is_said(trolley, tmp_path):
+    shutil.copytree(trolley, tmp_path, dirs_exist_ok=True)
+    record(tmp_path, drag=0.3, pull=0.1)
+    with (tmp_path / "campaign.toml").open("a") as campaign:
+        campaign.write(f'\n[parameters.drag]\n{HELD.format(3e-5)}unit = "N.s2/cm2"\n')
+    file = tmp_path / "answer.json"
+    assert run(["diagnose", str(tmp_path), "--out", str(tmp_path), "--workers", "0", "--json", str(file)]) == 0
+    answer = json.loads(file.read_text())
+    assert answer["verdict"]["effects"] == ["cable"]
+    assert "air_drag" not in {e["id"] for e in answer["effects"]}
+    note = "Not looked for, since the campaign puts it into the model: air_drag (drag = 0.3)."
+    assert note in answer["notes"]
 
 
 def test_noise_that_was_not_measured_is_said(trolley, tmp_path, capsys):
@@ -143,6 +226,7 @@ VALID = {
     "verdict": {"kind": "effect", "effects": ["air_drag"]},
     "nominal": {"parameters": {"m": 1.0}},
     "model": {"parameters": {"m": 1.0, "drag": 0.1}},
+    "experiments": [],
 }
 
 
@@ -151,6 +235,7 @@ VALID = {
     [
         ({"format": "other"}, "is no diagnosis"),
         ({"verdict": None}, "no verdict"),
+        ({"experiments": ["slow"]}, "'experiments' has no hashes"),
         ({"nominal": {}}, "no parameter values in 'nominal'"),
         ({"model": {"parameters": {"m": "1"}}}, "no parameter values in 'model'"),
         ({"model": {"parameters": {"gear.mesh_eta1": 0.9}}}, "trolley: neither the campaign"),

@@ -281,6 +281,7 @@ CASES = [
         ("campaign.toml", "a name with a dot and no quotes", toml("[parameters.d]", "[parameters.damper.d]"), CHECK),
         ("campaign.toml", "a diagnosis without effects", nothing, "diagnose bench"),
         ("campaign.toml", "a catalogue that is not there", toml("[settings]", '[effects]\ncatalogue = "effects.toml"\nnominal = ["m"]\n[settings]'), "diagnose bench"),
+        ("campaign.toml", "a validation run to diagnose with", toml("[settings]", '[effects]\ncatalogue = "effects.toml"\nexperiments = ["pulse"]\n[settings]'), "diagnose bench"),
         ("campaign.toml", "a parameter that two effects have", shared_parameter, "diagnose bench"),
         ("measurements.h5", "a file that is no HDF5", write("bench/measurements.h5", "time,x\n0,1\n"), CHECK),
         ("measurements.h5", "HDF5 of another kind", attribute("/", "format", "other"), CHECK),

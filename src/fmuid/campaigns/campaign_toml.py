@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from graphlib import CycleError, TopologicalSorter
@@ -173,7 +173,7 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None) -
     }
     effects = None
     if document.effects is not None:
-        effects = _effects(document.effects, folder, recorded, parameters, f"{file} [effects]")
+        effects = _effects(document.effects, folder, recorded, parameters, roles.validation, f"{file} [effects]")
     name = head.name or file.resolve().parent.name
     return Campaign(
         name=name,
@@ -196,6 +196,7 @@ def _effects(
     folder: Path,
     measurements: Measurements,
     parameters: Mapping[str, ParameterSpec],
+    validation: Collection[str],
     where: str,
 ) -> EffectsSpec:
     table = convert(raw, _EffectsTable, where)
@@ -204,8 +205,15 @@ def _effects(
     for name in nominal:
         if name not in parameters:
             raise CampaignError(f"unknown parameter '{name}' in nominal", where=where, fix=suggestion(name, free))
-    everything = tuple(measurements.experiments)
-    experiments = expand(table.experiments or ["*"], measurements, everything, where)
+    for name in table.experiments or ():
+        if name in validation:
+            raise CampaignError(
+                f"'{name}' is kept for validation",
+                where=f"{where} experiments",
+                fix="take it out of one of the two; `fmuid diagnose --experiment` uses it once",
+            )
+    unseen = tuple(name for name in measurements.experiments if name not in validation)
+    experiments = expand(table.experiments or ["*"], measurements, unseen, f"{where} experiments")
     return EffectsSpec(folder / table.catalogue, tuple(nominal), frozen_mapping(table.tie), experiments)
 
 

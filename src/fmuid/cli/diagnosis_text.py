@@ -23,7 +23,7 @@ def print_diagnosis(diagnosis: Mapping[str, Any], printer: Printer) -> None:
 
 
 def print_validation(found: DiagnosisValidation, answer: Mapping[str, Any], printer: Printer) -> None:
-    """Print what the corrected model is, errors by run and signal, then gaps by run."""
+    """Print what the corrected model is and which runs judge it, errors by run and signal, then gaps by run."""
     from fmuid.diagnosis.validation import closure
 
     named = answer["verdict"]["effects"]
@@ -33,6 +33,12 @@ def print_validation(found: DiagnosisValidation, answer: Mapping[str, Any], prin
         printer.say(f"corrected: with the first of {', '.join(named)}, which could not be told apart")
     else:
         printer.say(f"corrected: with {' and '.join(named)}")
+    if found.used is None:
+        printer.say("the diagnosis does not say which runs it was made from; those below may be among them")
+    elif found.used:
+        printer.say(f"used for the diagnosis, so no test of it: {', '.join(found.used)}")
+    else:
+        printer.say(f"not used for the diagnosis: {', '.join(found.runs)}")
     rows = [
         [
             c.experiment,

@@ -112,7 +112,10 @@ def validate(
         Path | None, typer.Argument(metavar="[CAMPAIGN]", help="Validate on it, not on the run's own campaign.")
     ] = None,
     experiment: Annotated[
-        list[str] | None, typer.Option("--experiment", "-e", help="Id or glob; the validation set by default.")
+        list[str] | None,
+        typer.Option(
+            "--experiment", "-e", help="Id or glob; by default the validation set, without runs that were used."
+        ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Write measurements and predictions as CSV into it.")] = None,
     workers: Workers = None,
@@ -123,8 +126,8 @@ def validate(
 ) -> int:
     """Simulate runs that were kept for validation with what a run found, beside the sensors' noise.
 
-    Of a diagnosis, the corrected model is held against the nominal one with its parameters refitted. Exit code 1:
-    a run cannot be simulated; the table says why.
+    Of a diagnosis, the corrected model is held against the nominal one with its parameters refitted, on runs that
+    the diagnosis was not made from. Exit code 1: a run cannot be simulated; the table says why.
 
     Example: fmuid validate runs/force_feedback
     Example: fmuid validate runs/diagnosis/diagnosis.json campaigns/force_feedback
@@ -149,7 +152,11 @@ def diagnose(
     ] = None,
     experiment: Annotated[
         list[str] | None,
-        typer.Option("--experiment", "-e", help="Id or glob (repeat); the campaign's choice by default."),
+        typer.Option(
+            "--experiment",
+            "-e",
+            help="Id or glob (repeat); by default the campaign's choice, without validation runs.",
+        ),
     ] = None,
     measurements: Annotated[
         Path | None, typer.Option(help="Diagnose these measurements, not the campaign's own.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -94,6 +95,15 @@ class Experiment:
     def origin(self) -> str:
         """Id of the run this one repeats, or its own."""
         return self.repeat_of or self.id
+
+    @property
+    def digest(self) -> str:
+        """Hash of its times, samples and settings: a recording has the same one under any id."""
+        found = hashlib.sha256(self.time.tobytes())
+        for name, signal in sorted(self.signals.items()):
+            found.update(f"{name} {signal.causality} [{signal.unit}]".encode() + signal.values.tobytes())
+        found.update(repr(sorted(self.settings.items())).encode())
+        return found.hexdigest()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from fmu_build.suggest import suggestion
 from fmuid.core.campaign import Campaign, EffectsSpec, ModelSpec, ParameterSpec
 from fmuid.core.errors import CampaignError, FmuError, SimulationError
+from fmuid.core.experiments import Experiment
 from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.catalogue import Catalogue, Effect, load_catalogue
@@ -20,7 +22,7 @@ from fmuid.diagnosis.modelled_noise import observe
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.signal_effects import NEUTRAL
-from fmuid.identification.problem.cases import experiments_of, from_campaign
+from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
@@ -33,13 +35,19 @@ _SLICE = re.compile(r"^(?P<name>.*)\[(?P<index>[\d:,\s]+)\]$")
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """What is diagnosed: model, measurements with their noise, nominal parameters and the effects to consider."""
+    """What is diagnosed: model, measurements with their noise, nominal parameters and the effects to consider.
+
+    `recordings` are the runs that it rests on, by id, and their digests. `modelled` are the effects of the
+    catalogue that the campaign's own values put into the model, and which values: they are no candidates.
+    """
 
     model: CampaignModel
     observed: Observed
     nominal: tuple[Unknown, ...]
     catalogue: Catalogue
     effects: tuple[Effect, ...]
+    recordings: Mapping[str, str] = field(default_factory=dict)
+    modelled: Mapping[str, str] = field(default_factory=dict)
 
 
 def subject_of(
@@ -56,9 +64,10 @@ def subject_of(
     load
         Loads the model of a setup.
     experiments
-        Ids or globs, instead of the campaign's own choice.
+        Ids or globs, instead of the campaign's own choice. Repeats come along, except those kept for validation.
 
-    An effect of which a parameter is nominal is none: it is refitted always.
+    An effect of which a parameter is nominal is none: it is refitted always. Nor is one that the campaign holds at
+    another value than the catalogue's neutral one: it is in the model.
 
     Raises
     ------
@@ -67,18 +76,27 @@ def subject_of(
     FmuError
         An FMU lacks the parameters of every effect, or one that a tie names.
     """
-    model, catalogue, known = model_of(campaign, load, runner=runner, experiments=experiments)
-    spec = campaign.effects
-    assert spec is not None
+    spec = _spec(campaign)
+    chosen = experiments_of(campaign, experiments or spec.experiments, where="[effects] experiments")
+    if experiments:
+        named, origins = {e.id for e in chosen}, {e.origin for e in chosen}
+        kept = set(campaign.validation) - named
+        chosen = tuple(e for e in campaign.measurements if e.origin in origins and e.id not in kept)
+    model, catalogue, known, modelled = model_of(campaign, load, chosen, runner=runner)
     cases = model.cases
     signals = {c.signal for case in cases for c in case.channels} | {n for case in cases for n in case.task.inputs}
     known |= {f"{signal}.{name}" for signal in signals for name in NEUTRAL}
-    given = {m.variable(name) for name in spec.nominal for m in campaign.models.values()}
     effects = tuple(
         e
-        for e in catalogue.effects.values()
-        if any(u.name in known for u in e.unknowns) and not any(u.name in given for u in e.unknowns)
+        for e in _not_nominal(campaign, catalogue)
+        if any(u.name in known for u in e.unknowns) and e.id not in modelled
     )
+    if modelled and not effects:
+        raise FmuError(
+            f"every effect is in the model already: {', '.join(modelled.values())}",
+            where=spec.catalogue,
+            fix="set their parameters to neutral values, or add effects",
+        )
     missing = [u.name for e in effects for u in e.unknowns if u.name not in known]
     if missing or not effects:
         raise FmuError(
@@ -88,7 +106,9 @@ def subject_of(
         )
     nominal = _nominal(campaign, spec, cases_parameters={n for c in cases for n in c.setting})
     observed = observe(model, nominal, effects)
-    return Subject(_loosened(model, observed, nominal), observed, nominal, catalogue, effects)
+    model = _loosened(model, observed, nominal)
+    recordings = {e.id: e.digest for e in chosen}
+    return Subject(model, observed, nominal, catalogue, effects, recordings, modelled)
 
 
 def _loosened(model: CampaignModel, observed: Observed, nominal: Sequence[Unknown]) -> CampaignModel:
@@ -116,23 +136,17 @@ def _loosened(model: CampaignModel, observed: Observed, nominal: Sequence[Unknow
 def model_of(
     campaign: Campaign,
     load: Callable[[ModelSpec], Simulator],
+    chosen: Sequence[Experiment],
     *,
     runner: Runner = in_process,
-    experiments: Sequence[str] = (),
-) -> tuple[CampaignModel, Catalogue, set[str]]:
-    """Return the model that carries the effects, their catalogue, and the names of the model's variables."""
-    spec = campaign.effects
-    if spec is None:
-        raise CampaignError(
-            "no effects to look for",
-            where=f"{campaign.folder / 'campaign.toml'}",
-            fix='add [effects] with catalogue = "..."',
-        )
+) -> tuple[CampaignModel, Catalogue, set[str], dict[str, str]]:
+    """Return the model of the chosen runs that carries the effects.
+
+    With their catalogue, the names of the model's variables, and the effects that the campaign's own values put
+    into the model with these values.
+    """
+    spec = _spec(campaign)
     catalogue = load_catalogue(spec.catalogue)
-    chosen = experiments_of(campaign, experiments or spec.experiments, where="[effects] experiments")
-    if experiments:  # repeats come along
-        origins = {e.origin for e in chosen}
-        chosen = tuple(e for e in campaign.measurements if e.origin in origins)
     setups = list(dict.fromkeys(e.setup for e in chosen))
     models = {s: _with_effects(campaign, s, catalogue) for s in setups}
     campaign = replace(campaign, models={**campaign.models, **models})
@@ -148,7 +162,51 @@ def model_of(
         for name in expand_slice(target, known)
     }
     fixed = {p.name: p.start for p in campaign.parameters.values()}
-    return CampaignModel(cases, runner, fixed, tie), catalogue, known
+    modelled: dict[str, str] = {}
+    for effect in _not_nominal(campaign, catalogue):
+        sizes = [u.name for u in effect.unknowns if u.name not in effect.shapes]
+        for name, value in ((n, v) for case in cases for n in sizes for v in _held(case, n, fixed)):
+            if not math.isclose(value, effect.neutral[name], rel_tol=1e-9):
+                modelled[effect.id] = f"{name} = {value:.6g}"
+        if effect.id not in modelled:
+            # Its own values act from here on, whatever the campaign calls them and in which unit.
+            own = {u.name for u in effect.unknowns}
+            cases = tuple(_without(case, own) for case in cases)
+            fixed |= {u.name: effect.neutral[u.name] for u in effect.unknowns if u.name in fixed}
+    return CampaignModel(cases, runner, fixed, tie), catalogue, known, modelled
+
+
+def _not_nominal(campaign: Campaign, catalogue: Catalogue) -> list[Effect]:
+    """Return the effects that no nominal parameter belongs to."""
+    assert campaign.effects is not None
+    nominal = {m.variable(name) for name in campaign.effects.nominal for m in campaign.models.values()}
+    return [e for e in catalogue.effects.values() if not any(u.name in nominal for u in e.unknowns)]
+
+
+def _held(case: Case, unknown: str, fixed: Mapping[str, float]) -> list[float]:
+    """Return the value that a campaign gives an effect's parameter in a case, in the model's unit, if any."""
+    if unknown in case.task.start_values:
+        return [case.task.start_values[unknown]]
+    given = [to.factor * fixed[n] + to.offset for n, (variable, to) in case.setting.items() if variable == unknown]
+    of_a_signal = unknown in fixed and unknown not in case.simulator.variables
+    return [fixed[unknown]] if of_a_signal else given
+
+
+def _without(case: Case, variables: Collection[str]) -> Case:
+    """Return the case with no parameter of the campaign that sets one of the model's `variables`."""
+    if not any(variable in variables for variable, _ in case.setting.values()):
+        return case
+    return replace(case, setting={n: to for n, to in case.setting.items() if to[0] not in variables})
+
+
+def _spec(campaign: Campaign) -> EffectsSpec:
+    if campaign.effects is None:
+        raise CampaignError(
+            "no effects to look for",
+            where=f"{campaign.folder / 'campaign.toml'}",
+            fix='add [effects] with catalogue = "..."',
+        )
+    return campaign.effects
 
 
 def expand_slice(target: str, known: Sequence[str] | set[str]) -> list[str]:

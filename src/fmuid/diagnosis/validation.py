@@ -12,10 +12,12 @@ import numpy as np
 
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import FmuidError, SimulationError
+from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise_spectrum import RepeatedRuns
 from fmuid.diagnosis.observed import Observed, gap
 from fmuid.diagnosis.subject import model_of
+from fmuid.identification.problem.cases import experiments_of
 from fmuid.simulation.runners import Runner, in_process
 
 
@@ -40,16 +42,22 @@ class Comparison:
 class DiagnosisValidation:
     """What the correction is worth on data that the diagnosis has not seen.
 
-    `gaps` gives, by experiment and for ``all`` together, the gap in noise floors of the nominal model refitted
-    and of the corrected one; empty where a setup has no repeats to take a noise floor from.
+    `runs` are the recordings that it is judged by, `used` those of them that the diagnosis was made from: only
+    those asked for by name can be, and None means that it does not say. `gaps` gives, by experiment and for
+    ``all`` together, the gap in noise floors of the nominal model refitted and of the corrected one; empty where a
+    setup has no repeats to take a noise floor from.
     """
 
     comparisons: tuple[Comparison, ...]
     gaps: Mapping[str, tuple[float, float]]
+    runs: tuple[str, ...] = ()
+    used: tuple[str, ...] | None = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values."""
         return {
+            "runs": list(self.runs),
+            "used_for_the_diagnosis": None if self.used is None else list(self.used),
             "comparisons": [asdict(c) for c in self.comparisons],
             "gaps": {
                 n: {"nominal": a, "corrected": b, "closure": closure(a, b)} for n, (a, b) in self.gaps.items()
@@ -86,6 +94,9 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
         values = model.get("parameters") if isinstance(model, dict) else None
         if not isinstance(values, dict) or not all(type(v) in (int, float) for v in values.values()):
             raise FmuidError(f"no parameter values in '{part}'", where=path, fix="diagnose again")
+    recordings = answer.get("experiments", [])
+    if not isinstance(recordings, list) or not all(isinstance(r, dict) and "sha256" in r for r in recordings):
+        raise FmuidError("'experiments' has no hashes of recordings", where=path, fix="diagnose again")
     return answer
 
 
@@ -105,19 +116,21 @@ def validate_diagnosis(
     campaign
         With an ``[effects]`` table that names the same catalogue.
     experiments
-        Ids or globs; by default the campaign's validation set, or all of its runs if it has none.
+        Ids or globs; by default the campaign's validation set, or all of its runs if it has none, without those
+        that the diagnosis was made from. Repeats of those named come along where they were not used.
 
     Raises
     ------
     FmuidError
+        By default no run is left, or the diagnosis does not say which ones it was made from.
         The diagnosis is of another model: it has parameters that neither campaign nor catalogue nor FMUs know.
     SimulationError
         A run cannot be simulated.
     """
     from fmuid.simulation.coupled.loading import load_model
 
-    chosen = experiments or campaign.validation or tuple(campaign.measurements.experiments)
-    model, catalogue, known = model_of(campaign, load_model, runner=runner, experiments=chosen)
+    chosen, used = _chosen(answer, campaign, experiments)
+    model, catalogue, known, _ = model_of(campaign, load_model, chosen, runner=runner)
     points = [answer["nominal"]["parameters"], answer["model"]["parameters"]]
     known |= {*campaign.parameters, *(u.name for e in catalogue.effects.values() for u in e.unknowns)}
     foreign = sorted({name for point in points for name in point} - known)
@@ -146,7 +159,37 @@ def validate_diagnosis(
             comparisons.append(
                 Comparison(run.id, signal, unit, sigma.get(signal), before, after, before / spread, after / spread)
             )
-    return DiagnosisValidation(tuple(comparisons), {} if floor is None else _gaps(floor, predictions))
+    gaps = {} if floor is None else _gaps(floor, predictions)
+    return DiagnosisValidation(tuple(comparisons), gaps, tuple(e.id for e in chosen), used)
+
+
+def _chosen(
+    answer: Mapping[str, Any], campaign: Campaign, experiments: Sequence[str]
+) -> tuple[tuple[Experiment, ...], tuple[str, ...] | None]:
+    """Return the runs to validate on, and which of them the diagnosis was made from; None if it does not say."""
+    told = "experiments" in answer
+    seen = {recording["sha256"] for recording in answer.get("experiments", ())}
+    if experiments:
+        named = {e.id: e.origin for e in experiments_of(campaign, experiments, where="--experiment")}
+        chosen = tuple(
+            e
+            for e in campaign.measurements
+            if e.id in named or (e.origin in named.values() and e.digest not in seen)
+        )
+        return chosen, tuple(e.id for e in chosen if e.digest in seen) if told else None
+    fix = "record others, or name the runs with --experiment"
+    if not campaign.validation and not told:
+        raise FmuidError(
+            "the diagnosis does not say which runs it was made from",
+            where=campaign.name,
+            fix=f"diagnose again; {fix}",
+        )
+    ids = campaign.validation or tuple(campaign.measurements.experiments)
+    chosen = tuple(e for e in campaign.measurements if e.id in ids and e.digest not in seen)
+    if not chosen:
+        kept = "run that is kept for validation" if campaign.validation else "run"
+        raise FmuidError(f"every {kept} was used for the diagnosis", where=campaign.name, fix=fix)
+    return chosen, () if told else None
 
 
 def _rmse(prediction: FloatArray, measured: FloatArray) -> float:
