@@ -34,7 +34,15 @@ PAGES = [
     *sorted((ROOT / "docs").rglob("*.md")),
 ]
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
-SLOW = {"cluster", "drift", "effect", "own-drive", "paper", "report"}  # identify, diagnose or build once more
+SLOW = {
+    "cluster",
+    "drift",
+    "effect",
+    "own-drive",
+    "paper",
+    "report",
+    "runaway",
+}  # identify, diagnose or build once more
 BLOCK = re.compile(r"(?:^<!-- file: (\S+) -->\n)?^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 MAKE = f'make() {{ command make --dry-run --directory "{ROOT}" "$@" > /dev/null; }}\n'
 MODELICA_GUIDE = (ROOT / "docs" / "modelica.md").read_text()

@@ -267,6 +267,8 @@ CASES = [
         ("campaign.toml", "a name that leads out of the run folder", toml('name = "bench"', 'name = "../other"'), CHECK),
         ("campaign.toml", "no run to identify with", toml('identification = ["step", "sine"]', "identification = []"), CHECK),
         ("campaign.toml", "a stage on a run that is kept for validation", stage('experiments = ["pulse"]'), CHECK),
+        ("campaign.toml", "segments of no length", stage("segments = 0"), CHECK),
+        ("campaign.toml", "segments of a word", stage('segments = "short"'), CHECK),
         ("campaign.toml", "a stage that frees nothing", stage("free = []"), CHECK),
         ("campaign.toml", "a stage that starts outside the bounds", stage("start = { m = 10 }"), CHECK),
         ("campaign.toml", "a `tie` in a circle", stage('tie = { d = "2*d" }'), CHECK),

@@ -1,10 +1,15 @@
 """Analytic models with known parameters, so that what an identification should find is known."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from fmuid import ParameterSpec, Problem, Task, Variable, measured_case
 from fmuid.core.errors import SimulationError
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 
 class Analytic:

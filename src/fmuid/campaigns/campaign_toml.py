@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import msgspec
 
@@ -92,6 +92,7 @@ class _StageTable(Table):
     profiles: bool = False
     monte_carlo: int = 0
     pareto: dict[str, Any] | None = None
+    segments: float | str | None = None
 
 
 class _ParetoTable(Table):
@@ -428,7 +429,18 @@ def _stage(
             monte_carlo=table.monte_carlo,
             pareto=None if pareto is None else ParetoSpec(tuple(pareto.objectives), pareto.points),
         ),
+        segments=_segments(table.segments, where),
     )
+
+
+def _segments(raw: float | str | None, where: str) -> float | Literal["auto"] | None:
+    if raw is None or raw == "auto":
+        return cast(Literal["auto"] | None, raw)
+    if isinstance(raw, str) or not (math.isfinite(raw) and raw > 0):
+        raise CampaignError(
+            f"segments is {raw!r}", where=where, fix='write their length in s, or segments = "auto"'
+        )
+    return float(raw)
 
 
 def _criterion(raw: _Table, experiments: Sequence[str], measurements: Measurements, where: str) -> CriterionSpec:

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fmuid.core.campaign import Interpolation
-from fmuid.core.errors import FmuidError
+from fmuid.core.errors import FmuidError, ProblemError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import conversion
 from fmuid.simulation.runners import Runner, simulated
+from fmuid.simulation.segmented import Growth, Segmented, open_loop
 from fmuid.simulation.simulator import Simulator, Task, Variable
 
 _MAX_RUNS = 3
@@ -120,6 +121,20 @@ def solver_error(
     return difference if difference > _SAME else 0.0
 
 
+def runs_away(model: Simulator, runs: Sequence[Experiment], mapping: Mapping[str, str]) -> Growth | None:
+    """Return how errors grow in the longest run, if they grow so much that it cannot be simulated open loop."""
+    run = max(runs, key=lambda run: float(np.ptp(run.time)))
+    inputs, measured = _ports(model, run, mapping)
+    task = Task(run.time, inputs, tuple(measured))
+    values = np.array(list(measured.values()))
+    try:
+        whole = Segmented(model, task, "auto", values, np.isfinite(values).astype(np.float64), {})
+    except ProblemError:  # a model that cannot be started anywhere
+        return None
+    found = open_loop(whole)
+    return found if found is not None and found.runs_away else None
+
+
 def independent_columns(columns: Mapping[str, FloatArray]) -> list[str]:
     """Return the names of the columns that are neither small nor explained by larger ones, by pivoted QR."""
     left = {n: c.copy() for n, c in columns.items()}
@@ -164,17 +179,20 @@ class _Seen:
         return float(np.sum((error - columns @ step) ** 2))
 
 
-def _seen(model: Simulator, run: Experiment, mapping: Mapping[str, str], runner: Runner) -> _Seen:
-    inputs, measured = {}, []
+def _ports(
+    model: Simulator, run: Experiment, mapping: Mapping[str, str]
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Return the (N,) inputs and measured outputs of a run by the model's variables, in their units."""
+    found: tuple[dict[str, FloatArray], dict[str, FloatArray]] = {}, {}
     for name, signal in run.signals.items():
         port = model.variables[mapping.get(name, name)]
-        values = conversion(signal.unit, port.unit)(signal.values)
-        if signal.causality == "input":
-            inputs[port.name] = values
-        else:
-            measured.append(values)
-    outputs = tuple(mapping.get(n, n) for n in run.outputs)
-    return _Seen(model, Task(run.time, inputs, outputs), np.array(measured), runner)
+        found[signal.causality == "output"][port.name] = conversion(signal.unit, port.unit)(signal.values)
+    return found
+
+
+def _seen(model: Simulator, run: Experiment, mapping: Mapping[str, str], runner: Runner) -> _Seen:
+    inputs, measured = _ports(model, run, mapping)
+    return _Seen(model, Task(run.time, inputs, tuple(measured)), np.array(list(measured.values())), runner)
 
 
 def _interpolation(seen: Sequence[_Seen], free: Sequence[Variable]) -> tuple[Interpolation, float]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from fmu_build.suggest import known_names, suggestion
 from fmuid.campaigns.campaign_toml import FILE_NAME, load_campaign
-from fmuid.campaigns.first_choice import FirstChoice, first_choice, solver_error
+from fmuid.campaigns.first_choice import FirstChoice, first_choice, runs_away, solver_error
 from fmuid.campaigns.signal_catalogue import FILE_NAME as CATALOGUE_NAME
 from fmuid.campaigns.signal_catalogue import signal_catalogue
 from fmuid.core.campaign import Interface
@@ -31,6 +31,7 @@ from fmuid.simulation.coupled.coupled_model import CoupledModel
 from fmuid.simulation.coupled.loading import load_model
 from fmuid.simulation.fmu import Fmu, load_fmu
 from fmuid.simulation.runners import Runner, in_process
+from fmuid.simulation.segmented import Growth
 from fmuid.simulation.simulator import Variable
 
 _MAX_NAMES = 8  # of parameters that are held, in one line
@@ -132,9 +133,12 @@ def new_campaign(
             fix="check inputs and outputs",
         )
     guesses += _choice_lines(choice, any(run.inputs for run in runs.values()))
+    away = runs_away(model, used, mapping)
+    if away is not None:
+        guesses.append(f"runs are cut into segments: simulated open loop the model runs away ({away})")
     write_measurements(Measurements(runs), folder / "measurements.h5")
     write_atomically(catalogue, signal_catalogue(runs.values(), mapping, ports))
-    write_atomically(target, _toml(folder, fmu, runs, mapping, choice, interface))
+    write_atomically(target, _toml(folder, fmu, runs, mapping, choice, interface, away))
     load_campaign(folder)
     return NewCampaign(folder, tuple(dict.fromkeys(guesses)))
 
@@ -260,6 +264,7 @@ def _toml(
     mapping: Mapping[str, str],
     choice: FirstChoice,
     interface: Interface | None,
+    away: Growth | None,
 ) -> str:
     setup = fmu.stem
     identification = [run.id for run in _for_identification(runs)]
@@ -299,6 +304,7 @@ def _toml(
         "# One stage: every free parameter, all runs for identification, least squares on every output.",
         "[stages.all]",
         "budget = { evaluations = 500 }",
+        *([f"# {away}: each segment starts anew.", 'segments = "auto"'] if away is not None else []),
         "",
         "# For `fmuid diagnose`: what the model may lack. The free parameters are refitted with every effect.",
         "[effects]",

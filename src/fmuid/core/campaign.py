@@ -190,6 +190,9 @@ class StageSpec:
         As in ``campaign.toml``.
     analyses
         What is asked when the search is over.
+    segments
+        Length (s) of the segments that runs are cut into, ``auto`` for one that suits the model, or None for whole
+        runs; see `fmuid.simulation.segmented`.
     """
 
     name: str
@@ -205,6 +208,7 @@ class StageSpec:
     max_seconds: float | None = None
     constraints: tuple[Mapping[str, Any], ...] = ()
     analyses: AnalysisSpec = AnalysisSpec()
+    segments: float | Literal["auto"] | None = None
 
 
 @dataclass(frozen=True, slots=True)

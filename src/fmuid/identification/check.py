@@ -15,7 +15,9 @@ from fmuid.core.errors import FmuError, SimulationError, UnitError
 from fmuid.core.experiments import Experiment, Signal
 from fmuid.core.formulas import parse
 from fmuid.core.units import conversion
+from fmuid.identification.problem.segments import growth_of
 from fmuid.simulation.runners import Runner, in_process
+from fmuid.simulation.segmented import Growth
 from fmuid.simulation.simulator import Simulator, Variable
 
 Level = Literal["error", "warning", "note"]
@@ -191,7 +193,14 @@ def check_effects(
     for stage in campaign.stages.values():
         where = f"[stages.{stage.name}]"
         try:
-            found = sensitivity_of(Problem.of_stage(campaign, stage, simulators, runner=runner))
+            problem = Problem.of_stage(campaign, stage, simulators, runner=runner)
+            if stage.segments is None:
+                longest = {case.setup: case for case in sorted(problem.cases, key=lambda case: np.ptp(case.time))}
+                for case in longest.values():
+                    growth = growth_of(case, problem.space.to_model(problem.space.start))
+                    if growth is not None and growth.runs_away:
+                        findings.append(_runs_away(f"{where}, experiment '{case.id}'", growth))
+            found = sensitivity_of(problem)
         except SimulationError as error:
             findings.append(
                 Finding(
@@ -234,6 +243,15 @@ def check_effects(
                 )
             )
     return tuple(findings), tuple(effects)
+
+
+def _runs_away(where: str, growth: Growth) -> Finding:
+    return Finding(
+        "warning",
+        where,
+        f"simulated open loop it runs away: {growth}",
+        f'write segments = "auto" (about {growth.length:.2g} s) into the stage',
+    )
 
 
 def _first_runs(campaign: Campaign) -> Iterator[Experiment]:

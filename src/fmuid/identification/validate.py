@@ -10,10 +10,12 @@ import numpy as np
 
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import CampaignError, ProblemError, SimulationError
+from fmuid.core.experiments import Experiment
 from fmuid.core.formatting import html_table, text_table
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.check import load_models
 from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
+from fmuid.identification.problem.segments import segmented
 from fmuid.identification.result import Result
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
@@ -141,7 +143,7 @@ def validate(
             fix="validate on a campaign with the same parameters",
         )
     values = {name: spec.start for name, spec in campaign.parameters.items()} | dict(found)
-    cases = from_campaign(campaign, chosen, (), simulators or load_models(campaign))
+    cases = _cases(campaign, chosen, simulators or load_models(campaign), values)
     outcomes = runner([(case.simulator, case.task, case.start_values(values)) for case in cases])
     scores: list[RunScore] = []
     predictions: list[FloatArray | None] = []
@@ -154,6 +156,29 @@ def validate(
             scores += _scores(case, sensed, None)
             predictions.append(sensed)
     return Validation(tuple(scores), cases, tuple(predictions))
+
+
+def _cases(
+    campaign: Campaign,
+    runs: Sequence[Experiment],
+    simulators: Mapping[str, Simulator],
+    values: Mapping[str, float],
+) -> tuple[Case, ...]:
+    """Return the cases of runs, in segments where the last stage that fits their setup has them."""
+    lengths = {
+        campaign.measurements[e].setup: stage.segments
+        for stage in campaign.stages.values()
+        for e in stage.experiments
+    }
+    cases: list[Case] = []
+    for setup, length in lengths.items():
+        own = [run for run in runs if run.setup == setup]
+        found = from_campaign(campaign, own, (), simulators, apart=length is not None)
+        cases += found if length is None else [segmented(case, length, values) for case in found]
+    rest = [run for run in runs if run.setup not in lengths]
+    cases += from_campaign(campaign, rest, (), simulators)
+    order = {run.id: k for k, run in enumerate(runs)}
+    return tuple(sorted(cases, key=lambda case: order[case.experiments[0]]))
 
 
 def _scores(case: Case, prediction: FloatArray | None, failure: str | None) -> Sequence[RunScore]:

@@ -72,7 +72,9 @@ def iterates(
     """
     spec = campaign.stages[result.name]
     runs = case_building.experiments_of(campaign, spec.experiments, where=result.name)
-    cases = {c.id: c for c in case_building.from_campaign(campaign, runs, spec.criteria, simulators)}
+    apart = spec.segments is not None
+    made = case_building.from_campaign(campaign, runs, spec.criteria, simulators, apart=apart)
+    cases = {c.id: c for c in made}
     rows = list(recorded.iterates())
     if not rows:
         return []

@@ -140,6 +140,12 @@ class Fmu:
         return bool(self._described.canGetAndSetFMUstate)
 
     @property
+    def states(self) -> tuple[str, ...]:
+        """The continuous states, as the FMU names them; arrays of FMI 3.0 element by element."""
+        derived = [u.variable.derivative.name for u in self._description.derivatives if u.variable.derivative]
+        return tuple(n for s in dict.fromkeys(derived) for n in self._variables if n == s or n.startswith(f"{s}["))
+
+    @property
     def feedthrough(self) -> Mapping[str, frozenset[str]]:
         """The inputs that each output depends on without delay; every input where the FMU does not say."""
         return read_feedthrough(self._description, self._variables)

@@ -44,7 +44,8 @@ class Slot:
     """Where the FMU keeps a scalar: element `element` of the `size` values behind `reference`.
 
     `suffix` names the functions (``Real`` of fmi2SetReal), None if there are none for numbers. `refusal` says
-    why the start value cannot be set, None if it can. `starts` are those of all elements.
+    why the start value cannot be set, None if it can; if it is `exact`, that is what the FMU begins with. `starts`
+    are those of all elements.
     """
 
     reference: int
@@ -55,6 +56,7 @@ class Slot:
     starts: tuple[float, ...]
     refusal: str | None
     whole_numbers: bool
+    exact: bool = False
 
     @property
     def has_start(self) -> bool:
@@ -155,6 +157,7 @@ def read_variables(description: Any, version: int, where: Path) -> tuple[dict[st
                 starts=tuple(starts),
                 refusal=_refusal(v) if suffix else f"is a {v.type}, not a number",
                 whole_numbers=storage > 1,
+                exact=v.initial == "exact",
             )
     return variables, slots
 

@@ -171,16 +171,18 @@ def from_campaign(
     experiments: Sequence[Experiment],
     criteria: Sequence[CriterionSpec],
     simulators: Mapping[str, Simulator],
+    *,
+    apart: bool = False,
 ) -> tuple[Case, ...]:
     """Return one case for each group of runs that one simulation can stand for.
 
     Repeats with the same time axis, inputs and settings share a case; a repeat whose inputs were recorded
-    with their own noise is simulated on its own.
+    with their own noise is simulated on its own, and every run if they are to be `apart`.
     """
     groups: list[list[Experiment]] = []
     for experiment in experiments:
         for group in groups:
-            if _same_simulation(group[0], experiment):
+            if not apart and _same_simulation(group[0], experiment):
                 group.append(experiment)
                 break
         else:

@@ -20,6 +20,7 @@ from fmuid.identification.problem.criteria import value
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.problem.exact_derivatives import ExactDerivatives
 from fmuid.identification.problem.search_space import SEPARATOR, SearchSpace, expanded
+from fmuid.identification.problem.segments import segmented
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
@@ -88,10 +89,14 @@ class Problem:
         """Return the problem that a stage of a campaign poses, started from the `best` values so far."""
         where = f"stage '{stage.name}'"
         experiments = case_building.experiments_of(campaign, stage.experiments, where=where)
-        cases = case_building.from_campaign(campaign, experiments, stage.criteria, simulators)
+        apart = stage.segments is not None
+        cases = case_building.from_campaign(campaign, experiments, stage.criteria, simulators, apart=apart)
         values = dict(best or {}) | dict(stage.start)
         specs = campaign.parameters.values()
         space = expanded(specs, stage.free, values, stage.tie, [case.id for case in cases])
+        if stage.segments is not None:
+            start = space.to_model(space.start)
+            cases = tuple(segmented(case, stage.segments, start, stage.free) for case in cases)
         problem = cls(
             cases,
             space,
@@ -233,6 +238,11 @@ class Problem:
         """Return the same problem over other free parameters."""
         kept: dict[str, Any] = {"combination": self.combination, "constraints": self.constraints}
         return Problem(self.cases, space, **kept, runner=self.runner, name=self.name)
+
+    @property
+    def nuisances(self) -> int:
+        """Number of unknowns that are fitted along, beside the free parameters: initial states of segments."""
+        return sum(getattr(case.simulator, "nuisances", 0) for case in self.cases)
 
     def sees(self, name: str) -> bool:
         """Return whether a parameter reaches a model, a sensor or a tie of this problem."""

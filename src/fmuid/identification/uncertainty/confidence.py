@@ -106,7 +106,8 @@ def uncertainty_of(
     bread = np.linalg.pinv(scaled.T @ scaled, rcond=tolerance**2, hermitian=True) / np.outer(scale, scale)
     meat, whiteness = score_covariance(problem, here, j)
     n, m = len(best.x), len(here.residuals)
-    correction = m / max(m - n, 1)
+    fitted = n + problem.nuisances
+    correction = m / max(m - fitted, 1)
     covariance = correction * bread @ meat @ bread
     if n > 1 and first.complete:
         covariance = _widened(problem, evaluate, here, j, covariance)
@@ -117,7 +118,7 @@ def uncertainty_of(
         r.stop - r.start for (_, c), r in zip(problem.criteria, problem.slices, strict=True) if c.rows is None
     )
     effective = sum(w.effective for w in whiteness) + others
-    own = max(effective - n, 1.0)
+    own = max(effective - fitted, 1.0)
     slope = problem.space.slope(best.x)
     degrees, inherited, held_slopes = np.full(n, own), np.zeros((n, n)), np.zeros((n, 0))
     if held is not None:
@@ -137,7 +138,7 @@ def uncertainty_of(
     # A kernel estimate can come out indefinite: a variance below zero is none.
     sound = variance >= -1e-9 * np.max(np.abs(variance))
     known = [n not in found.undetermined and bool(s) for n, s in zip(problem.space.names, sound, strict=True)]
-    naive = np.sqrt(np.diag(bread) * float(here.residuals @ here.residuals) / max(m - n, 1))
+    naive = np.sqrt(np.diag(bread) * float(here.residuals @ here.residuals) / max(m - fitted, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / np.outer(spread, spread)
     return Uncertainty(

@@ -1,0 +1,466 @@
+"""Runs in segments: a model that is started anew every so often, from states that are estimated along.
+
+A plant that is unstable or integrates what its model lacks runs away when it is simulated open loop. Cut into
+segments, only what happens within one of them has to be predicted (multiple shooting without continuity, in
+statistics: nuisance initial states). The states are fitted to the segment's own samples by Gauss-Newton steps and
+projected out of what the parameters see (variable projection, Golub and Pereyra, Inverse Problems 19:R1, 2003, in
+Kaufman's form): a solver, and every standard error, works with the parameters alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, Literal
+
+import numpy as np
+
+from fmuid.core.errors import ProblemError, SimulationError
+from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
+from fmuid.simulation.simulator import Simulator, Task, Variable, differentiates
+
+Length = float | Literal["auto"]
+"""Of a segment, in s; ``auto`` for the longest over which small errors stay small."""
+
+_STEPS = 30  # of Gauss-Newton in a segment
+_HALVINGS = 8
+_SETTLED = 1e-7  # of the norm of the residuals: a smaller step of the states is none
+_RANK = 1e-8
+_DIFFERENCE = 1e-4  # step of a state's finite difference over its scale
+_ERROR = 0.01  # relative: as exact as actuators, sensors and models are at their best
+_NOISE = 10.0  # times the noise of a sample: less is hardly seen ...
+_PART = 0.005  # ... or this share of what the output moves by in a segment
+_SHARE = 0.9  # of the segments that must stay within it
+_LARGE = 1e12
+_MOST_PIECES = 200  # that the growth of errors is looked at in
+_KEPT = 6  # layouts of tasks
+
+
+@dataclass(frozen=True, slots=True)
+class Growth:
+    """How an error of 1 % grows in a run that is simulated open loop.
+
+    Parameters
+    ----------
+    whole
+        By how much of its range the worst output has moved at the end of the run, over the error that moves it.
+    output, cause
+        That output, and what the error is in: a state at the start (relative to its range) or an input (all along;
+        relative to how much it moves).
+    length
+        Of the segments, s, in which an error of 1 % in an input is hardly seen.
+    duration
+        Of the run, s.
+    """
+
+    whole: float
+    output: str
+    cause: str
+    length: float
+    duration: float
+
+    @property
+    def runs_away(self) -> bool:
+        """Whether an error of 1 % makes more than half the output's range in the end."""
+        return _ERROR * self.whole > 0.5
+
+    def __str__(self) -> str:
+        """Return why the run cannot be simulated open loop, in words."""
+        factor = _ERROR * self.whole
+        size = f"{factor:.2g} times its range" if factor < 1e4 else "out of all bounds"
+        return f"an error of 1 % in {self.cause} moves '{self.output}' by {size} over {self.duration:.3g} s"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cut:
+    first: tuple[int, ...]  # first sample of each segment, and the end
+    guess: FloatArray  # (segments, states)
+    scale: FloatArray  # (states,) their range
+    growth: Growth | None = None
+
+
+class Segmented:
+    """A simulator whose runs start anew in each segment, from the states that fit the segment's samples best.
+
+    A `Simulator` of one case: what it predicts depends on the measurement.
+
+    Parameters
+    ----------
+    simulator
+        The model; its `states` can be set before initialisation.
+    task
+        The whole run.
+    length
+        Of the segments.
+    target, weight
+        (outputs, N) measured samples, and the weights of their errors: 0 where a sample does not count.
+    at
+        Start values of the model with which the segments are laid out and their states are first estimated.
+
+    Raises
+    ------
+    ProblemError
+        The model does not let its states be set.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        task: Task,
+        length: Length,
+        target: FloatArray,
+        weight: FloatArray,
+        at: Mapping[str, float],
+    ) -> None:
+        self.simulator, self.task, self.length = simulator, task, length
+        self.target, self.weight = read_only(np.where(weight > 0.0, target, 0.0)), read_only(weight)
+        self.at = frozen_mapping(at)
+        self.states = states_of(simulator)
+        self.exact = differentiates(simulator, set(self.states))
+        self._cut: _Cut | None = None
+        self._pieces: OrderedDict[int, tuple[Task, list[Task]]] = OrderedDict()
+
+    @property
+    def variables(self) -> Mapping[str, Variable]:
+        """The model's."""
+        return self.simulator.variables
+
+    @property
+    def token(self) -> str:
+        """What tells it from others in a fingerprint."""
+        inner = getattr(self.simulator, "token", type(self.simulator).__qualname__)
+        return f"{inner} in segments of {self.length}"
+
+    @property
+    def segments(self) -> int:
+        """How many there are."""
+        return len(self._layout().first) - 1
+
+    @property
+    def nuisances(self) -> int:
+        """Number of initial states that are fitted along."""
+        return self.segments * len(self.states)
+
+    @property
+    def growth(self) -> Growth:
+        """How errors grow in the run, as ``auto`` lays out the segments by it."""
+        if self.length != "auto":
+            return Segmented(self.simulator, self.task, "auto", self.target, self.weight, self.at).growth
+        growth = self._layout().growth
+        assert growth is not None
+        return growth
+
+    def differentiates(self, names: Collection[str]) -> bool:
+        """Whether the model does, by the parameters `names` and its states."""
+        return self.exact and differentiates(self.simulator, {*names, *self.states})
+
+    def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
+        """Return the segments' predictions, one after the other; see `Simulator`.
+
+        Derivatives along directions are those with the states following (`Task.along`).
+
+        Raises
+        ------
+        SimulationError
+            A segment cannot be simulated.
+        """
+        cut, pieces = self._layout(), self._tasks(task)
+        found = np.empty((len(task.outputs) * (1 + len(task.along)), len(task.time)))
+        for k, piece in enumerate(pieces):
+            part = slice(cut.first[k], cut.first[k + 1])
+            found[:, part] = self._fitted(piece, part, cut.guess[k], cut.scale, parameters)[1]
+        return found
+
+    def initial_states(self, parameters: Mapping[str, float]) -> FloatArray:
+        """Return the states that the segments start from, (segments, states)."""
+        cut, pieces = self._layout(), self._tasks(self.task)
+        parts = [slice(a, b) for a, b in pairwise(cut.first)]
+        return np.array(
+            [
+                self._fitted(piece, part, guess, cut.scale, parameters)[0]
+                for piece, part, guess in zip(pieces, parts, cut.guess, strict=True)
+            ]
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_pieces": OrderedDict()}
+
+    # One segment
+
+    def _fitted(
+        self, task: Task, part: slice, guess: FloatArray, scale: FloatArray, parameters: Mapping[str, float]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the states that fit a segment's samples, and its run from there with their derivatives projected.
+
+        `part` are the judged samples, the first ones of the task.
+        """
+        n = self.target.shape[0]
+        weight, target = self.weight[:, part], self.target[:, part]
+        samples, counted = target.shape[1], weight > 0.0
+        states = np.array(guess)
+
+        def errors(run: FloatArray) -> FloatArray:
+            error: FloatArray = (weight * (run[:n, :samples] - target))[counted]
+            return error
+
+        def columns(slopes: FloatArray) -> FloatArray:
+            """(k, rows, N) derivatives -> (m, k) of the weighted errors."""
+            return np.stack([(weight * s[:n, :samples])[counted] for s in slopes], axis=1)
+
+        run = self._run(task, parameters, states)
+        error = errors(run)
+        for _ in range(_STEPS):
+            slopes = self._slopes(task, parameters, states, scale, run)
+            matrix = columns(slopes)
+            step = -_solved(matrix, error)
+            if np.linalg.norm(matrix @ step) <= _SETTLED * np.linalg.norm(error):
+                break
+            for _ in range(_HALVINGS):
+                try:
+                    trial = self._run(task, parameters, states + step)
+                except SimulationError:
+                    step = 0.5 * step
+                    continue
+                moved = errors(trial)
+                if moved @ moved < error @ error:
+                    break
+                step = 0.5 * step
+            else:
+                break
+            states, run, error = states + step, trial, moved
+        rows = len(task.outputs)
+        base = run[:rows]
+        if not (extra := task.along[len(self.states) :] if self.exact else ()):
+            return states, base
+        slopes = self._slopes(task, parameters, states, scale, run)
+        tangents = run[rows * (1 + len(self.states)) :].reshape(len(extra), rows, -1)
+        follow = -_solved(columns(slopes), columns(tangents))
+        tangents = tangents + np.einsum("ka,kij->aij", follow, slopes)
+        return states, np.concatenate([base, tangents.reshape(len(extra) * rows, -1)])
+
+    def _run(self, task: Task, parameters: Mapping[str, float], states: FloatArray) -> FloatArray:
+        there = dict(parameters) | dict(zip(self.states, states.tolist(), strict=True))
+        return self.simulator.simulate(task, there)
+
+    def _slopes(
+        self,
+        task: Task,
+        parameters: Mapping[str, float],
+        states: FloatArray,
+        scale: FloatArray,
+        run: FloatArray,
+    ) -> FloatArray:
+        """Return the derivatives of a run by its initial states, (states, outputs, N)."""
+        rows = len(task.outputs)
+        if self.exact:
+            return run[rows : rows * (1 + len(self.states))].reshape(len(self.states), rows, -1)
+        slopes = []
+        for i, size in enumerate(_DIFFERENCE * np.where(scale > 0.0, scale, np.maximum(np.abs(states), 1.0))):
+            moved = states.copy()
+            moved[i] += size
+            slopes.append((self._run(task, parameters, moved) - run) / (moved[i] - states[i]))
+        return np.array(slopes)
+
+    # All of them
+
+    def _layout(self) -> _Cut:
+        if self._cut is None:
+            self._cut = self._cut_out()
+        return self._cut
+
+    def _tasks(self, task: Task) -> list[Task]:
+        """Return the tasks of the segments; the same again for the same, as simulators prepare them."""
+        if id(task) not in self._pieces:
+            first = self._layout().first
+            made = [self._piece(task, a, b) for a, b in pairwise(first)]
+            self._pieces[id(task)] = task, made
+            while len(self._pieces) > _KEPT:
+                self._pieces.popitem(last=False)
+        return self._pieces[id(task)][1]
+
+    def _piece(self, task: Task, a: int, b: int, outputs: tuple[str, ...] | None = None) -> Task:
+        along = tuple({s: 1.0} for s in self.states) + task.along if self.exact else ()
+        return replace(
+            task,
+            time=task.time[a:b],
+            inputs={n: u[a:b] for n, u in task.inputs.items()},
+            outputs=outputs or task.outputs,
+            along=along,
+        )
+
+    def _cut_out(self) -> _Cut:
+        time, counts = self.task.time, np.count_nonzero(self.weight > 0.0, axis=0)
+        least = len(self.states) + 1
+        if self.length != "auto":
+            first = tuple(_bounds(time, counts, float(self.length), least))
+            return self._swept(first)[0]
+        usual = max(10, 2 * least, len(time) // _MOST_PIECES) * float(np.median(np.diff(time)))
+        first = tuple(_bounds(time, counts, usual, least))
+        cut, pieces = self._swept(first)
+        growth = self._growth(cut, pieces)
+        first = tuple(_bounds(time, counts, growth.length, least))
+        return replace(self._swept(first)[0], growth=growth)
+
+    def _swept(self, first: Sequence[int]) -> tuple[_Cut, list[tuple[Task, FloatArray]]]:
+        """Return the states found segment by segment, each from where the last one ended; and the tasks."""
+        outputs = (*self.task.outputs, *self.states)
+        n, scale, guess = len(self.task.outputs), np.zeros(len(self.states)), []
+        begin = replace(self.task, time=self.task.time[:2], inputs=_first_two(self.task), outputs=self.states)
+        state = self.simulator.simulate(replace(begin, along=()), self.at)[:, 0]
+        pieces: list[tuple[Task, FloatArray]] = []
+        for a, b in pairwise(first):
+            piece = self._piece(self.task, a, min(b + 1, len(self.task.time)), outputs)
+            for row, name in enumerate(self.task.outputs):
+                if name in self.states and self.weight[row, a] > 0.0:
+                    state[self.states.index(name)] = self.target[row, a]
+            state, run = self._fitted(piece, slice(a, b), state, scale, self.at)
+            guess.append(state)
+            pieces.append((piece, state))
+            state = run[n : n + len(self.states), -1].copy()
+        found = np.array(guess)
+        return _Cut(tuple(first), read_only(found), read_only(np.ptp(np.vstack([found, state]), axis=0))), pieces
+
+    def _growth(self, cut: _Cut, pieces: Sequence[tuple[Task, FloatArray]]) -> Growth:
+        """Return how errors of 1 % grow from piece to piece, along the run as it was measured."""
+        n, n_x = len(self.task.outputs), len(self.states)
+        judged = np.where(self.weight > 0.0, self.target, np.nan)
+        shown = np.flatnonzero(_range(judged) > 0.0)
+        judged = judged[shown]
+        span, noise = _range(judged), _noise(judged)
+        driven = [u for u in self.task.inputs if self.variables[u].type in ("Real", "Float64", "Float32")]
+        sizes = {u: _size(self.task.inputs[u]) for u in driven}
+        driven = [u for u in driven if sizes[u] > 0.0]
+        by_state, by_input = [], []
+        for piece, state in pieces:
+            run = self._run(piece, self.at, state)
+            by_state.append(self._slopes(piece, self.at, state, cut.scale, run)[:, :, -1].T)
+            moved = []
+            for u in driven:
+                inputs = dict(piece.inputs) | {u: piece.inputs[u] + _ERROR * sizes[u]}
+                other = self._run(replace(piece, inputs=inputs, along=()), self.at, state)
+                moved.append((other - run[: n + n_x])[:, -1] / _ERROR)
+            by_input.append(np.array(moved).T.reshape(n + n_x, len(driven)))
+        count = len(pieces)
+        excess = np.full((count, count), np.nan)  # [k, j]: over k + 1 pieces from the j-th on
+        worst = np.zeros((len(shown), n_x + len(driven)))
+        local = [
+            np.nanmedian(
+                [_range(judged[:, cut.first[j] : cut.first[j + k + 1]]) for j in range(count - k)], axis=0
+            )
+            for k in range(count)
+        ]
+        for j in range(count):
+            error = np.hstack([np.diag(cut.scale), np.zeros((n_x, len(driven)))])
+            for k in range(count - j):
+                own = np.hstack([np.zeros((n + n_x, n_x)), by_input[j + k]])
+                reached = by_state[j + k] @ error + own
+                error, moved_by = reached[n:], np.abs(reached[shown])
+                if j == 0:
+                    worst = moved_by / span[:, None]
+                if not np.max(moved_by, initial=0.0) < _LARGE * np.max(span, initial=0.0):
+                    excess[k : count - j, j] = _LARGE
+                    break
+                allowed = np.maximum(_NOISE * noise, _PART * local[k])[:, None]
+                of_inputs = np.max(_ERROR * moved_by[:, n_x:] / allowed, initial=0.0)
+                of_states = np.max(_ERROR * moved_by[:, :n_x] / span[:, None], initial=0.0)
+                excess[k, j] = max(of_inputs, of_states)
+        over = np.flatnonzero([np.nanquantile(row, _SHARE) > 1.0 for row in excess])
+        kept = int(over[0]) if len(over) else count
+        time = self.task.time
+        duration = float(time[-1] - time[0])
+        length = duration if kept == count else max(kept, 1) * duration / count
+        row, column = np.unravel_index(int(np.argmax(worst)), worst.shape) if worst.size else (0, 0)
+        causes = [f"the initial '{s}'" for s in self.states] + [f"'{u}'" for u in driven]
+        output = self.task.outputs[int(shown[row])] if len(shown) else ""
+        return Growth(float(np.max(worst, initial=0.0)), output, causes[int(column)], length, duration)
+
+
+def _range(values: FloatArray) -> FloatArray:
+    """Return the range of each row, 0 where it has no sample."""
+    low, high = (np.where(np.isnan(values), end, values) for end in (np.inf, -np.inf))
+    return np.asarray(np.maximum(np.max(high, axis=1) - np.min(low, axis=1), 0.0))
+
+
+def _noise(values: FloatArray) -> FloatArray:
+    """Return an upper bound of each row's noise that needs no model, from its second and fourth differences."""
+    found = []
+    for row in values:
+        known = row[np.isfinite(row)]
+        two, four = np.diff(known, 2), np.diff(known, 4)
+        levels = [np.sqrt(np.mean(two**2) / 6.0), np.sqrt(np.mean(four**2) / 70.0)] if len(four) else [0.0]
+        found.append(float(min(levels)))
+    return np.array(found)
+
+
+def _size(values: FloatArray) -> float:
+    """Return how much an input moves, or its level where it hardly does."""
+    level = float(np.sqrt(np.mean(np.square(values))))
+    spread = float(np.std(values))
+    return spread if spread > _ERROR * level else level
+
+
+def states_of(simulator: Simulator) -> tuple[str, ...]:
+    """Return the continuous states of a model that a run can be started from.
+
+    Raises
+    ------
+    ProblemError
+        It has none, or they cannot be set.
+    """
+    states: tuple[str, ...] = tuple(getattr(simulator, "states", ()))
+    if not states:
+        raise ProblemError(
+            f"the model has no continuous states that can be set ({type(simulator).__name__})",
+            fix="leave segments out, or use one FMU that lists its states with exact start values",
+        )
+    slots = getattr(simulator, "slots", {})
+    refused = [s for s in states if s in slots and (slots[s].refusal or not slots[s].exact)]
+    if refused:
+        raise ProblemError(
+            f"the state '{refused[0]}' cannot be started from a given value: the FMU calculates it",
+            fix="give it a start value with fixed = true in the model, in place of an initial equation",
+        )
+    return states
+
+
+def open_loop(simulator: Segmented) -> Growth | None:
+    """Return how errors grow in a run that is simulated as a whole; None where the model fails along it."""
+    try:
+        return simulator.growth
+    except SimulationError:
+        return None
+
+
+def _bounds(time: FloatArray, counts: FloatArray, length: float, least: int) -> Iterator[int]:
+    """Yield the first sample of every segment, and the number of samples.
+
+    Segments with fewer than `least` measured samples go with the one before.
+    """
+    duration = float(time[-1] - time[0])
+    pieces = max(1, round(duration / length)) if math.isfinite(length) else 1
+    total = np.concatenate([[0], np.cumsum(counts)])
+    begin = 0
+    yield begin
+    # The last samples: rounding must not leave an empty segment.
+    for k in range(1, pieces):
+        at = int(np.searchsorted(time, time[0] + k * duration / pieces - 1e-9 * duration))
+        enough = total[at] - total[begin] >= least and total[-1] - total[at] >= least
+        if enough and at - begin >= 2 and len(time) - at >= 2:
+            begin = at
+            yield at
+    yield len(time)
+
+
+def _first_two(task: Task) -> dict[str, FloatArray]:
+    return {name: values[:2] for name, values in task.inputs.items()}
+
+
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the least-squares solution; what the samples do not show stays as it is."""
+    scale = np.linalg.norm(matrix, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    found = np.linalg.lstsq(matrix / scale, right, rcond=_RANK)[0]
+    return np.asarray(found / (scale if found.ndim == 1 else scale[:, None]))

@@ -1,0 +1,161 @@
+"""Plants that run away open loop: recovered from segments whose initial states are projected out."""
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from runaway import PENDULUM, TROLLEY, balanced, campaign, driven, pendulum_specs, trolley_specs
+
+import fmu_build
+import fmuid
+from fmuid.core.errors import ProblemError
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.problem.segments import segmented
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.simulator import Task
+
+MODELS = Path(__file__).parent / "models"
+
+
+@pytest.fixture(scope="module")
+def pendulum_fmu(tmp_path_factory):
+    return fmu_build.build(MODELS / "InvertedPendulum.mo", "InvertedPendulum", tmp_path_factory.mktemp("pendulum"))
+
+
+@pytest.fixture(scope="module")
+def trolley_fmu(tmp_path_factory):
+    return fmu_build.build(MODELS / "Trolley.mo", "Trolley", tmp_path_factory.mktemp("trolley"))
+
+
+@pytest.fixture(scope="module")
+def pendulum_runs():
+    return {f"run_{k}": balanced(k, duration=4.0) for k in range(2)}
+
+
+@pytest.fixture(scope="module")
+def trolley_runs():
+    return {f"run_{k}": driven(k, drift=0.005) for k in range(3)}
+
+
+def of_pendulum(fmu, runs, **stage):
+    return campaign(fmu.parent, fmu, runs, ("tau", "N.m"), ("phi", "rad"), pendulum_specs(), 1e-3, **stage)
+
+
+def of_trolley(fmu, runs, **stage):
+    return campaign(fmu.parent, fmu, runs, ("f", "N"), ("s", "m"), trolley_specs(), 1e-3, **stage)
+
+
+class Plain:
+    """An FMU without derivatives, as other tools' are."""
+
+    def __init__(self, fmu):
+        self.fmu, self.variables, self.states, self.slots = fmu, fmu.variables, fmu.states, fmu.slots
+
+    def simulate(self, task, parameters):
+        assert not task.along
+        return self.fmu.simulate(task, parameters)
+
+
+def test_a_balanced_pendulum_is_recovered_from_segments_and_not_from_whole_runs(pendulum_fmu, pendulum_runs):
+    whole = fmuid.identify(of_pendulum(pendulum_fmu, pendulum_runs), with_uncertainty=False)
+    assert abs(whole["J"].value / PENDULUM["J"] - 1) > 0.2
+    cut = of_pendulum(pendulum_fmu, pendulum_runs, segments=0.5)
+    found = fmuid.identify(cut)
+    for name, truth in PENDULUM.items():
+        assert abs(found[name].value - truth) < 4 * found[name].standard_error
+        assert abs(found[name].value / truth - 1) < 0.02
+    score = fmuid.validate(found, cut)["run_1", "phi"]
+    assert score.rmse == pytest.approx(1e-3, rel=0.1)
+
+
+def test_drift_that_the_model_lacks_stays_within_its_segment(trolley_fmu, trolley_runs):
+    whole = fmuid.identify(of_trolley(trolley_fmu, trolley_runs), with_uncertainty=False)
+    cut = fmuid.identify(of_trolley(trolley_fmu, trolley_runs, segments="auto"))
+    assert abs(whole["m"].value / TROLLEY["m"] - 1) > 0.1
+    assert cut["m"].value == pytest.approx(TROLLEY["m"], rel=0.02)
+    assert cut["d"].value == pytest.approx(TROLLEY["d"], rel=0.1)
+
+
+def test_finite_differences_find_the_same(pendulum_fmu, pendulum_runs):
+    cut = of_pendulum(pendulum_fmu, pendulum_runs, segments=0.4)
+    exact = fmuid.identify(cut)
+    differences = fmuid.identify(cut, simulators={"plant": Plain(load_fmu(pendulum_fmu))})
+    for name in PENDULUM:
+        assert differences[name].value == pytest.approx(exact[name].value, abs=0.05 * exact[name].standard_error)
+        assert differences[name].standard_error == pytest.approx(exact[name].standard_error, rel=0.05)
+
+
+def test_the_jacobian_is_that_of_refitted_states(pendulum_fmu, pendulum_runs):
+    cut = of_pendulum(pendulum_fmu, pendulum_runs, segments=0.5)
+    problem = Problem.of_stage(cut, cut.stages["all"], {"plant": load_fmu(pendulum_fmu)})
+    x = problem.space.to_search(PENDULUM)
+    jacobian = problem.exact.jacobian(problem.evaluate(x))
+    for i in range(len(x)):
+        ends = [problem.evaluate(x + sign * 1e-5 * np.eye(len(x))[i]).residuals for sign in (1, -1)]
+        column = (ends[0] - ends[1]) / 2e-5
+        # Kaufman's form leaves out what the residuals add: it vanishes with the noise.
+        assert np.linalg.norm(jacobian[:, i] - column) < 1e-3 * np.linalg.norm(column)
+
+
+def test_standard_errors_count_the_states(trolley_fmu):
+    """Where noise is all there is, estimates scatter as their standard errors say."""
+    scores = []
+    for seed in range(6):
+        runs = {f"run_{k}": driven(10 * seed + k, duration=6.0, drift=0.0) for k in range(1)}
+        found = fmuid.identify(of_trolley(trolley_fmu, runs, segments=0.2))
+        scores.append((found["m"].value - TROLLEY["m"]) / found["m"].standard_error)
+        assert found.stages[0].uncertainty.degrees_of_freedom < 300 - 60
+    assert 0.4 < np.sqrt(np.mean(np.square(scores))) < 1.7
+
+
+def test_a_model_without_states_is_refused(msd, analytic):
+    with pytest.raises(ProblemError, match="no continuous states"):
+        segmented(msd().cases[0], 0.5, {})
+
+
+def test_the_check_says_why_a_run_cannot_be_simulated_open_loop(pendulum_fmu, pendulum_runs, trolley_fmu):
+    from fmuid.identification.check import check_effects
+
+    model = {"plant": load_fmu(pendulum_fmu)}
+    findings, _ = check_effects(of_pendulum(pendulum_fmu, pendulum_runs), model)
+    (said,) = [f for f in findings if "open loop" in f.what]
+    assert said.level == "warning"
+    assert "'phi'" in said.what
+    assert 'segments = "auto"' in said.fix
+    findings, _ = check_effects(of_pendulum(pendulum_fmu, pendulum_runs, segments=0.5), model)
+    assert not [f for f in findings if "open loop" in f.what]
+    quiet = {"run_0": driven(0, duration=4.0, drift=0.0)}
+    findings, _ = check_effects(of_trolley(trolley_fmu, quiet), {"plant": load_fmu(trolley_fmu)})
+    assert not [f for f in findings if "open loop" in f.what]
+
+
+def test_segments_of_missing_samples_and_in_other_processes(pendulum_fmu, pendulum_runs):
+    (time, torque, angle), *_ = pendulum_runs.values()
+    angle = angle.copy()
+    angle[300:500] = np.nan  # longer than a segment
+    cut = of_pendulum(pendulum_fmu, {"run_0": (time, torque, angle)}, segments=0.25)
+    problem = Problem.of_stage(cut, cut.stages["all"], {"plant": load_fmu(pendulum_fmu)})
+    case = problem.cases[0]
+    assert case.simulator.segments < 24
+    values = case.start_values(problem.space.to_model(problem.space.start))
+    here = case.simulator.simulate(case.task, values)
+    there = pickle.loads(pickle.dumps(case.simulator)).simulate(case.task, values)
+    np.testing.assert_array_equal(here, there)
+    assert np.isfinite(here).all()
+    states = case.simulator.initial_states(values)
+    assert states.shape == (case.simulator.segments, 2)
+    again = case.simulator.simulator.simulate(
+        Task(time[:5], {"tau": torque[:5]}, ("phi",)), values | dict(zip(("phi", "w"), states[0], strict=True))
+    )
+    np.testing.assert_allclose(again[0], here[0, :5], rtol=1e-6)
+
+
+def test_a_free_parameter_that_is_an_initial_state_is_refused(pendulum_fmu, pendulum_runs):
+    cut = of_pendulum(pendulum_fmu, pendulum_runs, segments=0.5)
+    spec = fmuid.ParameterSpec("phi", 0.1, -1.0, 1.0)
+    stage = replace(cut.stages["all"], free=("phi",))
+    cut = replace(cut, parameters={**cut.parameters, "phi": spec}, stages={"all": stage})
+    with pytest.raises(ProblemError, match="initial state"):
+        fmuid.identify(cut)
