@@ -6,13 +6,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any, Literal, cast
 
 import msgspec
+import numpy as np
 
 from fmu_build.suggest import suggestion
 from fmuid.core.campaign import (
@@ -25,11 +26,12 @@ from fmuid.core.campaign import (
     ParetoSpec,
     StageSpec,
 )
-from fmuid.core.errors import CampaignError, ProblemError
-from fmuid.core.experiments import Measurements
+from fmuid.core.errors import CampaignError, MeasurementsError, ProblemError
+from fmuid.core.experiments import Causality, Measurements, Signal
 from fmuid.core.formulas import parse
-from fmuid.core.immutable import frozen_mapping
+from fmuid.core.immutable import FloatArray, frozen_mapping
 from fmuid.core.toml_tables import Table, convert, finite, numbers, read_toml
+from fmuid.data.filtering import LowPass, derivative
 from fmuid.data.measurements import read_measurements
 from fmuid.simulation.coupled.coupling_table import CoupledTable, coupling_of
 
@@ -95,6 +97,13 @@ class _StageTable(Table):
     segments: float | str | None = None
 
 
+class _SignalTable(Table):
+    derivative_of: str | None = None
+    order: int = 1
+    causality: Literal["input", "output"] = "input"
+    filter: float | None = None
+
+
 class _ParetoTable(Table):
     objectives: list[str] = []
     points: int = 11
@@ -114,6 +123,7 @@ class _EffectsTable(Table):
 
 class _Document(Table):
     campaign: dict[str, Any] = {}
+    signals: dict[str, dict[str, Any]] = {}
     models: dict[str, dict[str, Any]] = {}
     parameters: dict[str, dict[str, Any]] = {}
     settings: dict[str, Any] = {}
@@ -156,6 +166,7 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None) -
     else:
         make = f"make it with: {head.make}" if head.make else None
         recorded = read_measurements(folder / head.measurements, fix_missing=make)
+    recorded, filters = _signals(document.signals, recorded, str(file))
     parameters = {n: _parameter(n, t, f"{file} [parameters.{n}]") for n, t in document.parameters.items()}
     settings = numbers(document.settings, f"{file} [settings]")
     for name in settings.keys() & parameters.keys():
@@ -189,7 +200,57 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None) -
         validation=roles.validation,
         effects=effects,
         published=frozen_mapping(document.published),
+        filters=frozen_mapping(filters),
     )
+
+
+def _signals(
+    raw: Mapping[str, _Table], recorded: Measurements, file: str
+) -> tuple[Measurements, dict[str, float]]:
+    """Return the measurements with derived signals and filtered inputs, and the filters of outputs."""
+    filters: dict[str, float] = {}
+    experiments = dict(recorded.experiments)
+    for name, entry in raw.items():
+        where = f"{file} [signals.{name}]"
+        table = convert(entry, _SignalTable, where)
+        source = table.derivative_of or name
+        known = dict.fromkeys(n for e in experiments.values() for n in e.signals)
+        if source not in known:
+            raise CampaignError(f"'{source}' is not measured", where=where, fix=suggestion(source, known))
+        if table.derivative_of is not None and name in known:
+            raise CampaignError("is measured already", where=where, fix="give the derivative another name")
+        if table.order not in (1, 2) or (table.derivative_of is None and table.order != 1):
+            raise CampaignError(f"order is {table.order}", where=where, fix="write 1, or 2 beside derivative_of")
+        if table.filter is not None and not (math.isfinite(table.filter) and table.filter > 0):
+            raise CampaignError(f"filter is {table.filter:g}", where=where, fix="write a frequency in Hz")
+        for experiment in [e for e in experiments.values() if source in e.signals]:
+            signal = experiment.signals[source]
+            causality = signal.causality if table.derivative_of is None else table.causality
+            if causality == "output" and table.filter is not None:
+                filters[name] = table.filter
+            if table.derivative_of is None and causality == "output":
+                continue  # filtered with its prediction
+            try:
+                made = _derived(experiment.time, signal, name, causality, table)
+            except MeasurementsError as error:
+                raise CampaignError(f"{error.what} in run '{experiment.id}'", where=where, fix=error.fix) from None
+            signals = dict(experiment.signals) | {name: made}
+            experiments[experiment.id] = replace(experiment, signals=signals)
+    return replace(recorded, experiments=experiments), filters
+
+
+def _derived(time: FloatArray, signal: Signal, name: str, causality: Causality, table: _SignalTable) -> Signal:
+    values, unit = signal.values, signal.unit
+    if table.filter is not None and causality == "input":
+        values = LowPass(table.filter)(time, values)
+    if table.derivative_of is not None:
+        values, unit = derivative(time, values, table.order), f"({unit})/s{table.order if table.order > 1 else ''}"
+        if causality == "input" and not np.isfinite(values).all():
+            raise MeasurementsError(
+                f"'{table.derivative_of}' has missing samples, and so has its derivative",
+                fix="cut the run there, or fill them on import",
+            )
+    return Signal(name, values, unit, causality, resampled=signal.resampled)
 
 
 def _effects(

@@ -252,6 +252,9 @@ class Campaign:
         What a diagnosis starts from, if the campaign says.
     published
         Free-form figures to put beside the estimates.
+    filters
+        Cut-off frequency (Hz) of the zero-phase low-pass that measured and simulated samples of an output go
+        through before they are compared, by signal.
     """
 
     name: str
@@ -266,3 +269,4 @@ class Campaign:
     validation: tuple[str, ...]
     effects: EffectsSpec | None = None
     published: Mapping[str, Any] = field(default_factory=dict)
+    filters: Mapping[str, float] = field(default_factory=dict)

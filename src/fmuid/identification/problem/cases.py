@@ -11,12 +11,13 @@ import numpy as np
 
 from fmu_build.suggest import suggestion
 from fmuid.core.campaign import Campaign, CriterionSpec, Interpolation, ModelSpec, ParameterSpec
-from fmuid.core.errors import FmuError, ProblemError
+from fmuid.core.errors import FmuError, MeasurementsError, ProblemError
 from fmuid.core.experiments import Experiment
 from fmuid.core.formulas import Expression, parse
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 from fmuid.core.units import Conversion
 from fmuid.data.channel_noise import conversion_at, noise_elsewhere, noise_level, repeated_runs
+from fmuid.data.filtering import LowPass
 from fmuid.data.noise_spectrum import RepeatedRuns
 from fmuid.identification.problem.criteria import Criterion, Target, prepare, whitened
 from fmuid.identification.problem.search_space import SEPARATOR
@@ -45,6 +46,8 @@ class Channel:
         Expressions for ``offset``, ``gain`` and ``delay`` (s) between model and sensor, if any.
     differentiated
         Whether the sensor differentiates what it reads over its samples, as with an encoder's speed.
+    filter
+        What measurement (already in `repeats`) and prediction both go through.
     """
 
     signal: str
@@ -55,6 +58,7 @@ class Channel:
     noise: str
     sensor: Mapping[str, Expression] = field(default_factory=dict)
     differentiated: bool = False
+    filter: LowPass | None = None
 
     @property
     def count(self) -> FloatArray:
@@ -70,7 +74,7 @@ class Channel:
     @property
     def plain(self) -> bool:
         """Whether the sensor shows the model's output as it is."""
-        return not self.sensor and not self.differentiated
+        return not self.sensor and not self.differentiated and self.filter is None
 
     def sensed(self, time: FloatArray, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
         """Return what the sensor shows for the model's (N,) output `y`."""
@@ -81,6 +85,8 @@ class Channel:
         """Return what the sensor shows of changes `y`, (..., N), of the model's output: all but the offset."""
         if self.differentiated:
             y = np.asarray(np.gradient(y, time, axis=-1))
+        if self.filter is not None:
+            y = self.filter(time, y)
         if "delay" in self.sensor:
             moved = time - self.sensor["delay"](values)
             y = np.apply_along_axis(lambda row: np.interp(moved, time, row), -1, y)
@@ -281,9 +287,17 @@ def _case(
         convert = conversion_at(signal.unit, unit, f"signal '{name}' of {where}")
         repeats = convert(np.array([e.outputs[name].values for e in group]))
         given = [e.outputs[name].sigma for e in group]
-        sigma, noise = noise_level(repeats, [None if s is None else abs(convert.factor) * s for s in given])
+        low_pass, gain = None, 1.0
+        if name in campaign.filters:
+            low_pass = LowPass(campaign.filters[name])
+            try:
+                repeats, gain = low_pass(first.time, repeats), low_pass.noise_gain(first.time)
+            except MeasurementsError as error:
+                raise MeasurementsError(error.what, where=f"signal '{name}' of {where}", fix=error.fix) from None
+        sigma, noise = noise_level(repeats, [None if s is None else gain * abs(convert.factor) * s for s in given])
         if noise == "unknown":
             sigma, noise = noise_elsewhere(campaign, first, name, unit, sigma)
+            sigma = gain * sigma if noise != "unknown" else sigma
         channels.append(
             Channel(
                 name,
@@ -294,6 +308,7 @@ def _case(
                 noise,
                 sensors.get(name, {}),
                 model.differentiates(name),
+                low_pass,
             )
         )
     inputs = {}

@@ -37,7 +37,7 @@ def segmented(case: Case, length: Length, values: Mapping[str, float], free: Col
     for channel in case.channels:
         if not channel.plain:
             raise ProblemError(
-                f"'{channel.signal}' has a sensor of its own (gradient, offset, gain or delay)",
+                f"'{channel.signal}' has a sensor of its own (gradient, filter, offset, gain or delay)",
                 where=where,
                 fix="put the sensor into the model, or leave segments out",
             )
