@@ -159,3 +159,22 @@ def test_a_free_parameter_that_is_an_initial_state_is_refused(pendulum_fmu, pend
     cut = replace(cut, parameters={**cut.parameters, "phi": spec}, stages={"all": stage})
     with pytest.raises(ProblemError, match="initial state"):
         fmuid.identify(cut)
+
+
+def test_an_observer_keeps_the_pendulum_at_its_measurement(pendulum_fmu, pendulum_runs):
+    watched = of_pendulum(pendulum_fmu, pendulum_runs, observer=True)
+    found = fmuid.identify(watched)
+    for name, truth in PENDULUM.items():
+        if name != "d":
+            assert found[name].value == pytest.approx(truth, rel=0.03)
+    assert {"observer[phi,phi]", "observer[w,phi]"} <= set(found.parameters)
+    assert fmuid.validate(found, watched)["run_1", "phi"].rmse < 3e-3  # the start, which no sample corrects, too
+    gain = {"phi": {"phi": 0.4}, "w": {"phi": 20.0}}
+    given = fmuid.identify(of_pendulum(pendulum_fmu, pendulum_runs, observer=gain))
+    assert given["J"].value == pytest.approx(PENDULUM["J"], rel=0.05)
+    assert "observer[w,phi]" not in {e.name for e in given.estimates}
+
+
+def test_an_observer_needs_outputs_that_the_model_has(pendulum_fmu, pendulum_runs):
+    with pytest.raises(ProblemError, match="no gain from 'tau' to 'w'"):
+        fmuid.identify(of_pendulum(pendulum_fmu, pendulum_runs, observer={"w": {"tau": 1.0}}))

@@ -95,6 +95,7 @@ class _StageTable(Table):
     monte_carlo: int = 0
     pareto: dict[str, Any] | None = None
     segments: float | str | None = None
+    observer: bool | dict[str, dict[str, float]] = False
 
 
 class _SignalTable(Table):
@@ -491,7 +492,16 @@ def _stage(
             pareto=None if pareto is None else ParetoSpec(tuple(pareto.objectives), pareto.points),
         ),
         segments=_segments(table.segments, where),
+        observer=_observer(table, where),
     )
+
+
+def _observer(table: _StageTable, where: str) -> bool | Mapping[str, Mapping[str, float]]:
+    if table.observer and table.segments is not None:
+        raise CampaignError("has segments and an observer", where=where, fix="choose one of them")
+    if isinstance(table.observer, bool):
+        return table.observer
+    return {state: numbers(gains, f"{where} observer") for state, gains in table.observer.items()}
 
 
 def _segments(raw: float | str | None, where: str) -> float | Literal["auto"] | None:

@@ -193,6 +193,9 @@ class StageSpec:
     segments
         Length (s) of the segments that runs are cut into, ``auto`` for one that suits the model, or None for whole
         runs; see `fmuid.simulation.segmented`.
+    observer
+        True for output feedback with gains that are estimated along, or the gains, state -> output -> gain, both
+        variables of the FMU; see `fmuid.simulation.observer_model`.
     """
 
     name: str
@@ -209,6 +212,7 @@ class StageSpec:
     constraints: tuple[Mapping[str, Any], ...] = ()
     analyses: AnalysisSpec = AnalysisSpec()
     segments: float | Literal["auto"] | None = None
+    observer: bool | Mapping[str, Mapping[str, float]] = False
 
 
 @dataclass(frozen=True, slots=True)

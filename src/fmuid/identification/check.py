@@ -194,7 +194,7 @@ def check_effects(
         where = f"[stages.{stage.name}]"
         try:
             problem = Problem.of_stage(campaign, stage, simulators, runner=runner)
-            if stage.segments is None:
+            if stage.segments is None and not stage.observer:
                 longest = {case.setup: case for case in sorted(problem.cases, key=lambda case: np.ptp(case.time))}
                 for case in longest.values():
                     growth = growth_of(case, problem.space.to_model(problem.space.start))
@@ -250,7 +250,7 @@ def _runs_away(where: str, growth: Growth) -> Finding:
         "warning",
         where,
         f"simulated open loop it runs away: {growth}",
-        f'write segments = "auto" (about {growth.length:.2g} s) into the stage',
+        f'write segments = "auto" (about {growth.length:.2g} s) or observer = true into the stage',
     )
 
 

@@ -15,7 +15,7 @@ from fmuid.core.formatting import html_table, text_table
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.check import load_models
 from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
-from fmuid.identification.problem.segments import segmented
+from fmuid.identification.problem.segments import observed, segmented
 from fmuid.identification.result import Result
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
@@ -136,7 +136,8 @@ def validate(
         raise CampaignError("no runs are kept for validation", where="[roles]", fix="name some in validation")
     chosen = experiments_of(campaign, ids, where="validation")
     found = result.parameters if isinstance(result, Result) else result
-    unknown = sorted(n for n in found if n.split("@")[0] not in campaign.parameters)
+    own = [n for n in found if not n.startswith("observer[")]
+    unknown = sorted(n for n in own if n.split("@")[0] not in campaign.parameters)
     if unknown:
         raise CampaignError(
             f"parameter '{unknown[0]}' of the result is not in campaign '{campaign.name}'",
@@ -164,18 +165,21 @@ def _cases(
     simulators: Mapping[str, Simulator],
     values: Mapping[str, float],
 ) -> tuple[Case, ...]:
-    """Return the cases of runs, in segments where the last stage that fits their setup has them."""
-    lengths = {
-        campaign.measurements[e].setup: stage.segments
-        for stage in campaign.stages.values()
-        for e in stage.experiments
+    """Return the cases of runs, in segments or with an observer as the last stage of their setup says."""
+    stages = {
+        campaign.measurements[e].setup: stage for stage in campaign.stages.values() for e in stage.experiments
     }
     cases: list[Case] = []
-    for setup, length in lengths.items():
+    for setup, stage in stages.items():
         own = [run for run in runs if run.setup == setup]
-        found = from_campaign(campaign, own, (), simulators, apart=length is not None)
-        cases += found if length is None else [segmented(case, length, values) for case in found]
-    rest = [run for run in runs if run.setup not in lengths]
+        whole = stage.segments is None and not stage.observer
+        found = from_campaign(campaign, own, (), simulators, apart=not whole)
+        if stage.segments is not None:
+            found = tuple(segmented(case, stage.segments, values) for case in found)
+        if stage.observer:
+            found = observed(found, stage.observer, values)[0]
+        cases += found
+    rest = [run for run in runs if run.setup not in stages]
     cases += from_campaign(campaign, rest, (), simulators)
     order = {run.id: k for k, run in enumerate(runs)}
     return tuple(sorted(cases, key=lambda case: order[case.experiments[0]]))

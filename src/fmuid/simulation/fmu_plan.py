@@ -15,7 +15,7 @@ from fmuid.core.errors import FmuError
 from fmuid.core.immutable import FloatArray
 from fmuid.simulation.fmu_library import FmuLibrary
 from fmuid.simulation.fmu_variables import Slot
-from fmuid.simulation.simulator import Task, Variable
+from fmuid.simulation.simulator import Feedback, Task, Variable
 from fmuid.simulation.stepper import DTYPES, FUNCTIONS, Group, Plan
 
 _TOLERANCE = 1e-6  # of the integration of model-exchange FMUs that suggest none
@@ -123,6 +123,8 @@ class PreparedTask:
         plan.n_start_groups, plan.start_groups = self._groups([*back, *fixed, *names], "Set")
         plan.n_input_groups, plan.input_groups = self._groups(list(task.inputs), "Set")
         plan.n_output_groups, plan.output_groups = self._groups(list(task.outputs), "Get")
+        if task.feedback is not None:
+            self._feed_back(task.feedback)
         if task.along:
             self._differentiate(task)
         if plan.linear:
@@ -242,6 +244,19 @@ class PreparedTask:
         n, nz = plan.n_states, plan.n_indicators
         plan.work = self._pointer(np.zeros(15 * n + 2 * n * n + 2 * nz + n_inputs + 1))
         plan.pivots = self._pointer(np.zeros(n + 1, dtype=np.int32))
+
+    def _feed_back(self, feedback: Feedback) -> None:
+        """Provide for the correction of the states by measured outputs."""
+        plan = self.plan
+        if not self.library.model_exchange:
+            raise FmuError(
+                "states are corrected in model exchange only",
+                where=self._where,
+                fix='use interface = "model exchange"',
+            )
+        plan.measured = self._pointer(np.array(feedback.measured, order="C"))
+        plan.gain = self._pointer(np.array(feedback.gain, order="C"))
+        plan.n_measured = feedback.measured.shape[1]
 
     def _differentiate(self, task: Task) -> None:
         """Provide for the outputs' derivatives along directions."""

@@ -284,6 +284,27 @@ int32_t begin_model_exchange(Plan *plan)
     return settle(plan, &w);
 }
 
+/* Move the states by what the outputs in plan->row are off; where an indicator crosses zero by it, that is an event. */
+int32_t feed_back(Plan *plan, size_t k)
+{
+    Work w = cut(plan);
+    size_t n = plan->n_outputs;
+    for (size_t j = 0; j < n; j++) {
+        double off = plan->measured[j * plan->n_measured + k] - plan->row[j];
+        if (isfinite(off))
+            for (size_t i = 0; i < plan->n_states; i++) w.x[i] += plan->gain[i * n + j] * off;
+    }
+    CALL(SET_STATES, int32_t (*)(Instance, const double *, size_t), plan->instance, w.x, plan->n_states);
+    if (plan->n_indicators == 0) return DONE;
+    TRY(indicators(plan, w.after));
+    if (crossed(plan, &w)) {
+        CALL(ENTER_EVENT_MODE, Plain, plan->instance);
+        return settle(plan, &w);
+    }
+    memcpy(w.before, w.after, plan->n_indicators * sizeof(double));
+    return DONE;
+}
+
 /* Inputs of communication point k; those that jump are an event. */
 static int32_t take_inputs(Plan *plan, const Work *w, size_t k, double t)
 {

@@ -40,6 +40,22 @@ class Variable:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Feedback:
+    """An observer: at every sample the states move by `gain` times what the outputs are off.
+
+    Parameters
+    ----------
+    measured
+        (outputs, N) samples, NaN where there is none.
+    gain
+        (states, outputs), states in the FMU's order.
+    """
+
+    measured: FloatArray
+    gain: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Task:
     """One simulation to be run many times with different parameters.
 
@@ -61,6 +77,8 @@ class Task:
         Directions to differentiate along, each a weight by parameter: the prediction then has below the outputs
         their derivatives, direction by direction, (1 + len(along)) * len(outputs) rows. Of simulators that
         `differentiates` tells of.
+    feedback
+        Output feedback, of FMUs for model exchange: outputs are then predictions from the samples before.
     """
 
     time: FloatArray
@@ -70,6 +88,7 @@ class Task:
     interpolation: Interpolation = "hold"
     tolerance: float | None = None
     along: tuple[Mapping[str, float], ...] = ()
+    feedback: Feedback | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", read_only(self.time))

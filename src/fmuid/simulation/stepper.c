@@ -111,6 +111,7 @@ static int32_t read_outputs(Plan *plan, size_t k)
         }
     }
     if (plan->n_directions > 0) TRY(read_sensitivities(plan, k));
+    if (plan->measured) TRY(feed_back(plan, k));
     plan->reached = (int64_t)k;
     plan->reached_time = plan->time[k];
     return DONE;

@@ -67,6 +67,10 @@ typedef struct {
     const double *weights;             /* (n_directions, n_moved) */
     const uint32_t *output_references; /* (n_outputs) */
     double *sensitivities;             /* scratch, (n_outputs, n_directions) */
+    /* output feedback of model exchange: x += gain (measured - outputs) at every communication point */
+    const double *measured; /* (n_outputs, length of the task), NaN: nothing to correct by; NULL: no feedback */
+    const double *gain;     /* (n_states, n_outputs) */
+    size_t n_measured;      /* length of a row of `measured` */
     /* model exchange: see model_exchange.c */
     double *work;
     int32_t *pivots;
@@ -99,5 +103,6 @@ int32_t enter_initialisation(Plan *plan);
 int32_t do_step(Plan *plan, size_t k);
 int32_t begin_model_exchange(Plan *plan);
 int32_t integrate(Plan *plan, size_t k);
+int32_t feed_back(Plan *plan, size_t k);
 
 #endif

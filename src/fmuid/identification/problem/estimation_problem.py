@@ -5,6 +5,7 @@ from __future__ import annotations
 import time as clock
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -20,7 +21,7 @@ from fmuid.identification.problem.criteria import value
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.problem.exact_derivatives import ExactDerivatives
 from fmuid.identification.problem.search_space import SEPARATOR, SearchSpace, expanded
-from fmuid.identification.problem.segments import segmented
+from fmuid.identification.problem.segments import observed, segmented
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
@@ -89,7 +90,7 @@ class Problem:
         """Return the problem that a stage of a campaign poses, started from the `best` values so far."""
         where = f"stage '{stage.name}'"
         experiments = case_building.experiments_of(campaign, stage.experiments, where=where)
-        apart = stage.segments is not None
+        apart = stage.segments is not None or bool(stage.observer)
         cases = case_building.from_campaign(campaign, experiments, stage.criteria, simulators, apart=apart)
         values = dict(best or {}) | dict(stage.start)
         specs = campaign.parameters.values()
@@ -97,6 +98,14 @@ class Problem:
         if stage.segments is not None:
             start = space.to_model(space.start)
             cases = tuple(segmented(case, stage.segments, start, stage.free) for case in cases)
+        if stage.observer:
+            cases, gains = observed(cases, stage.observer, space.to_model(space.start))
+            gains |= {name: values[name] for name in gains.keys() & values.keys()}
+            if stage.observer is True:
+                specs_of_gains = tuple(ParameterSpec(name, gain) for name, gain in gains.items())
+                space = replace(space, free=space.free + specs_of_gains)
+            else:
+                space = replace(space, fixed=dict(space.fixed) | gains)
         problem = cls(
             cases,
             space,

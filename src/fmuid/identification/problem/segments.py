@@ -1,15 +1,20 @@
-"""Cases whose runs are cut into segments; how these are simulated: `fmuid.simulation.segmented`."""
+"""Cases of plants that run away: runs in segments (`fmuid.simulation.segmented`) or under an observer.
+
+The latter: `fmuid.simulation.observer_model`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from fmuid.core.errors import ProblemError
 from fmuid.core.immutable import FloatArray
+from fmuid.core.units import Conversion
 from fmuid.identification.problem.cases import Case
+from fmuid.simulation.observer_model import ObserverModel
 from fmuid.simulation.segmented import Growth, Length, Segmented, open_loop
 
 
@@ -34,13 +39,7 @@ def segmented(case: Case, length: Length, values: Mapping[str, float], free: Col
         initial state.
     """
     where = f"segments of '{case.id}'"
-    for channel in case.channels:
-        if not channel.plain:
-            raise ProblemError(
-                f"'{channel.signal}' has a sensor of its own (gradient, filter, offset, gain or delay)",
-                where=where,
-                fix="put the sensor into the model, or leave segments out",
-            )
+    _require_plain(case, where)
     try:
         simulator = Segmented(case.simulator, case.task, length, *_judged(case), at=case.start_values(values))
     except ProblemError as error:
@@ -53,6 +52,62 @@ def segmented(case: Case, length: Length, values: Mapping[str, float], free: Col
                 fix="take it out of 'free'",
             )
     return replace(case, simulator=simulator)
+
+
+def observed(
+    cases: Sequence[Case], observer: bool | Mapping[str, Mapping[str, float]], values: Mapping[str, float]
+) -> tuple[tuple[Case, ...], dict[str, float]]:
+    """Return cases that are predicted with output feedback, and the gains to begin with, by name.
+
+    Parameters
+    ----------
+    cases
+        The cases.
+    observer
+        True for the gains of a Kalman filter at the start of the first run of each setup, or the gains.
+    values
+        Of all parameters, in model space.
+
+    Raises
+    ------
+    ProblemError
+        A model does not offer model exchange, or is not observable.
+    """
+    found: list[Case] = []
+    gains: dict[str, float] = {}
+    seen: set[str] = set()
+    for case in cases:
+        where = f"observer of '{case.id}'"
+        _require_plain(case, where)
+        try:
+            model = ObserverModel(case.simulator, np.array(_judged(case)[0]))
+            names = {(s, o): model.gain_name(s, o) for s in model.states for o in case.task.outputs}
+            if observer is True and case.setup not in seen:
+                sigma = np.array([float(np.mean(c.sigma)) for c in case.channels])
+                gain = model.first_gain(case.task, case.start_values(values), sigma)
+                gains |= dict(zip(names.values(), gain.ravel().tolist(), strict=True))
+        except ProblemError as error:
+            raise ProblemError(error.what, where=where, fix=error.fix) from None
+        seen.add(case.setup)
+        for state, row in observer.items() if isinstance(observer, Mapping) else ():
+            for output, gain_value in row.items():
+                if (state, output) not in names:
+                    known = f"states: {', '.join(model.states)}; outputs: {', '.join(case.task.outputs)}"
+                    raise ProblemError(f"no gain from '{output}' to '{state}'", where=where, fix=known)
+                gains[names[state, output]] = gain_value
+        setting = dict(case.setting) | {name: (name, Conversion()) for name in names.values() if name in gains}
+        found.append(replace(case, simulator=model, setting=setting))
+    return tuple(found), gains
+
+
+def _require_plain(case: Case, where: str) -> None:
+    for channel in case.channels:
+        if not channel.plain:
+            raise ProblemError(
+                f"'{channel.signal}' has a sensor of its own (gradient, filter, offset, gain or delay)",
+                where=where,
+                fix="put the sensor into the model, or simulate whole runs",
+            )
 
 
 def growth_of(case: Case, values: Mapping[str, float]) -> Growth | None:

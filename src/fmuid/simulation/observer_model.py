@@ -1,0 +1,126 @@
+"""Output feedback: a model whose states are corrected by what its outputs are off, sample by sample.
+
+The predictor of the prediction-error method (Ljung, System Identification, 2nd ed., section 4.3): with a gain K,
+x moves by K (y_measured - y) at every sample, and what is compared is the prediction from the samples before. A
+plant that runs away open loop stays at its measurement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from fmuid.core.errors import ProblemError
+from fmuid.core.immutable import FloatArray, read_only
+from fmuid.simulation.fmu import Fmu, load_fmu
+from fmuid.simulation.segmented import states_of
+from fmuid.simulation.simulator import Feedback, Simulator, Task, Variable
+
+_DISTURBED = 0.1  # share of an input that the first gain takes for unknown
+_LEAST = 1e-3  # sigmas of the outputs that every state is disturbed by, so that no gain is 0
+_STEP = 1e-4
+
+
+class ObserverModel:
+    """A simulator of one case whose runs are predictions from the samples before; a `Simulator`.
+
+    Its gains are set like parameters, ``observer[state,output]``; 0 where they are not.
+
+    Parameters
+    ----------
+    simulator
+        An FMU that offers model exchange.
+    measured
+        (outputs, N) samples of the case's outputs.
+
+    Raises
+    ------
+    ProblemError
+        The model is no such FMU.
+    """
+
+    def __init__(self, simulator: Simulator, measured: FloatArray) -> None:
+        if not isinstance(simulator, Fmu):
+            raise ProblemError(
+                f"an observer needs one FMU, not {type(simulator).__name__}", fix="use segments instead"
+            )
+        self.simulator = load_fmu(simulator.path, "model exchange")
+        self.states = states_of(self.simulator)
+        self.measured = read_only(measured)
+
+    @property
+    def variables(self) -> Mapping[str, Variable]:
+        """The model's."""
+        return self.simulator.variables
+
+    @property
+    def token(self) -> str:
+        """What tells it from others in a fingerprint."""
+        return f"{self.simulator.token} with an observer"
+
+    @staticmethod
+    def gain_name(state: str, output: str) -> str:
+        """Return the name of a gain."""
+        return f"observer[{state},{output}]"
+
+    def differentiates(self, names: Collection[str]) -> bool:
+        """Return False: no derivatives of model exchange."""
+        del names
+        return False
+
+    def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
+        """Return the predictions, each from the samples before; see `Simulator`."""
+        gain = np.array([[parameters.get(self.gain_name(s, o), 0.0) for o in task.outputs] for s in self.states])
+        plain = {n: v for n, v in parameters.items() if not n.startswith("observer[")}
+        feedback = Feedback(self.measured[:, : len(task.time)], gain)
+        return self.simulator.simulate(replace(task, feedback=feedback), plain)
+
+    def first_gain(self, task: Task, parameters: Mapping[str, float], sigma: FloatArray) -> FloatArray:
+        """Return the stationary Kalman gain at the start of a run, (states, outputs).
+
+        Parameters
+        ----------
+        task
+            The run.
+        parameters
+            Of the model.
+        sigma
+            (outputs,) standard deviation of the noise of a sample.
+        """
+        from scipy.linalg import solve_discrete_are
+
+        n = len(task.outputs)
+        time, outputs = task.time[:2], (*task.outputs, *self.states)
+        inputs = {name: u[:2] for name, u in task.inputs.items()}
+        two = replace(task, time=time, inputs=inputs, outputs=outputs)
+        begin = self.simulator.simulate(two, parameters)
+        states = begin[n:, 0]
+        starts = dict(zip(self.states, states.tolist(), strict=True))
+        base = self.simulator.simulate(two, dict(parameters) | starts)
+        columns = []
+        for i, name in enumerate(self.states):
+            step = _STEP * max(abs(states[i]), 1.0)
+            moved = self.simulator.simulate(two, dict(parameters) | starts | {name: states[i] + step})
+            columns.append((moved - base) / step)
+        by_state = np.array(columns)  # (states, outputs and states, 2)
+        c, a = by_state[:, :n, 0].T, by_state[:, n:, 1].T
+        disturbed = []
+        for name, u in task.inputs.items():
+            size = _DISTURBED * float(np.std(u) or np.abs(u[0]))
+            if size > 0.0 and self.variables[name].type in ("Real", "Float64", "Float32"):
+                there = replace(two, inputs=inputs | {name: inputs[name] + size})
+                disturbed.append((self.simulator.simulate(there, dict(parameters) | starts) - base)[n:, 1])
+        b = np.array(disturbed).reshape(-1, len(self.states)).T
+        reach = np.linalg.pinv(c) @ sigma
+        floor = _LEAST * np.where(np.abs(reach) > 0.0, np.abs(reach), float(np.max(np.abs(reach), initial=1e-9)))
+        noise = np.diag(sigma**2)
+        try:
+            p = solve_discrete_are(a.T, c.T, b @ b.T + np.diag(floor**2), noise)
+        except (np.linalg.LinAlgError, ValueError):
+            raise ProblemError(
+                "no observer is stable at the start of the run: the outputs do not show every unstable state",
+                fix="measure more outputs, or use segments",
+            ) from None
+        return np.asarray(p @ c.T @ np.linalg.inv(c @ p @ c.T + noise))
