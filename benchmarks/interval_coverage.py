@@ -18,10 +18,10 @@ from fmuid.core.errors import ProblemError
 from fmuid.core.experiments import Experiment, Measurements
 from fmuid.core.formatting import text_table
 from fmuid.core.immutable import FloatArray
-from fmuid.data.channel_noise import conversion_at
 from fmuid.identification.identify import identify
 from fmuid.identification.problem.cases import Case, experiments_of
 from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.noise.level import conversion_at
 from fmuid.simulation.simulator import Simulator
 
 
@@ -142,7 +142,7 @@ def _measured(
         white = generator.standard_normal(len(y) + 100)
         noise = lfilter([np.sqrt(1.0 - colour**2)], [1.0, -colour], white)[100:]
         convert = conversion_at(signal.unit, channel.unit, f"signal '{signal.name}'")
-        values = (y + channel.sigma * noise - convert.offset) / convert.factor
+        values = (y + channel.noise.sigma * noise - convert.offset) / convert.factor
         signals[signal.name] = replace(signal, values=np.where(np.isfinite(signal.values), values, np.nan))
     return replace(run, signals=signals)
 

@@ -124,11 +124,13 @@ def plant(
     delay: float = 0.0,
     gain: float = 1.0,
     noise: float = 1.0,
+    step: float = 0.0,
     experiments: tuple[str, ...] = (),
 ) -> Subject:
     """Return the subject of a diagnosis: runs of a mass with `truth`, and the model without it.
 
-    `noise` is over the usual one, `experiments` names some of them.
+    `noise` is over the usual one; with a `step` the speed is counted, and so quiet that it repeats exactly.
+    `experiments` names some of them.
     """
     rng = np.random.default_rng(seed)
     mass, cases = Mass(), []
@@ -142,6 +144,8 @@ def plant(
         white = SIGMA * np.array([[0.2], [1.0]]) * rng.standard_normal((repeats, 2, N))
         offset = 0.2 * SIGMA * rng.standard_normal((repeats, 2, 1))
         runs = true + noise * (white + offset)
+        if step:
+            runs[:, 1] = step * np.round(true[1] / step)
         case = measured_case(name, mass, plain, {"x": runs[:, 0], "v": runs[:, 1]})
         cases.append(replace(case, setup="bench"))
     model = CampaignModel(tuple(cases))

@@ -4,6 +4,7 @@ import json
 from importlib.resources import files
 
 import jsonschema
+import numpy as np
 import pytest
 from plants import EFFECTS, PORTS, TWIN, plant
 
@@ -38,6 +39,13 @@ def test_a_complete_model_is_called_complete():
     assert answer["gap"]["nominal"] > 10 * answer["gap"]["nominal_refit"]
     assert answer["effects"][0]["id"] == "none"
     assert answer["model"]["parameters"] == pytest.approx({"m": 1.0, "d": 0.8, "Fc": 0.5}, rel=5e-3)
+
+
+@pytest.mark.parametrize("repeats", [2, 5])
+def test_a_counted_speed_that_repeats_exactly_is_no_gap(repeats):
+    found = diagnose_subject(plant({}, repeats=repeats, step=0.02)).diagnosis
+    assert found.verdict.kind == "complete"
+    assert found.gap.floor_units["v"] == pytest.approx(0.02 / np.sqrt(12), rel=0.01)
 
 
 @pytest.mark.parametrize(

@@ -5,17 +5,12 @@ import pytest
 from scipy.signal import lfilter
 
 from fmuid.core.errors import ProblemError
-from fmuid.data.noise_spectrum import (
-    RepeatedRuns,
-    coefficient_frequencies,
-    estimate_noise,
-    from_real_spectrum,
-    noise_of_residuals,
-    real_spectrum,
-    whitener,
-)
 from fmuid.diagnosis.null_distribution import Null, draw_noise
 from fmuid.diagnosis.observed import Observed, excess, gap
+from fmuid.noise.resolution import quantum, repeating_variance, rounding_errors
+from fmuid.noise.runs import RepeatedRuns
+from fmuid.noise.spectrum import estimate_noise, noise_of_residuals, whitener
+from fmuid.noise.transform import coefficient_frequencies, from_real_spectrum, real_spectrum
 
 DT = 1e-3
 TIME = DT * np.arange(600)
@@ -163,3 +158,61 @@ def test_quiet_frequencies_are_left_out_of_modelled_noise():
     assert whiten(np.sin(2 * np.pi * 400 * TIME)[None]).size == whiten.size < len(TIME) / 4
     fast = np.tile([1.0, -1.0], len(TIME) // 2)[None] * 1e9
     assert np.abs(whiten(fast)).max() < 1e-3
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.1, 0.2, 0.35, 0.6, 1.5])
+def test_what_a_counter_rounds_alike_in_every_run_is_told_from_what_differs(ratio):
+    """The variance of the mean of many runs is that of the rounding error that they share."""
+    rng = np.random.default_rng(11)
+    truth = rng.uniform(0.0, 50.0, 3000)
+    runs = np.round(truth + ratio * rng.standard_normal((400, 3000)))
+    differing = np.mean(np.var(runs, axis=0, ddof=1))
+    shared = np.var(runs.mean(axis=0) - truth) - differing / 400
+    assert repeating_variance(differing, 1.0) == pytest.approx(shared, rel=0.1, abs=3e-4)
+
+
+def test_a_lattice_is_found_and_none_where_there_is_none():
+    rng = np.random.default_rng(12)
+    assert quantum(np.round(rng.standard_normal(300) / 0.01) * 0.01) == pytest.approx(0.01)
+    assert quantum(np.repeat([0.3, 0.5], 20)) == pytest.approx(0.2)
+    assert quantum(rng.standard_normal(300)) == 0.0
+    assert quantum(np.array([1.0, 2.0])) == 0.0
+
+
+def test_rounding_errors_have_the_spectrum_of_real_ones():
+    """Slow sines counted coarsely: energy of the true rounding errors and of the drawn ones, band by band."""
+    rng, time = np.random.default_rng(15), np.arange(2000) * 1e-3
+    drawn, real = np.zeros(2000), np.zeros(2000)
+    for _ in range(60):
+        truth = rng.uniform(20, 40) * np.sin(2 * np.pi * rng.uniform(0.5, 2.0) * time + rng.uniform(0, 6))
+        drawn += np.mean(real_spectrum(rounding_errors(np.round(truth), 1.0)) ** 2, axis=0)
+        real += real_spectrum(np.round(truth) - truth) ** 2
+    frequency = coefficient_frequencies(2000, 1e-3)
+    for low, high in ((0, 30), (30, 120), (120, 500)):
+        chosen = (frequency >= low) & (frequency < high)
+        assert np.mean(drawn[chosen]) == pytest.approx(np.mean(real[chosen]), rel=0.35)
+
+
+@pytest.mark.parametrize("repeats", [2, 4, 5])
+def test_a_counted_signal_that_repeats_exactly_is_as_wrong_as_its_counts(repeats):
+    rng = np.random.default_rng(13)
+    truth = np.stack([30.0 * np.sin(5 * TIME), np.sin(20 * TIME)])
+    values = truth + np.array([[0.0], [0.3]]) * rng.standard_normal((repeats, 2, len(TIME)))
+    values[:, 0] = np.round(values[:, 0])
+    observed = Observed.from_runs([RepeatedRuns("run", "bench", TIME, ("w", "tau"), values)])
+    (residual,) = observed.residuals([truth])
+    assert repeats * np.mean(residual.reshape(2, -1)[0] ** 2) == pytest.approx(1.0, abs=0.3)
+    null = draw_noise(observed, draws=100).null(np.zeros((residual.size, 0)), [])
+    assert null.p_value(excess([residual], observed)) > 0.02
+    assert observed.noise["bench"].sigma["w"] == pytest.approx(np.sqrt(1 / 12), rel=0.1)
+
+
+def test_a_standard_deviation_that_was_given_takes_the_place_of_a_measured_one():
+    rng = np.random.default_rng(14)
+    once = RepeatedRuns("run", "bench", TIME, ("a",), rng.standard_normal((1, 1, len(TIME))), np.array([2.0]))
+    observed = Observed.from_runs([once])
+    (residual,) = observed.residuals([np.zeros((1, len(TIME)))])
+    assert np.mean(residual**2) == pytest.approx(0.25, rel=0.15)
+    many = RepeatedRuns("run", "bench", TIME, ("a",), rng.standard_normal((4, 1, len(TIME))), np.array([2.0]))
+    (residual,) = Observed.from_runs([many]).residuals([np.zeros((1, len(TIME)))])
+    assert 4 * np.mean(residual**2) == pytest.approx(0.25, rel=0.15)

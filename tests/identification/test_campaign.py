@@ -126,7 +126,7 @@ def test_repeats_share_one_simulation_and_weigh_as_if_compared_one_by_one(bench)
     channel = together.cases[0].channels[0]
     for f, sign in ((1.0, -1.0), (1.1, 1.0)):
         (prediction,) = together.evaluate(together.space.start * f).predictions
-        apart += sign * np.sum(((prediction[0] - channel.repeats) / channel.sigma) ** 2)
+        apart += sign * np.sum(((prediction[0] - channel.repeats) / channel.noise.sigma) ** 2)
     assert costs[1] - costs[0] == pytest.approx(apart)
 
 

@@ -3,9 +3,10 @@ import pytest
 
 from fmuid.core.campaign import CriterionSpec
 from fmuid.core.errors import ProblemError
-from fmuid.data.noise_spectrum import RepeatedRuns
 from fmuid.identification.problem import criteria
 from fmuid.identification.problem.criteria import Target, prepare
+from fmuid.noise.level import NoiseLevel
+from fmuid.noise.runs import RepeatedRuns
 
 TIME = np.linspace(0.0, 2.0, 401)
 
@@ -13,7 +14,7 @@ TIME = np.linspace(0.0, 2.0, 401)
 def target(mean, sigma=0.1, count=1.0, inputs=None):
     mean = np.asarray(mean, dtype=float)
     there = np.where(np.isfinite(mean), count, 0.0)
-    return Target("y", TIME, mean, there, np.full(len(mean), sigma), inputs or {})
+    return Target("y", TIME, mean, there, NoiseLevel(sigma**2), inputs or {})
 
 
 def score(kind, prediction, measured, demand=1.0, **options):
@@ -112,7 +113,7 @@ def test_whitened_by_the_repeats_the_noise_is_white_and_its_size_is_known(colour
     time = np.arange(400) * 0.01
     runs = coloured(np.random.default_rng(0), 60, shift=2.0)
     repeated = (RepeatedRuns("run", "bench", time, ("y",), runs[:20, None]),)
-    aim = Target("y", time, np.zeros(400), np.full(400, 4.0), np.ones(400), {}, repeated)
+    aim = Target("y", time, np.zeros(400), np.full(400, 4.0), NoiseLevel(1.0), {}, repeated)
     criterion = prepare(CriterionSpec("y", options={"whiten": "repeats"}), aim)
     assert criterion.smooth
     means = runs[20:].reshape(10, 4, 400).mean(axis=1)  # of four repeats, as the target counts
@@ -129,7 +130,7 @@ def test_whitened_by_the_repeats_the_noise_is_white_and_its_size_is_known(colour
 
 def test_what_cannot_be_whitened_is_said():
     once = (RepeatedRuns("run", "bench", TIME, ("y",), np.zeros((1, 1, 401))),)
-    aim = Target("y", TIME, np.zeros(401), np.ones(401), np.ones(401), {}, once)
+    aim = Target("y", TIME, np.zeros(401), np.ones(401), NoiseLevel(1.0), {}, once)
     with pytest.raises(ProblemError, match=r"'least_squares' on 'y': no experiment of setup .* repeated"):
         prepare(CriterionSpec("y", options={"whiten": "repeats"}), aim)
     with pytest.raises(ProblemError, match="unknown whiten 'spectrum'; known: sigma, repeats"):

@@ -25,7 +25,6 @@ from scipy.special import expit, logit
 from fmuid.core.errors import SimulationError
 from fmuid.core.files import write_atomically
 from fmuid.core.immutable import FloatArray
-from fmuid.data.noise_spectrum import from_real_spectrum, real_spectrum
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.observed import Observed
@@ -35,6 +34,7 @@ from fmuid.diagnosis.regimes import bases
 from fmuid.diagnosis.scores import nominal_basis, project_off, stack
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Verdict
+from fmuid.noise.transform import from_real_spectrum, real_spectrum
 
 KINDS = ("none", "one", "shape", "two", "unknown")
 SHARES = (0.25, 0.25, 0.2, 0.15, 0.15)
@@ -224,7 +224,7 @@ class _Maker:
         cases = []
         for case, run, clean in zip(self.subject.model.cases, self.subject.observed.runs, prediction, strict=True):
             repeats = run.n_repeats
-            deviation = real_spectrum(np.nan_to_num(run.values - run.mean))
+            deviation = real_spectrum(run.deviations)
             # Mixed anew at every frequency: a few differences alone would make runs that are too much alike.
             mix = self.rng.standard_normal((repeats, *deviation.shape[::2])) / np.sqrt(max(repeats - 1, 1))
             values = clean + from_real_spectrum(np.einsum("rkn,kcn->rcn", mix, deviation))

@@ -79,7 +79,7 @@ def losses(residuals: Sequence[FloatArray], observed: Observed) -> HeldOut:
     per_run, loss = [], []
     for r, (e, rows) in zip(residuals, observed.folds, strict=True):
         run, whiten = observed.runs[e], observed.whiteners[e]
-        deviation = whiten(np.nan_to_num(run.values - run.mean)).reshape(run.n_repeats, -1)[:, rows]
+        deviation = whiten(run.deviations).reshape(run.n_repeats, -1)[:, rows]
         # residual of run k = residual of the mean - its deviation from the mean
         per_run.append(read_only(np.mean((r - deviation) ** 2, axis=1) - 1.0))
         loss.append(float(np.mean(r**2)) - 1.0 / run.n_repeats)

@@ -12,7 +12,6 @@ import numpy as np
 from fmuid.core.errors import SimulationError
 from fmuid.core.formulas import Expression
 from fmuid.core.immutable import FloatArray, read_only
-from fmuid.data.noise_spectrum import RepeatedRuns
 from fmuid.diagnosis.signal_effects import (
     Disturbed,
     Effects,
@@ -21,6 +20,7 @@ from fmuid.diagnosis.signal_effects import (
     split_signal_parameters,
 )
 from fmuid.identification.problem.cases import Case
+from fmuid.noise.runs import RepeatedRuns
 from fmuid.simulation.runners import Job, Outcome, Runner, in_process
 from fmuid.simulation.simulator import Task, differentiates, takes_any_times
 
@@ -67,6 +67,7 @@ class CampaignModel:
                 case.time,
                 tuple(c.signal for c in case.channels),
                 np.stack([c.repeats for c in case.channels], axis=1),
+                np.array([c.noise.sigma if c.noise.source == "given" else np.nan for c in case.channels]),
             )
             for case in self.cases
         )

@@ -9,17 +9,19 @@ so that a gap is then one that *some* admissible model closes. It is no measurem
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
-from fmuid.data.noise_spectrum import PiecewiseWhitener, RepeatedRuns, cut, noise_of_residuals
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Refit, Unknown, refit
 from fmuid.diagnosis.scores import score_effects, stack
+from fmuid.noise.runs import RepeatedRuns, cut
+from fmuid.noise.spectrum import PiecewiseWhitener, noise_of_residuals
 
 _PIECES = 6  # that a run without repeats is cut into: each is left out in turn
 _SHORTEST = 64  # samples of a piece
@@ -37,9 +39,9 @@ def observe(model: CampaignModel, nominal: Sequence[Unknown], effects: Sequence[
         The nominal model cannot be simulated at its start values.
     """
     runs = model.runs
-    single = {r.setup for r in runs} - {r.setup for r in runs if r.n_repeats > 1}
+    single = {r.setup for r in runs if np.isnan(r.given).any()} - {r.setup for r in runs if r.n_repeats > 1}
     if not single:
-        return Observed.from_runs(runs)
+        return _in_pieces(Observed.from_runs(runs))
     (begin,) = model.predict([{u.name: u.start for u in nominal}])
     if isinstance(begin, SimulationError):
         raise begin
@@ -54,6 +56,16 @@ def observe(model: CampaignModel, nominal: Sequence[Unknown], effects: Sequence[
     observed = _reweighted(model, observed, flexible, single, spectrum=True)
     flexible = refit(model.predict, observed, flexible.unknowns, start=flexible.values, max_iterations=3)
     return _reweighted(model, observed, flexible, single, spectrum=True)
+
+
+def _in_pieces(observed: Observed) -> Observed:
+    """Cut the only experiment, if there is but one run of it: something must be left out to be judged on."""
+    run, *others = observed.runs
+    pieces = len(run.time) // _SHORTEST
+    if others or run.n_repeats > 1 or pieces < 2:
+        return observed
+    cut_up = {s: replace(n, pieces=min(_PIECES, pieces)) for s, n in observed.noise.items()}
+    return replace(observed, noise=cut_up)
 
 
 def _flexible(model: CampaignModel, observed: Observed, fit: Refit, effects: Sequence[Effect]) -> Refit:

@@ -20,6 +20,7 @@ from fmuid.diagnosis.scores import project_off, stack
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import AddedSensor, NextExperiment
 from fmuid.identification.problem.cases import Case, Channel
+from fmuid.noise.level import NoiseLevel
 
 _SCALES = (-1.0, 0.25, 0.5, 1.25, 1.5)
 
@@ -80,8 +81,8 @@ def _is_new(case: Case, sensor: Sensor) -> bool:
 
 def _with(case: Case, sensor: Sensor) -> Case:
     shape = case.channels[0].repeats.shape
-    noise = np.full(shape[1], sensor.noise)
-    channel = Channel(sensor.name, sensor.variable, sensor.unit, np.zeros(shape), noise, "given")
+    noise = NoiseLevel(sensor.noise**2, source="given")
+    channel = Channel(sensor.name, sensor.variable, sensor.unit, np.zeros(shape), noise)
     task = replace(case.task, outputs=(*case.task.outputs, sensor.variable))
     return replace(case, task=task, channels=(*case.channels, channel))
 

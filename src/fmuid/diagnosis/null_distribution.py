@@ -3,7 +3,8 @@
 The R runs of an experiment have R - 1 independent differences, each a draw of what one run differs from the truth
 by. Random mixtures of them, scaled to the mean of R runs, are residuals of a complete model: their energy and
 their largest score, after the nominal parameters are refitted, tell when a gap is more than noise. Variations from
-run to run that touch many signals at once are in them, as white noise would not have them.
+run to run that touch many signals at once are in them, as white noise would not have them. Rounding errors that
+all runs share are added.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from scipy.stats import norm
 
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.diagnosis.observed import Observed
+from fmuid.noise.spectrum import rounding_draws
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,15 +76,16 @@ class NoiseDraws:
 def draw_noise(observed: Observed, *, draws: int = 400, seed: int = 0) -> NoiseDraws:
     """Draw residuals of a complete model, before anything is refitted."""
     rng = np.random.default_rng(seed)
-    contrasts = [
-        _contrasts(run.values - run.mean, w) for run, w in zip(observed.runs, observed.whiteners, strict=True)
-    ]
     noise = np.empty((sum(w.size for w in observed.whiteners), draws))
     begin = 0
-    for c, w in zip(contrasts, observed.whiteners, strict=True):
+    for run, w in zip(observed.runs, observed.whiteners, strict=True):
+        c = _contrasts(run.deviations, w)
         if len(c):
             mix = rng.standard_normal((draws, len(c))) / np.sqrt(len(c))
             noise[begin : begin + w.size] = (mix @ c).T
+            if np.any(observed.noise[run.setup].repeating):  # which no contrast has
+                shared = rounding_draws(run, observed.noise[run.setup], draws=draws, seed=seed)
+                noise[begin : begin + w.size] += np.sqrt(len(run.values)) * w(shared).reshape(draws, -1).T
         else:
             noise[begin : begin + w.size] = rng.standard_normal((w.size, draws))
         begin += w.size
@@ -97,7 +100,7 @@ def _contrasts(deviation: FloatArray, whiten: Callable[[FloatArray], FloatArray]
     r = len(deviation)
     if r < 2:
         return np.zeros((0, 0))
-    rows = whiten(np.nan_to_num(deviation)).reshape(r, -1)
+    rows = whiten(deviation).reshape(r, -1)
     centred = np.eye(r) - 1.0 / r
     u, s, _ = np.linalg.svd(centred)
     return np.asarray(u[:, s > 0.5].T @ rows)

@@ -10,15 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.core.immutable import FloatArray
-from fmuid.data.noise_spectrum import (
-    PiecewiseWhitener,
-    RepeatedRuns,
-    SetupNoise,
-    Whitener,
-    cut,
-    estimate_noise,
-    whitener,
-)
+from fmuid.noise.runs import RepeatedRuns, cut
+from fmuid.noise.spectrum import PiecewiseWhitener, SetupNoise, Whitener, estimate_noise, whitener
 
 
 @dataclass(frozen=True, eq=False)

@@ -105,7 +105,7 @@ def _per_run(signature: FloatArray, amount: float, observed: Observed) -> float:
         begin += w.size
         if run.n_repeats < 2:
             continue
-        each = w(np.nan_to_num(run.values - run.mean)).reshape(run.n_repeats, -1) @ part
+        each = w(run.deviations).reshape(run.n_repeats, -1) @ part
         total += float(each @ each)
         dof += run.n_repeats - 1
         # Each run's projection has variance |part|^2 under the floor; they sum to (R - 1) over the experiments.

@@ -203,7 +203,7 @@ def _scores(case: Case, prediction: FloatArray | None, failure: str | None) -> S
                 rmse,
                 rmse / spread if spread > 0.0 else float("nan"),
                 rmse / size if size > 0.0 else float("nan"),
-                None if channel.noise == "unknown" else float(np.sqrt(np.mean(channel.sigma**2))),
+                None if channel.noise.source == "unknown" else channel.noise.sigma,
                 failure,
             )
         )

@@ -16,11 +16,11 @@ from fmuid.core.experiments import Experiment
 from fmuid.core.formulas import Expression, parse
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 from fmuid.core.units import Conversion
-from fmuid.data.channel_noise import conversion_at, noise_elsewhere, noise_level, repeated_runs
 from fmuid.data.filtering import LowPass
-from fmuid.data.noise_spectrum import RepeatedRuns
 from fmuid.identification.problem.criteria import Criterion, Target, prepare, whitened
 from fmuid.identification.problem.search_space import SEPARATOR
+from fmuid.noise.level import NoiseLevel, conversion_at, noise_elsewhere, noise_level, repeated_runs
+from fmuid.noise.runs import RepeatedRuns
 from fmuid.simulation.simulator import Simulator, Task
 
 _T = TypeVar("_T")
@@ -36,12 +36,8 @@ class Channel:
     ----------
     repeats
         (R, N) samples of the runs that share this case's simulation; NaN where one is missing.
-    sigma
-        (N,) standard deviation of the noise of one sample.
     noise
-        Where `sigma` comes from: ``given`` in the file, the ``repeats``' spread (of this run, or else of the
-        setup's other runs), or ``unknown``; it is then the standard deviation of the signal itself, and only
-        the residuals' relative size has a meaning.
+        Of one sample, and where that comes from.
     sensor
         Expressions for ``offset``, ``gain`` and ``delay`` (s) between model and sensor, if any.
     differentiated
@@ -54,8 +50,7 @@ class Channel:
     variable: str
     unit: str | None
     repeats: FloatArray
-    sigma: FloatArray
-    noise: str
+    noise: NoiseLevel
     sensor: Mapping[str, Expression] = field(default_factory=dict)
     differentiated: bool = False
     filter: LowPass | None = None
@@ -235,8 +230,9 @@ def measured_case(
         if name not in measurements:
             raise ProblemError(f"output '{name}' has no measurement", where=id, fix="measure it or drop it")
         repeats = np.atleast_2d(np.asarray(measurements[name], dtype=np.float64))
-        level, noise = noise_level(repeats, [(sigma or {}).get(name)])
-        channels.append(Channel(name, name, None, read_only(repeats), level, noise))
+        channels.append(
+            Channel(name, name, None, read_only(repeats), noise_level(repeats, [(sigma or {}).get(name)]))
+        )
     same = Conversion()
     setting = {n: (n, same) for n, v in simulator.variables.items() if v.causality == "parameter"}
     setting |= {n: (v, same) for n, v in (parameters or {}).items()}
@@ -294,17 +290,16 @@ def _case(
                 repeats, gain = low_pass(first.time, repeats), low_pass.noise_gain(first.time)
             except MeasurementsError as error:
                 raise MeasurementsError(error.what, where=f"signal '{name}' of {where}", fix=error.fix) from None
-        sigma, noise = noise_level(repeats, [None if s is None else gain * abs(convert.factor) * s for s in given])
-        if noise == "unknown":
-            sigma, noise = noise_elsewhere(campaign, first, name, unit, sigma)
-            sigma = gain * sigma if noise != "unknown" else sigma
+        noise = noise_level(repeats, [None if s is None else gain * abs(convert.factor) * s for s in given])
+        if noise.source == "unknown":
+            elsewhere = noise_elsewhere(campaign, first, name, unit)
+            noise = noise if elsewhere is None else elsewhere.scaled(gain)
         channels.append(
             Channel(
                 name,
                 variable,
                 unit,
                 read_only(repeats),
-                sigma,
                 noise,
                 sensors.get(name, {}),
                 model.differentiates(name),
@@ -420,4 +415,4 @@ def _find(channels: Sequence[Channel], signal: str, where: str) -> Channel:
 def _target(
     time: FloatArray, channel: Channel, inputs: Mapping[str, FloatArray], repeated: tuple[RepeatedRuns, ...]
 ) -> Target:
-    return Target(channel.signal, time, channel.mean, channel.count, channel.sigma, inputs, repeated)
+    return Target(channel.signal, time, channel.mean, channel.count, channel.noise, inputs, repeated)

@@ -36,9 +36,10 @@ from numpy.typing import NDArray
 from fmuid.core.campaign import CriterionSpec
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray
-from fmuid.data.noise_colour import estimate_colour
-from fmuid.data.noise_spectrum import RepeatedRuns
 from fmuid.identification.problem import features
+from fmuid.noise.colour import estimate_colour
+from fmuid.noise.level import NoiseLevel
+from fmuid.noise.runs import RepeatedRuns
 
 Rows = NDArray[np.intp]
 Residuals = Callable[[FloatArray], FloatArray]
@@ -50,7 +51,7 @@ class Target:
     """The measurement of one signal, as a criterion sees it; all arrays (N,), in the model's unit.
 
     `mean` is the mean over the repeats (NaN where no repeat has a sample), `count` how many repeats have one,
-    `sigma` the standard deviation of a single sample. `repeated` are the runs that the noise's spectrum is
+    `noise` that of a single sample. `repeated` are the runs that the noise's spectrum is
     estimated from, for criteria that ask for it.
     """
 
@@ -58,7 +59,7 @@ class Target:
     time: FloatArray
     mean: FloatArray
     count: FloatArray
-    sigma: FloatArray
+    noise: NoiseLevel
     inputs: Mapping[str, FloatArray]
     repeated: tuple[RepeatedRuns, ...] = ()
 
@@ -166,11 +167,10 @@ def _residuals(kind: str, target: Target, rows: Rows, options: dict[str, Any], w
                 raise ProblemError(f"unknown whiten '{whiten}'", where=where, fix="known: sigma, repeats")
             if whiten == "repeats":
                 return _whitened(target, rows, where)
+            noise = target.noise
             if "sigma" in options:
-                sigma = np.full(len(rows), _positive(options.pop("sigma"), "sigma", where))
-            else:
-                sigma = target.sigma[rows]
-            weight = np.sqrt(target.count[rows]) / sigma  # n repeats at once weigh as n residuals would
+                noise = NoiseLevel(_positive(options.pop("sigma"), "sigma", where) ** 2)
+            weight = 1.0 / noise.of_mean(target.count[rows])
             return lambda p: weight * (p[..., chosen] - measured)
         case "error_vector":
             return lambda p: p[..., chosen] - measured
@@ -208,7 +208,7 @@ def _whitened(target: Target, rows: Rows, where: str) -> Residuals:
     # Of a sample that some repeats lack, the mean has another variance: it counts as missing.
     known = np.flatnonzero(target.count[rows] == count)
     try:
-        colour = estimate_colour(target.repeated)
+        colour = estimate_colour(target.repeated, count=count)
     except ProblemError as error:
         raise ProblemError(error.what, where=where, fix=error.fix) from None
     measured = target.mean[rows]

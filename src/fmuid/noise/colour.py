@@ -12,8 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fmuid.core.errors import ProblemError
 from fmuid.core.immutable import FloatArray
-from fmuid.data.noise_spectrum import RepeatedRuns, estimate_noise
+from fmuid.noise.runs import RepeatedRuns
+from fmuid.noise.spectrum import estimate_noise, rounding_draws
 
 _HIGHEST_ORDER = 40
 
@@ -60,7 +62,7 @@ class Colour:
         return np.asarray(out)
 
 
-def estimate_colour(runs: Sequence[RepeatedRuns]) -> Colour:
+def estimate_colour(runs: Sequence[RepeatedRuns], *, count: float = 1.0) -> Colour:
     """Estimate the noise of one signal from the differences between repeats.
 
     Its order is the one that Akaike's criterion likes best.
@@ -69,25 +71,35 @@ def estimate_colour(runs: Sequence[RepeatedRuns]) -> Colour:
     ----------
     runs
         Experiments of one setup, with this signal alone and the same sampling interval.
+    count
+        Number of runs whose mean is whitened: rounding errors that they share do not average out, so they count
+        as often.
 
     Raises
     ------
     ProblemError
-        No experiment has a second run, or all repeats are the same.
+        No experiment has a second run; or repeats agree exactly in a signal that is not counted, and its standard
+        deviation was not given.
     """
-    noise = estimate_noise(runs)
     repeated = [r for r in runs if r.n_repeats > 1]
+    if not repeated:
+        raise ProblemError(
+            f"no experiment of setup '{runs[0].setup}' was repeated, so the noise's colour cannot be measured",
+            fix="repeat at least one experiment, better five times",
+        )
+    noise = estimate_noise(runs)
     highest = min(_HIGHEST_ORDER, min(len(r.time) for r in repeated) // 4)
     covariance, samples = np.zeros(highest + 1), 0.0
     for run in repeated:
-        deviation = np.nan_to_num(run.values[:, 0] - run.mean[0]) * run.mask[0]
-        own = deviation - deviation.mean(axis=1, keepdims=True)
-        for lag in range(highest + 1):
-            covariance[lag] += np.sum(own[:, : own.shape[1] - lag] * own[:, lag:])
+        own = run.deviations[:, 0] - run.deviations[:, 0].mean(axis=1, keepdims=True)
+        covariance += _sums(own, highest)
         samples += float(run.mask[0].sum()) * (run.n_repeats - 1)
     covariance /= samples
-    level = noise.sigma[noise.channels[0]] ** 2
-    covariance[0] = max(covariance[0], level)  # a counted signal is no better than its counts
+    covariance[0] = max(covariance[0], float(noise.variance[0]) if covariance[0] == 0.0 else 0.0)
+    if noise.repeating[0] > 0.0:
+        shared = [rounding_draws(run, noise)[:, 0] * run.mask[0] for run in repeated]
+        there = sum(len(s) * float(run.mask[0].sum()) for s, run in zip(shared, repeated, strict=True))
+        covariance += count * sum(_sums(s, highest) for s in shared) / there
     predictors, errors = _levinson(covariance)
     order = int(np.argmin(samples * np.log(errors) + 2.0 * np.arange(len(errors))))
     kept = tuple(predictors[: order + 1])
@@ -95,6 +107,12 @@ def estimate_colour(runs: Sequence[RepeatedRuns]) -> Colour:
     n = max(len(r.time) for r in repeated)
     of_mean = errors[order] / (1.0 - float(np.sum(kept[-1]))) ** 2 / n
     return Colour(kept, np.sqrt(errors[: order + 1]), max(float(noise.mean_variance[0]) - of_mean, 0.0))
+
+
+def _sums(rows: FloatArray, highest: int) -> FloatArray:
+    """Return the sums of products of (R, N) rows with themselves 0, 1, ... `highest` samples later."""
+    n = rows.shape[1]
+    return np.array([np.sum(rows[:, : n - lag] * rows[:, lag:]) for lag in range(highest + 1)])
 
 
 def _levinson(covariance: FloatArray) -> tuple[list[FloatArray], FloatArray]:

@@ -4,6 +4,9 @@ Repeats share their inputs, so what differs between them is noise and run-level 
 channel by channel and between channels, is pooled over the experiments of one setup in bands of frequency;
 residuals are then whitened by the inverse square root of it. The mean of a run (the DC bin) has a variance of
 its own: sensors shift from run to run by more than their noise averaged over a run would allow.
+
+Two things are not measured by repeats: the rounding error of counted signals, which repeats as well
+(`fmuid.noise.resolution`), and a standard deviation that the user gave, which takes the place of the measured one.
 """
 
 from __future__ import annotations
@@ -18,6 +21,9 @@ from scipy.linalg import cholesky, solve_triangular
 
 from fmuid.core.errors import ProblemError
 from fmuid.core.immutable import FloatArray, read_only
+from fmuid.noise.resolution import quantum, repeating_variance, rounding_errors
+from fmuid.noise.runs import RepeatedRuns
+from fmuid.noise.transform import coefficient_frequencies, real_spectrum
 
 _BANDS_PER_OCTAVE = 1
 _MIN_BIN_COUNT = 3
@@ -25,115 +31,46 @@ _QUIETEST = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RepeatedRuns:
-    """The runs of one experiment: the same inputs, recorded R times.
-
-    Parameters
-    ----------
-    id
-        Id of the first run.
-    setup
-        Its setup; noise is pooled over the experiments of a setup.
-    time
-        (N,) s, evenly spaced.
-    channels
-        Names of the C measured outputs.
-    values
-        (R, C, N) measurements, NaN where missing.
-    """
-
-    id: str
-    setup: str
-    time: FloatArray
-    channels: tuple[str, ...]
-    values: FloatArray
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "time", read_only(self.time))
-        object.__setattr__(self, "values", read_only(self.values))
-        steps = np.diff(self.time)
-        if steps.max() - steps.min() > 1e-6 * steps.mean() * len(self.time):
-            raise ProblemError(
-                "the noise spectrum needs evenly spaced samples",
-                where=self.id,
-                fix="resample the run with `fmuid import --resample` first",
-            )
-
-    @property
-    def n_repeats(self) -> int:
-        """How many runs there are."""
-        return int(self.values.shape[0])
-
-    @property
-    def mask(self) -> FloatArray:
-        """(C, N) 1 where every run has a sample, else 0."""
-        return np.asarray(np.isfinite(self.values).all(axis=0), dtype=np.float64)
-
-    @property
-    def mean(self) -> FloatArray:
-        """(C, N) mean over the runs, 0 where a sample is missing."""
-        return np.asarray(np.where(self.mask > 0, self.values.mean(axis=0), 0.0))
-
-
-def real_spectrum(values: FloatArray) -> FloatArray:
-    """Orthonormal real Fourier coefficients over the last axis: DC, then cosine and sine of each bin.
-
-    Shape (..., N) to (..., N); keeps the sum of squares (Parseval).
-    """
-    n = values.shape[-1]
-    bins = np.fft.rfft(values, axis=-1, norm="ortho")
-    out = np.empty_like(values)
-    out[..., 0] = bins[..., 0].real
-    last = (n - 1) // 2
-    out[..., 1 : 2 * last + 1 : 2] = np.sqrt(2.0) * bins[..., 1 : last + 1].real
-    out[..., 2 : 2 * last + 2 : 2] = np.sqrt(2.0) * bins[..., 1 : last + 1].imag
-    if n % 2 == 0:
-        out[..., -1] = bins[..., -1].real
-    return out
-
-
-def from_real_spectrum(coefficients: FloatArray) -> FloatArray:
-    """Return the (..., N) values whose `real_spectrum` is given."""
-    n = coefficients.shape[-1]
-    bins = np.zeros((*coefficients.shape[:-1], n // 2 + 1), dtype=np.complex128)
-    bins[..., 0] = coefficients[..., 0]
-    last = (n - 1) // 2
-    cosine, sine = coefficients[..., 1 : 2 * last + 1 : 2], coefficients[..., 2 : 2 * last + 2 : 2]
-    bins[..., 1 : last + 1] = (cosine + 1j * sine) / np.sqrt(2.0)
-    if n % 2 == 0:
-        bins[..., -1] = coefficients[..., -1]
-    return np.asarray(np.fft.irfft(bins, n, axis=-1, norm="ortho"))
-
-
-def coefficient_frequencies(n: int, dt: float) -> FloatArray:
-    """Frequency in Hz of every coefficient that `real_spectrum` returns for N samples."""
-    return np.asarray(np.ceil(np.arange(n) / 2.0) / (n * dt))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class SetupNoise:
-    """Noise of one setup: band edges in Hz, a (C, C) covariance a band, and the variance of a run's mean.
+    """Noise of one setup.
 
     Nothing is said about frequencies from `cutoff` (Hz) on: whitened residuals do not have them. Runs are taken
     apart into `pieces` before they are whitened.
+
+    Attributes
+    ----------
+    edges
+        (B + 1,) of the frequency bands, Hz.
+    covariance
+        (B, C, C) of what runs differ by.
+    variance
+        (C,) the same over all bands: of one sample.
+    mean_variance
+        (C,) of the mean of a run.
+    step
+        (C,) of the lattice that a counted signal lies on, 0 for others.
+    repeating
+        (C,) variance of the rounding error that all repeats share.
     """
 
     channels: tuple[str, ...]
     dt: float
     edges: FloatArray
     covariance: FloatArray
+    variance: FloatArray
     mean_variance: FloatArray
     degrees_of_freedom: FloatArray
+    step: FloatArray
+    repeating: FloatArray
     calibrated: bool
     cutoff: float = np.inf
     pieces: int = 1
 
     @property
     def sigma(self) -> Mapping[str, float]:
-        """Standard deviation of each channel's noise around its run's mean, in the channel's unit."""
-        n = np.maximum(self.degrees_of_freedom, 1e-12)
-        pooled = np.average(np.diagonal(self.covariance, axis1=1, axis2=2), axis=0, weights=n)
-        return {c: float(np.sqrt(v)) for c, v in zip(self.channels, pooled, strict=True)}
+        """Standard deviation of a sample's error around its run's mean, in the channel's unit."""
+        total = np.sqrt(self.variance + self.repeating)
+        return {c: float(v) for c, v in zip(self.channels, total, strict=True)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,18 +96,6 @@ class Whitener:
             chosen = np.flatnonzero(self.band_of == band)
             out[..., chosen] = factor @ spectrum[..., chosen]
         return out
-
-
-def quantum(values: FloatArray) -> float:
-    """Return the step of the lattice that all `values` lie on, as an encoder's counts do; 0 if there is none."""
-    levels = np.unique(values[np.isfinite(values)])
-    gaps = np.diff(levels)
-    gaps = gaps[gaps > 1e-9 * max(float(np.abs(levels).max(initial=0.0)), 1e-300)]
-    if gaps.size < 2:
-        return 0.0
-    step = float(gaps.min())
-    counts = gaps / step
-    return step if np.all(np.abs(counts - np.round(counts)) < 0.02) else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,17 +129,8 @@ class PiecewiseWhitener:
         return tuple(np.ravel(index[:, a:b]) for a, b in pairwise(ends.tolist()))
 
 
-def cut(run: RepeatedRuns, pieces: int) -> tuple[tuple[int, int, RepeatedRuns], ...]:
-    """Return a run cut into pieces of about equal length: where each begins and ends, and itself."""
-    ends = np.linspace(0, len(run.time), pieces + 1).astype(int).tolist()
-    return tuple(
-        (a, b, RepeatedRuns(run.id, run.setup, run.time[a:b], run.channels, run.values[..., a:b]))
-        for a, b in pairwise(ends)
-    )
-
-
 def estimate_noise(runs: Sequence[RepeatedRuns]) -> SetupNoise:
-    """Estimate the noise of one setup from the differences between repeats.
+    """Estimate the noise of one setup from the differences between repeats, or from what the user gave.
 
     Parameters
     ----------
@@ -225,32 +141,43 @@ def estimate_noise(runs: Sequence[RepeatedRuns]) -> SetupNoise:
     -------
     SetupNoise
         Covariances pooled over experiments in bands one octave wide; ``calibrated`` is False with fewer
-        than five runs of every experiment. Counted signals are never taken as better than their counts: at rest
-        they repeat exactly, and are as wrong as before.
+        than five runs of every experiment. Without repeats, white noise of the standard deviations given.
 
     Raises
     ------
     ProblemError
-        No experiment has a second run.
+        No experiment has a second run, and not every standard deviation was given; or repeats agree exactly in a
+        signal that is not counted.
     """
     channels = runs[0].channels
     dt = float(np.mean(np.diff(runs[0].time)))
+    step, given = _steps(runs), _given(runs)
     repeated = [r for r in runs if r.n_repeats > 1]
     if not repeated:
-        raise ProblemError(
-            f"no experiment of setup '{runs[0].setup}' was repeated, so its noise cannot be measured",
-            fix="repeat at least one experiment, better five times",
+        if np.isnan(given).any():
+            raise ProblemError(
+                f"no experiment of setup '{runs[0].setup}' was repeated, so its noise cannot be measured",
+                fix="repeat at least one experiment, better five times, or give every signal's `sigma`",
+            )
+        return SetupNoise(
+            channels=channels,
+            dt=dt,
+            edges=np.array([0.0, np.inf]),
+            covariance=np.diag(given**2)[None],
+            variance=given**2,
+            mean_variance=np.zeros(len(channels)),
+            degrees_of_freedom=np.array([np.inf]),
+            step=step,
+            repeating=np.zeros(len(channels)),
+            calibrated=True,
         )
-    floor = np.array([max(quantum(r.values[:, c]) for r in runs) for c in range(len(channels))]) / np.sqrt(12.0)
     edges = _band_edges(max(len(r.time) for r in repeated), dt)
     n_bands, n_channels = len(edges) - 1, len(channels)
     total = np.zeros((n_bands, n_channels, n_channels))
     dof = np.zeros(n_bands)
     mean_sum, mean_dof = np.zeros(n_channels), 0
     for run in repeated:
-        deviation = (run.values - run.mean) * run.mask
-        deviation = np.nan_to_num(deviation)
-        spectrum = real_spectrum(deviation)
+        spectrum = real_spectrum(run.deviations)
         bands = _bands_of(len(run.time), dt, edges)
         for band in range(n_bands):
             part = spectrum[..., bands == band]
@@ -258,14 +185,18 @@ def estimate_noise(runs: Sequence[RepeatedRuns]) -> SetupNoise:
             dof[band] += part.shape[-1] * (run.n_repeats - 1)
         mean_sum += np.sum(spectrum[..., 0] ** 2, axis=0) / len(run.time)
         mean_dof += run.n_repeats - 1
-    pooled = total.sum(axis=0) / dof.sum()
+    variance = np.diag(total.sum(axis=0)) / dof.sum()
+    repeating = repeating_variance(variance, step)
+    # Where repeats agree exactly, what the user gave is all that is known.
+    silent = variance == 0.0
+    variance = np.where(silent & np.isfinite(given), np.nan_to_num(given) ** 2, variance)
     prior = 4.0  # bands with few differences lean on the mean spectrum, as if it were four more of them
-    covariance = (total + prior * np.diag(np.diag(pooled))) / (dof + prior)[:, None, None]
-    covariance += np.diag(np.maximum(floor**2 - np.diag(pooled), 0.0))
-    rounding = np.max([np.abs(r.mean).max(axis=1) for r in repeated], axis=0) * 1e-12
-    if np.any(np.diagonal(covariance, axis1=1, axis2=2) <= rounding**2):
+    covariance = (total + prior * np.diag(variance)) / (dof + prior)[:, None, None]
+    covariance += np.diag(np.where(silent, variance, 0.0)) * (dof / (dof + prior))[:, None, None]
+    if np.any(variance + repeating <= 0.0):
         raise ProblemError(
-            "a signal is the same in every repeat, so its noise cannot be measured",
+            f"signal '{channels[int(np.argmin(variance + repeating))]}' is the same in every repeat, "
+            "so its noise cannot be measured",
             where=f"setup '{runs[0].setup}'",
             fix="give its `sigma` in the measurement file",
         )
@@ -274,10 +205,22 @@ def estimate_noise(runs: Sequence[RepeatedRuns]) -> SetupNoise:
         dt=dt,
         edges=edges,
         covariance=covariance,
+        variance=variance,
         mean_variance=mean_sum / mean_dof,
         degrees_of_freedom=dof,
+        step=step,
+        repeating=repeating,
         calibrated=all(r.n_repeats >= 5 for r in runs),
     )
+
+
+def _steps(runs: Sequence[RepeatedRuns]) -> FloatArray:
+    return np.array([max(quantum(r.values[:, c]) for r in runs) for c in range(len(runs[0].channels))])
+
+
+def _given(runs: Sequence[RepeatedRuns]) -> FloatArray:
+    """(C,) root mean square of what the user gave for every run; NaN where there is a run without."""
+    return np.asarray(np.sqrt(np.mean(np.square([r.given for r in runs]), axis=0)))
 
 
 def noise_of_residuals(
@@ -324,8 +267,10 @@ def noise_of_residuals(
             chosen = bands == band
             total[band] += np.sum(spectrum[:, chosen] ** 2, axis=1)
             dof[band] += np.sum(1.0 - taken[:, chosen], axis=1)
-    quiet = _QUIETEST * total.sum(axis=0) / dof.sum(axis=0)
-    variance = total / np.maximum(dof, 1.0)
+    given = _given(runs)
+    known = np.isfinite(given)
+    quiet = np.where(known, 0.0, _QUIETEST * total.sum(axis=0) / dof.sum(axis=0))
+    variance = np.where(known, np.nan_to_num(given) ** 2, total / np.maximum(dof, 1.0))
     loud = np.flatnonzero(np.any(variance >= quiet, axis=1))
     cutoff = float(edges[loud.max() + 1]) if len(loud) else np.inf
     variance = np.maximum(variance, quiet)
@@ -333,16 +278,20 @@ def noise_of_residuals(
         raise ProblemError(
             "a signal without repeats is predicted without error, so its noise cannot be estimated",
             where=f"setup '{runs[0].setup}'",
-            fix="leave the signal out, or repeat the experiment",
+            fix="leave the signal out, give its `sigma`, or repeat the experiment",
         )
     covariance = np.array([np.diag(v) for v in variance])
+    weight = dof.mean(axis=1) / dof.mean(axis=1).sum()
     return SetupNoise(
         channels=channels,
         dt=dt,
         edges=edges,
         covariance=covariance,
-        mean_variance=mean_sum / np.maximum(mean_dof, 0.5),
+        variance=weight @ variance,
+        mean_variance=np.where(known, 0.0, mean_sum / np.maximum(mean_dof, 0.5)),
         degrees_of_freedom=dof.mean(axis=1),
+        step=np.zeros(len(channels)),  # what the model leaves has the rounding error in it
+        repeating=np.zeros(len(channels)),
         calibrated=False,
         cutoff=cutoff,
         pieces=pieces,
@@ -350,20 +299,48 @@ def noise_of_residuals(
 
 
 def whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener:
-    """Return what whitens residuals of `run` by `noise`; the mean's variance is never below its noise's."""
+    """Return what whitens residuals of `run` by `noise`; the mean's variance is never below its noise's.
+
+    Rounding errors that repeat do not average out: for the mean of R runs to have variance 1/R, whitened, they
+    count R times.
+    """
     n = len(run.time)
+    band_of = _bands_of(n, noise.dt, noise.edges)
+    known = np.isfinite(run.given)
+    # What the user gave is the whole error of a sample, but a counted signal is no better than its counts.
+    wanted = np.where(known, np.nan_to_num(run.given) ** 2 - noise.repeating, noise.variance)
+    scale = np.sqrt(np.divide(np.maximum(wanted, 0.0), noise.variance, where=noise.variance > 0.0, out=wanted * 0))
+    rounding = run.n_repeats * _rounding_spectrum(run, noise)
     factors = []
-    for covariance in noise.covariance:
-        lower = cholesky(covariance, lower=True)
+    for band, covariance in enumerate(noise.covariance):
+        repeating = np.diag(np.mean(rounding[:, band_of == band], axis=1)) if np.any(band_of == band) else 0.0
+        lower = cholesky(scale[:, None] * covariance * scale + repeating, lower=True)
         factors.append(solve_triangular(lower, np.eye(len(lower)), lower=True))
-    lowest = np.diagonal(noise.covariance[0])
-    mean_variance = np.maximum(n * noise.mean_variance, lowest)
+    lowest = scale**2 * np.diagonal(noise.covariance[0])
+    mean_variance = np.maximum(n * scale**2 * noise.mean_variance, lowest) + rounding[:, 0]
     return Whitener(
         mask=read_only(run.mask),
         factors=read_only(np.array(factors)),
-        band_of=read_only(_bands_of(n, noise.dt, noise.edges)[: _below(n, noise.dt, noise.cutoff)]),
+        band_of=read_only(band_of[: _below(n, noise.dt, noise.cutoff)]),
         mean_scale=read_only(1.0 / np.sqrt(mean_variance)),
     )
+
+
+def rounding_draws(run: RepeatedRuns, noise: SetupNoise, *, draws: int = 16, seed: int = 0) -> FloatArray:
+    """Return (draws, C, N) rounding errors that every repeat of `run` may share."""
+    found = np.zeros((draws, len(run.channels), len(run.time)))
+    for c, (step, variance) in enumerate(zip(noise.step, noise.repeating, strict=True)):
+        if variance > 0.0:
+            share = np.sqrt(12.0 * variance) / step
+            found[:, c] = share * rounding_errors(run.values[0, c], step, draws=draws, seed=seed + c)
+    return found
+
+
+def _rounding_spectrum(run: RepeatedRuns, noise: SetupNoise) -> FloatArray:
+    """(C, N) mean square of each coefficient of the rounding errors that repeat."""
+    if not np.any(noise.repeating):
+        return np.zeros((len(run.channels), len(run.time)))
+    return np.asarray(np.mean(real_spectrum(rounding_draws(run, noise) * run.mask) ** 2, axis=0))
 
 
 def _band_edges(n: int, dt: float) -> FloatArray:

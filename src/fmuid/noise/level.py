@@ -1,0 +1,141 @@
+"""How noisy a measured signal is: from the file, from repeats, or from the setup's other runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from fmuid.core.campaign import Campaign
+from fmuid.core.errors import UnitError
+from fmuid.core.experiments import Experiment
+from fmuid.core.immutable import FloatArray
+from fmuid.core.units import Conversion, conversion
+from fmuid.noise.resolution import quantum, repeating_variance
+from fmuid.noise.runs import RepeatedRuns
+
+Source = Literal["given", "repeats", "unknown"]
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseLevel:
+    """Noise of one sample of a signal.
+
+    Parameters
+    ----------
+    differing
+        Variance of what repeats differ by.
+    repeating
+        Variance of the rounding error that they share: the mean of many runs still has it.
+    source
+        ``given`` in the file, the ``repeats``' spread (of this run, or else of the setup's other runs), or
+        ``unknown``: then `differing` is the variance of the signal itself, and only the residuals' relative size
+        has a meaning.
+    """
+
+    differing: float
+    repeating: float = 0.0
+    source: Source = "unknown"
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the error of one sample."""
+        return float(np.sqrt(self.differing + self.repeating))
+
+    def scaled(self, factor: float) -> NoiseLevel:
+        """Return the noise of a signal that is `factor` times as large."""
+        return NoiseLevel(factor**2 * self.differing, factor**2 * self.repeating, self.source)
+
+    def of_mean(self, count: FloatArray) -> FloatArray:
+        """Return the standard deviation of the mean of `count` samples, inf where there is none."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.sqrt(self.differing / np.asarray(count, dtype=np.float64) + self.repeating))
+
+
+def conversion_at(source: str | None, target: str | None, where: str) -> Conversion:
+    """Return the conversion between units; one that cannot be is an error that says `where`."""
+    if source is None:
+        return Conversion()
+    try:
+        return conversion(source, target)
+    except UnitError as error:
+        raise UnitError(error.what, where=where, fix=error.fix) from None
+
+
+def noise_elsewhere(campaign: Campaign, run: Experiment, signal: str, unit: str | None) -> NoiseLevel | None:
+    """Return the noise that the same signal has in other runs of the same setup; None if it is not known there."""
+    found = []
+    for other in campaign.measurements:
+        if other.setup != run.setup or other.repeat_of is not None or signal not in other.outputs:
+            continue
+        runs = campaign.measurements.repeats(other.id)
+        convert = conversion_at(other.outputs[signal].unit, unit, f"signal '{signal}' of experiment '{other.id}'")
+        given = [e.outputs[signal].sigma for e in runs if signal in e.outputs]
+        same = [
+            e.outputs[signal].values for e in runs if signal in e.outputs and np.array_equal(e.time, other.time)
+        ]
+        level = noise_level(np.array(same), given if len(given) == len(same) else [None])
+        if level.source != "unknown":
+            found.append((convert.factor**2 * level.differing, convert.factor**2 * level.repeating))
+    if not found:
+        return None
+    differing, repeating = np.mean(found, axis=0)
+    return NoiseLevel(float(differing), float(repeating), "repeats")
+
+
+def repeated_runs(campaign: Campaign, run: Experiment, signal: str, unit: str | None) -> tuple[RepeatedRuns, ...]:
+    """Return the runs of the same setup and sampling interval that have the signal, each with its repeats."""
+    found = []
+    for other in campaign.measurements:
+        if other.setup != run.setup or other.repeat_of is not None or signal not in other.outputs:
+            continue
+        if not np.isclose(np.mean(np.diff(other.time)), np.mean(np.diff(run.time)), rtol=1e-6):
+            continue
+        convert = conversion_at(other.outputs[signal].unit, unit, f"signal '{signal}' of experiment '{other.id}'")
+        same = [
+            convert(e.outputs[signal].values)
+            for e in campaign.measurements.repeats(other.id)
+            if signal in e.outputs and np.array_equal(e.time, other.time)
+        ]
+        found.append(RepeatedRuns(other.id, other.setup, other.time, (signal,), np.array(same)[:, None]))
+    return tuple(found)
+
+
+def noise_level(repeats: FloatArray, given: Sequence[float | None]) -> NoiseLevel:
+    """Return the noise level of a channel.
+
+    Parameters
+    ----------
+    repeats
+        (R, N) samples, NaN where one is missing.
+    given
+        What the user says of the runs' standard deviation. A counted signal is never better than its counts.
+    """
+    step = quantum(repeats)
+    known = [s for s in given if s is not None and s > 0.0]
+    if len(known) == len(given):
+        total = float(np.mean(np.square(known)))
+        repeating = float(repeating_variance(_differing(repeats)[0], step)) if len(repeats) > 1 else 0.0
+        return NoiseLevel(max(total - repeating, 0.0), repeating, "given")
+    differing, degrees = _differing(repeats)
+    if degrees > 0:
+        repeating = float(repeating_variance(differing, step))
+        if differing + repeating > 0.0:
+            return NoiseLevel(differing, repeating, "repeats")
+    scale = float(np.nanstd(repeats))
+    return NoiseLevel(scale**2 if scale > 0.0 else 1.0)
+
+
+def _differing(repeats: FloatArray) -> tuple[float, float]:
+    """Return the variance of what (R, N) repeats differ by, exactly 0 where they do not, and its degrees."""
+    there = np.isfinite(repeats)
+    count = there.sum(axis=0)
+    degrees = float(np.sum(np.maximum(count - 1, 0)))
+    if degrees == 0.0:
+        return 0.0, 0.0
+    first = repeats[np.argmax(there, axis=0), np.arange(repeats.shape[1])]
+    apart = np.where(there, repeats - first, 0.0)
+    apart = np.where(there, apart - apart.sum(axis=0) / np.maximum(count, 1), 0.0)
+    return float(np.sum(apart**2)) / degrees, degrees
