@@ -33,7 +33,7 @@ WEIGHTS = {"a": 0.9, "b": 0.06, "none": 0.02, "unknown": 0.02}
 def fitted():
     """A complete rig, its model refitted, and the regimes' paths."""
     subject = plant({})
-    nominal = fit_effects(subject, (), {})
+    nominal = fit_effects(subject, (), [{}])
     return subject, nominal.fit, trajectories(subject.model, nominal.fit.values, REGIMES)
 
 
@@ -68,7 +68,7 @@ def test_plants_are_as_far_off_as_asked_and_as_noisy_as_what_was_measured(fitted
             (nominal,) = made.model.predict([fit.values])
             assert abs(excess(made.observed.residuals(nominal), made.observed)) < 0.1
         elif len(truth) == 1:
-            nominal = fit_effects(made, (), fit.values)
+            nominal = fit_effects(made, (), [fit.values])
             assert nominal.gap > 0.25
     assert sum(t == {"none"} for t in truths) == 5
     assert any(len(t) == 2 for t in truths)

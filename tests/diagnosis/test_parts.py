@@ -25,12 +25,12 @@ TIME = np.linspace(0.0, 1.0, 501)
 def asymmetric():
     """A rig whose friction depends on direction, its model refitted, and the scores of the effects."""
     subject = plant({"a": 0.05}, effects={**EFFECTS, "cable": TWIN})
-    nominal = fit_effects(subject, (), {})
+    nominal = fit_effects(subject, (), [{}])
     return subject, nominal, score_further(subject, nominal)
 
 
 def test_the_nominal_parameters_are_found_without_an_effect():
-    fit = fit_effects(plant({}), (), {}).fit
+    fit = fit_effects(plant({}), (), [{}]).fit
     assert fit.converged
     assert fit.values == pytest.approx({"m": 1.0, "d": 0.8, "Fc": 0.5}, rel=5e-3)
 
@@ -174,7 +174,7 @@ def test_basis_functions_are_what_they_are_named():
 
 def test_a_free_function_of_position_finds_what_no_effect_explains():
     subject = plant({"grip": 0.4})
-    nominal = fit_effects(subject, (), {})
+    nominal = fit_effects(subject, (), [{}])
     paths = trajectories(subject.model, nominal.fit.values, REGIMES)
     families = {**bases(paths, REGIMES), "position, fine": hats(paths["position"], np.linspace(-1.0, 1.0, 60))}
     decoys = fit_decoys(subject.model, subject.observed, nominal.fit, tuple(PORTS.values()), families)
@@ -192,7 +192,7 @@ def test_a_sensor_that_also_shows_another_signal_is_found_out():
         cases.append(replace(case, channels=(x, replace(v, repeats=v.repeats + 0.05 * x.repeats))))
     model = replace(subject.model, cases=tuple(cases))
     subject = replace(subject, model=model, observed=Observed.from_runs(model.runs))
-    nominal = fit_effects(subject, (), {})
+    nominal = fit_effects(subject, (), [{}])
     paths = trajectories(subject.model, nominal.fit.values, REGIMES)
     families = {"speed": hats(paths["speed"], np.linspace(-2.0, 2.0, 5))}
     decoys = fit_decoys(subject.model, subject.observed, nominal.fit, tuple(PORTS.values()), families)
@@ -237,7 +237,7 @@ def test_what_finishes_a_weak_gap_is_not_named_if_unknown_is_likelier(held_out, 
 def test_a_law_of_a_confined_variable_is_sought_at_its_port_alone():
     """A command that is weaker at some positions is a law of the command, and no friction."""
     subject = plant({})
-    nominal = fit_effects(subject, (), {})
+    nominal = fit_effects(subject, (), [{}])
     regimes = {**REGIMES, "turn": Regime("turn", "x", "angle", orders=(40,))}
     paths = trajectories(subject.model, nominal.fit.values, regimes)
     paths["drive"] = tuple(case.task.inputs["u"] for case in subject.model.cases)
@@ -255,7 +255,7 @@ def test_a_law_of_a_confined_variable_is_sought_at_its_port_alone():
         )
     ]
     observed = Observed(tuple(runs), subject.observed.noise)
-    again = fit_effects(replace(subject, observed=observed), (), {})
+    again = fit_effects(replace(subject, observed=observed), (), [{}])
     ports = tuple(PORTS.values())
     decoys = fit_decoys(subject.model, observed, again.fit, ports, free, {"friction": own})
     at_port = sorted((d for d in decoys if d.port == "friction"), key=lambda d: d.held_out.gap)
@@ -271,3 +271,23 @@ def test_a_parameter_never_leaves_its_bounds():
     fit = refit(subject.model.predict, subject.observed, NOMINAL)
     assert fit.values["d"] >= 0.0
     assert fit.converged
+
+
+def test_a_refit_is_at_least_as_good_as_every_start():
+    """A frequency has many local minima: from near the truth it is found, from afar it is not."""
+    time = np.linspace(0.0, 3.0, 200)
+    rng = np.random.default_rng(0)
+    values = np.sin(7.0 * time) + 0.01 * rng.standard_normal((3, 1, 200))
+    observed = Observed.from_runs([RepeatedRuns("run", "bench", time, ("y",), values)])
+
+    def predict(points):
+        return [(np.sin(p["w"] * time)[None],) for p in points]
+
+    unknown = [Unknown("w", 2.0, 0.0, 20.0, 0.01)]
+    stuck = refit(predict, observed, unknown)
+    assert abs(stuck.values["w"] - 7.0) > 1.0
+    both = refit(predict, observed, unknown, starts=[{}, {"w": 6.8}])
+    assert both.values["w"] == pytest.approx(7.0, rel=1e-3)
+    assert both.cost <= min(
+        refit(predict, observed, unknown, starts=[s], max_iterations=0).cost for s in ({}, {"w": 6.8})
+    )

@@ -43,17 +43,9 @@ class Fitted:
 
 
 def fit_effects(
-    subject: Subject,
-    effects: Sequence[Effect],
-    start: Mapping[str, float],
-    *,
-    known: Refit | None = None,
-    iterations: int = 12,
+    subject: Subject, effects: Sequence[Effect], starts: Sequence[Mapping[str, float]], *, iterations: int = 12
 ) -> Fitted | None:
-    """Refit the nominal parameters and those of `effects` together; None if the start cannot be simulated.
-
-    With a refit `known` of some of them, its Jacobian is reused: quick, and good enough to compare effects.
-    """
+    """Refit the nominal parameters and those of `effects` together; None if no start can be simulated."""
     unknowns = subject.nominal + tuple(u for e in effects for u in e.unknowns)
     neutral = {name: value for e in effects for name, value in e.neutral.items()}
     try:
@@ -61,8 +53,7 @@ def fit_effects(
             subject.model.predict,
             subject.observed,
             unknowns,
-            start={**neutral, **start},
-            known=known,
+            starts=[{**neutral, **start} for start in starts],
             tangents=subject.model.tangents,
             max_iterations=iterations,
         )
@@ -106,28 +97,40 @@ def _promise(score: Score, basis: FloatArray, residual: FloatArray) -> float:
 def without(subject: Subject, fitted: Fitted, name: str) -> Fitted | None:
     """Refit `fitted` without one of its effects."""
     by_id = {e.id: e for e in subject.effects}
-    return fit_effects(subject, [by_id[n] for n in fitted.effects if n != name], fitted.fit.values)
+    return fit_effects(subject, [by_id[n] for n in fitted.effects if n != name], [fitted.fit.values])
 
 
 def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
-    """Refit `fitted` with the scored effect added."""
+    """Refit `fitted` with the scored effect added, from the best start beside `fitted` and the best beside none.
+
+    Parameters that were refitted without the effect may have bent to imitate it: the campaign's own start values
+    are another way in.
+    """
     by_id = {e.id: e for e in subject.effects}
     effect = by_id[score.effect]
     # The signature says how large the effect should be, as far as it is linear in its size.
     factor = float(np.clip(score.scale, -3.0 if effect.two_sided else 0.03, 3.0))
-    start = {**fitted.fit.values, **effect.scaled(score.trial, factor)}
-    effects = [by_id[name] for name in fitted.effects] + [effect]
-    added = fit_effects(subject, effects, start, known=fitted.fit)
+    sizes = [effect.scaled(score.trial, factor), *({**effect.neutral, **trial} for trial in effect.trials)]
+    unbent = {**fitted.fit.values, **{u.name: u.start for u in subject.nominal}}
+    starts = [_best_start(subject, [{**point, **size} for size in sizes]) for point in (fitted.fit.values, unbent)]
+    found = [start for start in starts if start is not None]
+    effects = [*(by_id[name] for name in fitted.effects), effect]
+    added = fit_effects(subject, effects, found) if found else None
+    if added is None or added.fit.cost > fitted.fit.cost:  # without the effect it is as good as before
+        added = fit_effects(subject, effects, [{**fitted.fit.values, **effect.neutral}])
     return None if added is None else replace(added, names=(*fitted.names, effect.id))
 
 
-def polish(subject: Subject, fitted: Fitted) -> Fitted:
-    """Refit `fitted` once more with every sensitivity taken afresh."""
-    by_id = {e.id: e for e in subject.effects}
-    exact = fit_effects(subject, [by_id[name] for name in fitted.effects], fitted.fit.values)
-    if exact is None or exact.fit.cost > fitted.fit.cost:
-        return fitted
-    return replace(exact, names=fitted.names)
+def _best_start(subject: Subject, starts: Sequence[Mapping[str, float]]) -> Mapping[str, float] | None:
+    """Return the start with the least cost, None if none can be simulated."""
+    costs = [
+        np.inf
+        if isinstance(outcome, SimulationError)
+        else float(np.sum(stack(subject.observed.residuals(outcome), subject.observed) ** 2))
+        for outcome in subject.model.predict(starts)
+    ]
+    best = int(np.argmin(costs))
+    return starts[best] if np.isfinite(costs[best]) else None
 
 
 def contribution(subject: Subject, fitted: Fitted, name: str) -> float:

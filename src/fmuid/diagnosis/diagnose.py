@@ -83,7 +83,7 @@ def diagnose_subject(
     if isinstance(begin, SimulationError):
         raise begin
     say("refitting the nominal parameters", 0.02)
-    nominal = fit_effects(subject, (), {u.name: u.start for u in subject.nominal})
+    nominal = fit_effects(subject, (), [{}])
     if nominal is None:
         raise SimulationError("the nominal model cannot be refitted", fix="check its start values")
     say("where the gap lies", 0.08)

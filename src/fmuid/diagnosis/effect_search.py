@@ -9,7 +9,7 @@ import numpy as np
 
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis import decide
-from fmuid.diagnosis.candidates import Fitted, add_effect, contribution, polish, score_further, without
+from fmuid.diagnosis.candidates import Fitted, add_effect, contribution, score_further, without
 from fmuid.diagnosis.null_distribution import NoiseDraws
 from fmuid.diagnosis.observed import excess
 from fmuid.diagnosis.scores import Score, alias_classes, nominal_basis, project_off, similarity, stack
@@ -57,7 +57,7 @@ def search(
             candidates.append(fitted)
     if not candidates:
         return [], None
-    best = _polished(subject, candidates)
+    best = decide.best_of(candidates)
     signatures = _signatures(subject, nominal, candidates, scores)
     while present and len(best.effects) <= _MOST and best.gap > decide.GAP_THAT_MATTERS:
         say(f"what is missing beside {best.id}", 0.5 + 0.1 * len(best.names))
@@ -65,7 +65,7 @@ def search(
         company = [c for c in company if len(c.names) <= _MOST]
         if not company:
             break
-        better = _polished(subject, company)
+        better = decide.best_of(company)
         if not decide.worth_adding(best, better):
             break
         first = _shaped(best, better, signatures)
@@ -76,7 +76,7 @@ def search(
         swapped = _swaps(subject, best, candidates, scores) if best.gap > decide.GAP_THAT_MATTERS else []
         if swapped:
             candidates += swapped
-            best = _polished(subject, [c for c in candidates if len(c.names) == len(best.names)], candidates)
+            best = decide.best_of([c for c in candidates if len(c.names) == len(best.names)])
     return candidates, best
 
 
@@ -180,17 +180,3 @@ def _swaps(subject: Subject, best: Fitted, candidates: Sequence[Fitted], scores:
         fresh = [s for s in others if frozenset((*rest.effects, s.effect)) not in tried]
         found += _added(subject, rest, fresh[:_SWAPS])
     return found
-
-
-def _polished(subject: Subject, among: list[Fitted], candidates: list[Fitted] | None = None) -> Fitted:
-    """Return the best of `among`, refitted exactly as long as that makes another one best; replaces in place."""
-    done: set[str] = set()
-    while True:
-        best = decide.best_of(among)
-        if best.id in done:
-            return best
-        done.add(best.id)
-        exact = polish(subject, best)
-        for models in (among, candidates or []):
-            if best in models:
-                models[models.index(best)] = exact

@@ -49,12 +49,12 @@ def observe(model: CampaignModel, nominal: Sequence[Unknown], effects: Sequence[
     observed = _observed(runs, begin, None, single)
     fit: Refit | None = None
     for _ in range(_PASSES):
-        fit = refit(model.predict, observed, nominal, start=None if fit is None else fit.values)
+        fit = refit(model.predict, observed, nominal, starts=[{}] if fit is None else [{}, fit.values])
         observed = _reweighted(model, observed, fit, single, spectrum=False)
     assert fit is not None
     flexible = _flexible(model, observed, fit, effects)
     observed = _reweighted(model, observed, flexible, single, spectrum=True)
-    flexible = refit(model.predict, observed, flexible.unknowns, start=flexible.values, max_iterations=3)
+    flexible = refit(model.predict, observed, flexible.unknowns, starts=[flexible.values], max_iterations=3)
     return _reweighted(model, observed, flexible, single, spectrum=True)
 
 
@@ -71,7 +71,7 @@ def _in_pieces(observed: Observed) -> Observed:
 def _flexible(model: CampaignModel, observed: Observed, fit: Refit, effects: Sequence[Effect]) -> Refit:
     """Add effects to `fit`, the one that promises most first, as long as one promises anything."""
     by_id = {e.id: e for e in effects}
-    fit = refit(model.predict, observed, fit.unknowns, start=fit.values, max_iterations=3)
+    fit = refit(model.predict, observed, fit.unknowns, starts=[fit.values], max_iterations=3)
     tried: set[str] = set()
     chosen = failures = 0
     while chosen < _MOST and failures < 2:
@@ -85,7 +85,7 @@ def _flexible(model: CampaignModel, observed: Observed, fit: Refit, effects: Seq
         start = {**fit.values, **effect.scaled(scores[0].trial, factor)}
         unknowns = (*fit.unknowns, *effect.unknowns)
         try:
-            more = refit(model.predict, observed, unknowns, start=start, known=fit, max_iterations=4)
+            more = refit(model.predict, observed, unknowns, starts=[start], max_iterations=4)
         except SimulationError:
             failures += 1
             continue
@@ -93,7 +93,7 @@ def _flexible(model: CampaignModel, observed: Observed, fit: Refit, effects: Seq
             chosen, fit = chosen + 1, more
         else:
             failures += 1
-    return refit(model.predict, observed, fit.unknowns, start=fit.values, max_iterations=3)
+    return refit(model.predict, observed, fit.unknowns, starts=[fit.values], max_iterations=3)
 
 
 def _reweighted(

@@ -1,10 +1,8 @@
-"""Least squares in units of noise: Levenberg-Marquardt within bounds, finite steps well above solver noise.
-
-A trial point whose simulation fails is not given a number: the step is shortened instead.
-"""
+"""Least squares in units of noise, within bounds, from several starts of which the best end counts."""
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -13,6 +11,7 @@ import numpy as np
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.observed import Observed
+from fmuid.identification.solvers.trust_region import SettledError, trust_region
 
 Predict = Callable[[Sequence[Mapping[str, float]]], Sequence[Sequence[FloatArray] | SimulationError]]
 """Points in parameter space -> predictions (C, N) of every experiment, or why there are none."""
@@ -22,6 +21,8 @@ Tangents = Callable[[Mapping[str, float], Sequence[str]], Mapping[str, Sequence[
 """A point, names of parameters -> d prediction / d parameter of every experiment, by name, where it is known."""
 
 _WORTH = 4  # exact columns cost three runs and a third of one each, differences one each
+_ENOUGH = 0.5  # fall of the cost, in squared standard deviations, that is worth another iteration
+_PATIENCE = 5  # trial points in a row that are no better
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +53,7 @@ class Refit:
     evaluations
         Simulations of the whole campaign that it took.
     converged
-        Whether it ended by its own tolerance, not by its budget.
+        Whether the search from the start that led here ended by its own tolerance, not by its budget.
     """
 
     unknowns: tuple[Unknown, ...]
@@ -69,8 +70,7 @@ def refit(
     observed: Observed,
     unknowns: Sequence[Unknown],
     *,
-    start: Mapping[str, float] | None = None,
-    known: Refit | None = None,
+    starts: Sequence[Mapping[str, float]] = ({},),
     tangents: Tangents | None = None,
     max_iterations: int = 12,
     tolerance: float = 1e-3,
@@ -85,125 +85,171 @@ def refit(
         The measurements and their noise.
     unknowns
         What is searched.
-    start
-        Start values, where not those of `unknowns`.
-    known
-        A refit of some of the `unknowns`: its Jacobian serves for them and is not simulated again. The result
-        is then as good as that Jacobian still holds; refit once more from it without `known` to be exact.
+    starts
+        Points to search from, each with the unknowns' own start for what it does not name. The result is at least
+        as good as every one of them that can be simulated.
     tangents
         Gives exact derivatives. Without, where it knows none and within a step of a bound (there an effect may
         just begin) columns are finite differences.
     max_iterations
-        Jacobians at the most.
+        Jacobians at the most, from each start.
     tolerance
         Ends when an iteration lowers the cost by less than this share of it, or by less than 0.5.
 
     Raises
     ------
     SimulationError
-        The start itself cannot be simulated.
+        No start can be simulated.
     """
-    steps = np.array([u.step for u in unknowns])
-    lower = np.array([u.lower for u in unknowns])
-    upper = np.array([u.upper for u in unknowns])
-    names = [u.name for u in unknowns]
-    x = np.array([(start or {}).get(u.name, u.start) for u in unknowns])
-    x = np.clip(x, lower, upper)
-    weight = np.sqrt(observed.repeats)
-    evaluations = 0
-
-    def evaluate(points: Sequence[FloatArray]) -> list[tuple[FloatArray, ...]]:
-        nonlocal evaluations
-        evaluations += len(points)
-        wanted = [{n: float(v) for n, v in zip(names, p, strict=True)} for p in points]
-        results = []
-        for outcome in predict(wanted):
-            if isinstance(outcome, SimulationError):
-                raise outcome
-            results.append(observed.residuals(outcome))
-        return results
-
-    def stack(parts: Sequence[FloatArray]) -> FloatArray:
-        return np.concatenate([w * p for w, p in zip(weight, parts, strict=True)])
-
-    stale = {} if known is None else {u.name: k for k, u in enumerate(known.unknowns)}
-
-    def exactly(point: FloatArray, wanted: Sequence[int]) -> dict[int, tuple[FloatArray, ...]]:
-        nonlocal evaluations
-        inside = [k for k in wanted if lower[k] + steps[k] < point[k] < upper[k] - steps[k]]
-        if tangents is None or len(inside) < _WORTH:
-            return {}
-        values = {n: float(v) for n, v in zip(names, point, strict=True)}
-        found = tangents(values, [names[k] for k in inside])
-        evaluations += 1
-        columns = {k: observed.whiten(found[names[k]]) for k in inside if names[k] in found}
-        # What moves nothing at all may still do so after a step, as a backlash that is not reached.
-        return {k: parts for k, parts in columns.items() if any(np.any(p) for p in parts)}
-
-    def differentiate(
-        point: FloatArray, base: Sequence[FloatArray], *, last: bool = False
-    ) -> tuple[FloatArray, ...]:
-        signs = np.where(point + steps > upper, -1.0, 1.0)
-        fresh = [k for k, name in enumerate(names) if name not in stale]
-        exact = {} if last else exactly(point, fresh)
-        fresh = [k for k in fresh if k not in exact]
-        moved = evaluate([point + signs[k] * steps[k] * np.eye(len(point))[k] for k in fresh])
-        parts = dict(zip(fresh, moved, strict=True))
-        jacobian = []
-        for e, b in enumerate(base):
-            matrix = np.empty((b.size, len(point)))
-            for k, name in enumerate(names):
-                if k in exact:
-                    matrix[:, k] = exact[k][e]
-                elif k in parts:
-                    matrix[:, k] = signs[k] * (parts[k][e] - b) / steps[k]
-                elif known is not None:
-                    matrix[:, k] = known.jacobian[e][:, stale[name]]
-            jacobian.append(matrix)
-        return tuple(jacobian)
-
-    (residuals,) = evaluate([x])
-    cost = float(np.sum(stack(residuals) ** 2))
-    damping, converged = 1e-3, len(x) == 0
-    for _ in range(max_iterations):
-        if converged:
-            break
-        jacobian = differentiate(x, residuals)
-        j = np.concatenate([w * p for w, p in zip(weight, jacobian, strict=True)]) * steps
-        r = stack(residuals)
-        gradient, normal = j.T @ r, j.T @ j
-        free = ~(((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0)))
-        if not free.any():
-            converged = True
-            break
-        improved = False
-        while damping < 1e8:
-            a = normal[np.ix_(free, free)]
-            scale = np.diag(a) + 1e-12 * (np.trace(normal) + 1e-300)
-            move = np.zeros_like(x)
-            move[free] = np.linalg.solve(a + damping * np.diag(scale), -gradient[free])
-            trial = np.clip(x + move * steps, lower, upper)
-            if np.all(np.abs(trial - x) <= 1e-6 * steps):
-                break
-            try:
-                (trial_residuals,) = evaluate([trial])
-            except SimulationError:
-                damping *= 10.0
-                continue
-            trial_cost = float(np.sum(stack(trial_residuals) ** 2))
-            if trial_cost < cost:
-                improved = True
-                break
-            damping *= 5.0
-        if not improved:
-            converged = True
-            break
-        gained = cost - trial_cost
-        x, residuals, cost = trial, trial_residuals, trial_cost
-        damping = max(damping / 10.0, 1e-9)
-        converged = gained < max(0.5, tolerance * cost)
+    campaign = _Campaign(predict, observed, tuple(unknowns), tangents)
+    points = [campaign.point(start) for start in starts]
+    found: list[tuple[float, FloatArray, bool]] = []
+    for x, outcome in zip(points, campaign.evaluate(points), strict=True):
+        if isinstance(outcome, SimulationError):
+            failure = outcome
+        else:
+            found.append(_search(campaign, x, max_iterations, tolerance))
+    if not found:
+        raise failure
+    cost, x, converged = min(found, key=lambda end: end[0])
+    residuals = campaign.parts(x)
     # The search follows the exact slope. What is predicted from the result is as far away as a plausible step,
     # where the slope of an effect that begins somewhere (a backlash) is another one.
-    jacobian = differentiate(x, residuals, last=True)
-    values = {n: float(v) for n, v in zip(names, x, strict=True)}
-    return Refit(tuple(unknowns), values, residuals, jacobian, cost, evaluations, converged)
+    jacobian = campaign.jacobian(x, exact=False)
+    return Refit(tuple(unknowns), campaign.values(x), residuals, jacobian, cost, campaign.evaluations, converged)
+
+
+def _search(
+    campaign: _Campaign, start: FloatArray, max_iterations: int, tolerance: float
+) -> tuple[float, FloatArray, bool]:
+    """Return the cost and the point that a search from `start` ends at, and whether by its own tolerance."""
+    best, cost, iterations, vain = start, campaign.cost(start), 0, 0
+
+    def residuals(x: FloatArray) -> FloatArray:
+        nonlocal best, cost, vain
+        x = campaign.clipped(x)
+        try:
+            r = campaign.stacked(campaign.parts(x))
+        except SimulationError:  # the solver then shortens its step
+            return np.full(campaign.size, np.nan)
+        gained = cost - float(r @ r)
+        if np.array_equal(x, best):
+            return r
+        vain = 0 if gained > 0.0 else vain + 1
+        if gained > 0.0:
+            best, cost = x, cost - gained
+        if 0.0 < gained < _ENOUGH or vain == _PATIENCE:
+            raise SettledError
+        return r
+
+    def jacobian(x: FloatArray) -> FloatArray:
+        nonlocal iterations
+        if iterations == max_iterations:
+            raise _ExhaustedError
+        iterations += 1
+        x = campaign.clipped(x)
+        return np.asarray(campaign.stacked(campaign.jacobian(x)) * campaign.steps)
+
+    if not len(start):
+        return cost, start, True
+    lower, upper = campaign.lower / campaign.steps, campaign.upper / campaign.steps
+    try:
+        trust_region(
+            lambda z: residuals(z * campaign.steps),
+            lambda z: jacobian(z * campaign.steps),
+            start / campaign.steps,
+            lower,
+            upper,
+            method="dogbox",
+            cost_tolerance=tolerance,
+            step_tolerance=1e-8,
+        )
+    except SettledError:
+        return cost, best, True
+    except (_ExhaustedError, SimulationError):
+        return cost, best, False
+    return cost, best, True
+
+
+class _ExhaustedError(Exception):
+    """The budget of Jacobians is used up."""
+
+
+class _Campaign:
+    """Residuals and Jacobians of the whole campaign; remembers the last points."""
+
+    def __init__(
+        self, predict: Predict, observed: Observed, unknowns: tuple[Unknown, ...], tangents: Tangents | None
+    ) -> None:
+        self._predict, self._observed, self._tangents = predict, observed, tangents
+        self._unknowns, self._names = unknowns, [u.name for u in unknowns]
+        self.steps = np.array([u.step for u in unknowns])
+        self.lower = np.array([u.lower for u in unknowns])
+        self.upper = np.array([u.upper for u in unknowns])
+        self.weight = np.sqrt(observed.repeats)
+        self.evaluations = 0
+        self.size = sum(w.size for w in observed.whiteners)
+        self._known: OrderedDict[bytes, tuple[FloatArray, ...]] = OrderedDict()
+
+    def point(self, start: Mapping[str, float]) -> FloatArray:
+        return self.clipped(np.array([start.get(u.name, u.start) for u in self._unknowns]))
+
+    def clipped(self, x: FloatArray) -> FloatArray:
+        return np.asarray(np.clip(x, self.lower, self.upper))
+
+    def values(self, x: FloatArray) -> dict[str, float]:
+        return {name: float(v) for name, v in zip(self._names, x, strict=True)}
+
+    def evaluate(self, points: Sequence[FloatArray]) -> list[tuple[FloatArray, ...] | SimulationError]:
+        new = [p for p in points if p.tobytes() not in self._known]
+        outcomes: dict[bytes, SimulationError] = {}
+        if new:
+            self.evaluations += len(new)
+            for p, outcome in zip(new, self._predict([self.values(p) for p in new]), strict=True):
+                if isinstance(outcome, SimulationError):
+                    outcomes[p.tobytes()] = outcome
+                else:
+                    self._known[p.tobytes()] = self._observed.residuals(outcome)
+        found = [outcomes.get(p.tobytes()) or self._known[p.tobytes()] for p in points]
+        while len(self._known) > 2:
+            self._known.popitem(last=False)
+        return found
+
+    def parts(self, x: FloatArray) -> tuple[FloatArray, ...]:
+        (outcome,) = self.evaluate([x])
+        if isinstance(outcome, SimulationError):
+            raise outcome
+        return outcome
+
+    def cost(self, x: FloatArray) -> float:
+        r = self.stacked(self.parts(x))
+        return float(r @ r)
+
+    def stacked(self, parts: Sequence[FloatArray]) -> FloatArray:
+        return np.concatenate([w * p for w, p in zip(self.weight, parts, strict=True)])
+
+    def jacobian(self, x: FloatArray, *, exact: bool = True) -> tuple[FloatArray, ...]:
+        """Return d residual / d unknown, (M_e, P) an experiment; by finite steps where it cannot be `exact`."""
+        base = self.parts(x)
+        columns = self._exactly(x) if exact else {}
+        signs = np.where(x + self.steps > self.upper, -1.0, 1.0)
+        left = [k for k in range(len(x)) if k not in columns]
+        moved = self.evaluate([x + signs[k] * self.steps[k] * np.eye(len(x))[k] for k in left])
+        for k, outcome in zip(left, moved, strict=True):
+            if isinstance(outcome, SimulationError):
+                raise outcome
+            columns[k] = tuple(signs[k] * (a - b) / self.steps[k] for a, b in zip(outcome, base, strict=True))
+        return tuple(
+            np.stack([columns[k][e] for k in range(len(x))], axis=1) if len(x) else np.zeros((b.size, 0))
+            for e, b in enumerate(base)
+        )
+
+    def _exactly(self, x: FloatArray) -> dict[int, tuple[FloatArray, ...]]:
+        inside = [k for k in range(len(x)) if self.lower[k] + self.steps[k] < x[k] < self.upper[k] - self.steps[k]]
+        if self._tangents is None or len(inside) < _WORTH:
+            return {}
+        found = self._tangents(self.values(x), [self._names[k] for k in inside])
+        self.evaluations += 1
+        columns = {k: self._observed.whiten(found[self._names[k]]) for k in inside if self._names[k] in found}
+        # What moves nothing at all may still do so after a step, as a backlash that is not reached.
+        return {k: parts for k, parts in columns.items() if any(np.any(p) for p in parts)}

@@ -8,9 +8,12 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from fmuid.core.immutable import FloatArray, frozen_mapping
+from fmuid.identification.problem.evaluation import Evaluation
+from fmuid.identification.solvers.trust_region import SettledError, trust_region
 
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray, frozen_mapping
@@ -45,7 +48,7 @@ class TrustRegion:
         Relative change of the point to stop at.
     """
 
-    name: str = "trf"
+    name: Literal["trf", "lm"] = "trf"
     tolerance: float = 1e-10
     needs_residuals: bool = field(default=True, init=False)
 
@@ -57,28 +60,22 @@ class TrustRegion:
 
     def solve(self, search: Search, start: FloatArray) -> Outcome:
         """See `Solver.solve`."""
-        from scipy.optimize import least_squares
-
-        bounds: tuple[Any, Any] = (-np.inf, np.inf) if self.name == "lm" else (search.lower, search.upper)
         trials = _Trials(search, _start(search, start, differentiated=True))
-        with np.errstate(all="ignore"):  # SciPy divides by zero where a parameter has no effect
-            try:
-                result = least_squares(
-                    trials.residuals,
-                    _strictly_inside(trials.first.x, search.lower, search.upper),
-                    jac=trials.jacobian,
-                    bounds=bounds,
-                    method=self.name,
-                    x_scale=1.0,
-                    ftol=1e-15,
-                    xtol=self.tolerance,
-                    gtol=None if self.name == "trf" else 1e-15,
-                    max_nfev=10_000,
-                )
-            except _SettledError:
-                ended = Outcome(Status.CONVERGED, "the cost changes by no more than the simulator's noise")
-            else:
-                ended = Outcome(Status.CONVERGED if result.status else Status.BUDGET, _in_words(result.status))
+        try:
+            status = trust_region(
+                trials.residuals,
+                trials.jacobian,
+                trials.first.x,
+                search.lower,
+                search.upper,
+                method=self.name,
+                cost_tolerance=1e-15,
+                step_tolerance=self.tolerance,
+            )
+        except SettledError:
+            ended = Outcome(Status.CONVERGED, "the cost changes by no more than the simulator's noise")
+        else:
+            ended = Outcome(Status.CONVERGED if status else Status.BUDGET, _in_words(status))
         at_best = ended.status is Status.CONVERGED and search.reached is search.best
         floor = None if trials.exact else trials.floor
         if at_best and floor is not None and floor.relative <= _EXACT:
@@ -110,10 +107,6 @@ def _polish(search: Search, floor: NoiseFloor) -> None:
         here, before = search.evaluate(here.x - step), size
         if not here.ok or size < _STILL:
             return
-
-
-class _SettledError(Exception):
-    """The trial points no longer differ by more than noise."""
 
 
 class _Trials:
@@ -173,7 +166,7 @@ class _Trials:
         self.flat = self.flat + 1 if change <= _meaningless(best, floor) else 0
         self.level = self.level + 1 if change <= _LEVEL * best.cost else 0
         if self.flat == _FLAT_TRIALS:
-            raise _SettledError
+            raise SettledError
         if self.level > _FLAT_TRIALS and self.measured < _MEASUREMENTS:
             self._measure(best.x)
             self.level = 0
@@ -285,8 +278,3 @@ def _start(search: Search, start: FloatArray, *, differentiated: bool = False) -
     if first.failure is not None:
         raise SimulationError(f"the start point fails ({first.failure})", fix="choose other start values")
     return first
-
-
-def _strictly_inside(x: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return `x` moved off the bounds by next to nothing, as SciPy's interior method wants it."""
-    return np.clip(x, np.nextafter(lower, np.inf), np.nextafter(upper, -np.inf))
