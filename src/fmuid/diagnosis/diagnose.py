@@ -224,7 +224,7 @@ def _conclude(
         added_sensor=sensor_to_add(subject, alike, beyond=beyond) if verdict.kind == "ambiguous" else None,
         ports=_port_shares(nominal, decoys),
         smallest_seen=seen,
-        notes=(calibration.note,) if calibration.trials else (),
+        notes=(*subject.findings, *((calibration.note,) if calibration.trials else ())),
     )
     return Found(diagnosis, subject, nominal, best, tuple(candidates), tuple(scores), tuple(decoys), energy, paths)
 

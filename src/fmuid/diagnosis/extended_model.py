@@ -96,7 +96,7 @@ class CampaignModel:
         jobs = []
         for case in self.cases:
             task = replace(case.task, outputs=tuple(variables))
-            jobs.append((case.simulator, task, self._start_values(case, {**self.fixed, **values})))
+            jobs.append((case.simulator, task, self.start_values(case, {**self.fixed, **values})))
         outcomes = self.runner(jobs)
         for outcome in outcomes:
             if isinstance(outcome, SimulationError):
@@ -126,13 +126,13 @@ class CampaignModel:
         jobs, moves = [], []
         for k, case in enumerate(self.cases):
             own = [
-                _direction(self._start_values(case, above), self._start_values(case, below), width)
+                _direction(self.start_values(case, above), self.start_values(case, below), width)
                 for (above, below), width in zip(ends, widths, strict=True)
             ]
             moved = {name for along, _ in own for name in along}
             if moved and not differentiates(case.simulator, moved):
                 return {}
-            jobs.append((case.simulator, self._task_along(k, case, own), self._start_values(case, plain)))
+            jobs.append((case.simulator, self._task_along(k, case, own), self.start_values(case, plain)))
             moves.append(own)
         found: dict[str, list[FloatArray]] = {name: [] for name in names}
         for case, own, outcome in zip(self.cases, moves, self.runner(jobs), strict=True):
@@ -158,7 +158,7 @@ class CampaignModel:
         every = {**self.fixed, **values}
         return {**values, **{name: e(every) for name, e in self.tie.items()}}
 
-    def _start_values(self, case: Case, values: Mapping[str, float]) -> dict[str, float]:
+    def start_values(self, case: Case, values: Mapping[str, float]) -> dict[str, float]:
         """Campaign parameters in the model's units; what is none of them is a variable of the model."""
         own = {
             name: v for name, v in values.items() if name in case.simulator.variables and name not in case.setting
@@ -177,7 +177,7 @@ class CampaignModel:
         jobs: dict[_Key, Job] = {}
         for (_, drive), (plain, signal) in zip(wanted, split, strict=True):
             for k, case in enumerate(self.cases):
-                values, disturbed = self._start_values(case, plain), _disturbed(case, k, signal, drive)
+                values, disturbed = self.start_values(case, plain), _disturbed(case, k, signal, drive)
                 keys.append(_key(k, case, values, disturbed))
                 around.append(disturbed)
                 if keys[-1] not in self._kept and keys[-1] not in jobs:

@@ -15,7 +15,6 @@ from fmuid.core.campaign import Campaign, EffectsSpec, ModelSpec, ParameterSpec
 from fmuid.core.errors import CampaignError, FmuError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.formulas import parse
-from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.catalogue import Catalogue, Effect, load_catalogue
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.modelled_noise import observe
@@ -23,13 +22,11 @@ from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.signal_effects import NEUTRAL
 from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
+from fmuid.identification.problem.solver_error import solver_accuracy
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
-# Looser than an FMU's default and still far below any noise floor: solver errors stay under 1 % of a noise sigma.
-_TOLERANCE = 1e-4
-_LOOSER = (3e-3, 1e-3)  # taken for an experiment whose whole prediction then moves by less than this many sigmas:
-_UNSEEN = 0.2
+_LOOSEST = (3e-3, 1e-3, 1e-4)  # solver tolerances to begin with
 _SLICE = re.compile(r"^(?P<name>.*)\[(?P<index>[\d:,\s]+)\]$")
 
 
@@ -48,6 +45,7 @@ class Subject:
     effects: tuple[Effect, ...]
     recordings: Mapping[str, str] = field(default_factory=dict)
     modelled: Mapping[str, str] = field(default_factory=dict)
+    findings: tuple[str, ...] = ()
 
 
 def subject_of(
@@ -105,32 +103,27 @@ def subject_of(
             fix=suggestion(missing[0], known) if missing else "name the FMUs that carry the effects in [models]",
         )
     nominal = _nominal(campaign, spec, cases_parameters={n for c in cases for n in c.setting})
+    model, findings = solved_well_enough(model, campaign, {u.name: u.start for u in nominal})
     observed = observe(model, nominal, effects)
-    model = _loosened(model, observed, nominal)
     recordings = {e.id: e.digest for e in chosen}
-    return Subject(model, observed, nominal, catalogue, effects, recordings, modelled)
+    return Subject(model, observed, nominal, catalogue, effects, recordings, modelled, findings)
 
 
-def _loosened(model: CampaignModel, observed: Observed, nominal: Sequence[Unknown]) -> CampaignModel:
-    """Give every experiment the loosest solver tolerance whose error no measurement would show."""
-    start = {u.name: u.start for u in nominal}
+def solved_well_enough(
+    model: CampaignModel, campaign: Campaign, values: Mapping[str, float]
+) -> tuple[CampaignModel, tuple[str, ...]]:
+    """Return the model with the loosest tolerances whose errors no measurement would show, and findings.
 
-    def predicted(tolerance: float) -> Sequence[FloatArray] | SimulationError:
-        cases = tuple(replace(c, task=replace(c.task, tolerance=tolerance)) for c in model.cases)
-        return replace(model, cases=cases).predict([start])[0]
-
-    exact = predicted(0.1 * _TOLERANCE)
-    chosen = [_TOLERANCE] * len(model.cases)
-    for tolerance in reversed(_LOOSER):
-        coarse = predicted(tolerance)
-        if isinstance(exact, SimulationError) or isinstance(coarse, SimulationError):
-            break
-        errors = observed.whiten([a - b for a, b in zip(coarse, exact, strict=True)])
-        for k, (error, count) in enumerate(zip(errors, observed.repeats, strict=True)):
-            if chosen[k] > 0.05 * tolerance and np.sqrt(count) * np.linalg.norm(error) < _UNSEEN:
-                chosen[k] = tolerance
-    cases = tuple(replace(c, task=replace(c.task, tolerance=t)) for c, t in zip(model.cases, chosen, strict=True))
-    return replace(model, cases=cases)
+    Runs that cannot be predicted to their end, however tightly they are solved, lose what comes after.
+    """
+    starts = [model.start_values(case, {**model.fixed, **values}) for case in model.cases]
+    accuracy = solver_accuracy(model.cases, values, starts, model.runner, loosest=_LOOSEST)
+    cases: Sequence[Case] = model.cases
+    if accuracy.until:
+        simulators = {case.setup: case.simulator for case in cases}
+        runs = [campaign.measurements[id] for case in cases for id in case.experiments]
+        cases = from_campaign(campaign, runs, (), simulators, until=accuracy.until)
+    return replace(model, cases=accuracy.applied(cases)), accuracy.findings
 
 
 def model_of(
@@ -151,10 +144,7 @@ def model_of(
     models = {s: _with_effects(campaign, s, catalogue) for s in setups}
     campaign = replace(campaign, models={**campaign.models, **models})
     simulators = {s: load(models[s]) for s in setups}
-    cases = tuple(
-        replace(c, task=replace(c.task, tolerance=_TOLERANCE))
-        for c in from_campaign(campaign, chosen, (), simulators)
-    )
+    cases = from_campaign(campaign, chosen, (), simulators)
     known = {name for s in simulators.values() for name in s.variables}
     tie = {
         name: parse(text, where="[effects] tie")

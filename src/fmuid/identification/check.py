@@ -208,6 +208,9 @@ def check_effects(
                 )
             )
             continue
+        findings += [
+            Finding("warning", where, what, "cut the run there, or in segments") for what in problem.findings
+        ]
         moved = step_error(campaign, stage, simulators, runner)
         worst = max(moved, key=lambda label: moved[label], default="")
         if worst and moved[worst] > _STEP_ERROR:

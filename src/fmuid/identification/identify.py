@@ -356,7 +356,7 @@ def _result(
         seconds=seconds,
         starts=tuple(search.starts),
         uncertainty=found,
-        warnings=(*_warnings(search, estimates, found), *findings.warnings),
+        warnings=(*problem.findings, *_warnings(search, estimates, found), *findings.warnings),
         ties={name: expression.text for name, expression in problem.space.ties.items()},
         parameters=values,
         profiles=findings.profiles,

@@ -28,7 +28,7 @@ from fmuid.core.errors import FmuError, SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.simulation import resets, stepper
 from fmuid.simulation.fmu_library import FmuLibrary, ProcessSpentError
-from fmuid.simulation.fmu_plan import PreparedTask
+from fmuid.simulation.fmu_plan import UNKNOWN_TOLERANCE, PreparedTask
 from fmuid.simulation.fmu_variables import MAX_VARIABLES, Slot, in_words, read_feedthrough, read_variables
 from fmuid.simulation.simulator import Task, Variable
 from fmuid.simulation.stepper import FUNCTIONS, Outcome
@@ -127,6 +127,11 @@ class Fmu:
         given = {"start": "startTime", "stop": "stopTime", "step": "stepSize", "tolerance": "tolerance"}
         values = {k: getattr(e, a) for k, a in given.items()} if e is not None else {}
         return {k: float(v) for k, v in values.items() if v is not None}
+
+    @property
+    def default_tolerance(self) -> float:
+        """The relative tolerance it is solved to if a task names none, as far as it says."""
+        return self.default_experiment.get("tolerance", UNKNOWN_TOLERANCE)
 
     @property
     def even_steps(self) -> bool:

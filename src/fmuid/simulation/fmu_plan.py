@@ -18,7 +18,7 @@ from fmuid.simulation.fmu_variables import Slot
 from fmuid.simulation.simulator import Feedback, Task, Variable
 from fmuid.simulation.stepper import DTYPES, FUNCTIONS, Group, Plan
 
-_TOLERANCE = 1e-6  # of the integration of model-exchange FMUs that suggest none
+UNKNOWN_TOLERANCE = 1e-6  # of FMUs that suggest none
 
 
 class PreparedTask:
@@ -237,7 +237,7 @@ class PreparedTask:
         """Provide for the integrator of model_exchange.c."""
         plan, experiment = self.plan, described.defaultExperiment
         suggested = experiment.tolerance if experiment is not None else None
-        plan.tolerance = self.task.tolerance or float(suggested or _TOLERANCE)
+        plan.tolerance = self.task.tolerance or float(suggested or UNKNOWN_TOLERANCE)
         plan.n_states, plan.n_indicators = described.numberOfContinuousStates, described.numberOfEventIndicators
         exchange = described.modelExchange
         plan.completed_step_needed = bool(exchange.needsCompletedIntegratorStep)

@@ -121,6 +121,12 @@ class Simulator(Protocol):
         ...
 
 
+def default_tolerance(simulator: Simulator) -> float | None:
+    """Return the relative tolerance that a simulator solves to if a task names none, None if it has none."""
+    tolerance = getattr(simulator, "default_tolerance", None)
+    return None if tolerance is None else float(tolerance)
+
+
 def differentiates(simulator: Simulator, names: Collection[str]) -> bool:
     """Whether a simulator gives the exact derivatives of its runs by the parameters `names` (see `Task.along`)."""
     method = getattr(simulator, "differentiates", None)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
+
 from fmuid.core.immutable import FloatArray
 
 

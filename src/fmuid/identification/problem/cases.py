@@ -174,11 +174,13 @@ def from_campaign(
     simulators: Mapping[str, Simulator],
     *,
     apart: bool = False,
+    until: Mapping[str, float] | None = None,
 ) -> tuple[Case, ...]:
     """Return one case for each group of runs that one simulation can stand for.
 
     Repeats with the same time axis, inputs and settings share a case; a repeat whose inputs were recorded
-    with their own noise is simulated on its own, and every run if they are to be `apart`.
+    with their own noise is simulated on its own, and every run if they are to be `apart`. Of a case that `until`
+    names, samples from that time (s) on count as missing.
     """
     groups: list[list[Experiment]] = []
     for experiment in experiments:
@@ -195,7 +197,7 @@ def from_campaign(
                 f"criterion on '{spec.signal}', which no experiment of the stage measures",
                 fix=suggestion(spec.signal, measured),
             )
-    return tuple(_case(campaign, group, criteria, simulators[group[0].setup]) for group in groups)
+    return tuple(_case(campaign, group, criteria, simulators[group[0].setup], until or {}) for group in groups)
 
 
 def measured_case(
@@ -261,8 +263,11 @@ def _case(
     group: Sequence[Experiment],
     criteria: Sequence[CriterionSpec],
     simulator: Simulator,
+    until: Mapping[str, float],
 ) -> Case:
     first, model = group[0], campaign.models[group[0].setup]
+    id = first.origin if all(e.origin == first.origin for e in group) and len(group) > 1 else first.id
+    known_until = np.where(first.time < until.get(id, np.inf), 1.0, np.nan)
     where = f"experiment '{first.id}'"
     variables = simulator.variables
     specs = [spec for spec in criteria if spec.signal in first.outputs]
@@ -281,7 +286,7 @@ def _case(
         if model.differentiates(name):
             unit = f"{unit or '1'}/s"
         convert = conversion_at(signal.unit, unit, f"signal '{name}' of {where}")
-        repeats = convert(np.array([e.outputs[name].values for e in group]))
+        repeats = known_until * convert(np.array([e.outputs[name].values for e in group]))
         given = [e.outputs[name].sigma for e in group]
         low_pass, gain = None, 1.0
         if name in campaign.filters:
@@ -333,7 +338,7 @@ def _case(
         runs = repeated_runs(campaign, first, criterion.signal, channel.unit) if whitened(criterion) else ()
         prepared.append(prepare(criterion, _target(first.time, channel, known_inputs, runs)))
     return Case(
-        first.origin if all(e.origin == first.origin for e in group) and len(group) > 1 else first.id,
+        id,
         simulator,
         task,
         tuple(channels),

@@ -10,6 +10,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.solver_error import SolverAccuracy, solver_accuracy
 
 from fmuid.core.campaign import Campaign, ParameterSpec, StageSpec
 from fmuid.core.errors import ProblemError, SimulationError
@@ -70,6 +72,7 @@ class Problem:
         self.constraints = tuple(constraints)
         self.runner = runner
         self.name = name
+        self.findings: tuple[str, ...] = ()  # what a user should know of how it is posed
         self.criteria = tuple((case, criterion) for case in self.cases for criterion in case.criteria)
         self.labels = tuple(f"{case.id}: {criterion.label}" for case, criterion in self.criteria)
         self.root_weights = np.sqrt([criterion.weight for _, criterion in self.criteria])
@@ -95,11 +98,19 @@ class Problem:
         values = dict(best or {}) | dict(stage.start)
         specs = campaign.parameters.values()
         space = expanded(specs, stage.free, values, stage.tie, [case.id for case in cases])
+        here = space.to_model(space.start)
+        accuracy = SolverAccuracy()
+        if stage.segments is None and not stage.observer:  # these keep predictions close to what was measured
+            accuracy = solver_accuracy(cases, here, [case.start_values(here) for case in cases], runner)
+        if accuracy.until:
+            cases = case_building.from_campaign(
+                campaign, experiments, stage.criteria, simulators, until=accuracy.until
+            )
+        cases = accuracy.applied(cases)
         if stage.segments is not None:
-            start = space.to_model(space.start)
-            cases = tuple(segmented(case, stage.segments, start, stage.free) for case in cases)
+            cases = tuple(segmented(case, stage.segments, here, stage.free) for case in cases)
         if stage.observer:
-            cases, gains = observed(cases, stage.observer, space.to_model(space.start))
+            cases, gains = observed(cases, stage.observer, here)
             gains |= {name: values[name] for name in gains.keys() & values.keys()}
             if stage.observer is True:
                 specs_of_gains = tuple(ParameterSpec(name, gain) for name, gain in gains.items())
@@ -114,6 +125,7 @@ class Problem:
             runner=runner,
             name=stage.name,
         )
+        problem.findings = accuracy.findings
         for constraint in problem.constraints:
             constraint.check(problem.labels, problem.space.tried(problem.space.start)[0], where=where)
         return problem

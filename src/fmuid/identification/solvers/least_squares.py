@@ -11,9 +11,6 @@ from importlib.util import find_spec
 from typing import Any, Literal
 
 import numpy as np
-from fmuid.core.immutable import FloatArray, frozen_mapping
-from fmuid.identification.problem.evaluation import Evaluation
-from fmuid.identification.solvers.trust_region import SettledError, trust_region
 
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray, frozen_mapping
@@ -22,6 +19,7 @@ from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.solvers.box import CandidateFailedError, around_failures
 from fmuid.identification.solvers.search import Outcome, Search, Status, StopSearch, number_of
+from fmuid.identification.solvers.trust_region import SettledError, trust_region
 
 _FLAT = 3.0  # times the noise of the cost: a smaller change is none
 _FLAT_TRIALS = 2

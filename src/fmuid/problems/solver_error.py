@@ -1,0 +1,126 @@
+"""How tightly a model must be solved for its errors to stay below the noise of what it is compared with.
+
+An integrator's tolerance bounds its error in a step, not that of a prediction. So the tolerance is tightened
+until the prediction no longer moves: until all samples of a run together change by less than `UNSEEN` standard
+deviations of their noise. No test, cost or standard error can then differ by more than that. Where a prediction
+goes on to move however tight the tolerance is (chaos, a stick that slips by a hair), nobody can predict the run
+from there on, and it is left out from there on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from fmuid.core.errors import SimulationError
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.cases import Case
+from fmuid.simulation.runners import Outcome, Runner
+from fmuid.simulation.simulator import default_tolerance
+
+UNSEEN = 0.2
+_TIGHTEST = 1e-10
+_SHRINKING = 0.25  # a tolerance of a tenth should leave a smaller share than this of what the one before changed
+
+
+@dataclass(frozen=True, slots=True)
+class SolverAccuracy:
+    """What tolerances the cases need.
+
+    Parameters
+    ----------
+    tolerances
+        By case; those not named are solved to their model's own tolerance.
+    until
+        By case: the time (s) from which its prediction never settles.
+    """
+
+    tolerances: Mapping[str, float] = field(default_factory=dict)
+    until: Mapping[str, float] = field(default_factory=dict)
+
+    def applied(self, cases: Sequence[Case]) -> tuple[Case, ...]:
+        """Return the cases with these tolerances."""
+        return tuple(
+            replace(c, task=replace(c.task, tolerance=self.tolerances[c.id])) if c.id in self.tolerances else c
+            for c in cases
+        )
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What a user should know."""
+        return tuple(
+            f"'{case}' cannot be predicted from {time:.6g} s on and is left out from there: "
+            "the prediction changes however tight the solver's tolerance is"
+            for case, time in self.until.items()
+        )
+
+
+def solver_accuracy(
+    cases: Sequence[Case],
+    values: Mapping[str, float],
+    starts: Sequence[Mapping[str, float]],
+    runner: Runner,
+    *,
+    loosest: Sequence[float] = (),
+) -> SolverAccuracy:
+    """Find the loosest tolerance of each case whose error no measurement would show.
+
+    Parameters
+    ----------
+    values, starts
+        The point where this is asked: parameters by name, and what each case sets on its model.
+    loosest
+        Tolerances to begin with, largest first; without them a model's own, which is then only tightened. A case
+        that cannot be simulated keeps its model's.
+    """
+    pending = {k: [*loosest] for k, c in enumerate(cases) if default_tolerance(c.simulator) is not None}
+    for k, ladder in pending.items():
+        own = default_tolerance(cases[k].simulator) or 0.0
+        tighter = loosest[-1] if loosest else own
+        ladder += [] if loosest else [0.0]  # the model's own
+        while tighter > 1.001 * _TIGHTEST:
+            tighter = max(0.1 * tighter, _TIGHTEST)
+            ladder.append(tighter)
+    tolerances: dict[str, float] = {}
+    until: dict[str, float] = {}
+    before: dict[int, Outcome] = {}
+    moves: dict[int, FloatArray] = {}
+    level = 0
+    while pending:
+        jobs = [
+            (cases[k].simulator, replace(cases[k].task, tolerance=ladder[level] or None), starts[k])
+            for k, ladder in pending.items()
+        ]
+        for k, outcome in zip(list(pending), runner(jobs), strict=True):
+            looser, before[k] = before.get(k), outcome
+            case, ladder = cases[k], pending[k]
+            ended = level == len(ladder) - 1
+            if looser is not None and not isinstance(looser, SimulationError):
+                if isinstance(outcome, SimulationError):  # nothing tighter can be had
+                    chosen, ended = ladder[level - 1], True
+                else:
+                    moved = _moved(case, looser, outcome, values)
+                    settled = moved[-1] < UNSEEN
+                    chosen, ended = ladder[level - 1] if settled else ladder[level], ended or settled
+                    astray = (moved >= UNSEEN) & (moved >= _SHRINKING * moves.get(k, np.zeros(1)))
+                    if ended and astray.any():
+                        until[case.id] = float(case.time[int(np.argmax(astray))])
+                    moves[k] = moved
+                if ended and chosen:
+                    tolerances[case.id] = chosen
+            if ended:
+                del pending[k]
+        level += 1
+    return SolverAccuracy(tolerances, until)
+
+
+def _moved(case: Case, a: FloatArray, b: FloatArray, values: Mapping[str, float]) -> FloatArray:
+    """Return (N,) by how many standard deviations two predictions differ up to each sample."""
+    difference = case.sensed(np.asarray(a), values) - case.sensed(np.asarray(b), values)
+    total = np.zeros(len(case.time))
+    for channel, row in zip(case.channels, difference, strict=True):
+        there = channel.count > 0
+        total[there] += (row[there] / channel.noise.of_mean(channel.count[there])) ** 2
+    return np.asarray(np.sqrt(np.cumsum(total)))

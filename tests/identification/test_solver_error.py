@@ -1,0 +1,68 @@
+"""The tolerance that a model is solved to is tightened until no measurement would show its error."""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from fmuid.identification.problem.solver_error import UNSEEN, solver_accuracy
+
+from fmuid import Task, Variable, measured_case
+from fmuid.simulation.runners import in_process
+
+TIME = np.linspace(0.0, 2.0, 101)
+
+
+class Solved:
+    """An exponential whose error is `worse` times the tolerance and grows at a rate."""
+
+    variables: ClassVar = {"a": Variable("a", "parameter"), "y": Variable("y", "output")}
+
+    def __init__(self, worse, rate=0.0, default_tolerance=1e-4):
+        self.worse, self.rate, self.default_tolerance, self.asked = worse, rate, default_tolerance, []
+
+    def simulate(self, task, parameters):
+        tolerance = task.tolerance or self.default_tolerance
+        self.asked.append(tolerance)
+        # What is left of the error at the tightest tolerance is rounding, not small where it grows fast.
+        error = self.worse * tolerance * (-1) ** round(-np.log10(tolerance)) * np.exp(self.rate * task.time)
+        error = np.tanh(error)  # however far astray, it stays on the attractor
+        return (np.exp(-parameters["a"] * task.time) + error)[None]
+
+
+def accuracy_of(model, sigma, **options):
+    case = measured_case("run", model, Task(TIME, {}, ("y",)), {"y": np.exp(-TIME)}, sigma={"y": sigma})
+    return case, solver_accuracy([case], {"a": 1.0}, [{"a": 1.0}], in_process, **options)
+
+
+@pytest.mark.parametrize("sigma", [1e-1, 1e-3, 1e-5, 1e-6])
+def test_a_prediction_is_solved_as_well_as_its_noise_asks_for(sigma):
+    model = Solved(worse=3.0)
+    case, found = accuracy_of(model, sigma)
+    (case,) = found.applied([case])
+    error = model.simulate(case.task, {"a": 1.0}) - np.exp(-TIME)
+    assert np.linalg.norm(error) / sigma < 2.0 * UNSEEN
+    assert not found.until
+    if sigma == 1e-1:
+        assert case.task.tolerance is None  # the model's own is good enough
+        assert model.asked == pytest.approx([1e-4, 1e-5, 1e-4])
+
+
+def test_a_diagnosis_begins_looser():
+    model = Solved(worse=3.0)
+    _, found = accuracy_of(model, 10.0, loosest=(3e-3, 1e-3, 1e-4))
+    assert found.tolerances == {"run": 3e-3}
+
+
+def test_a_run_that_never_settles_is_left_out_from_where_it_goes_astray():
+    _, found = accuracy_of(Solved(worse=1.0, rate=20.0), 1e-3)
+    assert 0.5 < found.until["run"] < 2.0
+    assert "cannot be predicted from" in found.findings[0]
+
+
+def test_a_model_without_a_tolerance_is_left_alone():
+    case, _ = accuracy_of(Solved(worse=3.0), 1.0)
+    plain = replace(case, simulator=Solved(3.0, default_tolerance=None))
+    found = solver_accuracy([plain], {"a": 1.0}, [{"a": 1.0}], in_process)
+    assert (found.tolerances, found.until) == ({}, {})
+    assert plain.simulator.asked == []
