@@ -18,10 +18,10 @@ from fmuid.core.errors import ProblemError
 from fmuid.core.experiments import Experiment, Measurements
 from fmuid.core.formatting import text_table
 from fmuid.core.immutable import FloatArray
+from fmuid.data.noise.level import conversion_at
 from fmuid.identification.identify import identify
 from fmuid.identification.problem.cases import Case, experiments_of
 from fmuid.identification.problem.estimation_problem import Problem
-from fmuid.noise.level import conversion_at
 from fmuid.simulation.simulator import Simulator
 
 

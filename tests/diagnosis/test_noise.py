@@ -5,12 +5,12 @@ import pytest
 from scipy.signal import lfilter
 
 from fmuid.core.errors import ProblemError
+from fmuid.data.noise.resolution import quantum, repeating_variance, rounding_errors
+from fmuid.data.noise.runs import RepeatedRuns
+from fmuid.data.noise.spectrum import estimate_noise, noise_of_residuals, whitener
+from fmuid.data.noise.transform import coefficient_frequencies, from_real_spectrum, real_spectrum
 from fmuid.diagnosis.null_distribution import Null, draw_noise
 from fmuid.diagnosis.observed import Observed, excess, gap
-from fmuid.noise.resolution import quantum, repeating_variance, rounding_errors
-from fmuid.noise.runs import RepeatedRuns
-from fmuid.noise.spectrum import estimate_noise, noise_of_residuals, whitener
-from fmuid.noise.transform import coefficient_frequencies, from_real_spectrum, real_spectrum
 
 DT = 1e-3
 TIME = DT * np.arange(600)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from plants import EFFECTS, NOMINAL, PORTS, REGIMES, TWIN, plant
 
+from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis.candidates import Fitted, fit_effects, score_further
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import HeldOut, advantage, closure, closure_interval, leave_each_out
@@ -15,7 +16,6 @@ from fmuid.diagnosis.ports import fit_decoys, harmonics, hats, quantile_knots
 from fmuid.diagnosis.refit import Refit, Unknown, refit
 from fmuid.diagnosis.regimes import Regime, bases, own_bases, trajectories
 from fmuid.diagnosis.scores import alias_classes, nominal_basis, project_off, stack
-from fmuid.noise.runs import RepeatedRuns
 from fmuid.simulation.runners import in_process
 
 TIME = np.linspace(0.0, 1.0, 501)

@@ -3,10 +3,10 @@ import pytest
 
 from fmuid.core.campaign import CriterionSpec
 from fmuid.core.errors import ProblemError
+from fmuid.data.noise.level import NoiseLevel
+from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.identification.problem import criteria
 from fmuid.identification.problem.criteria import Target, prepare
-from fmuid.noise.level import NoiseLevel
-from fmuid.noise.runs import RepeatedRuns
 
 TIME = np.linspace(0.0, 2.0, 401)
 

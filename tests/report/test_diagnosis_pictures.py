@@ -4,13 +4,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis.localisation import excess_map
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import Port
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.regimes import Regime
 from fmuid.diagnosis.verdict import Verdict
-from fmuid.noise.runs import RepeatedRuns
 from fmuid.report.diagnosis_arrays import pictures_of
 
 TIME = np.arange(2000) * 0.01

@@ -24,9 +24,9 @@ from fmuid.core.toml_tables import toml_text
 from fmuid.core.units import conversion
 from fmuid.data.crosscheck_csv import Table
 from fmuid.data.measurements import check_measurements, write_measurements
+from fmuid.data.noise.level import conversion_at
 from fmuid.data.recordings.conversion import Run, experiment_from_table, read_run, with_repeats
 from fmuid.data.recordings.resampling import TimeBase
-from fmuid.noise.level import conversion_at
 from fmuid.simulation.coupled.coupled_model import CoupledModel
 from fmuid.simulation.coupled.loading import load_model
 from fmuid.simulation.fmu import Fmu, load_fmu

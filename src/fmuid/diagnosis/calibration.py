@@ -25,6 +25,7 @@ from scipy.special import expit, logit
 from fmuid.core.errors import SimulationError
 from fmuid.core.files import write_atomically
 from fmuid.core.immutable import FloatArray
+from fmuid.data.noise.transform import from_real_spectrum, real_spectrum
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.observed import Observed
@@ -34,7 +35,6 @@ from fmuid.diagnosis.regimes import bases
 from fmuid.diagnosis.scores import nominal_basis, project_off, stack
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Verdict
-from fmuid.noise.transform import from_real_spectrum, real_spectrum
 
 KINDS = ("none", "one", "shape", "two", "unknown")
 SHARES = (0.25, 0.25, 0.2, 0.15, 0.15)

@@ -19,8 +19,8 @@ from fmuid.diagnosis.signal_effects import (
     disturbed_task,
     split_signal_parameters,
 )
+from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.identification.problem.cases import Case
-from fmuid.noise.runs import RepeatedRuns
 from fmuid.simulation.runners import Job, Outcome, Runner, in_process
 from fmuid.simulation.simulator import Task, differentiates, takes_any_times
 

@@ -15,13 +15,13 @@ import numpy as np
 
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
+from fmuid.data.noise.runs import RepeatedRuns, cut
+from fmuid.data.noise.spectrum import PiecewiseWhitener, noise_of_residuals
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Refit, Unknown, refit
 from fmuid.diagnosis.scores import score_effects, stack
-from fmuid.noise.runs import RepeatedRuns, cut
-from fmuid.noise.spectrum import PiecewiseWhitener, noise_of_residuals
 
 _PIECES = 6  # that a run without repeats is cut into: each is left out in turn
 _SHORTEST = 64  # samples of a piece

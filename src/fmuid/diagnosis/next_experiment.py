@@ -13,6 +13,7 @@ import numpy as np
 
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
+from fmuid.data.noise.level import NoiseLevel
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.catalogue import Sensor
 from fmuid.diagnosis.extended_model import CampaignModel, Prediction
@@ -20,7 +21,6 @@ from fmuid.diagnosis.scores import project_off, stack
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import AddedSensor, NextExperiment
 from fmuid.identification.problem.cases import Case, Channel
-from fmuid.noise.level import NoiseLevel
 
 _SCALES = (-1.0, 0.25, 0.5, 1.25, 1.5)
 

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.stats import norm
 
 from fmuid.core.immutable import FloatArray, read_only
+from fmuid.data.noise.spectrum import rounding_draws
 from fmuid.diagnosis.observed import Observed
-from fmuid.noise.spectrum import rounding_draws
 
 
 @dataclass(frozen=True, slots=True, eq=False)

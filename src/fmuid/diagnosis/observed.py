@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.core.immutable import FloatArray
-from fmuid.noise.runs import RepeatedRuns, cut
-from fmuid.noise.spectrum import PiecewiseWhitener, SetupNoise, Whitener, estimate_noise, whitener
+from fmuid.data.noise.runs import RepeatedRuns, cut
+from fmuid.data.noise.spectrum import PiecewiseWhitener, SetupNoise, Whitener, estimate_noise, whitener
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,10 +14,10 @@ from fmuid.core.campaign import Campaign
 from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
+from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis.observed import Observed, gap
 from fmuid.diagnosis.subject import model_of
 from fmuid.identification.problem.cases import experiments_of
-from fmuid.noise.runs import RepeatedRuns
 from fmuid.simulation.runners import Runner, in_process
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import ProblemError
 from fmuid.core.files import write_atomically
+from fmuid.data.noise.level import conversion_at
 from fmuid.identification.check import load_models
 from fmuid.identification.parameter_set import parameter_set
 from fmuid.identification.result import Result
 from fmuid.identification.solvers import Status
-from fmuid.noise.level import conversion_at
 from fmuid.simulation.coupled.coupled_model import CoupledModel
 from fmuid.simulation.coupled.ssp_writing import write_system
 from fmuid.simulation.fmu import Fmu

@@ -17,10 +17,10 @@ from fmuid.core.formulas import Expression, parse
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 from fmuid.core.units import Conversion
 from fmuid.data.filtering import LowPass
+from fmuid.data.noise.level import NoiseLevel, conversion_at, noise_elsewhere, noise_level, repeated_runs
+from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.identification.problem.criteria import Criterion, Target, prepare, whitened
 from fmuid.identification.problem.search_space import SEPARATOR
-from fmuid.noise.level import NoiseLevel, conversion_at, noise_elsewhere, noise_level, repeated_runs
-from fmuid.noise.runs import RepeatedRuns
 from fmuid.simulation.simulator import Simulator, Task
 
 _T = TypeVar("_T")

@@ -36,10 +36,10 @@ from numpy.typing import NDArray
 from fmuid.core.campaign import CriterionSpec
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray
+from fmuid.data.noise.colour import estimate_colour
+from fmuid.data.noise.level import NoiseLevel
+from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.identification.problem import features
-from fmuid.noise.colour import estimate_colour
-from fmuid.noise.level import NoiseLevel
-from fmuid.noise.runs import RepeatedRuns
 
 Rows = NDArray[np.intp]
 Residuals = Callable[[FloatArray], FloatArray]

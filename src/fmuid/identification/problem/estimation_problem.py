@@ -98,7 +98,7 @@ class Problem:
         values = dict(best or {}) | dict(stage.start)
         specs = campaign.parameters.values()
         space = expanded(specs, stage.free, values, stage.tie, [case.id for case in cases])
-        here = space.to_model(space.start)
+        here = space.tried(space.start)[0]
         accuracy = SolverAccuracy()
         if stage.segments is None and not stage.observer:  # these keep predictions close to what was measured
             accuracy = solver_accuracy(cases, here, [case.start_values(here) for case in cases], runner)

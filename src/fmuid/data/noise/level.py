@@ -13,8 +13,8 @@ from fmuid.core.errors import UnitError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import Conversion, conversion
-from fmuid.noise.resolution import quantum, repeating_variance
-from fmuid.noise.runs import RepeatedRuns
+from fmuid.data.noise.resolution import quantum, repeating_variance
+from fmuid.data.noise.runs import RepeatedRuns
 
 Source = Literal["given", "repeats", "unknown"]
 

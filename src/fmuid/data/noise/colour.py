@@ -14,8 +14,8 @@ import numpy as np
 
 from fmuid.core.errors import ProblemError
 from fmuid.core.immutable import FloatArray
-from fmuid.noise.runs import RepeatedRuns
-from fmuid.noise.spectrum import estimate_noise, rounding_draws
+from fmuid.data.noise.runs import RepeatedRuns
+from fmuid.data.noise.spectrum import estimate_noise, rounding_draws
 
 _HIGHEST_ORDER = 40
 

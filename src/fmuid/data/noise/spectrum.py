@@ -6,7 +6,7 @@ residuals are then whitened by the inverse square root of it. The mean of a run 
 its own: sensors shift from run to run by more than their noise averaged over a run would allow.
 
 Two things are not measured by repeats: the rounding error of counted signals, which repeats as well
-(`fmuid.noise.resolution`), and a standard deviation that the user gave, which takes the place of the measured one.
+(`fmuid.data.noise.resolution`), and a standard deviation that the user gave, which replaces the measured one.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from scipy.linalg import cholesky, solve_triangular
 
 from fmuid.core.errors import ProblemError
 from fmuid.core.immutable import FloatArray, read_only
-from fmuid.noise.resolution import quantum, repeating_variance, rounding_errors
-from fmuid.noise.runs import RepeatedRuns
-from fmuid.noise.transform import coefficient_frequencies, real_spectrum
+from fmuid.data.noise.resolution import quantum, repeating_variance, rounding_errors
+from fmuid.data.noise.runs import RepeatedRuns
+from fmuid.data.noise.transform import coefficient_frequencies, real_spectrum
 
 _BANDS_PER_OCTAVE = 1
 _MIN_BIN_COUNT = 3
