@@ -22,10 +22,9 @@ from fmuid.diagnosis.verdict import Verdict
 from fmuid.simulation.runners import in_process
 
 FILE_NAME = "diagnosis.json"
-_MODELLED = (
-    "Runs were not repeated, so their noise was not measured: what the nominal parameters and the most helpful "
-    "effects together leave stands for it. A gap is one that some effect of the catalogue closes; take "
-    "probabilities and intervals for less certain than they look."
+_BOUNDED = (
+    "Runs were not repeated, so their noise was not measured: its bound is what smooth motion cannot be. Slow "
+    "noise and drift cannot be told from a slow effect: repeat the runs, or give each signal's sigma."
 )
 
 
@@ -99,7 +98,7 @@ def diagnose(
         subject = subject_of(campaign, load_model, runner=runner, experiments=experiments)
         telling: dict[str, Any] = {} if say is None else {"say": say}
         key = calibration.key_of(_files(campaign, subject), subject)
-        if calibrate and subject.observed.modelled_noise:
+        if calibrate and subject.observed.bounded:
             raise CampaignError(
                 "runs were not repeated, so plants would have no measured noise",
                 where="calibrate",
@@ -159,8 +158,8 @@ def answer_of(found: Found) -> dict[str, Any]:
         )
     for effect, value in found.subject.modelled.items():
         answer["notes"].append(f"Not looked for, since the campaign puts it into the model: {effect} ({value}).")
-    if found.subject.observed.modelled_noise:
-        answer["notes"].append(_MODELLED)
+    if found.subject.observed.bounded:
+        answer["notes"].append(_BOUNDED)
     return answer
 
 

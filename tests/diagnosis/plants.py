@@ -11,7 +11,7 @@ import numpy as np
 
 from fmuid.diagnosis.catalogue import Catalogue, Effect
 from fmuid.diagnosis.extended_model import CampaignModel
-from fmuid.diagnosis.modelled_noise import observe
+from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import Port
 from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.regimes import Regime
@@ -149,5 +149,5 @@ def plant(
         case = measured_case(name, mass, plain, {"x": runs[:, 0], "v": runs[:, 1]})
         cases.append(replace(case, setup="bench"))
     model = CampaignModel(tuple(cases))
-    observed = observe(model, NOMINAL, tuple(effects.values()))
+    observed = Observed.from_runs(model.runs)
     return Subject(model, observed, NOMINAL, Catalogue(effects, PORTS, REGIMES), tuple(effects.values()))

@@ -96,9 +96,9 @@ def test_two_effects_that_no_experiment_tells_apart_are_both_named():
 
 
 def test_nothing_repeated_still_gets_an_answer_that_says_so():
-    """The noise is then what the most flexible model leaves."""
+    """The noise is then no more than what smooth motion cannot be."""
     subject = plant({"a": 0.3}, repeats=1)
-    assert subject.observed.modelled_noise
+    assert subject.observed.bounded
     answer = check(diagnose_subject(subject))
     assert answer["gap"]["calibrated"] is False
     assert answer["verdict"]["kind"] == "effect"

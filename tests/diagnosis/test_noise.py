@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 from fmuid.core.errors import ProblemError
 from fmuid.data.noise.resolution import quantum, repeating_variance, rounding_errors
 from fmuid.data.noise.runs import RepeatedRuns
-from fmuid.data.noise.spectrum import estimate_noise, noise_of_residuals, whitener
+from fmuid.data.noise.spectrum import estimate_noise, whitener
 from fmuid.data.noise.transform import coefficient_frequencies, from_real_spectrum, real_spectrum
 from fmuid.diagnosis.null_distribution import Null, draw_noise
 from fmuid.diagnosis.observed import Observed, excess, gap
@@ -131,33 +131,32 @@ def test_a_score_beyond_noise_is_as_unlikely_as_that_energy():
     assert null.p_value(9.0) < 1e-6
 
 
-def test_what_a_model_leaves_stands_for_noise_where_nothing_was_repeated():
+@pytest.mark.parametrize("step", [0.0, 0.5])
+def test_the_noise_of_a_single_run_is_bounded_without_a_model(step):
     rng = np.random.default_rng(8)
-    run = RepeatedRuns("run", "bench", TIME, ("a", "b"), np.zeros((1, 2, len(TIME))))
-    left = coloured(rng, ())
-    noise = noise_of_residuals([run], [left], [np.zeros_like(left)])
-    assert not noise.calibrated
-    whiten = whitener(run, noise)
-    z = np.stack([whiten(r) for r in coloured(rng, (200,))])
-    assert z.shape[-1] * 2 == whiten.size
-    assert np.mean(z**2) == pytest.approx(1.0, abs=0.25)
-    # Degrees of freedom that parameters have taken make the noise larger, not smaller.
-    taken = noise_of_residuals([run], [left], [np.full_like(left, 0.5)])
-    assert np.all(
-        np.diagonal(taken.covariance, axis1=1, axis2=2) >= 1.9 * np.diagonal(noise.covariance, axis1=1, axis2=2)
-    )
+    motion = 100.0 * np.sin(20 * TIME) + np.where(TIME > 0.3, 50.0, 0.0)
+    values = motion + 2.0 * rng.standard_normal(len(TIME))
+    values = step * np.round(values / step) if step else values
+    observed = Observed.from_runs([RepeatedRuns("run", "bench", TIME, ("a",), values[None, None])])
+    assert observed.bounded
+    assert not observed.noise["bench"].calibrated
+    assert 2.0 < observed.noise["bench"].sigma["a"] < 2.5
+    (residual,) = observed.residuals([motion[None]])
+    assert 0.6 < np.mean(residual**2) < 1.1
 
 
-def test_quiet_frequencies_are_left_out_of_modelled_noise():
+def test_a_smooth_signal_of_a_single_run_is_as_good_as_its_counts():
+    values = 0.01 * np.round(np.sin(5 * TIME) / 0.01)
+    observed = Observed.from_runs([RepeatedRuns("run", "bench", TIME, ("a",), values[None, None])])
+    assert 1.0 <= observed.noise["bench"].sigma["a"] / (0.01 / np.sqrt(12)) < 1.35
+
+
+def test_coloured_noise_of_a_single_run_is_beyond_its_bound():
+    """What is slow cannot be told from an effect: the bound is of the fast part alone."""
     rng = np.random.default_rng(9)
-    run = RepeatedRuns("run", "bench", TIME, ("a",), np.zeros((1, 1, len(TIME))))
-    slow = np.cumsum(np.cumsum(rng.standard_normal((1, len(TIME))), axis=1), axis=1)
-    noise = noise_of_residuals([run], [slow], [np.zeros_like(slow)])
-    assert noise.cutoff < 100.0
-    whiten = whitener(run, noise)
-    assert whiten(np.sin(2 * np.pi * 400 * TIME)[None]).size == whiten.size < len(TIME) / 4
-    fast = np.tile([1.0, -1.0], len(TIME) // 2)[None] * 1e9
-    assert np.abs(whiten(fast)).max() < 1e-3
+    slow = lfilter([1.0], [1.0, -0.95], rng.standard_normal(len(TIME)))
+    observed = Observed.from_runs([RepeatedRuns("run", "bench", TIME, ("a",), slow[None, None])])
+    assert observed.noise["bench"].sigma["a"] < 0.3 * np.std(slow)
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.1, 0.2, 0.35, 0.6, 1.5])

@@ -5,9 +5,9 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from fmuid.identification.problem.solver_error import UNSEEN, solver_accuracy
 
 from fmuid import Task, Variable, measured_case
+from fmuid.identification.problem.solver_error import UNSEEN, solver_accuracy
 from fmuid.simulation.runners import in_process
 
 TIME = np.linspace(0.0, 2.0, 101)

@@ -14,7 +14,7 @@ from fmuid.core.errors import FmuError
 from fmuid.core.formulas import parse
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.extended_model import CampaignModel
-from fmuid.diagnosis.modelled_noise import observe
+from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Unknown, refit
 from fmuid.diagnosis.scores import score_effects
 from fmuid.identification.problem import exact_derivatives
@@ -188,7 +188,7 @@ def test_a_diagnosis_takes_exact_derivatives(slider):
     effect = Effect(
         "late", "late", "drive", (Unknown("u.delay", 0.0, 0.0, 0.1, 1e-3),), {"u.delay": 0.0}, ({"u.delay": 0.01},)
     )
-    observed = observe(model, unknowns, (effect,))
+    observed = Observed.from_runs(model.runs)
     found = []
     for tangents in (model.tangents, None):
         batches.clear()

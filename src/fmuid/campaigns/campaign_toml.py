@@ -27,12 +27,13 @@ from fmuid.core.campaign import (
     StageSpec,
 )
 from fmuid.core.errors import CampaignError, MeasurementsError, ProblemError
-from fmuid.core.experiments import Causality, Measurements, Signal
+from fmuid.core.experiments import Causality, Measurements, Outliers, Signal
 from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray, frozen_mapping
 from fmuid.core.toml_tables import Table, convert, finite, numbers, read_toml
 from fmuid.data.filtering import LowPass, derivative
 from fmuid.data.measurements import read_measurements
+from fmuid.data.noise.outliers import without_outliers
 from fmuid.simulation.coupled.coupling_table import CoupledTable, coupling_of
 
 FILE_NAME = "campaign.toml"
@@ -45,6 +46,7 @@ class _CampaignTable(Table):
     title: str = ""
     measurements: str = "measurements.h5"
     make: str | None = None
+    outliers: Literal["leave_out", "keep"] = "leave_out"
 
 
 class _ModelTable(CoupledTable):
@@ -167,6 +169,9 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None) -
     else:
         make = f"make it with: {head.make}" if head.make else None
         recorded = read_measurements(folder / head.measurements, fix_missing=make)
+    outliers: tuple[Outliers, ...] = ()
+    if head.outliers == "leave_out":
+        recorded, outliers = without_outliers(recorded)
     recorded, filters = _signals(document.signals, recorded, str(file))
     parameters = {n: _parameter(n, t, f"{file} [parameters.{n}]") for n, t in document.parameters.items()}
     settings = numbers(document.settings, f"{file} [settings]")
@@ -202,6 +207,7 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None) -
         effects=effects,
         published=frozen_mapping(document.published),
         filters=frozen_mapping(filters),
+        outliers=outliers,
     )
 
 

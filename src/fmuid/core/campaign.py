@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fmuid.core.coupling import Coupling
-from fmuid.core.experiments import Measurements
+from fmuid.core.experiments import Measurements, Outliers
 
 Interpolation = Literal["hold", "linear"]
 Sampling = Literal["hold", "linear", "preceding"]
@@ -259,6 +259,8 @@ class Campaign:
     filters
         Cut-off frequency (Hz) of the zero-phase low-pass that measured and simulated samples of an output go
         through before they are compared, by signal.
+    outliers
+        Samples of the recording that are no measurements; `measurements` has them as missing.
     """
 
     name: str
@@ -274,3 +276,4 @@ class Campaign:
     effects: EffectsSpec | None = None
     published: Mapping[str, Any] = field(default_factory=dict)
     filters: Mapping[str, float] = field(default_factory=dict)
+    outliers: tuple[Outliers, ...] = ()

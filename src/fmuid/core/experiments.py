@@ -106,6 +106,34 @@ class Experiment:
         return found.hexdigest()
 
 
+OutlierKind = Literal["spike", "held"]
+
+
+@dataclass(frozen=True, slots=True)
+class Outliers:
+    """Samples of one signal of one run that are left out.
+
+    Parameters
+    ----------
+    kind
+        ``spike`` or ``held``.
+    times
+        When they were recorded, s.
+    """
+
+    experiment: str
+    signal: str
+    kind: OutlierKind
+    times: tuple[float, ...]
+
+    def __str__(self) -> str:
+        """Return what they are, and when."""
+        shown = ", ".join(f"{t:.6g}" for t in self.times[:4]) + (", ..." if len(self.times) > 4 else "")
+        samples = "sample" if len(self.times) == 1 else "samples"
+        kind = "spiked" if self.kind == "spike" else "held"
+        return f"{len(self.times)} {kind} {samples} (at {shown} s)"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurements:
     """The experiments of one measurement file; prints as a table.

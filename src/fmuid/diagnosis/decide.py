@@ -42,7 +42,7 @@ def separation(a: Fitted, b: Fitted, observed: Observed) -> float:
         return 0.0
     left = float(np.mean(observed.repeats)) * min(a.gap, b.gap) ** 2
     spread = 1.0 + _BLOCK * left
-    if observed.modelled_noise:  # that noise is model error as well, and not as even as its spectrum says
+    if observed.bounded:  # what is left may be noise as well, and is not even
         better = ra if a.fit.cost <= b.fit.cost else rb
         spread *= max(1.0, float((ra - rb) ** 2 @ better**2) / difference**2)
     return (b.fit.cost - a.fit.cost) / (2.0 * difference * float(np.sqrt(spread)))

@@ -25,7 +25,7 @@ from fmuid.diagnosis.regimes import bases, folded, own_bases, trajectories
 from fmuid.diagnosis.scores import Score, nominal_basis
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.summary import likeliest, summary
-from fmuid.diagnosis.verdict import Candidate, Diagnosis, Gap, Verdict
+from fmuid.diagnosis.verdict import Candidate, Diagnosis, Gap, Kind, Verdict
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,8 +104,7 @@ def diagnose_subject(
         for r, n in zip(nominal.fit.residuals, observed.repeats, strict=True)
     )
     matters = nominal.gap > decide.GAP_THAT_MATTERS or by_experiment > 3 * decide.GAP_THAT_MATTERS
-    # Without repeats nobody knows what scores reach by chance: the energy over all experiments alone tells.
-    largest = 0.0 if observed.modelled_noise else max((s.drop for s in scores), default=0.0)
+    largest = max((s.drop for s in scores), default=0.0)
     p_value = null.p_value(surplus, largest / decide.SCORE_MARGIN)
     present = matters and p_value < decide.SIGNIFICANCE
     needed = decide.GAP_THAT_MATTERS**2 * sum(
@@ -186,7 +185,9 @@ def _conclude(
     elif not present:
         verdict, chosen = Verdict("complete"), nominal
     elif unknown or best is None:
-        verdict, chosen = Verdict("unknown", (), place), nominal
+        # Without repeats what no effect explains may be slow noise.
+        kind: Kind = "insufficient" if observed.bounded else "unknown"
+        verdict, chosen = Verdict(kind, (), place), nominal
     elif len(alike) > 1:
         names = tuple(dict.fromkeys(n for c in alike for n in c.names))
         places = {ports[n] for n in names}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -11,7 +10,8 @@ import numpy as np
 
 from fmuid.core.errors import SimulationError
 from fmuid.core.formulas import Expression
-from fmuid.core.immutable import FloatArray, read_only
+from fmuid.core.immutable import FloatArray
+from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis.signal_effects import (
     Disturbed,
     Effects,
@@ -19,16 +19,15 @@ from fmuid.diagnosis.signal_effects import (
     disturbed_task,
     split_signal_parameters,
 )
-from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.identification.problem.cases import Case
-from fmuid.simulation.runners import Job, Outcome, Runner, in_process
+from fmuid.simulation.predictor import Predictor
+from fmuid.simulation.runners import Job, Runner, in_process
 from fmuid.simulation.simulator import Task, differentiates, takes_any_times
 
 Prediction = tuple[FloatArray, ...]
 """(C, N) predicted signals, one array an experiment."""
 
 _WIDTH = 1e-4  # of the differences around a simulation, relative: ties and sensors
-_KEPT_SAMPLES = 4_000_000  # of predictions, 32 MB
 Direction = tuple[dict[str, float], float]
 """How a model's variables move with one parameter: their proportions, and their size."""
 _Key = tuple[int, frozenset[tuple[str, float]], tuple[tuple[str, bytes], ...]]
@@ -54,7 +53,7 @@ class CampaignModel:
     runner: Runner = in_process
     fixed: Mapping[str, float] = field(default_factory=dict)
     tie: Mapping[str, Expression] = field(default_factory=dict)
-    _kept: OrderedDict[_Key, FloatArray] = field(default_factory=OrderedDict, init=False, repr=False)
+    _predictor: Predictor[_Key] = field(default_factory=Predictor, init=False, repr=False)
     _tasks: dict[object, Task] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -180,11 +179,9 @@ class CampaignModel:
                 values, disturbed = self.start_values(case, plain), _disturbed(case, k, signal, drive)
                 keys.append(_key(k, case, values, disturbed))
                 around.append(disturbed)
-                if keys[-1] not in self._kept and keys[-1] not in jobs:
+                if keys[-1] not in jobs:
                     jobs[keys[-1]] = (case.simulator, _task(case.task, disturbed), values)
-        known = {key: self._kept[key] for key in keys if key in self._kept}
-        found = known | dict(zip(jobs, self.runner(list(jobs.values())) if jobs else [], strict=True))
-        self._keep(found)
+        found = self._predictor(jobs, self.runner)
         outcomes = [found[key] for key in keys]
         results: list[Prediction | SimulationError] = []
         n = len(self.cases)
@@ -203,15 +200,6 @@ class CampaignModel:
                 rows.append(disturbed_readings(sensed, [c.signal for c in case.channels], signal))
             results.append(tuple(rows))
         return results
-
-    def _keep(self, found: Mapping[_Key, Outcome]) -> None:
-        for key, outcome in found.items():
-            if not isinstance(outcome, SimulationError):
-                self._kept[key] = read_only(outcome)
-                self._kept.move_to_end(key)
-        held = sum(p.size for p in self._kept.values())
-        while held > _KEPT_SAMPLES:
-            held -= self._kept.popitem(last=False)[1].size
 
 
 def _direction(above: Mapping[str, float], below: Mapping[str, float], width: float) -> Direction:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.runs import RepeatedRuns, cut
 from fmuid.data.noise.spectrum import PiecewiseWhitener, SetupNoise, Whitener, estimate_noise, whitener
+
+_FEW = 4  # experiments: with fewer, leaving one out leaves too little to learn from
+_PIECES = 6  # that a run without repeats is then cut into
+_SHORTEST = 64  # samples of a piece
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,24 +28,32 @@ class Observed:
         One entry an experiment.
     noise
         Setup -> its noise.
-    modelled_noise
-        Whether some of the noise is what a flexible model leaves, for want of repeats.
     """
 
     runs: tuple[RepeatedRuns, ...]
     noise: Mapping[str, SetupNoise]
-    modelled_noise: bool = False
 
     @classmethod
     def from_runs(cls, runs: Sequence[RepeatedRuns]) -> Observed:
-        """Estimate each setup's noise from its repeats."""
+        """Estimate each setup's noise, from its repeats where there are some.
+
+        Few runs that were not repeated are cut into pieces: something must be left out to be judged on.
+        """
         setups = dict.fromkeys(run.setup for run in runs)
         noise = {s: estimate_noise([r for r in runs if r.setup == s]) for s in setups}
+        pieces = min(_PIECES, *(len(r.time) // _SHORTEST for r in runs))
+        if len(runs) < _FEW and pieces > 1 and all(r.n_repeats == 1 for r in runs):
+            noise = {s: replace(n, pieces=pieces) for s, n in noise.items()}
         return cls(tuple(runs), noise)
+
+    @property
+    def bounded(self) -> bool:
+        """Whether some of the noise is a bound, for want of repeats: more may be noise than it says."""
+        return any(n.bounded for n in self.noise.values())
 
     def select(self, ids: Sequence[str]) -> Observed:
         """Return the same noise with only the experiments `ids`."""
-        return Observed(tuple(r for r in self.runs if r.id in ids), self.noise, self.modelled_noise)
+        return Observed(tuple(r for r in self.runs if r.id in ids), self.noise)
 
     @cached_property
     def whiteners(self) -> tuple[Whitener | PiecewiseWhitener, ...]:

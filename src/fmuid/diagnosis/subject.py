@@ -12,12 +12,11 @@ import numpy as np
 
 from fmu_build.suggest import suggestion
 from fmuid.core.campaign import Campaign, EffectsSpec, ModelSpec, ParameterSpec
-from fmuid.core.errors import CampaignError, FmuError, SimulationError
+from fmuid.core.errors import CampaignError, FmuError
 from fmuid.core.experiments import Experiment
 from fmuid.core.formulas import parse
 from fmuid.diagnosis.catalogue import Catalogue, Effect, load_catalogue
 from fmuid.diagnosis.extended_model import CampaignModel
-from fmuid.diagnosis.modelled_noise import observe
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.signal_effects import NEUTRAL
@@ -104,8 +103,14 @@ def subject_of(
         )
     nominal = _nominal(campaign, spec, cases_parameters={n for c in cases for n in c.setting})
     model, findings = solved_well_enough(model, campaign, {u.name: u.start for u in nominal})
-    observed = observe(model, nominal, effects)
+    used = {id for case in model.cases for id in case.experiments}
+    findings += tuple(
+        f"Left out of experiment '{o.experiment}', signal '{o.signal}': {o}."
+        for o in campaign.outliers
+        if o.experiment in used
+    )
     recordings = {e.id: e.digest for e in chosen}
+    observed = Observed.from_runs(model.runs)
     return Subject(model, observed, nominal, catalogue, effects, recordings, modelled, findings)
 
 
@@ -117,7 +122,9 @@ def solved_well_enough(
     Runs that cannot be predicted to their end, however tightly they are solved, lose what comes after.
     """
     starts = [model.start_values(case, {**model.fixed, **values}) for case in model.cases]
-    accuracy = solver_accuracy(model.cases, values, starts, model.runner, loosest=_LOOSEST)
+    noise = Observed.from_runs(model.runs).noise
+    sigma = [noise[run.setup].of_mean(run.n_repeats) for run in model.runs]
+    accuracy = solver_accuracy(model.cases, values, starts, model.runner, sigma=sigma, loosest=_LOOSEST)
     cases: Sequence[Case] = model.cases
     if accuracy.until:
         simulators = {case.setup: case.simulator for case in cases}

@@ -147,6 +147,10 @@ def check_signals(campaign: Campaign) -> tuple[Finding, ...]:
                     "give it (--sigma of fmuid init and import), or repeat the run",
                 )
             )
+    for outlier in campaign.outliers:
+        where = f"experiment '{outlier.experiment}', signal '{outlier.signal}'"
+        fix = 'look at the sensor, or keep them with outliers = "keep" in [campaign]'
+        findings.append(Finding("warning", where, f"{outlier} left out", fix))
     return tuple(findings)
 
 

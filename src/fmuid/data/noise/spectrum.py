@@ -23,19 +23,18 @@ from fmuid.core.errors import ProblemError
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.data.noise.resolution import quantum, repeating_variance, rounding_errors
 from fmuid.data.noise.runs import RepeatedRuns
+from fmuid.data.noise.single_run import single_run_variance
 from fmuid.data.noise.transform import coefficient_frequencies, real_spectrum
 
 _BANDS_PER_OCTAVE = 1
 _MIN_BIN_COUNT = 3
-_QUIETEST = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetupNoise:
     """Noise of one setup.
 
-    Nothing is said about frequencies from `cutoff` (Hz) on: whitened residuals do not have them. Runs are taken
-    apart into `pieces` before they are whitened.
+    Runs are taken apart into `pieces` before they are whitened.
 
     Attributes
     ----------
@@ -51,6 +50,8 @@ class SetupNoise:
         (C,) of the lattice that a counted signal lies on, 0 for others.
     repeating
         (C,) variance of the rounding error that all repeats share.
+    bounded
+        Whether it is a bound, for want of repeats: slow noise and drift may be beyond it.
     """
 
     channels: tuple[str, ...]
@@ -63,7 +64,7 @@ class SetupNoise:
     step: FloatArray
     repeating: FloatArray
     calibrated: bool
-    cutoff: float = np.inf
+    bounded: bool = False
     pieces: int = 1
 
     @property
@@ -71,6 +72,10 @@ class SetupNoise:
         """Standard deviation of a sample's error around its run's mean, in the channel's unit."""
         total = np.sqrt(self.variance + self.repeating)
         return {c: float(v) for c, v in zip(self.channels, total, strict=True)}
+
+    def of_mean(self, count: int) -> FloatArray:
+        """Return (C,) standard deviations of the mean of `count` samples."""
+        return np.asarray(np.sqrt(self.variance / count + self.repeating))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,8 +93,8 @@ class Whitener:
         return len(self.mask) * len(self.band_of)
 
     def __call__(self, residual: FloatArray) -> FloatArray:
-        """Whiten (..., C, N) to (..., C, K), K = N below a cutoff; coefficient 0 of each channel is its mean."""
-        spectrum = real_spectrum(residual * self.mask)[..., : len(self.band_of)]
+        """Whiten (..., C, N) residuals to (..., C, N); coefficient 0 of each channel is its mean."""
+        spectrum = real_spectrum(residual * self.mask)
         out = np.empty_like(spectrum)
         out[..., 0] = spectrum[..., 0] * self.mean_scale
         for band, factor in enumerate(self.factors):
@@ -116,7 +121,7 @@ class PiecewiseWhitener:
         return sum(w.size for _, _, w in self.pieces)
 
     def __call__(self, residual: FloatArray) -> FloatArray:
-        """Whiten (..., C, N) to (..., C, K), the pieces one after the other."""
+        """Whiten (..., C, N) residuals to (..., C, N), the pieces one after the other."""
         return np.concatenate([w(residual[..., a:b]) for a, b, w in self.pieces], axis=-1)
 
     @property
@@ -130,7 +135,10 @@ class PiecewiseWhitener:
 
 
 def estimate_noise(runs: Sequence[RepeatedRuns]) -> SetupNoise:
-    """Estimate the noise of one setup from the differences between repeats, or from what the user gave.
+    """Estimate the noise of one setup from the differences between repeats.
+
+    Without repeats it is white, of the standard deviation that the user gave, or else of a bound that needs no
+    model (`fmuid.data.noise.single_run`).
 
     Parameters
     ----------
@@ -141,36 +149,19 @@ def estimate_noise(runs: Sequence[RepeatedRuns]) -> SetupNoise:
     -------
     SetupNoise
         Covariances pooled over experiments in bands one octave wide; ``calibrated`` is False with fewer
-        than five runs of every experiment. Without repeats, white noise of the standard deviations given.
+        than five runs of every experiment, unless every signal's standard deviation was given.
 
     Raises
     ------
     ProblemError
-        No experiment has a second run, and not every standard deviation was given; or repeats agree exactly in a
-        signal that is not counted.
+        Repeats agree exactly in a signal that is not counted; or a signal is constant.
     """
     channels = runs[0].channels
     dt = float(np.mean(np.diff(runs[0].time)))
     step, given = _steps(runs), _given(runs)
     repeated = [r for r in runs if r.n_repeats > 1]
     if not repeated:
-        if np.isnan(given).any():
-            raise ProblemError(
-                f"no experiment of setup '{runs[0].setup}' was repeated, so its noise cannot be measured",
-                fix="repeat at least one experiment, better five times, or give every signal's `sigma`",
-            )
-        return SetupNoise(
-            channels=channels,
-            dt=dt,
-            edges=np.array([0.0, np.inf]),
-            covariance=np.diag(given**2)[None],
-            variance=given**2,
-            mean_variance=np.zeros(len(channels)),
-            degrees_of_freedom=np.array([np.inf]),
-            step=step,
-            repeating=np.zeros(len(channels)),
-            calibrated=True,
-        )
+        return _without_repeats(runs, given, step, dt)
     edges = _band_edges(max(len(r.time) for r in repeated), dt)
     n_bands, n_channels = len(edges) - 1, len(channels)
     total = np.zeros((n_bands, n_channels, n_channels))
@@ -214,6 +205,32 @@ def estimate_noise(runs: Sequence[RepeatedRuns]) -> SetupNoise:
     )
 
 
+def _without_repeats(runs: Sequence[RepeatedRuns], given: FloatArray, step: FloatArray, dt: float) -> SetupNoise:
+    channels, known = runs[0].channels, np.isfinite(given)
+    bound = [single_run_variance([r.values[:, c] for r in runs], q) for c, q in enumerate(step.tolist())]
+    variance = np.where(known, np.nan_to_num(given) ** 2, bound)
+    if np.any(variance <= 0.0):
+        raise ProblemError(
+            f"signal '{channels[int(np.argmin(variance))]}' is constant, so its noise cannot be estimated",
+            where=f"setup '{runs[0].setup}'",
+            fix="leave the signal out, or give its `sigma` in the measurement file",
+        )
+    return SetupNoise(
+        channels=channels,
+        dt=dt,
+        edges=np.array([0.0, np.inf]),
+        covariance=np.diag(variance)[None],
+        variance=variance,
+        # Sensors shift from run to run; by how much was not measured, so a shift as large as the noise is allowed.
+        mean_variance=np.where(known, 0.0, variance),
+        degrees_of_freedom=np.array([np.inf]),
+        step=step,
+        repeating=np.zeros(len(channels)),
+        calibrated=bool(known.all()),
+        bounded=not known.all(),
+    )
+
+
 def _steps(runs: Sequence[RepeatedRuns]) -> FloatArray:
     return np.array([max(quantum(r.values[:, c]) for r in runs) for c in range(len(runs[0].channels))])
 
@@ -221,81 +238,6 @@ def _steps(runs: Sequence[RepeatedRuns]) -> FloatArray:
 def _given(runs: Sequence[RepeatedRuns]) -> FloatArray:
     """(C,) root mean square of what the user gave for every run; NaN where there is a run without."""
     return np.asarray(np.sqrt(np.mean(np.square([r.given for r in runs]), axis=0)))
-
-
-def noise_of_residuals(
-    runs: Sequence[RepeatedRuns],
-    residuals: Sequence[FloatArray],
-    leverage: Sequence[FloatArray] | None = None,
-    *,
-    pieces: int = 1,
-) -> SetupNoise:
-    """Take what a model leaves of runs without repeats for their noise, each channel by itself.
-
-    Parameters
-    ----------
-    runs
-        Experiments of one setup, with the same channels and sampling interval.
-    residuals
-        (C, N) prediction minus measurement an experiment.
-    leverage
-        (C, N) an experiment: degrees of freedom that the model's parameters have taken from each coefficient.
-        Without it the noise is white, of each mean square: for a model that does not fit yet.
-
-    pieces
-        Number of pieces that whole runs are cut into; all arguments are of the pieces.
-
-    Returns
-    -------
-    SetupNoise
-        Variances in bands of an octave or more, up to where they have fallen below a tenth of their mean in every
-        channel: what a model leaves lies in its slow motion, comes in bursts, and is no measure of the noise of
-        the quiet bands. The mean of a run varies as the means of the residuals do.
-    """
-    channels = runs[0].channels
-    dt = float(np.mean(np.diff(runs[0].time)))
-    edges = np.array([0.0, np.inf]) if leverage is None else _band_edges(max(len(r.time) for r in runs), dt)
-    total, dof = np.zeros((len(edges) - 1, len(channels))), np.zeros((len(edges) - 1, len(channels)))
-    mean_sum, mean_dof = np.zeros(len(channels)), np.zeros(len(channels))
-    for k, (run, residual) in enumerate(zip(runs, residuals, strict=True)):
-        spectrum = real_spectrum(residual * run.mask)
-        bands = _bands_of(len(run.time), dt, edges)
-        taken = np.zeros_like(spectrum) if leverage is None else leverage[k]
-        mean_sum += spectrum[:, 0] ** 2 / len(run.time)
-        mean_dof += 1.0 - taken[:, 0]
-        for band in range(len(dof)):
-            chosen = bands == band
-            total[band] += np.sum(spectrum[:, chosen] ** 2, axis=1)
-            dof[band] += np.sum(1.0 - taken[:, chosen], axis=1)
-    given = _given(runs)
-    known = np.isfinite(given)
-    quiet = np.where(known, 0.0, _QUIETEST * total.sum(axis=0) / dof.sum(axis=0))
-    variance = np.where(known, np.nan_to_num(given) ** 2, total / np.maximum(dof, 1.0))
-    loud = np.flatnonzero(np.any(variance >= quiet, axis=1))
-    cutoff = float(edges[loud.max() + 1]) if len(loud) else np.inf
-    variance = np.maximum(variance, quiet)
-    if np.any(variance <= 0.0):
-        raise ProblemError(
-            "a signal without repeats is predicted without error, so its noise cannot be estimated",
-            where=f"setup '{runs[0].setup}'",
-            fix="leave the signal out, give its `sigma`, or repeat the experiment",
-        )
-    covariance = np.array([np.diag(v) for v in variance])
-    weight = dof.mean(axis=1) / dof.mean(axis=1).sum()
-    return SetupNoise(
-        channels=channels,
-        dt=dt,
-        edges=edges,
-        covariance=covariance,
-        variance=weight @ variance,
-        mean_variance=np.where(known, 0.0, mean_sum / np.maximum(mean_dof, 0.5)),
-        degrees_of_freedom=dof.mean(axis=1),
-        step=np.zeros(len(channels)),  # what the model leaves has the rounding error in it
-        repeating=np.zeros(len(channels)),
-        calibrated=False,
-        cutoff=cutoff,
-        pieces=pieces,
-    )
 
 
 def whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener:
@@ -321,7 +263,7 @@ def whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener:
     return Whitener(
         mask=read_only(run.mask),
         factors=read_only(np.array(factors)),
-        band_of=read_only(band_of[: _below(n, noise.dt, noise.cutoff)]),
+        band_of=read_only(band_of),
         mean_scale=read_only(1.0 / np.sqrt(mean_variance)),
     )
 
@@ -349,10 +291,6 @@ def _band_edges(n: int, dt: float) -> FloatArray:
     count = max(1, int(np.floor(np.log2(nyquist / lowest) * _BANDS_PER_OCTAVE)))
     inner = nyquist * 2.0 ** (-np.arange(count, 0, -1.0) / _BANDS_PER_OCTAVE)
     return np.concatenate([[0.0], inner, [np.inf]])
-
-
-def _below(n: int, dt: float, cutoff: float) -> int:
-    return int(np.searchsorted(coefficient_frequencies(n, dt), cutoff, side="left"))
 
 
 def _bands_of(n: int, dt: float, edges: FloatArray) -> FloatArray:

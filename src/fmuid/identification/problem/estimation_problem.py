@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import time as clock
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from fmuid.core.immutable import FloatArray
-from fmuid.identification.problem.solver_error import SolverAccuracy, solver_accuracy
 
 from fmuid.core.campaign import Campaign, ParameterSpec, StageSpec
 from fmuid.core.errors import ProblemError, SimulationError
@@ -24,10 +21,12 @@ from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.problem.exact_derivatives import ExactDerivatives
 from fmuid.identification.problem.search_space import SEPARATOR, SearchSpace, expanded
 from fmuid.identification.problem.segments import observed, segmented
+from fmuid.identification.problem.solver_error import SolverAccuracy, solver_accuracy
+from fmuid.simulation.predictor import Predictor
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
-_CACHED_SAMPLES = 1_500_000  # of predictions, 12 MB: enough for the columns of a Jacobian
+_REMEMBERED = 1_500_000  # samples of predictions, 12 MB: enough for the columns of a Jacobian
 
 
 class Problem:
@@ -76,8 +75,7 @@ class Problem:
         self.criteria = tuple((case, criterion) for case in self.cases for criterion in case.criteria)
         self.labels = tuple(f"{case.id}: {criterion.label}" for case, criterion in self.criteria)
         self.root_weights = np.sqrt([criterion.weight for _, criterion in self.criteria])
-        self._predictions: OrderedDict[tuple[int, tuple[float, ...]], FloatArray] = OrderedDict()
-        self._held = 0
+        self._predictor: Predictor[tuple[int, tuple[float, ...]]] = Predictor(_REMEMBERED)
         self._check_reach()
 
     @classmethod
@@ -172,25 +170,22 @@ class Problem:
         begin = clock.perf_counter()
         points = [np.array(x, dtype=np.float64) for x in points]
         values, failures = zip(*map(self.space.tried, points), strict=True)
-        at_once: dict[tuple[int, tuple[float, ...]], FloatArray] = {}
         if any(differentiated):
             tried = zip(points, values, failures, differentiated, strict=True)
-            at_once = self.exact.simulate([(x, v) for x, v, failure, d in tried if d and failure is None])
+            found_at_once = self.exact.simulate([(x, v) for x, v, failure, d in tried if d and failure is None])
+            self._predictor.remember(found_at_once)
         starts = [
             [case.start_values(v) for case in self.cases] if failure is None else []
             for v, failure in zip(values, failures, strict=True)
         ]
         keys = [[(i, tuple(s.values())) for i, s in enumerate(row)] for row in starts]
-        wanted = {key: s for ks, row in zip(keys, starts, strict=True) for key, s in zip(ks, row, strict=True)}
-        known = at_once | {key: self._predictions[key] for key in wanted if key in self._predictions}
-        missing = [key for key in wanted if key not in known]
-        jobs = [(self.cases[k[0]].simulator, self.cases[k[0]].task, wanted[k]) for k in missing]
-        outcomes = dict(zip(missing, self.runner(jobs) if jobs else [], strict=True))
-        for key, outcome in (at_once | outcomes).items():
-            if not isinstance(outcome, SimulationError):
-                self._keep(key, outcome)
+        jobs = {
+            key: (self.cases[key[0]].simulator, self.cases[key[0]].task, start)
+            for ks, row in zip(keys, starts, strict=True)
+            for key, start in zip(ks, row, strict=True)
+        }
+        found = self._predictor(jobs, self.runner)
         seconds = (clock.perf_counter() - begin) / len(points)
-        found = known | outcomes
         return [
             self._judge(x, v, [found[k] for k in ks], seconds) if why is None else self._failed(x, v, why, seconds)
             for x, v, why, ks in zip(points, values, failures, keys, strict=True)
@@ -247,13 +242,6 @@ class Problem:
         nothing = np.full(len(self.criteria), np.nan)
         constraints = np.full(len(self.constraints), np.nan)
         return Evaluation(x, values, nothing, np.full(0, np.nan), float("nan"), constraints, why, seconds)
-
-    def _keep(self, key: tuple[int, tuple[float, ...]], prediction: FloatArray) -> None:
-        if key not in self._predictions:
-            self._held += prediction.size
-        self._predictions[key] = prediction
-        while self._held > _CACHED_SAMPLES and len(self._predictions) > 1:
-            self._held -= self._predictions.popitem(last=False)[1].size
 
     def over(self, space: SearchSpace) -> Problem:
         """Return the same problem over other free parameters."""

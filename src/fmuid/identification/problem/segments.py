@@ -83,7 +83,7 @@ def observed(
             model = ObserverModel(case.simulator, np.array(_judged(case)[0]))
             names = {(s, o): model.gain_name(s, o) for s in model.states for o in case.task.outputs}
             if observer is True and case.setup not in seen:
-                sigma = np.array([float(np.mean(c.sigma)) for c in case.channels])
+                sigma = np.array([c.noise.sigma for c in case.channels])
                 gain = model.first_gain(case.task, case.start_values(values), sigma)
                 gains |= dict(zip(names.values(), gain.ravel().tolist(), strict=True))
         except ProblemError as error:
@@ -138,7 +138,7 @@ def _judged(case: Case) -> tuple[FloatArray, FloatArray]:
             unit = criterion.residuals(np.ones(n)) - criterion.residuals(np.zeros(n))
             squares[rows[criterion.signal], criterion.rows] += criterion.weight * unit**2
     if not np.any(squares):  # judged by features or colour: as the sensors' noise says
-        squares = np.array([np.where(np.isfinite(c.mean), c.count / c.sigma**2, 0.0) for c in case.channels])
+        squares = np.array([np.where(np.isfinite(c.mean), 1.0 / c.noise.of_mean(c.count) ** 2, 0.0) for c in case.channels])
     target = np.array([c.mean for c in case.channels])
     weight = np.where(np.isfinite(target), np.sqrt(squares), 0.0)
     lead = ((0, 0), (case.lead, 0))

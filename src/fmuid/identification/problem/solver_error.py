@@ -63,6 +63,7 @@ def solver_accuracy(
     starts: Sequence[Mapping[str, float]],
     runner: Runner,
     *,
+    sigma: Sequence[FloatArray] | None = None,
     loosest: Sequence[float] = (),
 ) -> SolverAccuracy:
     """Find the loosest tolerance of each case whose error no measurement would show.
@@ -71,6 +72,9 @@ def solver_accuracy(
     ----------
     values, starts
         The point where this is asked: parameters by name, and what each case sets on its model.
+    sigma
+        (C,) standard deviations of the means that the predictions of each case are compared with, if not those of
+        its channels.
     loosest
         Tolerances to begin with, largest first; without them a model's own, which is then only tightened. A case
         that cannot be simulated keeps its model's.
@@ -101,7 +105,7 @@ def solver_accuracy(
                 if isinstance(outcome, SimulationError):  # nothing tighter can be had
                     chosen, ended = ladder[level - 1], True
                 else:
-                    moved = _moved(case, looser, outcome, values)
+                    moved = _moved(case, looser, outcome, values, None if sigma is None else sigma[k])
                     settled = moved[-1] < UNSEEN
                     chosen, ended = ladder[level - 1] if settled else ladder[level], ended or settled
                     astray = (moved >= UNSEEN) & (moved >= _SHRINKING * moves.get(k, np.zeros(1)))
@@ -116,11 +120,14 @@ def solver_accuracy(
     return SolverAccuracy(tolerances, until)
 
 
-def _moved(case: Case, a: FloatArray, b: FloatArray, values: Mapping[str, float]) -> FloatArray:
+def _moved(
+    case: Case, a: FloatArray, b: FloatArray, values: Mapping[str, float], sigma: FloatArray | None
+) -> FloatArray:
     """Return (N,) by how many standard deviations two predictions differ up to each sample."""
     difference = case.sensed(np.asarray(a), values) - case.sensed(np.asarray(b), values)
     total = np.zeros(len(case.time))
-    for channel, row in zip(case.channels, difference, strict=True):
+    for k, (channel, row) in enumerate(zip(case.channels, difference, strict=True)):
         there = channel.count > 0
-        total[there] += (row[there] / channel.noise.of_mean(channel.count[there])) ** 2
+        noise = channel.noise.of_mean(channel.count[there]) if sigma is None else sigma[k]
+        total[there] += (row[there] / noise) ** 2
     return np.asarray(np.sqrt(np.cumsum(total)))

@@ -1,0 +1,156 @@
+"""Samples that are no measurements: spikes of a few samples, and values that a sensor held.
+
+They are looked for run by run, in what a run has that its repeats do not, before repeats are compared: one spike
+of fifty standard deviations would otherwise triple the noise of a whole setup. What many samples have is the
+signal, not an accident, and is left alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from fmuid.core.experiments import Experiment, Measurements, OutlierKind, Outliers
+from fmuid.core.immutable import FloatArray
+from fmuid.data.noise.resolution import quantum
+
+Mask = NDArray[np.bool_]
+
+_LONGEST = 3  # samples of a spike
+_WINDOW = 51  # samples that tell how much a signal usually moves from one to the next
+_SPIKE = 10.0  # times that usual move; normal noise has such a spike once in 1e20 samples
+_RELEASE = 5.0  # times the moves after it: a held value is left by a jump, a signal at rest by what it then does
+_SHORTEST = 3  # samples of a held value
+_BY_CHANCE = 1e-3  # expected number of stretches of equal values that is taken for chance
+_MOST = 0.05  # share of the samples: more of them are the signal
+_MAD = 1.4826  # from a normal's median absolute value to its standard deviation
+
+
+def without_outliers(measurements: Measurements) -> tuple[Measurements, tuple[Outliers, ...]]:
+    """Return the measurements with outliers of their outputs as missing samples (NaN), and what they are."""
+    found: list[Outliers] = []
+    changed: dict[str, Experiment] = {}
+    for origin in dict.fromkeys(e.origin for e in measurements):
+        group = measurements.repeats(origin)
+        for name in dict.fromkeys(n for e in group for n in e.outputs):
+            runs = [e for e in group if name in e.outputs]
+            same = [e for e in runs if np.array_equal(e.time, runs[0].time)]
+            others = [[e] for e in runs if e not in same]
+            for alike in (same, *others):
+                values = np.array([e.outputs[name].values for e in alike])
+                for e, spikes, held in zip(alike, *outliers(values, _moved_inputs(alike[0])), strict=True):
+                    kinds: dict[OutlierKind, Mask] = {"spike": spikes, "held": held & ~spikes}
+                    for kind, mask in kinds.items():
+                        if mask.any():
+                            found.append(Outliers(e.id, name, kind, tuple(map(float, e.time[mask]))))
+                    if (spikes | held).any():
+                        changed[e.id] = _masked(changed.get(e.id, e), name, spikes | held)
+    if not changed:
+        return measurements, ()
+    experiments = {e.id: changed.get(e.id, e) for e in measurements}
+    return replace(measurements, experiments=experiments), tuple(found)
+
+
+def outliers(values: FloatArray, stirred: Mask) -> tuple[Mask, Mask]:
+    """Return which of (R, N) samples of one signal in R runs with the same inputs are spikes, and which are held.
+
+    Parameters
+    ----------
+    stirred
+        (N,) where an input has just jumped: what a single run shows there may be its answer.
+    """
+    spikes, held = np.zeros(values.shape, dtype=bool), np.zeros(values.shape, dtype=bool)
+    step = quantum(values)
+    for k, run in enumerate(values):
+        if np.isfinite(run).sum() < _WINDOW:
+            continue
+        others = np.delete(values, k, axis=0)
+        common = _median(others) if len(others) else np.zeros(len(run))
+        found = _spikes(run - common, step) & _spikes_or_all(run, others, step)
+        if not len(others):
+            found &= ~stirred
+        stuck = _held(run, step)
+        for mask, out in ((found, spikes), (stuck, held)):
+            if mask.sum() <= _MOST * len(run):
+                out[k] = mask
+    return spikes, held
+
+
+def _spikes_or_all(run: FloatArray, others: FloatArray, step: float) -> Mask:
+    """Of two runs that differ in a sample, either may have the spike: the one that it sticks out of, too."""
+    return _spikes(run, step, factor=0.5 * _SPIKE) if len(others) == 1 else np.ones(len(run), dtype=bool)
+
+
+def _spikes(values: FloatArray, step: float, factor: float = _SPIKE) -> Mask:
+    """Return where up to three samples stick out to one side of those before and after them."""
+    there = np.flatnonzero(np.isfinite(values))
+    y = values[there]
+    moves = np.abs(np.diff(y))
+    least = max(step, 0.1 * _MAD * float(np.mean(moves)))
+    usual = np.maximum(_MAD * median_filter(moves, _WINDOW, mode="reflect"), least)
+    found = np.zeros(len(values), dtype=bool)
+    for width in range(1, _LONGEST + 1):
+        for begin in np.flatnonzero(_sticks_out(y, width) > factor * usual[: len(y) - width - 1]) + 1:
+            found[there[begin : begin + width]] = True
+    return found
+
+
+def _sticks_out(y: FloatArray, width: int) -> FloatArray:
+    """Return by how much the least of every block of `width` samples inside is beyond both its neighbours."""
+    n = len(y)
+    count = n - width - 1
+    if count < 1:
+        return np.zeros(0)
+    blocks = np.stack([y[1 + k : 1 + k + count] for k in range(width)])
+    before, after = y[:count], y[width + 1 :]
+    above = blocks.min(axis=0) - np.maximum(before, after)
+    below = np.minimum(before, after) - blocks.max(axis=0)
+    return np.asarray(np.maximum(above, below))
+
+
+def _held(values: FloatArray, step: float) -> Mask:
+    """Return the samples that repeat the one before while the signal moved on: a jump ends them."""
+    found = np.zeros(len(values), dtype=bool)
+    moves = np.abs(np.diff(values))
+    equal = moves == 0.0
+    chance = float(np.mean(equal))
+    if chance in (0.0, 1.0):
+        return found
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], equal, [False]]).astype(int)))
+    for begin, end in ends.reshape(-1, 2):  # moves begin..end-1 are zero: samples begin..end are equal
+        length = end - begin
+        outside = (equal.sum() - length) / max(len(equal) - length, 1)
+        after = moves[end + 1 : end + 1 + 20]
+        expected = len(values) * outside**length  # such stretches, if equal values were chance
+        if length + 1 < _SHORTEST or end >= len(moves) - 5 or expected > _BY_CHANCE:
+            continue
+        if moves[end] > max(_RELEASE * _MAD * float(np.nanmedian(after)), 3.0 * step):
+            found[begin + 1 : end + 1] = True
+    return found
+
+
+def _median(others: FloatArray) -> FloatArray:
+    there = np.isfinite(others).any(axis=0)
+    return np.asarray(np.where(there, np.nanmedian(np.where(there, others, 0.0), axis=0), np.nan))
+
+
+def _moved_inputs(experiment: Experiment) -> Mask:
+    """Return (N,) whether an input has just moved by far more than it usually does."""
+    stirred = np.zeros(len(experiment.time), dtype=bool)
+    for signal in experiment.inputs.values():
+        moves = np.abs(np.diff(signal.values, prepend=signal.values[0]))
+        jumps = moves > _SPIKE * max(
+            float(np.median(moves)), 1e-12 * float(np.abs(signal.values).max(initial=0.0))
+        )
+        for late in range(-1, 2 * _LONGEST):
+            stirred |= np.roll(jumps, late)
+    return stirred
+
+
+def _masked(experiment: Experiment, name: str, mask: Mask) -> Experiment:
+    signal = experiment.signals[name]
+    left = replace(signal, values=np.where(mask, np.nan, signal.values))
+    return replace(experiment, signals={**experiment.signals, name: left})
