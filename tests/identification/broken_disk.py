@@ -94,7 +94,8 @@ def main():
         if code or stopped:
             identify(msd_problem(), solver="trf", out=out, resume=(out / JOURNAL).exists())
         said["resumed"] = read(out)
-        said["left"] = [p.name for p in out.iterdir() if p.name not in ("result.json", "history.h5")]
+        # A lock that nobody holds is none: the kernel's went with its process.
+        said["left"] = [p.name for p in out.iterdir() if p.name not in ("result.json", "history.h5", ".lock")]
         print(json.dumps(said), flush=True)
 
 

@@ -179,7 +179,7 @@ def test_killed_at_any_file_operation_a_run_can_be_read_and_resumed(tmp_path, st
     assert {run["code"] for run in runs} == {9}
     # What could be read before the run was resumed: ever more, and in the end as much as of the whole run.
     reached = [run["read"] for run in runs if run["read"] is not None]
-    assert len(reached) > len(runs) - 6
+    assert len(reached) > len(runs) - 8  # the first operations make folder, lock and journal
     assert [r["evaluations"] for r in reached] == sorted(r["evaluations"] for r in reached)
     assert reached[-1] == whole["read"]
 
