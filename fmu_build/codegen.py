@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from fmu_build.c_code import c_code, lengths, wrapped
+from fmu_build.elimination import plan
 from fmu_build.graph import SX, Gradient, Graph, Substitution, key
 
 Functions = dict[str, ca.Function]
@@ -65,30 +67,44 @@ def column(items: Sequence[SX]) -> SX:
     return ca.vertcat(*items) if items else SX(0, 1)
 
 
-def dense(rows: Sequence[Gradient], symbols: Sequence[SX]) -> SX:
-    """Jacobian with the given gradients as rows, every entry stored."""
-    out = SX.zeros(len(rows), len(symbols))
-    for j, symbol in enumerate(symbols):
-        for i, row in enumerate(rows):
-            if key(symbol) in row:
-                out[i, j] = row[key(symbol)]
-    return ca.densify(out)
+def sparse(rows: Sequence[Gradient], symbols: Sequence[SX], diagonal: int = 0) -> SX:
+    """Jacobian with the given gradients as rows: what may differ from zero, and the first of the diagonal."""
+    place = {key(symbol): j for j, symbol in enumerate(symbols)}
+    entries = {(place[k], i): slope for i, row in enumerate(rows) for k, slope in row.items() if k in place}
+    for i in range(diagonal):
+        entries.setdefault((i, i), SX(0.0))
+    order = sorted(entries)
+    pattern = ca.Sparsity.triplet(len(rows), len(symbols), [i for _, i in order], [j for j, _ in order])
+    return SX(pattern, column([entries[at] for at in order]))
 
 
 def parameter_slopes(graph: Graph, ports: Ports, e: Expressions) -> tuple[list[Slope], list[Slope]]:
-    """Partial derivatives of dx by [p; d; z = pz], where not zero: by scalars, and by elements of tables."""
+    """Partial derivatives of [dx; r] by [p; d; z = pz], where not zero: by scalars, and by elements of tables."""
     scalars: list[Slope] = []
     elements: list[Slope] = []
     parameters = [*ports.p, *ports.d]
-    for i, row in enumerate(map(graph.gradient, e.dx)):
-        for j, symbol in enumerate(parameters):
-            if key(symbol) in row:
-                (elements if symbol.name().endswith("]") else scalars).append((i, j, row[key(symbol)]))
-        for j, pair in enumerate(zip(ports.z, ports.pz, strict=True), len(parameters)):
-            found = [row[key(symbol)] for symbol in pair if key(symbol) in row]
-            if found:
-                scalars.append((i, j, sum(found[1:], found[0])))
+    places = {key(symbol): (j, symbol.name().endswith("]")) for j, symbol in enumerate(parameters)}
+    held = {
+        key(symbol): j
+        for j, pair in enumerate(zip(ports.z, ports.pz, strict=True), len(parameters))
+        for symbol in pair
+    }
+    for i, row in enumerate(map(graph.gradient, [*e.dx, *e.residuals])):
+        for j, k in sorted((places[k][0], k) for k in row if k in places):
+            (elements if places[k][1] else scalars).append((i, j, row[k]))
+        by_held: dict[int, list[SX]] = {}
+        for j, k in sorted((held[k], k) for k in row if k in held):
+            by_held.setdefault(j, []).append(row[k])
+        scalars += [(i, j, sum(found[1:], found[0])) for j, found in by_held.items()]
     return scalars, elements
+
+
+def slope_places(
+    graph: Graph, ports: Ports, e: Expressions
+) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Row and column of what `parameter_slopes` lists."""
+    scalars, elements = parameter_slopes(graph, ports, e)
+    return [(i, j) for i, j, _ in scalars], [(i, j) for i, j, _ in elements]
 
 
 def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
@@ -97,36 +113,27 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
     out: Functions = {}
 
     def add(name: str, arguments: list[SX], results: list[SX]) -> None:
-        shared = ca.cse([ca.densify(r) for r in results])
+        shared = ca.cse(results)
         out[name] = ca.Function(f"model_{name}", arguments, shared)
 
-    slopes_dx = [graph.gradient(r) for r in e.dx]
-    slopes_r = [graph.gradient(r) for r in e.residuals]
+    slopes = [graph.gradient(r) for r in [*e.dx, *e.residuals]]
+    unknowns, n_x = [*ports.x, *ports.y], len(ports.x)
     add("dependent", [column(ports.p)], [column(e.dependent)])
     starts = [column(e.x_start), column(e.z_start), column(e.y_start)]
     add("start", [column(ports.p), column(ports.d)], starts)
     conditions = [*e.initial, *e.residuals]
-    slopes = [graph.gradient(r) for r in conditions]
-    jacobian = dense(slopes, [*ports.x, *ports.y])
-    add("initial", [*environment, column(e.xs)], [column(conditions), jacobian])
+    add(
+        "initial",
+        [*environment, column(e.xs)],
+        [column(conditions), sparse(list(map(graph.gradient, conditions)), unknowns)],
+    )
     add("derivatives", environment, [column(e.dx)])
-    add(
-        "jacobian",
-        environment,
-        [column(e.dx), dense(slopes_dx, ports.x), dense(slopes_dx, [ports.t]), dense(slopes_dx, ports.y)],
-    )
-    add(
-        "loop",
-        environment,
-        [
-            column(e.residuals),
-            dense(slopes_r, ports.y),
-            dense(slopes_r, ports.x),
-            dense(slopes_r, [ports.t]),
-        ],
-    )
+    by_unknown = sparse(slopes, unknowns, n_x)
+    by_time = column([row.get(key(ports.t), SX(0.0)) for row in slopes])
+    add("jacobian", environment, [column(e.dx), by_unknown, by_time])
+    add("loop", environment, [column(e.residuals), sparse(slopes[n_x:], ports.y), by_time[n_x:]])
     scalars, elements = (column([slope for _, _, slope in own]) for own in parameter_slopes(graph, ports, e))
-    add("slopes", environment, [dense(slopes_dx, ports.x), scalars])
+    add("slopes", environment, [by_unknown, scalars])
     add("element_slopes", environment, [elements])
     add("variables", environment, [column(e.v)])
     vectors = {"x": ports.x, "u": ports.u, "p": ports.p, "d": ports.d, "y": ports.y, "xs": e.xs}
@@ -161,73 +168,125 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
     return out
 
 
-# An exponent is mostly a parameter, and mostly one of these; libm's pow takes longer than the rest of an equation.
-_POWER = """#include <math.h>
-static inline double power(double x, double y) {
-  return y==1. ? x : y==2. ? x*x : y==0. ? 1. : y==.5 && x>=0. ? sqrt(x) : y==-1. ? 1./x : pow(x, y);
-}
-"""
+@dataclass(frozen=True)
+class Header:
+    """What ``model.h`` says beside the functions.
+
+    Attributes
+    ----------
+    sizes
+        Lengths of the vectors and flags, by what follows ``MODEL_``.
+    inclusive
+        Of each relation.
+    asserts
+        Text and whether it is only a warning.
+    slopes
+        Row and column of the entries by scalars and by elements (see `parameter_slopes`).
+    outputs
+        Which of v are outputs.
+    """
+
+    sizes: Mapping[str, int]
+    x_nominal: Sequence[float]
+    y_nominal: Sequence[float]
+    inclusive: Sequence[bool]
+    asserts: Sequence[tuple[str, bool]]
+    slopes: tuple[Sequence[tuple[int, int]], Sequence[tuple[int, int]]]
+    outputs: Sequence[bool]
 
 
-def c_source(functions: Functions) -> str:
-    """C text of all functions; the same bytes for the same functions."""
-    generator = ca.CodeGenerator("model", {"with_header": False, "casadi_int": "long long int"})
-    for function in functions.values():
-        generator.add(function)
-    source = str(generator.dump())
-    for name, sign in (("fmin", "<"), ("fmax", ">")):  # libm's are calls that compilers may not inline
-        source = source.replace(f"return {name}(x, y);", f"return x{sign}y || isnan(y) ? x : y;")
-    return _POWER + source.replace("=pow(", "=power(")
+# What a simulation calls at its start and at events at most, or where somebody asks for hidden derivatives: the
+# compiler need not spend much time on it.
+RARE = frozenset(
+    {
+        "dependent",
+        "start",
+        "initial",
+        "update",
+        "asserts",
+        "variable_partials",
+        "dependent_partials",
+        "start_partials",
+    }
+    | {"start_partials", "initial_partials", "indicator_partials", "update_partials", "element_slopes"}
+)
 
 
-def c_header(
-    functions: Functions,
-    sizes: Mapping[str, int],
-    x_nominal: Sequence[float],
-    y_nominal: Sequence[float],
-    inclusive: Sequence[bool],
-    asserts: Sequence[tuple[str, bool]],
-    slopes: Sequence[Sequence[Slope]],
-    outputs: Sequence[bool],
-) -> str:
-    """Return the text of ``model.h``: sizes, tables and prototypes."""
+@dataclass(frozen=True)
+class Files:
+    """Texts of ``model.c``, ``model_rare.c`` and ``model.h``."""
+
+    source: str
+    rare: str
+    header: str
+
+
+def c_files(functions: Functions, header: Header) -> Files:
+    """C text of all functions and tables; the same bytes for the same functions."""
+    often = c_code({n: f for n, f in functions.items() if n not in RARE})
+    rare = c_code({n: f for n, f in functions.items() if n in RARE})
     lines = ["#ifndef MODEL_H", "#define MODEL_H", ""]
     lines += ["#ifndef casadi_int", "#define casadi_int long long int", "#endif", ""]
-    lines += [f"#define MODEL_{name} {value}" for name, value in sizes.items()]
-    largest = [0, 0, 0, 0]
-    kinds = ("ARG", "RES", "IW", "W")
-    for name, f in functions.items():
-        work = (f.sz_arg(), f.sz_res(), f.sz_iw(), f.sz_w())
-        lines += [f"#define model_{name}_SZ_{kind} {n}" for kind, n in zip(kinds, work, strict=True)]
-        largest = [max(a, b) for a, b in zip(largest, work, strict=True)]
-    lines += [f"#define MODEL_SZ_{kind} {n}" for kind, n in zip(kinds, largest, strict=True)]
+    lines += [f"#define MODEL_{name} {value}" for name, value in header.sizes.items()]
+    lines += [f"#define MODEL_SZ_{kind} {n}" for kind, n in lengths([often, rare]).items()]
+    matrices = {"J": functions["jacobian"], "R": functions["loop"], "I": functions["initial"]}
+    tables = []
+    for letter, function in matrices.items():
+        macros, definitions = _pattern(f"MODEL_{letter}", function.sparsity_out(1))
+        lines += macros
+        tables += definitions
+    by_scalar, by_element = header.slopes
     lines += [
         "",
-        f"static const double MODEL_X_NOMINAL[] = {{{_numbers(x_nominal)}}};",
-        f"static const double MODEL_Y_NOMINAL[] = {{{_numbers(y_nominal)}}};",
-        f"static const int MODEL_INCLUSIVE[] = {{{_integers(inclusive)}}};",
-        f"static const int MODEL_ASSERT_WARNING[] = {{{_integers(w for _, w in asserts)}}};",
+        f"static const double MODEL_X_NOMINAL[] = {{{_numbers(header.x_nominal)}}};",
+        f"static const double MODEL_Y_NOMINAL[] = {{{_numbers(header.y_nominal)}}};",
+        f"static const int MODEL_INCLUSIVE[] = {{{_integers(header.inclusive)}}};",
+        f"static const int MODEL_ASSERT_WARNING[] = {{{_integers(w for _, w in header.asserts)}}};",
         "static const char* const MODEL_ASSERT_MESSAGE[] = {"
-        + (", ".join(_string(text) for text, _ in asserts) or '""')
+        + (", ".join(_string(text) for text, _ in header.asserts) or '""')
         + "};",
-        f"static const int MODEL_OUTPUT[] = {{{_integers(outputs)}}};",
-        f"#define MODEL_NSLOPE {len(slopes[0])}",
-        f"#define MODEL_NELEMENT {len(slopes[1])}",
-        f"static const int MODEL_SLOPE_ROW[] = {{{_integers(i for own in slopes for i, _, _ in own)}}};",
-        f"static const int MODEL_SLOPE_COLUMN[] = {{{_integers(j for own in slopes for _, j, _ in own)}}};",
+        f"static const int MODEL_OUTPUT[] = {{{_integers(header.outputs)}}};",
+        f"#define MODEL_NSLOPE {len(by_scalar)}",
+        f"#define MODEL_NELEMENT {len(by_element)}",
+        f"static const int MODEL_SLOPE_ROW[] = {{{_integers(i for own in header.slopes for i, _ in own)}}};",
+        f"static const int MODEL_SLOPE_COLUMN[] = {{{_integers(j for own in header.slopes for _, j in own)}}};",
         "",
     ]
-    signature = "(const double** arg, double** res, casadi_int* iw, double* w, int mem)"
-    lines += [f"int model_{name}{signature};" for name in functions]
-    return "\n".join([*lines, "", "#endif", ""])
+    signature = "(const double** arg, double** res, casadi_int* iw, double* w, int mem);"
+    lines += [f"int model_{name}{signature}" for name in functions]
+    source = "\n".join([*tables, "", often.source])
+    return Files(source, rare.source, "\n".join([*lines, "", "#endif", ""]))
+
+
+def _pattern(name: str, sparsity: ca.Sparsity) -> tuple[list[str], list[str]]:
+    """Macros and tables of a square sparse matrix and its elimination: see ``runtime/linear.h``."""
+    start, rows = list(sparsity.colind()), list(sparsity.row())
+    n = sparsity.size2()
+    order = plan([rows[start[j] : start[j + 1]] for j in range(n)])
+    # Multiplications of a step with nine solutions; a dense one has no tables to look into, which counts half.
+    work = order.multiplications + 9 * len(order.rows)
+    dense = 2 * work > n * n * n / 3 + 9 * n * n
+    macros = {
+        "N": n, "NONZEROS": len(rows), "DENSE": int(dense), "FILLED": len(order.rows),
+        "FACTORS": n * n if dense else len(order.rows),
+    }  # fmt: skip
+    tables = {
+        "START": start, "ROW": rows, "COLUMN": order.columns, "PLACE": order.places, "LU_START": order.start,
+        "LU_DIAGONAL": order.diagonal, "LU_ROW": order.rows,
+        "DIAGONAL": [k for j in range(n) for k in range(start[j], start[j + 1]) if rows[k] == j],
+    }  # fmt: skip
+    lines = [f"#define {name}_{what} {value}" for what, value in macros.items()]
+    lines += [f"extern const int {name}_{what}[];" for what in tables]
+    definitions = [f"const int {name}_{w}[] = {{{wrapped(map(str, t)) or '0'}}};" for w, t in tables.items()]
+    return lines, definitions
 
 
 def _numbers(values: Sequence[float]) -> str:
-    return ", ".join(repr(float(v)) if math.isfinite(v) else "1.0" for v in values) or "1.0"
+    return wrapped(repr(float(v)) if math.isfinite(v) else "1.0" for v in values) or "1.0"
 
 
 def _integers(values: Iterable[int]) -> str:
-    return ", ".join(str(int(v)) for v in values) or "0"
+    return wrapped(str(int(v)) for v in values) or "0"
 
 
 def _string(text: str) -> str:

@@ -174,15 +174,17 @@ def _generate(
         "HAS_EVENTS": int(has_events), "HAS_INITIAL": int(not conditions.explicit),
     }  # fmt: skip
     messages = [(f"{flat.where(a.span) or flat.class_name}: {a.message}", a.warning) for a in equations.asserts]
-    header = codegen.c_header(
+    files = codegen.c_files(
         functions,
-        sizes,
-        interface.x_nominal,
-        interface.y_nominal,
-        [r.inclusive for r in scope.relations],
-        messages,
-        codegen.parameter_slopes(scope.graph, ports, expressions),
-        outputs,
+        codegen.Header(
+            sizes,
+            interface.x_nominal,
+            interface.y_nominal,
+            [r.inclusive for r in scope.relations],
+            messages,
+            codegen.slope_places(scope.graph, ports, expressions),
+            outputs,
+        ),
     )
     model = CompiledModel(
         name=flat.class_name.rpartition(".")[2],
@@ -195,11 +197,14 @@ def _generate(
         n_y=sizes["NY"], n_v=sizes["NV"], n_assert=sizes["NASSERT"],
         has_events=has_events,
         has_initial=not conditions.explicit,
-        c_source=codegen.c_source(functions),
-        c_header=header,
+        c_source=files.source,
+        c_rare=files.rare,
+        c_header=files.header,
         content_hash="",
         warnings=(*scope.parameters.warnings, *unit_check.check(flat)),
         functions=functions,
     )  # fmt: skip
-    what = repr(replace(model, c_source="", c_header="")) + model.c_source + model.c_header
+    what = repr(replace(model, c_source="", c_rare="", c_header="")) + "".join(
+        (model.c_source, model.c_rare, model.c_header)
+    )
     return replace(model, content_hash=hashlib.sha256(what.encode()).hexdigest())

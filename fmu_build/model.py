@@ -3,15 +3,16 @@
 
 The generated C
 ===============
-``CompiledModel.c_source`` (written as ``model.c``) and ``c_header`` (``model.h``) hold functions in CasADi's form::
+``CompiledModel.c_source`` (written as ``model.c``), ``c_rare`` (``model_rare.c``: what a simulation seldom calls) and
+``c_header`` (``model.h``) hold functions in CasADi's form::
 
     int model_NAME(const double** arg, double** res, casadi_int* iw, double* w, int mem);
-    int model_NAME_work(casadi_int* sz_arg, casadi_int* sz_res, casadi_int* sz_iw, casadi_int* sz_w);
 
 with ``casadi_int`` = ``long long int``. They are pure (no memory, no global state, thread-safe), use libc and libm
-only, and need work arrays of at least ``model_NAME_SZ_ARG/RES/IW/W`` entries (macros in ``model.h``; the
-largest over all functions are ``MODEL_SZ_ARG/RES/IW/W``). A NULL ``arg[i]`` reads as zeros, a NULL ``res[i]`` is not
-computed. Every result is dense, matrices column major. **Every function exists in every model**; what a
+only, and need work arrays of ``MODEL_SZ_ARG/RES/IW/W`` entries (macros in ``model.h``). A NULL ``res[i]`` is not
+written. Vectors are dense. Of a matrix only the entries are written that may differ from zero, column by column: for
+J, R and I below (the Jacobians of ``jacobian``, ``loop`` and ``initial``) ``model.h`` has where they are and the plan of
+a factorisation (``MODEL_J_START[]`` etc., see ``runtime/linear.h``). **Every function exists in every model**; what a
 model lacks has length zero (``MODEL_NX`` etc. may be 0, so give arrays one entry more).
 
 Vectors (all double; Boolean 0/1, Integer and enumeration ordinals as whole numbers)
@@ -39,14 +40,15 @@ function            arguments                      results
 dependent           p                              d
 start               p, d                           xs (nx), z (nz), y (ny): start values; a caller may replace xs entries
                                                    by values set through FMI. pz = z at the start
-initial             ENV, xs                        residual (nx+ny), Jacobian (nx+ny, nx+ny) with respect to [x; y];
+initial             ENV, xs                        residual (nx+ny), I: its Jacobian with respect to [x; y];
                                                    only needed if MODEL_HAS_INITIAL is 1 (Newton from [xs; y]),
                                                    otherwise x = xs is the solution, y from loop
 derivatives         ENV                            dx (nx)
-jacobian            ENV                            dx (nx), df/dx (nx, nx), df/dt (nx), df/dy (nx, ny); partial, y held
-loop                ENV                            r (ny), dr/dy (ny, ny), dr/dx (ny, nx), dr/dt (ny); Newton for y
-slopes              ENV                            df/dx (nx, nx); the entries of df/d[p; d; z = pz] that may differ from
-                                                   zero, for scalars (MODEL_NSLOPE); y held
+jacobian            ENV                            dx (nx), J: [dx; r] by [x; y] with all of the first nx diagonal
+                                                   entries, and [dx; r] by t (nx+ny); partial
+loop                ENV                            r (ny), R: dr/dy, dr/dt (ny); Newton for y
+slopes              ENV                            J; the entries of [dx; r] by [p; d; z = pz] that may differ from
+                                                   zero, for scalars (MODEL_NSLOPE); partial
 element_slopes      ENV                            the same for elements of arrays (MODEL_NELEMENT); where both are is in
                                                    MODEL_SLOPE_ROW[], MODEL_SLOPE_COLUMN[]
 variables           ENV                            v (nv)
@@ -215,8 +217,8 @@ class CompiledModel:
         derivative without a name in the model is called ``der(state)``); the order of ``x`` is that of the states.
     units
         Every unit named by a variable, sorted by name.
-    c_source, c_header
-        Texts of ``model.c`` and ``model.h`` (see the module's docstring); the same bytes for the same input.
+    c_source, c_rare, c_header
+        Texts of ``model.c``, ``model_rare.c`` and ``model.h`` (see the module's docstring); the same bytes for the same input.
     content_hash
         SHA-256 (hex) over all that defines the model; the GUID follows from it.
     warnings
@@ -243,6 +245,7 @@ class CompiledModel:
     has_events: bool
     has_initial: bool
     c_source: str
+    c_rare: str
     c_header: str
     content_hash: str
     warnings: tuple[str, ...] = ()

@@ -7,11 +7,11 @@ but the choice of the steps: f is evaluated as it stands.
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
+
+from fmu_build.c_code import c_code, lengths
 
 _MOST = 200  # more kinks than that are not worth looking at
 _DIFFERENCE = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_LT, ca.OP_LE)
@@ -54,22 +54,17 @@ def switching_functions(derivatives: Any) -> Any:
 
 def switches_code(derivatives: Any | None) -> dict[str, str]:
     """Generate ``switches.c`` and ``switches.h``; without a function there are no switches in them."""
-    length, sizes, source = 0, (0, 0, 0, 0), ""
+    length, sizes, source = 0, {"ARG": 1, "RES": 1, "W": 1}, ""
     if derivatives is not None and derivatives.is_a("SXFunction"):
         function = switching_functions(derivatives)
         length = function.numel_out(0)
-        sizes = (function.sz_arg(), function.sz_res(), function.sz_iw(), function.sz_w())
     if length:
-        generator = ca.CodeGenerator("switches.c", {"casadi_int": "long long int"})
-        generator.add(function)
-        with tempfile.TemporaryDirectory() as folder:
-            generator.generate(folder + "/")
-            source = (Path(folder) / "switches.c").read_text()
-    macros = zip(("ARG", "RES", "IW", "W"), sizes, strict=True)
+        code = c_code({"switches": function})
+        source, sizes = code.source, lengths([code])
     lines = [
         "/* Switching functions of the right-hand side, see fmu_build/switches.py. Generated. */",
         f"#define MODEL_NSWITCH {length}",
-        *(f"#define SWITCHES_SZ_{name} {size}" for name, size in macros),
+        *(f"#define SWITCHES_SZ_{name} {size}" for name, size in sizes.items()),
         "int model_switches(const double **arg, double **res, long long int *iw, double *w, int mem);",
     ]
     return {

@@ -3,9 +3,10 @@
 #include <string.h>
 
 #include "instance.h"
-#include "lu.h"
 
 #define CALL(name) model_##name(me->arg, me->res, me->iw, me->w, 0)
+
+static const Pattern PATTERN_R = PATTERN(R);
 
 const double **environment_at(Instance *me, const double *t, const double *x, const double *u) {
     State *s = &me->s;
@@ -54,8 +55,8 @@ static int newton(Instance *me, double t, const double *x, const double *u) {
         int solved = 1;
         for (int i = 0; i < NY; i++) solved &= r[i] == 0.0;
         if (solved) return 0;
-        if (lu_factor(NY, me->drdy, me->y_pivot)) return 1;
-        lu_solve(NY, me->drdy, me->y_pivot, r);
+        if (FACTORISE(R, me->drdy, &me->lu_loop)) return 1;
+        SOLVE(R, &me->lu_loop, r);
         const double size = relative_size(r, y);
         memcpy(old, y, sizeof old);
         for (int i = 0; i < NY; i++) y[i] -= r[i];
@@ -66,7 +67,7 @@ static int newton(Instance *me, double t, const double *x, const double *u) {
             me->res[0] = next;
             if (CALL(loop)) return 1;
             if (!all_finite(next, NY)) continue;
-            lu_solve(NY, me->drdy, me->y_pivot, next);
+            SOLVE(R, &me->lu_loop, next);
             const double left = relative_size(next, old);
             if (left < (1.0 - 0.5 * part) * size) break;
             if (size < ROUNDING) return 0;
@@ -106,42 +107,70 @@ int right_hand_side(Instance *me, double t, const double *x, double *dx) {
     return CALL(derivatives);
 }
 
-/* f in me->f0 and its total derivatives with respect to x and t (slope of the inputs and loops included). */
+/* The environment with the direction as further arguments, from arg[first] on. */
+static void environment_along(Instance *me, const double *t, const double *x, const double *u, const Direction *s,
+                              int first) {
+    environment_at(me, t, x, u);
+    const double *const seeds[] = {s->x, s->u, s->p, s->d, s->y, s->z, s->pz, &s->t};
+    for (int i = 0; i < 8; i++) me->arg[first + i] = seeds[i];
+}
+
+/* The same of loop_partials, which have no seed of y. */
+static void loop_environment_along(Instance *me, const double *t, const double *x, const double *u,
+                                   const Direction *s) {
+    environment_along(me, t, x, u, s, 9);
+    me->arg[13] = s->z;
+    me->arg[14] = s->pz;
+}
+
+/* f in me->f0, and the derivatives of [f; r] by [x; y] and t, the slopes of the inputs included. */
 int linearise(Instance *me, double t, const double *x) {
     input_at(me, t);
     if (solve_loop(me, t, x, me->ut)) return 1;
     environment_at(me, &t, x, me->ut);
     me->res[0] = me->f0;
     me->res[1] = me->jacobian;
-    me->res[2] = me->dfdt;
-    if (NY > 0) me->res[3] = me->dfdy;
+    me->res[2] = me->by_time;
     if (CALL(jacobian)) return 1;
 
     const double *du = me->s.step.du;
     int ramp = 0;
     for (int i = 0; i < NU; i++) ramp |= du[i] != 0.0;
-    if (NY > 0) {
-        double r[LENGTH(NY)];
-        environment_at(me, &t, x, me->ut);
-        me->res[0] = r;
-        me->res[1] = me->drdy;
-        me->res[2] = me->drdx;
-        me->res[3] = me->drdt;
-        if (CALL(loop) || lu_factor(NY, me->drdy, me->y_pivot)) return 1;
-        for (int j = 0; j <= NX; j++) {
-            double *slope = j < NX ? me->drdx + j * NY : me->drdt;
-            double *column = j < NX ? me->jacobian + j * NX : me->dfdt;
-            lu_solve(NY, me->drdy, me->y_pivot, slope);
-            for (int k = 0; k < NY; k++)
-                for (int i = 0; i < NX; i++) column[i] -= me->dfdy[k * NX + i] * slope[k];
-        }
-    }
     if (ramp) {
         Direction s = {.x = {0}};
         memcpy(s.u, du, sizeof s.u);
-        if (derivatives_along(me, t, x, me->ut, &s)) return 1;
-        for (int i = 0; i < NX; i++) me->dfdt[i] += s.dx[i];
+        environment_along(me, &t, x, me->ut, &s, 9);
+        me->res[0] = s.dx;
+        if (CALL(partials)) return 1;
+        for (int i = 0; i < NX; i++) me->by_time[i] += s.dx[i];
+        if (NY > 0) {
+            loop_environment_along(me, &t, x, me->ut, &s);
+            me->res[0] = s.y;
+            if (CALL(loop_partials)) return 1;
+            for (int i = 0; i < NY; i++) me->by_time[NX + i] += s.y[i];
+        }
     }
+    return 0;
+}
+
+/* x'' where `linearise` was called last. */
+int second_derivatives(Instance *me, double t, const double *x, double *second) {
+    static const Pattern j = PATTERN(J);
+    double sum[LENGTH(NX + NY)];
+    memcpy(sum, me->by_time, sizeof sum);
+    for (int column = 0; column < NX; column++)
+        for (int k = j.start[column]; k < j.start[column + 1]; k++) sum[j.row[k]] += me->jacobian[k] * me->f0[column];
+    if (NY > 0) { /* y' */
+        if (solve_loop(me, t, x, me->ut)) return 1;
+        environment_at(me, &t, x, me->ut);
+        me->res[1] = me->drdy;
+        if (CALL(loop) || FACTORISE(R, me->drdy, &me->lu_loop)) return 1;
+        SOLVE(R, &me->lu_loop, sum + NX);
+        for (int column = NX; column < NX + NY; column++)
+            for (int k = j.start[column]; k < j.start[column + 1]; k++)
+                if (j.row[k] < NX) sum[j.row[k]] -= me->jacobian[k] * sum[column];
+    }
+    memcpy(second, sum, NX * sizeof *second);
     return 0;
 }
 
@@ -171,14 +200,6 @@ int evaluate_variables(Instance *me) {
     return failed;
 }
 
-/* The environment with the direction as further arguments, from arg[first] on. */
-static void environment_along(Instance *me, const double *t, const double *x, const double *u, const Direction *s,
-                              int first) {
-    environment_at(me, t, x, u);
-    const double *const seeds[] = {s->x, s->u, s->p, s->d, s->y, s->z, s->pz, &s->t};
-    for (int i = 0; i < 8; i++) me->arg[first + i] = seeds[i];
-}
-
 /* Derivatives of the algebraic loops' unknowns along a direction, into s->y; leaves y itself solved. */
 static int loops_along(Instance *me, double t, const double *x, const double *u, Direction *s) {
     double r[LENGTH(NY)];
@@ -187,15 +208,13 @@ static int loops_along(Instance *me, double t, const double *x, const double *u,
     environment_at(me, &t, x, u);
     me->res[0] = r;
     me->res[1] = me->drdy;
-    if (s->t != 0.0) me->res[3] = me->drdt;
-    if (CALL(loop) || lu_factor(NY, me->drdy, me->y_pivot)) return 1;
-    environment_along(me, &t, x, u, s, 9);
-    me->arg[13] = s->z; /* no y among these seeds */
-    me->arg[14] = s->pz;
+    if (s->t != 0.0) me->res[2] = me->drdt;
+    if (CALL(loop) || FACTORISE(R, me->drdy, &me->lu_loop)) return 1;
+    loop_environment_along(me, &t, x, u, s);
     me->res[0] = s->y;
     if (CALL(loop_partials)) return 1;
     for (int i = 0; i < NY; i++) s->y[i] = -(s->t != 0.0 ? s->y[i] + s->t * me->drdt[i] : s->y[i]);
-    lu_solve(NY, me->drdy, me->y_pivot, s->y);
+    SOLVE(R, &me->lu_loop, s->y);
     return 0;
 }
 

@@ -3,7 +3,8 @@
 #include <string.h>
 
 #include "instance.h"
-#include "lu.h"
+
+static const Pattern PATTERN_I = PATTERN(I);
 
 /* A new or reset instance: every byte of the state is defined, so that equal runs are equal bit by bit. */
 void set_defaults(Instance *me) {
@@ -32,7 +33,7 @@ static int solve_initial(Instance *me) {
         environment_at(me, &s->t, s->x, s->u);
         me->arg[9] = s->xs;
         me->res[0] = r;
-        me->res[1] = me->matrix;
+        me->res[1] = me->initial;
         if (model_initial(me->arg, me->res, me->iw, me->w, 0)) return 1;
         double norm = 0.0;
         for (int i = 0; i < N; i++) norm += r[i] * r[i];
@@ -51,8 +52,8 @@ static int solve_initial(Instance *me) {
         }
         last = norm;
         if (norm == 0.0) return 0;
-        if (lu_factor(N, me->matrix, me->pivot)) return 1;
-        lu_solve(N, me->matrix, me->pivot, r);
+        if (FACTORISE(I, me->initial, &me->lu_start)) return 1;
+        SOLVE(I, &me->lu_start, r);
         double step = 0.0;
         for (int i = 0; i < N; i++) {
             double *value = i < NX ? &s->x[i] : &s->y[i - NX];
@@ -119,14 +120,14 @@ int initial_states_along(Instance *me, const double *start, Direction *s) {
     environment_at(me, &now->t, now->x, now->u);
     me->arg[9] = now->xs;
     me->res[0] = NULL;
-    me->res[1] = me->matrix;
-    if (model_initial(me->arg, me->res, me->iw, me->w, 0) || lu_factor(N, me->matrix, me->pivot)) return 1;
+    me->res[1] = me->initial;
+    if (model_initial(me->arg, me->res, me->iw, me->w, 0) || FACTORISE(I, me->initial, &me->lu_start)) return 1;
     environment_at(me, &now->t, now->x, now->u);
     const double *const seeds[] = {now->xs, s->u, s->p, s->d, sxs, s->z, s->pz};
     for (int i = 0; i < 7; i++) me->arg[9 + i] = seeds[i];
     me->res[0] = r;
     if (model_initial_partials(me->arg, me->res, me->iw, me->w, 0)) return 1;
-    lu_solve(N, me->matrix, me->pivot, r);
+    SOLVE(I, &me->lu_start, r);
     for (int i = 0; i < NX; i++) s->x[i] = -r[i];
     return 0;
 }

@@ -7,6 +7,7 @@
 
 #include <stddef.h>
 
+#include "linear.h"
 #include "model.h"
 #include "model_config.h"
 #include "switches.h"
@@ -79,15 +80,19 @@ struct Instance {
     /* work memory: nothing in it outlives one call */
     const double *arg[LARGER(MODEL_SZ_ARG, SWITCHES_SZ_ARG) + 1];
     double *res[LARGER(MODEL_SZ_RES, SWITCHES_SZ_RES) + 1];
-    casadi_int iw[LARGER(MODEL_SZ_IW, SWITCHES_SZ_IW) + 1];
+    casadi_int iw[1];
     double w[LARGER(MODEL_SZ_W, SWITCHES_SZ_W) + 1];
     double ut[LENGTH(NU)], g[LENGTH(NM)];
-    double jacobian[LENGTH(NX) * LENGTH(NX)], dfdt[LENGTH(NX)], f0[LENGTH(NX)];
-    double matrix[LENGTH(NX + NY) * LENGTH(NX + NY)];
-    int pivot[LENGTH(NX + NY)];
-    double dfdy[LENGTH(NX) * LENGTH(NY)], drdy[LENGTH(NY) * LENGTH(NY)], drdx[LENGTH(NY) * LENGTH(NX)];
-    double drdt[LENGTH(NY)];
-    int y_pivot[LENGTH(NY)];
+    /* of [dx; r] at the beginning of the step: by [x; y], and by t with the slopes of the inputs */
+    double jacobian[LENGTH(MODEL_J_NONZEROS)], by_time[LENGTH(NX + NY)], f0[LENGTH(NX)];
+    double matrix[LENGTH(MODEL_J_NONZEROS)], drdy[LENGTH(MODEL_R_NONZEROS)], drdt[LENGTH(NY)];
+    double initial[LENGTH(MODEL_I_NONZEROS)];
+    Factors lu_step, lu_loop, lu_start;
+    struct {
+        double step[LENGTH(MODEL_J_FACTORS)], loop[LENGTH(MODEL_R_FACTORS)], start[LENGTH(MODEL_I_FACTORS)];
+        double work[3][2 * (NX + NY) + 1];
+        int pivot[3][LENGTH(NX + NY)];
+    } factors; /* what Factors point to */
     Listener listener;
     char *name;
     int logging;
@@ -103,11 +108,20 @@ typedef struct {
     double y[LENGTH(NY)], dx[LENGTH(NX)], v[LENGTH(NV)], next_event;
 } Direction;
 
+/* Their matrices: J of integrator and sensitivities, R of Newton's method for loops, I of that for initial equations. */
+#define PATTERN(m)                                                                                                 \
+    {MODEL_##m##_N, MODEL_##m##_DENSE, MODEL_##m##_NONZEROS, MODEL_##m##_FACTORS, MODEL_##m##_START,               \
+     MODEL_##m##_ROW, MODEL_##m##_COLUMN, MODEL_##m##_PLACE, MODEL_##m##_LU_START, MODEL_##m##_LU_DIAGONAL,        \
+     MODEL_##m##_LU_ROW}
+#define FACTORISE(m, a, f) factorise(MODEL_##m##_N, MODEL_##m##_DENSE, &PATTERN_##m, a, f)
+#define SOLVE(m, f, b) solve(MODEL_##m##_N, MODEL_##m##_DENSE, &PATTERN_##m, f, b)
+
 /* equations.c: evaluation of the generated functions */
 const double **environment_at(Instance *me, const double *t, const double *x, const double *u);
 int solve_loop(Instance *me, double t, const double *x, const double *u);
 int right_hand_side(Instance *me, double t, const double *x, double *dx);
 int linearise(Instance *me, double t, const double *x);
+int second_derivatives(Instance *me, double t, const double *x, double *second);
 void input_at(Instance *me, double t);
 int evaluate_derivatives(Instance *me);
 int evaluate_variables(Instance *me);

@@ -4,7 +4,8 @@
  *
  * In the transformed variables k_i of Hairer and Wanner one step solves, with one LU factorisation,
  *     (I/(h gamma) - J) k_i = f(t + c_i h, x + sum a_ij k_j) + sum (C_ij/h) k_j + h d_i df/dt,
- * x1 = x + sum m_i k_i. J and df/dt are exact. There are two error estimates of order 4 and the larger one counts: k_8,
+ * x1 = x + sum m_i k_i. J and df/dt are exact. Where algebraic loops r(t, x, y) = 0 take part, the matrix is that of
+ * [f; r] by [x; y] (I for the states alone), which is sparse as the model is: eliminating y from it gives J. There are two error estimates of order 4 and the larger one counts: k_8,
  * and the one of Rodas5Pe [Steinebach, Rackauckas, Rosenbrock methods within OrdinaryDiffEq.jl, Proc. JuliaCon Conf.
  * 2024]. k_8 alone vanishes for what a stiff model pulls to a slow motion: the ends of a step are then exact however
  * long it is, and nothing watches what is between them. */
@@ -13,7 +14,6 @@
 #include <string.h>
 
 #include "instance.h"
-#include "lu.h"
 
 static const double GAMMA = 0.21193756319429014;
 static const double A[6][5] = {
@@ -97,15 +97,14 @@ static double tolerance_of(const State *s, int i, double x) {
 }
 
 /* First step size of a run from the first two derivatives [Hairer, Norsett, Wanner I, II.4]. */
-static double first_step(const Instance *me, const double *x) {
-    double d0 = 0.0, d1 = 0.0, d2 = 0.0;
+static double first_step(Instance *me, double t, const double *x) {
+    double d0 = 0.0, d1 = 0.0, d2 = 0.0, second[LENGTH(NX)];
+    if (second_derivatives(me, t, x, second)) return 1e-6;
     for (int i = 0; i < NX; i++) {
         const double unit = tolerance_of(&me->s, i, x[i]);
-        double second = me->dfdt[i];
-        for (int j = 0; j < NX; j++) second += me->jacobian[j * NX + i] * me->f0[j];
         d0 = larger(d0, fabs(x[i]) / unit);
         d1 = larger(d1, fabs(me->f0[i]) / unit);
-        d2 = larger(d2, fabs(second) / unit);
+        d2 = larger(d2, fabs(second[i]) / unit);
     }
     const double fastest = larger(d1, d2);
     const double h = fastest > 1e-15 ? pow(0.01 / fastest, 0.2) : 1e-3;
@@ -119,24 +118,25 @@ static double estimate(const Step *step, int i) {
     return larger(fabs(step->k[7][i]), fabs(other));
 }
 
-enum { PACKED = NX > 7 }; /* from about here on most of the factors is zero */
+static const Pattern PATTERN_J = PATTERN(J);
+
+/* The matrix of a step of size h. */
+static int factorise_step(Instance *me, double h) {
+    double *restrict matrix = me->matrix;
+    for (int k = 0; k < MODEL_J_NONZEROS; k++) matrix[k] = -me->jacobian[k];
+    for (int i = 0; i < NX; i++) matrix[MODEL_J_DIAGONAL[i]] += 1.0 / (h * GAMMA);
+    return FACTORISE(J, matrix, &me->lu_step);
+}
 
 /* Stages, x1 and error estimate of one step; the largest error in units of the tolerance, NaN if a stage failed. */
 static double try_step(Instance *me, double t, double h) {
     Step *step = &me->s.step;
     const double *x = step->x0;
     double(*k)[LENGTH(NX)] = step->k;
-    double *restrict matrix = me->matrix;
-    double argument[LENGTH(NX)], *x1 = step->x1;
-    for (int i = 0; i < NX * NX; i++) matrix[i] = -me->jacobian[i];
-    for (int i = 0; i < NX; i++) matrix[i * NX + i] += 1.0 / (h * GAMMA);
-    if (lu_factor(NX, matrix, me->pivot)) return NAN;
-    int start[2 * NX + 1], row[PACKED ? NX * NX : 1];
-    double value[PACKED ? NX * NX : 1];
-    if (PACKED) lu_pack(NX, matrix, start, row, value);
-
+    double argument[LENGTH(NX)], *x1 = step->x1, both[LENGTH(NX + NY)];
+    if (factorise_step(me, h)) return NAN;
     for (int stage = 0; stage < STAGES; stage++) {
-        double *restrict b = k[stage];
+        double *restrict b = NY > 0 ? both : k[stage];
         if (stage == 0) {
             memcpy(b, me->f0, NX * sizeof *b);
         } else {
@@ -153,10 +153,11 @@ static double try_step(Instance *me, double t, double h) {
                 for (int i = 0; i < NX; i++) b[i] += weight * k[j][i];
             }
         }
+        for (int i = NX; i < NX + NY; i++) b[i] = 0.0;
         if (D[stage] != 0.0)
-            for (int i = 0; i < NX; i++) b[i] += h * D[stage] * me->dfdt[i];
-        if (PACKED) lu_solve_packed(NX, matrix, me->pivot, start, row, value, b);
-        else lu_solve(NX, matrix, me->pivot, b);
+            for (int i = 0; i < NX + NY; i++) b[i] += h * D[stage] * me->by_time[i];
+        SOLVE(J, &me->lu_step, b);
+        if (NY > 0) memcpy(k[stage], both, NX * sizeof *both);
     }
     double error = 0.0;
     for (int i = 0; i < NX; i++) {
@@ -228,7 +229,7 @@ Status integrate_step(Instance *me, double target, int exact) {
             static const char *const name[] = MODEL_X_NAME;
             return report(me, STATUS_ERROR, "t = %.9g: the derivative of %s is not finite", t, name[i]);
         }
-    if (!(step->h_next > 0.0)) step->h_next = first_step(me, step->x0);
+    if (!(step->h_next > 0.0)) step->h_next = first_step(me, t, step->x0);
 
     /* What an input that has just changed sets off is as fast as after the last change. */
     const int start = step->fresh;

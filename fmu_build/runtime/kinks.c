@@ -66,9 +66,8 @@ double first_kink(Instance *me, double h, int again) {
     if (MODEL_NSWITCH == 0 || switches_at(me, step->t0, step->x0, start)) return 1.0;
     for (int i = 0; i < NX; i++)
         if (!isfinite(step->x1[i])) return 1.0;
-    memcpy(curvature, me->dfdt, sizeof curvature);
-    for (int j = 0; j < NX; j++)
-        for (int i = 0; i < NX; i++) curvature[i] += me->jacobian[j * NX + i] * me->f0[j];
+    input_at(me, step->t0);
+    if (second_derivatives(me, step->t0, step->x0, curvature)) return 1.0;
     const double *second = again ? NULL : curvature;
     step->h = h; /* for the dense output */
     for (int attempt = 0; attempt < TRIES; attempt++) {

@@ -17,6 +17,13 @@ Instance *new_instance(const char *name, const char *guid, const char *resources
         return NULL;
     }
     strcpy(me->name, name);
+    Factors *const lu[] = {&me->lu_step, &me->lu_loop, &me->lu_start};
+    double *const value[] = {me->factors.step, me->factors.loop, me->factors.start};
+    for (int i = 0; i < 3; i++) {
+        lu[i]->value = value[i];
+        lu[i]->pivot = me->factors.pivot[i];
+        lu[i]->work = me->factors.work[i];
+    }
     me->listener = listener;
     if (!guid || strcmp(guid, MODEL_GUID) != 0) {
         report(me, STATUS_ERROR, "the GUID %s is not the one of this FMU, %s: modelDescription.xml and binary differ",
@@ -35,6 +42,9 @@ Instance *new_instance(const char *name, const char *guid, const char *resources
 void free_instance(Instance *me) {
     if (!me) return;
     free_sensitivities(me);
+    free_pivoted(&me->lu_step.other);
+    free_pivoted(&me->lu_loop.other);
+    free_pivoted(&me->lu_start.other);
     free(me->name);
     free(me);
 }

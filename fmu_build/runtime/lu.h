@@ -48,38 +48,6 @@ static inline void lu_solve(int n, const double *a, const int *pivot, double *b)
     }
 }
 
-/* Lists what is not zero in the factors, for many solutions: `row` and `value` (n x n) column by column, of L from the
- * first column to the last and then of U from the last to the first; column k of the 2 n begins at start[k]. */
-static inline void lu_pack(int n, const double *a, int *start, int *row, double *value) {
-    int k = 0;
-    for (int column = 0; column < 2 * n; column++) {
-        const int lower = column < n, c = lower ? column : 2 * n - 1 - column;
-        start[column] = k;
-        for (int i = lower ? c + 1 : 0; i < (lower ? n : c); i++) {
-            row[k] = i;
-            value[k] = a[c * n + i];
-            k += value[k] != 0.0;
-        }
-    }
-    start[2 * n] = k;
-}
-
-/* As `lu_solve`, to the same bits, with the lists of `lu_pack`. */
-static inline void lu_solve_packed(int n, const double *a, const int *pivot, const int *start, const int *row,
-                                   const double *value, double *b) {
-    for (int c = 0; c < n; c++) {
-        const double swap = b[pivot[c]];
-        b[pivot[c]] = b[c];
-        b[c] = swap;
-    }
-    for (int column = 0; column < 2 * n; column++) {
-        const int c = column < n ? column : 2 * n - 1 - column;
-        if (column >= n) b[c] *= a[c * n + c];
-        const double x = b[c];
-        for (int k = start[column]; k < start[column + 1]; k++) b[row[k]] -= value[k] * x;
-    }
-}
-
 /* Where vectors lie side by side in rows of m: does(m), and for few of them with a constant, so that loops over them
  * are unrolled. */
 #define UNROLLED(m, does)                                                                                          \
@@ -90,37 +58,5 @@ static inline void lu_solve_packed(int n, const double *a, const int *pivot, con
         else if ((m) == 4) does(4);                                                                                \
         else does(m);                                                                                              \
     } while (0)
-
-/* As `lu_solve` for m right-hand sides at once, `b` with n rows of m; what is zero in the factors costs nothing. */
-static inline void lu_solve_rows(int n, const double *a, const int *pivot, size_t m, double *b) {
-    for (int c = 0; c < n; c++) {
-        double *row = b + c * m, *other = b + pivot[c] * m;
-        for (size_t k = 0; k < m && other != row; k++) {
-            const double swap = row[k];
-            row[k] = other[k];
-            other[k] = swap;
-        }
-    }
-    for (int c = 0; c < n; c++)
-        for (int i = c + 1; i < n; i++) {
-            const double factor = a[c * n + i];
-            if (factor == 0.0) continue;
-            for (size_t k = 0; k < m; k++) b[i * m + k] -= factor * b[c * m + k];
-        }
-    for (int c = n - 1; c >= 0; c--) {
-        for (size_t k = 0; k < m; k++) b[c * m + k] *= a[c * n + c];
-        for (int i = 0; i < c; i++) {
-            const double factor = a[c * n + i];
-            if (factor == 0.0) continue;
-            for (size_t k = 0; k < m; k++) b[i * m + k] -= factor * b[c * m + k];
-        }
-    }
-}
-
-static inline void lu_solve_many(int n, const double *a, const int *pivot, size_t m, double *b) {
-#define SOLVE(k) lu_solve_rows(n, a, pivot, k, b)
-    UNROLLED(m, SOLVE);
-#undef SOLVE
-}
 
 #endif

@@ -1,9 +1,10 @@
 /* Forward sensitivities S = dx/dp by the variational equations S' = (df/dx) S + df/dp.
  *
  * On every step that the state's integrator accepts they are solved by the collocation method Radau IIA with three
- * stages (order 5, L-stable: as stiff as the model may be) along the dense output of the state. The equations are
- * linear, so a step is one factorisation for all parameters, and no error control of its own is needed. The
- * solution between the communication points is the collocation polynomial. A step is worked off only when it is
+ * stages (order 5, L-stable: as stiff as the model may be) along the dense output of the state, the unknowns of
+ * algebraic loops with them. The equations are linear, so a step is one factorisation for all parameters, of blocks of
+ * three where the model's Jacobian has entries, and no error control of its own is needed. The solution between the
+ * communication points is the collocation polynomial. A step is worked off only when it is
  * needed: a lookahead that a new input makes void costs nothing. Where the step runs over kinks of f, whose Jacobian
  * jumps there, it is solved in pieces between them. What an event does to S is in event_sensitivity.c. */
 #include <math.h>
@@ -11,10 +12,9 @@
 #include <string.h>
 
 #include "instance.h"
-#include "lu.h"
 #include "sensitivity.h"
 
-enum { RADAU = 3 };
+enum { N = NX + NY, RADAU = 3, BLOCK = RADAU * RADAU };
 
 struct Sensitivity {
     size_t n, n_parameters;
@@ -25,18 +25,21 @@ struct Sensitivity {
     unsigned char moved[LENGTH(NP + ND + NZ)]; /* ... which of them change at all ... */
     int elements;     /* ... and, if elements of arrays do, how many derivatives by those there are */
     double *start;    /* NX rows of n: at the beginning of the last step */
-    double *stages;   /* RADAU * NX rows of n: at its collocation points */
+    double *stages;   /* N times RADAU rows of n: of each unknown at the collocation points */
     double *now;      /* NX rows of n: where they were asked for */
-    double *rest;     /* NX rows of n: work memory */
+    double *rest;     /* N times RADAU rows of n: work memory */
     double from, to;  /* the piece of the last step that `stages` belong to ... */
     double smooth;    /* ... up to where f has no kink in it ... */
     int pieces;       /* ... and how many of it there were; 0: none is solved yet */
     double switches[LENGTH(MODEL_NSWITCH)]; /* their values at the end of the last piece ... */
     int switches_known;                     /* ... if f goes on from there as it was */
-    double inverse[LENGTH(NX * NX)], matrix[LENGTH(4 * NX * NX)];
-    int pivot[LENGTH(2 * NX)];
+    double factors[BLOCK * MODEL_J_FILLED + 1]; /* blocks of L and U, on the diagonal inverses */
+    Pivoted *other;                             /* of the whole matrix, where the planned pivots will not do ... */
+    int use_other;                              /* ... as in the last piece */
+    double work[2 * BLOCK * N + 1];
 };
 
+static const Pattern PATTERN_J = PATTERN(J);
 static const double NODE[RADAU] = {0.1550510257216822, 0.6449489742783178, 1.0};
 /* Inverse of the method's matrix, and its row sums. */
 static const double W[RADAU][RADAU] = {
@@ -46,22 +49,16 @@ static const double W[RADAU][RADAU] = {
 };
 static const double W_SUM[RADAU] = {4.139387691339814, -1.7393876913398136, 3.0};
 
-/* Derivatives of f by x (column-major) and, times h, along the directions (added to `forcing`, NX rows of n). */
-static int slopes_at(Instance *me, double t, const double *x, double h, double *jacobian, double *forcing) {
+/* What multiplies a row of the collocation equations: loops are no differential equations. */
+static inline double row_factor(int row, double h) { return row < NX ? h : 1.0; }
+
+/* The entries of J, and the derivatives of [f; r] along the directions, into the rows of stage i. */
+static int slopes_at(Instance *me, double t, const double *x, double h, int i, double *jacobian, double *rows) {
     struct Sensitivity *q = me->sensitivity;
     double by_parameter[LENGTH(MODEL_NSLOPE + MODEL_NELEMENT)];
+    const size_t n = q->n;
     input_at(me, t);
-    if (NY > 0) { /* f depends on the parameters through the loops, too */
-        if (linearise(me, t, x)) return 1;
-        memcpy(jacobian, me->jacobian, sizeof me->jacobian);
-        for (size_t p = 0; p < q->n; p++) {
-            Direction *along = &q->along[p];
-            memset(along->x, 0, sizeof along->x);
-            if (derivatives_along(me, t, x, me->ut, along)) return 1;
-            for (int i = 0; i < NX; i++) forcing[i * q->n + p] += h * along->dx[i];
-        }
-        return 0;
-    }
+    if (solve_loop(me, t, x, me->ut)) return 1;
     environment_at(me, &t, x, me->ut);
     me->res[0] = jacobian;
     me->res[1] = by_parameter;
@@ -72,74 +69,190 @@ static int slopes_at(Instance *me, double t, const double *x, double h, double *
         if (model_element_slopes(me->arg, me->res, me->iw, me->w, 0)) return 1;
     }
     for (int k = 0; k < MODEL_NSLOPE + q->elements; k++) {
-        const int column = MODEL_SLOPE_COLUMN[k];
-        double *target = forcing + MODEL_SLOPE_ROW[k] * q->n;
+        const int column = MODEL_SLOPE_COLUMN[k], row = MODEL_SLOPE_ROW[k];
+        double *target = rows + ((size_t)MODEL_J_PLACE[row] * RADAU + i) * n;
+        const double slope = row_factor(row, h) * by_parameter[k];
         if (q->moved[column])
-            for (size_t p = 0; p < q->n; p++) target[p] += h * by_parameter[k] * q->moves[column * q->n + p];
+            for (size_t p = 0; p < n; p++) target[p] += slope * q->moves[column * n + p];
     }
     return 0;
 }
 
-/* target += factor * inverse * rows (NX rows of n) */
-static inline void add_rows(const double *inverse, size_t n, double factor, const double *rows, double *target) {
-    for (int i = 0; i < NX; i++)
-        for (int j = 0; j < NX; j++) {
-            const double a = factor * inverse[i * NX + j];
-            if (a == 0.0) continue;
-            for (size_t p = 0; p < n; p++) target[i * n + p] += a * rows[j * n + p];
-        }
+/* c -= a b */
+static inline void subtract_product(const double *restrict a, const double *restrict b, double *restrict c) {
+    for (int i = 0; i < RADAU; i++)
+        for (int j = 0; j < RADAU; j++)
+            c[i * RADAU + j] -= a[i * RADAU] * b[j] + a[i * RADAU + 1] * b[RADAU + j] + a[i * RADAU + 2] * b[2 * RADAU + j];
 }
 
-static void add_solved(const struct Sensitivity *q, double factor, const double *rows, double *target) {
-#define ADD(k) add_rows(q->inverse, k, factor, rows, target)
-    UNROLLED(q->n, ADD);
-#undef ADD
+/* 1: singular */
+static inline int invert(const double *restrict a, double *restrict inverse) {
+    const double c0 = a[4] * a[8] - a[5] * a[7], c1 = a[5] * a[6] - a[3] * a[8], c2 = a[3] * a[7] - a[4] * a[6];
+    const double determinant = a[0] * c0 + a[1] * c1 + a[2] * c2;
+    if (!(fabs(determinant) > 0.0 && isfinite(determinant))) return 1;
+    const double r = 1.0 / determinant;
+    inverse[0] = r * c0;
+    inverse[1] = r * (a[2] * a[7] - a[1] * a[8]);
+    inverse[2] = r * (a[1] * a[5] - a[2] * a[4]);
+    inverse[3] = r * c1;
+    inverse[4] = r * (a[0] * a[8] - a[2] * a[6]);
+    inverse[5] = r * (a[2] * a[3] - a[0] * a[5]);
+    inverse[6] = r * c2;
+    inverse[7] = r * (a[1] * a[6] - a[0] * a[7]);
+    inverse[8] = r * (a[0] * a[4] - a[1] * a[3]);
+    return 0;
+}
+
+/* Factorises the collocation matrix of blocks -h diag(J_1, J_2, J_3), plus W on the diagonal of the states, with the
+ * planned pivots; 1: an entry has grown out of proportion to its row. */
+static int planned_factor(struct Sensitivity *q, double h, double (*jacobian)[LENGTH(MODEL_J_NONZEROS)]) {
+    static const double GROWTH = 1e5;
+    const Pattern *p = &PATTERN_J;
+    double *restrict x = q->work, *restrict bound = x + BLOCK * N, *restrict lu = q->factors;
+    int grown = 0;
+    for (int i = 0; i < N; i++) bound[p->place[i]] = i < NX ? GROWTH : 0.0;
+    for (int k = 0; k < MODEL_J_NONZEROS; k++) {
+        double *b = &bound[p->place[p->row[k]]];
+        for (int i = 0; i < RADAU; i++) *b = fmax(*b, GROWTH * fabs(row_factor(p->row[k], h) * jacobian[i][k]));
+    }
+    for (int k = 0; k < N; k++) {
+        const int column = p->column[k], diagonal = MODEL_J_LU_DIAGONAL[k], end = MODEL_J_LU_START[k + 1];
+        for (int r = MODEL_J_LU_START[k]; r < end; r++)
+            for (int i = 0; i < BLOCK; i++) x[MODEL_J_LU_ROW[r] * BLOCK + i] = 0.0;
+        for (int s = p->start[column]; s < p->start[column + 1]; s++) {
+            double *block = x + p->place[p->row[s]] * BLOCK;
+            for (int i = 0; i < RADAU; i++) block[i * (RADAU + 1)] = -row_factor(p->row[s], h) * jacobian[i][s];
+            if (p->row[s] == column && column < NX)
+                for (int i = 0; i < BLOCK; i++) block[i] += W[i / RADAU][i % RADAU];
+        }
+        for (int s = MODEL_J_LU_START[k]; s < diagonal; s++) {
+            const int j = MODEL_J_LU_ROW[s];
+            const double *u = x + j * BLOCK;
+            for (int i = 0; i < BLOCK; i++) {
+                lu[s * BLOCK + i] = u[i];
+                grown |= !(fabs(u[i]) <= bound[j]);
+            }
+            for (int r = MODEL_J_LU_DIAGONAL[j] + 1; r < MODEL_J_LU_START[j + 1]; r++)
+                subtract_product(lu + r * BLOCK, u, x + MODEL_J_LU_ROW[r] * BLOCK);
+        }
+        grown |= invert(x + k * BLOCK, lu + diagonal * BLOCK);
+        for (int r = diagonal + 1; r < end; r++) {
+            const double *own = x + MODEL_J_LU_ROW[r] * BLOCK;
+            for (int i = 0; i < BLOCK; i++) {
+                grown |= !(fabs(own[i]) <= bound[MODEL_J_LU_ROW[r]]);
+                lu[r * BLOCK + i] = 0.0;
+            }
+            double negative[BLOCK];
+            for (int i = 0; i < BLOCK; i++) negative[i] = -own[i];
+            subtract_product(negative, lu + diagonal * BLOCK, lu + r * BLOCK);
+        }
+    }
+    return grown;
+}
+
+/* The same with pivots chosen by size, blocks written out. */
+static int pivoted_blocks(struct Sensitivity *q, double h, double (*jacobian)[LENGTH(MODEL_J_NONZEROS)]) {
+    const Pattern *p = &PATTERN_J;
+    int *index = malloc((LENGTH(RADAU * MODEL_J_NONZEROS + 2 * RADAU * NX) + 6 * N + 1) * sizeof *index);
+    double *value = malloc(LENGTH(RADAU * MODEL_J_NONZEROS + 2 * RADAU * NX) * sizeof *value);
+    int failed = !index || !value, used = 0;
+    int *start = index, *column = start + RADAU * N + 1, *row = column + RADAU * N;
+    for (int c = 0; !failed && c < RADAU * N; c++) {
+        const int j = c / RADAU, i = c % RADAU;
+        start[c] = used;
+        column[c] = p->column[j] * RADAU + i;
+        for (int k = p->start[j]; k < p->start[j + 1]; k++)
+            for (int other = 0; other < RADAU; other++) {
+                const int state = p->row[k] == j && j < NX;
+                if (other != i && !state) continue;
+                row[used] = p->row[k] * RADAU + other;
+                value[used++] = (other == i ? -row_factor(p->row[k], h) * jacobian[i][k] : 0.0) + (state ? W[other][i] : 0.0);
+            }
+        start[c + 1] = used;
+    }
+    failed = failed || pivoted_factor(RADAU * N, start, row, column, value, &q->other);
+    free(index);
+    free(value);
+    return failed;
+}
+
+/* rows -= block * other, each RADAU rows of n */
+static inline void subtract_rows(size_t n, const double *block, const double *restrict other, double *restrict rows) {
+    for (int i = 0; i < RADAU; i++)
+        for (size_t p = 0; p < n; p++)
+            rows[i * n + p] -= block[i * RADAU] * other[p] + block[i * RADAU + 1] * other[n + p] +
+                               block[i * RADAU + 2] * other[2 * n + p];
+}
+
+/* Solves for all directions: `y` has the rows in steps, `to` receives those of the unknowns. */
+static inline void solve_rows(const struct Sensitivity *q, size_t n, double *y, double *to) {
+    const Pattern *p = &PATTERN_J;
+    const double *lu = q->factors;
+    const size_t m = RADAU * n;
+    for (int k = 0; k < N; k++)
+        for (int r = MODEL_J_LU_DIAGONAL[k] + 1; r < MODEL_J_LU_START[k + 1]; r++)
+            subtract_rows(n, lu + r * BLOCK, y + k * m, y + MODEL_J_LU_ROW[r] * m);
+    for (int k = N - 1; k >= 0; k--) {
+        const int diagonal = MODEL_J_LU_DIAGONAL[k];
+        double *solved = to + p->column[k] * m, negative[BLOCK];
+        for (int i = 0; i < BLOCK; i++) negative[i] = -lu[diagonal * BLOCK + i];
+        for (size_t i = 0; i < m; i++) solved[i] = 0.0;
+        subtract_rows(n, negative, y + k * m, solved);
+        for (int s = MODEL_J_LU_START[k]; s < diagonal; s++)
+            subtract_rows(n, lu + s * BLOCK, solved, y + MODEL_J_LU_ROW[s] * m);
+    }
+}
+
+static int solve_pivoted(struct Sensitivity *q, const double *y, double *to) {
+    double *b = malloc((2 * RADAU * N + 1) * sizeof *b);
+    if (!b) return 1;
+    for (size_t p = 0; p < q->n; p++) {
+        for (int i = 0; i < RADAU * N; i++)
+            b[i] = y[((size_t)PATTERN_J.place[i / RADAU] * RADAU + i % RADAU) * q->n + p];
+        int *column = (int *)(void *)(b + RADAU * N);
+        for (int i = 0; i < RADAU * N; i++) column[i] = PATTERN_J.column[i / RADAU] * RADAU + i % RADAU;
+        pivoted_solve(RADAU * N, column, q->other, q->work, b);
+        for (int i = 0; i < RADAU * N; i++) to[i * q->n + p] = b[i];
+    }
+    free(b);
+    return 0;
 }
 
 /* The collocation equations of a piece of the last step: with W the inverse of the method's matrix,
- *     sum_j W_ij S_j - h J_i S_i = h df/dp_i + (sum_j W_ij) S_0.
- * Only the diagonal blocks are full: the first stage is eliminated by its inverse, the others by one factorisation. */
+ *     sum_j W_ij S_j - h J_i S_i = h df/dp_i + (sum_j W_ij) S_0,
+ * and for the unknowns of loops without W and h. */
 static Status solve_piece(Instance *me) {
     struct Sensitivity *q = me->sensitivity;
     const Step *step = &me->s.step;
     const double h = q->to - q->from;
-    const size_t size = NX * q->n;
-    double *const first = q->stages, *const others = q->stages + size, *rest = q->rest;
-    double x[LENGTH(NX)], block[RADAU][LENGTH(NX * NX)];
+    const size_t n = q->n;
+    double x[LENGTH(NX)], jacobian[RADAU][LENGTH(MODEL_J_NONZEROS)];
     int failed = 0;
+    memset(q->rest, 0, RADAU * N * n * sizeof *q->rest);
+    for (int row = 0; row < NX; row++)
+        for (int i = 0; i < RADAU; i++) {
+            double *target = q->rest + ((size_t)PATTERN_J.place[row] * RADAU + i) * n;
+            for (size_t p = 0; p < n; p++) target[p] = W_SUM[i] * q->start[row * n + p];
+        }
     for (int i = 0; i < RADAU && !failed; i++) {
-        double *stage = q->stages + i * size;
-        for (size_t k = 0; k < size; k++) stage[k] = W_SUM[i] * q->start[k];
         const double t = fmin(q->from + NODE[i] * h, q->smooth); /* not with the Jacobian behind a kink */
         dense_output(step, t, x);
-        failed = slopes_at(me, t, x, h, block[i], stage);
-        for (int k = 0; k < NX * NX; k++) block[i][k] *= -h;
-        for (int k = 0; k < NX; k++) block[i][k * NX + k] += W[i][i];
+        failed = slopes_at(me, t, x, h, i, jacobian[i], q->rest);
     }
-    memset(q->inverse, 0, sizeof q->inverse);
-    for (int k = 0; k < NX; k++) q->inverse[k * NX + k] = 1.0;
-    failed = failed || lu_factor(NX, block[0], q->pivot);
-    if (!failed) lu_solve_many(NX, block[0], q->pivot, NX, q->inverse);
-
-    for (int i = 0; i < 2; i++)
-        for (int j = 0; j < 2; j++)
-            for (int column = 0; column < NX; column++) {
-                double *target = q->matrix + (j * NX + column) * 2 * NX + i * NX;
-                const double eliminated = W[1 + i][0] * W[0][1 + j];
-                for (int row = 0; row < NX; row++) {
-                    target[row] = -eliminated * q->inverse[row * NX + column];
-                    if (i == j) target[row] += block[1 + i][column * NX + row];
-                }
-                if (i != j) target[column] += W[1 + i][1 + j];
-            }
-    failed = failed || lu_factor(2 * NX, q->matrix, q->pivot);
+    q->use_other = !failed && planned_factor(q, h, jacobian);
+    if (q->use_other) failed = pivoted_blocks(q, h, jacobian) || solve_pivoted(q, q->rest, q->stages);
     if (failed) return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", q->from);
-    for (int i = 0; i < 2; i++) add_solved(q, -W[1 + i][0], first, others + i * size);
-    lu_solve_many(2 * NX, q->matrix, q->pivot, q->n, others);
-    for (size_t k = 0; k < size; k++) rest[k] = first[k] - W[0][1] * others[k] - W[0][2] * others[size + k];
-    memset(first, 0, size * sizeof *first);
-    add_solved(q, 1.0, rest, first);
+    if (q->use_other) return STATUS_OK;
+#define SOLVE_ROWS(k) solve_rows(q, k, q->rest, q->stages)
+    UNROLLED(n, SOLVE_ROWS);
+#undef SOLVE_ROWS
     return STATUS_OK;
+}
+
+/* S at the end of the last piece becomes its beginning. */
+static void take_over(struct Sensitivity *q) {
+    for (int row = 0; row < NX; row++)
+        memcpy(q->start + row * q->n, q->stages + (row * RADAU + RADAU - 1) * q->n, q->n * sizeof(double));
 }
 
 /* Solves the pieces of the last step up to the one that holds time t. */
@@ -152,7 +265,7 @@ static Status solve_until(Instance *me, double t) {
     const double end = step->t1; /* what an event cuts off may be undefined */
     Status status = STATUS_OK;
     while (status == STATUS_OK && (q->pieces == 0 || (t > q->to && q->to < end))) {
-        if (q->pieces > 0) memcpy(q->start, q->stages + (RADAU - 1) * NX * q->n, NX * q->n * sizeof(double));
+        if (q->pieces > 0) take_over(q);
         q->from = q->pieces > 0 ? q->to : step->t0;
         q->smooth = end;
         q->to = q->pieces < MOST ? next_kink(me, q->from, end, q->switches, &q->switches_known, &q->smooth) : end;
@@ -176,10 +289,12 @@ static Status evaluate(Instance *me, double t, double *target) {
         for (int j = 0; j <= RADAU; j++)
             if (j != i) basis[i] *= (r - at[j]) / (at[i] - at[j]);
     }
-    const size_t size = NX * q->n;
-    for (size_t k = 0; k < size; k++) target[k] = basis[0] * q->start[k];
-    for (int i = 0; i < RADAU; i++)
-        for (size_t k = 0; k < size; k++) target[k] += basis[i + 1] * q->stages[i * size + k];
+    for (int row = 0; row < NX; row++)
+        for (size_t p = 0; p < q->n; p++) {
+            const double *stage = q->stages + row * RADAU * q->n + p;
+            target[row * q->n + p] = basis[0] * q->start[row * q->n + p] + basis[1] * stage[0] +
+                                     basis[2] * stage[q->n] + basis[3] * stage[2 * q->n];
+        }
     return STATUS_OK;
 }
 
@@ -202,6 +317,7 @@ void free_sensitivities(Instance *me) {
         free(q->weights);
         free(q->along);
         free(q->moves);
+        free_pivoted(&q->other);
     }
     free(q);
     me->sensitivity = NULL;
@@ -320,7 +436,7 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
         q->parameters = malloc(LENGTH(n_parameters) * sizeof *parameters);
         q->weights = malloc(LENGTH(n * n_parameters) * sizeof *weights);
         q->along = calloc(n, sizeof *q->along);
-        q->moves = calloc(n * LENGTH(NP + ND + NZ + (RADAU + 3) * NX), sizeof(double));
+        q->moves = calloc(n * LENGTH(NP + ND + NZ + 2 * NX + 2 * RADAU * N), sizeof(double));
     }
     if (!q || !q->parameters || !q->weights || !q->along || !q->moves) {
         free_sensitivities(me);
@@ -328,7 +444,7 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
     }
     q->start = q->moves + (NP + ND + NZ) * n;
     q->stages = q->start + NX * n;
-    q->now = q->stages + RADAU * NX * n;
+    q->now = q->stages + RADAU * N * n;
     q->rest = q->now + NX * n;
     memcpy(q->parameters, parameters, n_parameters * sizeof *parameters);
     memcpy(q->weights, weights, n * n_parameters * sizeof *weights);

@@ -5,12 +5,18 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import casadi as ca
 
+from fmu_build.codegen import Header, c_files
 from fmu_build.model import CompiledModel, Experiment, Location, Unit, Variable
+
+
+def with_diagonal(matrix: ca.SX, n: int) -> ca.SX:
+    """The first n entries of the diagonal stored, zero or not."""
+    pattern = matrix.sparsity() + ca.Sparsity.triplet(*matrix.shape, list(range(n)), list(range(n)))
+    return ca.project(matrix, pattern)
+
 
 ENV = ["t", "x", "u", "p", "d", "z", "pz", "m", "y"]
 
@@ -90,8 +96,9 @@ def compile_by_hand(
     both = ca.vertcat(s["x"], s["y"])
     initial = ca.vertcat(s["x"] - x_given, r)
     g = vec(relations(e)) if relations else ca.SX(0, 1)
-    both_z = ca.jacobian(dx, s["z"]) + ca.jacobian(dx, s["pz"]) if nz else ca.SX(nx, 0)
-    by_parameter = ca.horzcat(ca.jacobian(dx, ca.vertcat(p, d)), both_z)
+    system = ca.vertcat(dx, r)
+    both_z = ca.jacobian(system, s["z"]) + ca.jacobian(system, s["pz"]) if nz else ca.SX(nx + len(loops), 0)
+    by_parameter = ca.horzcat(ca.jacobian(system, ca.vertcat(p, d)), both_z)
     slope_rows, slope_columns = by_parameter.sparsity().get_triplet()
     updated = [
         vec([up.get("z", {}).get(n, s["z"][i]) for i, n in enumerate(discrete)]),
@@ -105,9 +112,12 @@ def compile_by_hand(
         "start": ([p, d], [xs, vec(list(discrete.values())), vec(list(loops.values()))]),
         "initial": ([*env, x_given], [initial, ca.jacobian(initial, both)]),
         "derivatives": (env, [dx]),
-        "jacobian": (env, [dx, ca.jacobian(dx, s["x"]), ca.jacobian(dx, s["t"]), ca.jacobian(dx, s["y"])]),
-        "loop": (env, [r, ca.jacobian(r, s["y"]), ca.jacobian(r, s["x"]), ca.jacobian(r, s["t"])]),
-        "slopes": (env, [ca.jacobian(dx, s["x"]), ca.vertcat(*by_parameter.nonzeros())]),
+        "jacobian": (
+            env,
+            [dx, with_diagonal(ca.jacobian(system, both), nx), ca.densify(ca.jacobian(system, s["t"]))],
+        ),
+        "loop": (env, [r, ca.jacobian(r, s["y"]), ca.densify(ca.jacobian(r, s["t"]))]),
+        "slopes": (env, [with_diagonal(ca.jacobian(system, both), nx), ca.vertcat(*by_parameter.nonzeros())]),
         "element_slopes": (env, [ca.SX(0, 1)]),
         "variables": (env, [v]),
         "partials": ([*env, *seeds([*"xupdy", *held])], [along(dx, [*"xupdy", *held])]),
@@ -126,42 +136,26 @@ def compile_by_hand(
         "update": ([*env, init], updated),
         "asserts": (env, [vec([f(e) for f, _, _ in asserts])]),
     }
-    made = {n: ca.Function("model_" + n, a, [ca.densify(x) for x in b]) for n, (a, b) in functions.items()}
-    with TemporaryDirectory() as folder:
-        generator = ca.CodeGenerator("model.c", {"with_header": True, "casadi_int": "long long int"})
-        for f in made.values():
-            generator.add(f)
-        generator.generate(folder + "/")
-        c_source = (Path(folder) / "model.c").read_text()
-        c_header = (Path(folder) / "model.h").read_text()
-    nominals = [(nominal or {}).get(n, 1.0) for n in states]
-
-    def table(kind, macro, items):
-        return f"static const {kind} {macro}[] = {{{', '.join(items or ['0'])}}};"
-
-    lines = ["#ifndef MODEL_TABLES", "#define MODEL_TABLES"]
+    matrices = {"jacobian", "loop", "initial", "slopes"}
+    made = {
+        n: ca.Function("model_" + n, a, b if n in matrices else [ca.densify(x) for x in b])
+        for n, (a, b) in functions.items()
+    }
     lengths = {"X": nx, "U": nu, "P": np_, "D": nd, "Z": nz, "M": nm, "Y": ny, "V": nv, "ASSERT": len(asserts)}
-    for letter, n in lengths.items():
-        lines.append(f"#define MODEL_N{letter} {n}")
-    works = [[f.sz_arg(), f.sz_res(), f.sz_iw(), f.sz_w()] for f in made.values()]
-    for i, k in enumerate(("ARG", "RES", "IW", "W")):
-        lines.append(f"#define MODEL_SZ_{k} {max(w[i] for w in works)}")
-    lines += [
-        f"#define MODEL_HAS_EVENTS {int(bool(update or relations))}",
-        "#define MODEL_HAS_INITIAL 0",
-        table("int", "MODEL_OUTPUT", ["1"] * nv),
-        f"#define MODEL_NSLOPE {len(slope_rows)}",
-        "#define MODEL_NELEMENT 0",
-        table("int", "MODEL_SLOPE_ROW", [str(i) for i in slope_rows]),
-        table("int", "MODEL_SLOPE_COLUMN", [str(i) for i in slope_columns]),
-        table("double", "MODEL_X_NOMINAL", [repr(n) for n in nominals]),
-        table("double", "MODEL_Y_NOMINAL", [repr(1.0)] * ny),
-        table("int", "MODEL_INCLUSIVE", ["0"] * nm),
-        table("char* const", "MODEL_ASSERT_MESSAGE", [f'"{m}"' for _, m, _ in asserts]),
-        table("int", "MODEL_ASSERT_WARNING", [str(int(w)) for _, _, w in asserts]),
-        "#endif",
-    ]
-    c_header += "\n".join(lines) + "\n"
+    sizes = {f"N{letter}": n for letter, n in lengths.items()}
+    sizes |= {"HAS_EVENTS": int(bool(update or relations)), "HAS_INITIAL": 0}
+    files = c_files(
+        made,
+        Header(
+            sizes,
+            x_nominal=[(nominal or {}).get(n, 1.0) for n in states],
+            y_nominal=[1.0] * ny,
+            inclusive=[False] * nm,
+            asserts=[(message, warning) for _, message, warning in asserts],
+            slopes=(list(zip(slope_rows, slope_columns, strict=True)), []),
+            outputs=[True] * nv,
+        ),
+    )
 
     everything = [*states, *inputs]
     variables = [Variable("time", "Real", Location("t"), "independent", "continuous", unit="s")]
@@ -234,9 +228,10 @@ def compile_by_hand(
         n_assert=len(asserts),
         has_events=bool(update or relations),
         has_initial=False,
-        c_source=c_source,
-        c_header=c_header,
-        content_hash=hashlib.sha256((c_source + c_header).encode()).hexdigest(),
+        c_source=files.source,
+        c_rare=files.rare,
+        c_header=files.header,
+        content_hash=hashlib.sha256((files.source + files.rare + files.header).encode()).hexdigest(),
         functions=made,
     )
 

@@ -1,0 +1,367 @@
+"""C code of CasADi functions: functions of bounded size, loops where scalars repeat each other.
+
+An SX function is a long list of scalar operations. Written down as one C function it costs the compiler far more
+than twice the time for twice the length. Here it becomes statements, each a tree of operations between values that
+are used more than once (or are results). In a long function, statements of one shape whose values do not depend on
+each other become one loop over tables of where the operands lie; what is left is cut into functions of bounded
+size. A short function is one piece of straight code.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import casadi as ca
+
+_LARGEST_TREE = 40  # operations of a statement
+_LARGEST_PIECE = 400  # operations of a piece of straight code
+_SHORT = 1000  # up to so many operations a function stays one piece of straight code
+_FEWEST = 6  # statements that become a loop
+
+Node = int
+Leaf = tuple[int, int]
+"""Argument and position in it; ``(-1, node)`` is a value of another statement."""
+
+_TEMPLATES: dict[int, str] = {
+    ca.OP_ADD: "({}+{})", ca.OP_SUB: "({}-{})", ca.OP_MUL: "({}*{})", ca.OP_DIV: "({}/{})", ca.OP_NEG: "(-{})",
+    ca.OP_EXP: "exp({})", ca.OP_LOG: "log({})", ca.OP_POW: "power({}, {})", ca.OP_CONSTPOW: "power({}, {})",
+    ca.OP_SQRT: "sqrt({})", ca.OP_SQ: "square({})", ca.OP_TWICE: "(2.*{})", ca.OP_SIN: "sin({})",
+    ca.OP_COS: "cos({})", ca.OP_TAN: "tan({})", ca.OP_ASIN: "asin({})", ca.OP_ACOS: "acos({})",
+    ca.OP_ATAN: "atan({})",
+    ca.OP_LT: "({}<{})", ca.OP_LE: "({}<={})", ca.OP_EQ: "({}=={})", ca.OP_NE: "({}!={})", ca.OP_NOT: "(!{})",
+    ca.OP_AND: "({}&&{})", ca.OP_OR: "({}||{})", ca.OP_FLOOR: "floor({})", ca.OP_CEIL: "ceil({})",
+    ca.OP_FMOD: "fmod({}, {})", ca.OP_REMAINDER: "remainder({}, {})", ca.OP_FABS: "fabs({})",
+    ca.OP_SIGN: "sign({})", ca.OP_COPYSIGN: "copysign({}, {})", ca.OP_IF_ELSE_ZERO: "({}?{}:0)",
+    ca.OP_FMIN: "smaller({}, {})", ca.OP_FMAX: "larger({}, {})", ca.OP_INV: "(1./{})", ca.OP_SINH: "sinh({})",
+    ca.OP_COSH: "cosh({})", ca.OP_TANH: "tanh({})", ca.OP_ASINH: "asinh({})", ca.OP_ACOSH: "acosh({})",
+    ca.OP_ATANH: "atanh({})", ca.OP_ATAN2: "atan2({}, {})", ca.OP_EXPM1: "expm1({})", ca.OP_LOG1P: "log1p({})",
+    ca.OP_HYPOT: "hypot({}, {})", ca.OP_ERF: "erf({})", ca.OP_ASSIGN: "{}",
+}  # fmt: skip
+
+# An exponent is mostly a parameter, and mostly one of these; libm's pow takes longer than the rest of an equation.
+# libm's fmin and fmax are calls that compilers may not inline.
+_HELPERS = {
+    "power": """static inline double power(double x, double y) {
+  return y==1. ? x : y==2. ? x*x : y==0. ? 1. : y==.5 && x>=0. ? sqrt(x) : y==-1. ? 1./x : pow(x, y);
+}
+""",
+    "square": "static inline double square(double x) { return x*x; }\n",
+    "sign": "static inline double sign(double x) { return x<0 ? -1 : x>0 ? 1 : x; }\n",
+    "smaller": "static inline double smaller(double x, double y) { return x<y || isnan(y) ? x : y; }\n",
+    "larger": "static inline double larger(double x, double y) { return x>y || isnan(y) ? x : y; }\n",
+}
+
+
+@dataclass(frozen=True)
+class Code:
+    """C code and the lengths of the work arrays ``arg, res, w`` that each function needs."""
+
+    source: str
+    work: Mapping[str, tuple[int, int, int]]
+
+
+def c_code(functions: Mapping[str, ca.Function], prefix: str = "model_") -> Code:
+    """Write functions as C, as ``int PREFIXname(const double** arg, double** res, ...)``.
+
+    Parameters
+    ----------
+    functions
+        SX functions by name. Of a sparse result only the nonzeros are computed, column by column.
+
+    Returns
+    -------
+    Code
+        The same bytes for the same functions.
+    """
+    tables = _Tables()
+    parts, work = [], {}
+    for name, function in functions.items():
+        writer = _Writer(f"{prefix}{name}", function, tables)
+        parts.append(writer.write())
+        work[name] = (max(function.n_in(), 1), max(function.n_out(), 1), writer.slots)
+    body = "".join(parts)
+    helpers = "".join(text for name, text in _HELPERS.items() if f"{name}(" in body)
+    return Code("#include <math.h>\n\n" + helpers + tables.text() + body, work)
+
+
+class _Tables:
+    """Integer tables, each content once."""
+
+    def __init__(self) -> None:
+        self._names: dict[tuple[int, ...], str] = {}
+
+    def name(self, content: tuple[int, ...]) -> str:
+        return self._names.setdefault(content, f"T{len(self._names)}")
+
+    def text(self) -> str:
+        return "".join(
+            f"static const int {name}[] = {{\n{wrapped(map(str, content))}}};\n"
+            for content, name in self._names.items()
+        )
+
+
+def wrapped(items: Iterable[str], most: int = 20) -> str:
+    """Comma-separated items in lines of a bounded number of them."""
+    given = list(items)
+    return ",\n".join(", ".join(given[i : i + most]) for i in range(0, len(given), most))
+
+
+@dataclass
+class _Statement:
+    """One value: its tree of operations with holes for the leaves, and where the value goes."""
+
+    node: Node
+    shape: str
+    leaves: list[Leaf]
+    operations: int
+    results: list[Leaf] = field(default_factory=list)
+    level: int = 0
+    kept: bool = False  # in w, for other pieces
+
+
+def _constant(value: float) -> str:
+    if math.isnan(value):
+        return "NAN"
+    if math.isinf(value):
+        return "INFINITY" if value > 0 else "(-INFINITY)"
+    text = repr(value)
+    return f"({text})" if value < 0 else text
+
+
+class _Writer:
+    def __init__(self, name: str, function: ca.Function, tables: _Tables) -> None:
+        self.name = name
+        self.tables = tables
+        self.slots = 0
+        self._slot: dict[Node, int] = {}
+        self._statements = self._read(function)
+        self._of = {s.node: s for s in self._statements}
+        self._used = {node for s in self._statements for argument, node in s.leaves if argument == -1}
+
+    def _read(self, function: ca.Function) -> list[_Statement]:
+        """List the statements, each after those whose values it uses."""
+        operations: list[tuple[int, tuple[Node, ...]]] = []
+        leaf: dict[Node, Leaf | str] = {}
+        register: dict[int, Node] = {}
+        results: dict[Node, list[Leaf]] = {}
+        for k in range(function.n_instructions()):
+            op, out = function.instruction_id(k), function.instruction_output(k)
+            node = len(operations)
+            if op == ca.OP_OUTPUT:
+                source = register[function.instruction_input(k)[0]]
+                results.setdefault(source, []).append((out[0], out[1]))
+                continue
+            given: tuple[Node, ...] = ()
+            if op == ca.OP_INPUT:
+                argument, position = function.instruction_input(k)
+                leaf[node] = (argument, position)
+            elif op == ca.OP_CONST:
+                leaf[node] = _constant(function.instruction_constant(k))
+            else:
+                # CasADi names the one operand of a unary operation twice
+                operands = function.instruction_input(k)[: _TEMPLATES[op].count("{}")]
+                given = tuple(register[i] for i in operands)
+            operations.append((op, given))
+            register[out[0]] = node
+        used = [0] * len(operations)
+        for _, given in operations:
+            for node in given:
+                used[node] += 1
+        statements: list[_Statement] = []
+        trees: dict[Node, tuple[str, list[Leaf], int]] = {}
+
+        def tree(node: Node) -> tuple[str, list[Leaf], int]:
+            at = leaf.get(node)
+            if isinstance(at, str):
+                return at, [], 0
+            if at is not None:
+                return "{}", [at], 0
+            return trees.pop(node) if node in trees else ("{}", [(-1, node)], 0)
+
+        for node, (op, given) in enumerate(operations):
+            is_result = node in results
+            if node not in leaf:
+                below = [tree(n) for n in given]
+                size = 1 + sum(b[2] for b in below)
+                if size > _LARGEST_TREE:  # the largest operand becomes a statement of its own
+                    largest = max(range(len(below)), key=lambda i: below[i][2])
+                    shape, leaves, count = below[largest]
+                    statements.append(_Statement(given[largest], shape, leaves, count))
+                    below[largest] = ("{}", [(-1, given[largest])], 0)
+                    size = 1 + sum(b[2] for b in below)
+                shape = _TEMPLATES[op].format(*(b[0] for b in below))
+                leaves = [at for b in below for at in b[1]]
+                if used[node] == 1 and not is_result:
+                    trees[node] = (shape, leaves, size)
+                else:
+                    statements.append(_Statement(node, shape, leaves, size, results.get(node, [])))
+            elif is_result:
+                shape, leaves, size = tree(node)
+                statements.append(_Statement(node, shape, leaves, size, results[node]))
+        return statements
+
+    def write(self) -> str:
+        statements = self._statements
+        total = sum(s.operations + len(s.results) for s in statements)
+        if total <= _SHORT:
+            return self._signature(self._piece(statements, set()))
+        pieces = self._pieces(statements)
+        return self._in_pieces(pieces)
+
+    def _signature(self, body: str) -> str:
+        unused = "".join(f" (void){n};" for n in ("arg", "res", "iw", "w", "mem"))
+        return (
+            f"int {self.name}(const double** arg, double** res, long long int* iw, double* w, int mem) {{\n"
+            f" {unused}\n{body}  return 0;\n}}\n\n"
+        )
+
+    def _in_pieces(self, pieces: list[list[_Statement] | tuple[_Statement, ...]]) -> str:
+        inside = [{s.node for s in piece} for piece in pieces]
+        for nodes, piece in zip(inside, pieces, strict=True):
+            for s in piece:
+                for argument, node in s.leaves:
+                    if argument == -1 and (node not in nodes or isinstance(piece, tuple)):
+                        self._of[node].kept = True
+        for piece in pieces:
+            all_kept = isinstance(piece, tuple) and any(s.kept for s in piece)  # then their places make a row
+            for s in piece:
+                s.kept |= all_kept
+                if s.kept:
+                    self._slot[s.node] = self.slots
+                    self.slots += 1
+        # Pieces are joined to functions of bounded size; called by a table, they are not inlined all into one.
+        bodies: list[list[str]] = [[]]
+        size = 0
+        for nodes, piece in zip(inside, pieces, strict=True):
+            is_loop = isinstance(piece, tuple)
+            cost = 10 * piece[0].operations if is_loop else sum(s.operations for s in piece)
+            if bodies[-1] and size + cost > _LARGEST_PIECE:
+                bodies.append([])
+                size = 0
+            size += cost
+            text = self._loop(piece) if is_loop else self._piece(piece, nodes)
+            bodies[-1].append(text if len(bodies[-1]) == 0 and is_loop else f"  {{\n{text}  }}\n")
+        parts = [
+            f"static void {self.name}_{i}(const double** arg, double** res, double* w) {{\n"
+            f"  (void)arg; (void)res; (void)w;\n{''.join(body)}}}\n\n"
+            for i, body in enumerate(bodies)
+        ]
+        names = wrapped((f"{self.name}_{i}" for i in range(len(parts))), 4)
+        table = f"static void (*const {self.name}_parts[])(const double**, double**, double*) = {{\n{names}}};\n\n"
+        call = f"  for (int i = 0; i < {len(parts)}; i++) {self.name}_parts[i](arg, res, w);\n"
+        return "".join(parts) + table + self._signature(call)
+
+    def _pieces(self, statements: list[_Statement]) -> list[list[_Statement] | tuple[_Statement, ...]]:
+        """Straight pieces (lists) and loops (tuples), each after what it uses."""
+        for s in statements:
+            below = (self._of[node].level for argument, node in s.leaves if argument == -1)
+            s.level = 1 + max(below, default=0)
+        groups: dict[tuple[object, ...], list[_Statement]] = {}
+        for s in statements:
+            # An array is part of the shape, a position in it is not.
+            what = (s.level, s.shape, tuple(a for a, _ in s.leaves), tuple(k for k, _ in s.results))
+            groups.setdefault(what, []).append(s)
+        loops: dict[int, list[tuple[_Statement, ...]]] = {}
+        straight: dict[int, list[_Statement]] = {}
+        for group in groups.values():
+            level = group[0].level
+            if len(group) >= _FEWEST:
+                loops.setdefault(level, []).append(tuple(group))
+            else:
+                straight.setdefault(level, []).extend(group)
+        if not loops:  # as it came, which keeps values close to where they are used
+            return list(self._cut(statements))
+        pieces: list[list[_Statement] | tuple[_Statement, ...]] = []
+        waiting: list[_Statement] = []
+        for level in sorted({s.level for s in statements}):
+            waiting += straight.get(level, [])
+            if level in loops:
+                pieces += self._cut(waiting)
+                pieces += loops[level]
+                waiting = []
+        return [*pieces, *self._cut(waiting)]
+
+    @staticmethod
+    def _cut(statements: Sequence[_Statement]) -> Iterable[list[_Statement]]:
+        piece: list[_Statement] = []
+        size = 0
+        for s in statements:
+            cost = s.operations + 1
+            if piece and size + cost > _LARGEST_PIECE:
+                yield piece
+                piece, size = [], 0
+            piece.append(s)
+            size += cost
+        if piece:
+            yield piece
+
+    def _piece(self, statements: Sequence[_Statement], nodes: set[Node]) -> str:
+        """Straight code: values in local variables, results stored at the end."""
+        lines, stores = [], []
+        by_result: dict[int, list[str]] = {}
+        arguments: set[int] = set()
+        local = {s.node: f"v{i}" for i, s in enumerate(statements)}
+
+        def operand(at: Leaf) -> str:
+            argument, position = at
+            if argument >= 0:
+                arguments.add(argument)
+                return f"a{argument}[{position}]"
+            if nodes and position not in nodes:
+                return f"w[{self._slot[position]}]"
+            return local[position]
+
+        for s in statements:
+            text = s.shape.format(*map(operand, s.leaves))
+            if len(s.results) == 1 and not s.kept and s.node not in self._used:
+                k, position = s.results[0]
+                by_result.setdefault(k, []).append(f"    r{k}[{position}] = {text};")
+                continue
+            lines.append(f"  const double {local[s.node]} = {text};")
+            if s.kept:
+                stores.append(f"  w[{self._slot[s.node]}] = {local[s.node]};")
+            for k, position in s.results:
+                by_result.setdefault(k, []).append(f"    r{k}[{position}] = {local[s.node]};")
+        head = [f"  const double* const a{k} = arg[{k}];" for k in sorted(arguments)]
+        for k, own in sorted(by_result.items()):
+            stores += [f"  double* const r{k} = res[{k}];", f"  if (r{k}) {{", *own, "  }"]
+        return "\n".join([*head, *lines, *stores, ""])
+
+    def _loop(self, group: Sequence[_Statement]) -> str:
+        """One loop over statements of one shape."""
+        first = group[0]
+        arguments: set[int] = set()
+
+        def index(positions: tuple[int, ...]) -> str:
+            start, step = positions[0], positions[1] - positions[0]
+            if all(p == start + i * step for i, p in enumerate(positions)):
+                if step == 0:
+                    return str(start)
+                return f"{start} + i" if step == 1 else f"{start} + i * {step}"
+            return f"{self.tables.name(positions)}[i]"
+
+        def operand(place: int) -> str:
+            argument = first.leaves[place][0]
+            if argument >= 0:
+                arguments.add(argument)
+                return f"a{argument}[{index(tuple(s.leaves[place][1] for s in group))}]"
+            return f"w[{index(tuple(self._slot[s.leaves[place][1]] for s in group))}]"
+
+        text = first.shape.format(*(operand(i) for i in range(len(first.leaves))))
+        lines = [f"  for (int i = 0; i < {len(group)}; i++) {{", f"    const double v = {text};"]
+        if first.kept:
+            lines.append(f"    w[{index(tuple(self._slot[s.node] for s in group))}] = v;")
+        for place, (k, _) in enumerate(first.results):
+            lines.append(f"    if (r{k}) r{k}[{index(tuple(s.results[place][1] for s in group))}] = v;")
+        head = [f"  const double* const a{k} = arg[{k}];" for k in sorted(arguments)]
+        head += [f"  double* const r{k} = res[{k}];" for k in sorted({k for k, _ in first.results})]
+        return "\n".join([*head, *lines, "  }", ""])
+
+
+def lengths(codes: Iterable[Code]) -> dict[str, int]:
+    """Largest work arrays over functions: ``ARG, RES, IW, W``."""
+    works = [w for code in codes for w in code.work.values()]
+    largest = [max((w[i] for w in works), default=1) for i in range(3)]
+    return {"ARG": largest[0], "RES": largest[1], "IW": 1, "W": max(largest[2], 1)}

@@ -1,0 +1,122 @@
+"""The factorisations of linear.c, planned and with pivots by size, against NumPy."""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fmu_build
+from fmu_build.elimination import plan
+
+RUNTIME = Path(fmu_build.__file__).parent / "runtime"
+DRIVER = """
+#include "linear.h"
+int run(int n, const int *const *t, int nonzeros, int filled, const double *a, double *b) {
+    double value[100000], work[2000] = {0};
+    Pattern p = {n, 0, nonzeros, filled, t[0], t[1], t[2], t[3], t[4], t[5], t[6]};
+    Factors f = {value, 0, work, 0, 0, 0};
+    for (int again = 0; again < 2; again++)
+        if (factorise(n, 0, &p, a, &f)) return -1;
+    solve(n, 0, &p, &f, b);
+    free_pivoted(&f.other);
+    return f.use_other;
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("linear")
+    (folder / "driver.c").write_text(DRIVER)
+    command = [
+        "cc",
+        "-std=c99",
+        "-O1",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-pedantic",
+        "-fPIC",
+        "-shared",
+        f"-I{RUNTIME}",
+    ]
+    subprocess.run(
+        [*command, "-o", folder / "linear.so", folder / "driver.c", RUNTIME / "linear.c", "-lm"], check=True
+    )
+    return ctypes.CDLL(str(folder / "linear.so"))
+
+
+def solve(library, matrix: np.ndarray, b: np.ndarray) -> tuple[int, np.ndarray]:
+    """Whether pivots were chosen by size (-1: singular), and the solution."""
+    n = len(matrix)
+    columns = [np.flatnonzero(matrix[:, j]).tolist() for j in range(n)]
+    order = plan(columns)
+    start = np.cumsum([0, *map(len, columns)])
+    tables = [
+        start,
+        [row for own in columns for row in own],
+        order.columns,
+        order.places,
+        order.start,
+        order.diagonal,
+        order.rows,
+    ]
+    tables = [np.array(t, dtype=np.intc) for t in tables]
+    pointers = (ctypes.c_void_p * 7)(*(t.ctypes.data for t in tables))
+    values = np.concatenate([matrix[own, j] for j, own in enumerate(columns)])
+    x = b.copy()
+    result = library.run(
+        n, pointers, len(values), len(order.rows), values.ctypes.data_as(ctypes.c_void_p), x.ctypes.data_as(ctypes.c_void_p)
+    )  # fmt: skip
+    return result, x
+
+
+def random(n: int, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.where(rng.uniform(size=(n, n)) < 3 / n, rng.normal(size=(n, n)), 0.0)
+
+
+@pytest.mark.parametrize("n", [1, 5, 60])
+def test_dominant_diagonal_keeps_the_planned_pivots(library, n):
+    matrix, b = random(n, n) + 10 * np.eye(n), np.arange(1.0, n + 1)
+    other, x = solve(library, matrix, b)
+    assert other == 0
+    np.testing.assert_allclose(matrix @ x, b, rtol=1e-13, atol=1e-13 * n)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_empty_diagonal(library, seed):
+    """As of a loop whose equations are in another order than its unknowns."""
+    matrix = np.roll(random(30, seed) + 10 * np.eye(30), 1, axis=0)
+    b = np.cos(np.arange(30.0))
+    _, x = solve(library, matrix, b)
+    np.testing.assert_allclose(matrix @ x, b, atol=1e-12)
+
+
+@pytest.mark.parametrize("pivot", [0.0, 1e-18])
+def test_a_vanishing_pivot_is_not_taken(library, pivot):
+    matrix = np.array([[1e-300, 2.0, 0.0], [3.0, 1.0, 1.0], [0.0, 1.0, 4.0]])
+    b = np.array([1.0, 2.0, 3.0])
+    other, _ = solve(library, np.where(matrix == 1e-300, pivot or 1e-320, matrix), b)
+    assert other == 1
+    exact = np.where(matrix == 1e-300, pivot, matrix)
+    np.testing.assert_allclose(solve(library, matrix, b)[1], np.linalg.solve(exact, b), rtol=1e-14)
+
+
+def test_units_do_not_matter(library):
+    """Rows scaled by powers of ten are no growth."""
+    n = 40
+    matrix = (random(n, 3) + 10 * np.eye(n)) * 10.0 ** np.random.default_rng(0).integers(-12, 12, n)[:, None]
+    b = matrix @ np.ones(n)
+    other, x = solve(library, matrix, b)
+    assert other == 0
+    np.testing.assert_allclose(x, 1.0, rtol=1e-12)
+
+
+def test_singular(library):
+    matrix = np.ones((3, 3))
+    assert solve(library, matrix, np.ones(3))[0] == -1
