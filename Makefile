@@ -34,7 +34,7 @@ all: identify
 setup: $(READY)
 $(READY): pyproject.toml setup.py constraints.txt $(STEPPER)
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) --editable .
+	$(PIP) --editable ".[build]"
 	@touch $@
 $(DEVELOPER): $(READY)
 	$(PIP) --editable ".[dev]"
@@ -136,7 +136,7 @@ bench: $(DEVELOPER) $(FMUS) $(PENDULUM) $(FORCE_FEEDBACK)/measurements.h5
 
 # Pages in build/site; a warning is an error.
 docs: $(READY)
-	$(PIP) --editable ".[docs]"
+	$(PIP) --editable ".[build,docs]"
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fmu_build.build import build
+from fmu_build.build import build, check_tools
 
 if TYPE_CHECKING:
     from fmu_build.model import CompiledModel
@@ -16,6 +16,7 @@ __all__ = ["build", "compile_modelica"]
 
 def compile_modelica(file: Path, class_name: str, roots: Sequence[Path] = ()) -> CompiledModel:
     """Translate a Modelica class; see `fmu_build.compiler.compile_modelica`."""
+    check_tools()
     from fmu_build.compiler import compile_modelica as compile_
 
     return compile_(file, class_name, roots)

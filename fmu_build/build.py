@@ -12,6 +12,7 @@ import subprocess
 import tempfile
 from collections.abc import Sequence
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
@@ -68,6 +69,8 @@ def build(
         file /= "package.mo"
     if not file.is_file():
         raise ModelicaError("no such Modelica file", where=file)
+    if compiler == "rumoca":
+        check_tools()
     target = out / f"{class_name.rpartition('.')[2]}.fmu"
     stamp = target.with_suffix(".stamp")
     state = _state(file, class_name, folders, fmi, compiler)
@@ -96,6 +99,16 @@ def build(
     return built
 
 
+_TOOLS = ("casadi", "fmpy", "rumoca")
+
+
+def check_tools() -> None:
+    """Raise a `BuildError` that says what to install, unless all that the export needs is there."""
+    missing = [name for name in _TOOLS if find_spec(name) is None]
+    if missing:
+        raise BuildError(f"the Modelica export needs {', '.join(missing)}", fix="pip install 'fmuid[build]'")
+
+
 def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
@@ -105,7 +118,7 @@ def _state(file: Path, class_name: str, roots: Sequence[Path], fmi: str, compile
     own = Path(__file__).parent
     tools = sorted(p for p in own.rglob("*") if p.suffix in (".py", ".c", ".h", ".jinja"))
     paths = [*source_files(file, roots), *tools]
-    versions = [metadata.version(name) for name in ("rumoca", "casadi", "fmpy")]
+    versions = [metadata.version(name) for name in _TOOLS] if compiler == "rumoca" else []
     what = [class_name, fmi, compiler, os.environ.get("CC", ""), versions, [_digest(p) for p in paths]]
     return hashlib.sha256(json.dumps(what).encode()).hexdigest()
 

@@ -38,7 +38,7 @@ def test_the_committed_page_is_the_command_s():
 
 
 def test_a_missing_peer_is_said_to_be_missing(tmp_path, monkeypatch):
-    import identification
+    import identification_speed as identification
 
     monkeypatch.setattr(identification, "ENVIRONMENTS", ROOT / "build" / "nowhere")
     (tmp_path / "job.json").write_text("{}")

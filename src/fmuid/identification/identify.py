@@ -34,7 +34,7 @@ from fmuid.simulation.simulator import Simulator
 
 _ALIKE = 0.99
 _INTERRUPTED = Outcome(Status.INTERRUPTED, "stopped by the user")
-_LIBRARIES = ("fmuid", "numpy", "scipy", "nlopt", "fmpy")
+_LIBRARIES = ("fmuid", "numpy", "scipy", "nlopt")
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,6 @@ from pathlib import Path, PurePosixPath
 from types import MappingProxyType, TracebackType
 from typing import Any, Literal
 
-import fmpy
 import numpy as np
 
 from fmuid.core import scratch
@@ -27,6 +26,7 @@ from fmuid.core.campaign import Interface
 from fmuid.core.errors import FmuError, SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.simulation import resets, stepper
+from fmuid.simulation.fmu_description import DescribedInterface, FmuDescription, library_name, read_description
 from fmuid.simulation.fmu_library import FmuLibrary, ProcessSpentError
 from fmuid.simulation.fmu_plan import UNKNOWN_TOLERANCE, PreparedTask
 from fmuid.simulation.fmu_variables import MAX_VARIABLES, Slot, in_words, read_feedthrough, read_variables
@@ -73,15 +73,10 @@ class Fmu:
         self.path = Path(path)
         self._file = self.path.resolve()  # the working folder may change, in workers too
         self._asked = interface
-        self._description: Any = _read_description(self.path)
-        self.version = int(str(self._description.fmiVersion).split(".")[0])
+        self._description = _read_description(self.path)
+        self.version = int(self._description.version.split(".")[0])
         self.interface = self._choose(interface)
-        described = (
-            self._description.modelExchange
-            if self.interface == "model exchange"
-            else self._description.coSimulation
-        )
-        self._described: Any = described
+        self._described = self._offered()[self.interface]
         self._variables, self._slots = read_variables(self._description, self.version, self.path)
         self._view = MappingProxyType(self._variables)
         self._lock = threading.RLock()
@@ -108,25 +103,22 @@ class Fmu:
     @property
     def name(self) -> str:
         """The model's name."""
-        return str(self._description.modelName)
+        return self._description.name
 
     @property
     def tool(self) -> str:
         """The tool that made the FMU."""
-        return str(self._description.generationTool or "unknown")
+        return self._description.tool or "unknown"
 
     @property
     def token(self) -> str:
         """The FMU's guid (FMI 2.0) or instantiation token (FMI 3.0)."""
-        return str(self._description.guid)
+        return self._description.token
 
     @property
     def default_experiment(self) -> Mapping[str, float]:
         """What the FMU suggests of ``start``, ``stop``, ``step`` (s) and ``tolerance``."""
-        e = self._description.defaultExperiment
-        given = {"start": "startTime", "stop": "stopTime", "step": "stepSize", "tolerance": "tolerance"}
-        values = {k: getattr(e, a) for k, a in given.items()} if e is not None else {}
-        return {k: float(v) for k, v in values.items() if v is not None}
+        return MappingProxyType(dict(self._description.default_experiment))
 
     @property
     def default_tolerance(self) -> float:
@@ -136,19 +128,18 @@ class Fmu:
     @property
     def even_steps(self) -> bool:
         """Whether the FMU takes communication steps of one size only."""
-        co_simulation = self._description.coSimulation if self.interface == "co-simulation" else None
-        return bool(co_simulation and not co_simulation.canHandleVariableCommunicationStepSize)
+        return self.interface == "co-simulation" and not self._described.any_step
 
     @property
     def saves_state(self) -> bool:
         """Whether the FMU can be brought back to a state it was in."""
-        return bool(self._described.canGetAndSetFMUstate)
+        return self._described.saves_state
 
     @property
     def states(self) -> tuple[str, ...]:
         """The continuous states, as the FMU names them; arrays of FMI 3.0 element by element."""
-        derived = [u.variable.derivative.name for u in self._description.derivatives if u.variable.derivative]
-        return tuple(n for s in dict.fromkeys(derived) for n in self._variables if n == s or n.startswith(f"{s}["))
+        derived = dict.fromkeys(self._description.states)
+        return tuple(n for s in derived for n in self._variables if n == s or n.startswith(f"{s}["))
 
     @property
     def feedthrough(self) -> Mapping[str, frozenset[str]]:
@@ -157,8 +148,7 @@ class Fmu:
 
     def literals(self, name: str) -> Mapping[str, int]:
         """Return the values of an enumeration variable by their names, empty for other variables."""
-        declared = next((v.declaredType for v in self._description.modelVariables if v.name == name), None)
-        return {item.name: int(item.value) for item in getattr(declared, "items", None) or ()}
+        return next((v.literals for v in self._description.variables if v.name == name), {})
 
     @property
     def renewal(self) -> Literal["reset", "instantiate"] | None:
@@ -239,14 +229,17 @@ class Fmu:
         return load_fmu, (self._file, self._asked)
 
     def __repr__(self) -> str:
-        return f"Fmu({str(self.path)!r}, FMI {self._description.fmiVersion}, {self.interface})"
+        return f"Fmu({str(self.path)!r}, FMI {self._description.version}, {self.interface})"
+
+    def _offered(self) -> dict[Interface, DescribedInterface]:
+        both: dict[Interface, DescribedInterface | None] = {
+            "co-simulation": self._description.co_simulation,
+            "model exchange": self._description.model_exchange,
+        }
+        return {name: described for name, described in both.items() if described is not None}
 
     def _choose(self, asked: Interface | None) -> Interface:
-        offered: list[Interface] = []
-        if self._description.coSimulation is not None:
-            offered.append("co-simulation")
-        if self._description.modelExchange is not None:
-            offered.append("model exchange")
+        offered = list(self._offered())
         if not offered or (asked is not None and asked not in offered):
             raise FmuError(
                 f"offers {' and '.join(offered) or 'scheduled execution only'}"
@@ -255,7 +248,7 @@ class Fmu:
                 fix=f"export it for {asked or 'co-simulation'}",
             )
         chosen = asked or offered[0]
-        clocks = [v.name for v in self._description.modelVariables if v.type == "Clock" and v.causality == "input"]
+        clocks = [v.name for v in self._description.variables if v.type == "Clock" and v.causality == "input"]
         if chosen == "model exchange" and clocks:
             raise FmuError(
                 f"has the input clock '{clocks[0]}', and clocks are not supported in model exchange",
@@ -268,13 +261,11 @@ class Fmu:
         if self._library is None:
             self._folder = extract(self.path, without=_NOT_RUN)
             weakref.finalize(self, _remove, self._folder, os.getpid())
-            platform = fmpy.platform if self.version == 2 else fmpy.platform_tuple
-            identifier = self._described.modelIdentifier
-            library = self._folder / "binaries" / platform / f"{identifier}{fmpy.sharedLibraryExtension}"
+            library = self._folder / "binaries" / library_name(self.version, self._described.identifier)
             if not library.is_file():
                 there = sorted(p.name for p in (self._folder / "binaries").glob("*") if any(p.iterdir()))
                 raise FmuError(
-                    f"has no library for {platform} (it has: {', '.join(there) or 'none'})",
+                    f"has no library for {library.parent.name} (it has: {', '.join(there) or 'none'})",
                     where=self.path,
                     fix="export it for this machine, or compile its sources with `fmpy compile`",
                 )
@@ -292,7 +283,6 @@ class Fmu:
         prepared = self._prepared.get((id(task), names))
         if prepared is None:
             library = self._load()
-            co_simulation = self._description.coSimulation if self.interface == "co-simulation" else None
             prepared = PreparedTask(
                 task,
                 names,
@@ -301,7 +291,7 @@ class Fmu:
                 slots=self._slots,
                 library=library,
                 described=self._description,
-                linear_inputs=bool(co_simulation and getattr(co_simulation, "canInterpolateInputs", False)),
+                linear_inputs=self.interface == "co-simulation" and self._described.interpolates_inputs,
                 even_steps=self.even_steps,
             )
             new = [n for n in (*names, *task.start_values) if n not in self._set_before]
@@ -437,6 +427,7 @@ def load_fmu(path: str | Path, interface: Interface | None = None) -> Fmu:
 
 MAX_EXTRACTED = 4e9  # bytes
 _NOT_RUN = ("sources/", "documentation/")
+_UNREADABLE = (OSError, zipfile.BadZipFile, zlib.error, RuntimeError, ValueError)
 _VERSION = re.compile(rb"""fmiVersion\s*=\s*["']([^"']*)""")
 
 
@@ -445,15 +436,12 @@ def _loaded(file: Path, interface: Interface | None, _mtime: int, _size: int) ->
     return Fmu(file, interface)
 
 
-def _read_description(path: Path) -> Any:
+def _read_description(path: Path) -> FmuDescription:
     try:
         _check_members(path)
         _check_version(path)
-        with path.open("rb") as file:  # FMPy leaves a file open whose XML it cannot parse
-            description = fmpy.read_model_description(file, validate=False)
-    except FmuError:
-        raise
-    except Exception as error:  # FMPy raises whatever its parsers raise
+        description = read_description(path)
+    except _UNREADABLE as error:
         reason = getattr(error, "strerror", None) or error
         raise FmuError(f"is no readable FMU ({reason})", where=path, fix="check the file") from None
     return description
@@ -475,12 +463,15 @@ def _check_members(path: Path) -> None:
 
 
 def _check_version(path: Path) -> None:
-    with zipfile.ZipFile(path) as archive, archive.open("modelDescription.xml") as file:
-        begin = chunk = file.read(10_000)
-        count, version = 0, _VERSION.search(begin)
-        while chunk and count <= MAX_VARIABLES:
-            count += chunk.count(b"valueReference=")
-            chunk = file.read(1_000_000)
+    with zipfile.ZipFile(path) as archive:
+        if "modelDescription.xml" not in archive.namelist():
+            raise FmuError("has no modelDescription.xml", where=path, fix="is it an FMU?")
+        with archive.open("modelDescription.xml") as file:
+            begin = chunk = file.read(10_000)
+            count, version = 0, _VERSION.search(begin)
+            while chunk and count <= MAX_VARIABLES:
+                count += chunk.count(b"valueReference=")
+                chunk = file.read(1_000_000)
     if version and version[1][:1] not in b"23":
         words = version[1].decode(errors="replace")
         raise FmuError(f"is of FMI {words}; 2.0 and 3.0 are supported", where=path, fix="export it anew")

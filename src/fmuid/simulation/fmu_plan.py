@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fmu_build.suggest import suggestion
 from fmuid.core.errors import FmuError
 from fmuid.core.immutable import FloatArray
+from fmuid.simulation.fmu_description import FmuDescription
 from fmuid.simulation.fmu_library import FmuLibrary
 from fmuid.simulation.fmu_variables import Slot
 from fmuid.simulation.simulator import Feedback, Task, Variable
@@ -44,7 +45,7 @@ class PreparedTask:
         variables: Mapping[str, Variable],
         slots: Mapping[str, Slot],
         library: FmuLibrary,
-        described: Any,
+        described: FmuDescription,
         linear_inputs: bool,
         even_steps: bool,
     ) -> None:
@@ -233,14 +234,13 @@ class PreparedTask:
         self._kept.append(array)
         return len(groups), ctypes.cast(array, ctypes.POINTER(Group))
 
-    def _integrate(self, described: Any, n_inputs: int) -> None:
+    def _integrate(self, described: FmuDescription, n_inputs: int) -> None:
         """Provide for the integrator of model_exchange.c."""
-        plan, experiment = self.plan, described.defaultExperiment
-        suggested = experiment.tolerance if experiment is not None else None
-        plan.tolerance = self.task.tolerance or float(suggested or UNKNOWN_TOLERANCE)
-        plan.n_states, plan.n_indicators = described.numberOfContinuousStates, described.numberOfEventIndicators
-        exchange = described.modelExchange
-        plan.completed_step_needed = bool(exchange.needsCompletedIntegratorStep)
+        plan, exchange = self.plan, described.model_exchange
+        suggested = described.default_experiment.get("tolerance")
+        plan.tolerance = self.task.tolerance or suggested or UNKNOWN_TOLERANCE
+        plan.n_states, plan.n_indicators = described.n_states, described.n_indicators
+        plan.completed_step_needed = exchange is not None and exchange.needs_completed_step
         n, nz = plan.n_states, plan.n_indicators
         plan.work = self._pointer(np.zeros(15 * n + 2 * n * n + 2 * nz + n_inputs + 1))
         plan.pivots = self._pointer(np.zeros(n + 1, dtype=np.int32))

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice, product
 from pathlib import Path
-from typing import Any
 
 from fmuid.core.errors import FmuError
+from fmuid.simulation.fmu_description import DescribedVariable, FmuDescription
 from fmuid.simulation.simulator import Variable
 
 MAX_VARIABLES = 200_000
@@ -86,7 +86,7 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _refusal(variable: Any) -> str | None:
+def _refusal(variable: DescribedVariable) -> str | None:
     """Say why a start value cannot be set before initialisation, in FMI's terms."""
     causality, variability, initial = variable.causality, variable.variability, variable.initial
     if variability == "constant":
@@ -104,8 +104,10 @@ def _elements(shape: tuple[int, ...]) -> Iterator[str]:
         yield f"[{','.join(map(str, index))}]" if index else ""
 
 
-def read_variables(description: Any, version: int, where: Path) -> tuple[dict[str, Variable], dict[str, Slot]]:
-    """Return the scalar variables of a FMPy model description, and their slots, by name.
+def read_variables(
+    description: FmuDescription, version: int, where: Path
+) -> tuple[dict[str, Variable], dict[str, Slot]]:
+    """Return the scalar variables of a model description, and their slots, by name.
 
     An FMI 3.0 array is listed element by element, as ``table[1,2]``.
 
@@ -116,18 +118,12 @@ def read_variables(description: Any, version: int, where: Path) -> tuple[dict[st
     """
     variables: dict[str, Variable] = {}
     slots: dict[str, Slot] = {}
-    for v in description.modelVariables:
+    for v in description.variables:
         suffix, storage = _STORAGE[version].get(v.type, (None, 0))
-        declared = v.declaredType
-        unit = v.unit or getattr(declared, "unit", None)
-        low, high = (
-            _number(getattr(v, bound) or getattr(declared, bound, None)) if suffix else math.nan
-            for bound in ("min", "max")
-        )
-        shape = tuple(v.shape or ())
-        size = math.prod(shape)
-        if not 0 <= v.valueReference < 2**32:
-            what = f"variable '{v.name}' has the value reference {v.valueReference}"
+        low, high = (_number(bound) if suffix else math.nan for bound in (v.minimum, v.maximum))
+        size = math.prod(v.shape)
+        if not 0 <= v.reference < 2**32:
+            what = f"variable '{v.name}' has the value reference {v.reference}"
             raise FmuError(what, where=where, fix="export it anew: FMI has 0 to 4294967295")
         if len(variables) + size > MAX_VARIABLES:
             what = f"has more than {MAX_VARIABLES} variables, the elements of arrays counted"
@@ -135,21 +131,21 @@ def read_variables(description: Any, version: int, where: Path) -> tuple[dict[st
         starts = [_number(s) for s in (v.start or "").split()] if suffix else []
         starts = starts * size if len(starts) == 1 else starts
         starts += [math.nan] * (size - len(starts))
-        for i, subscript in enumerate(_elements(shape)):
+        for i, subscript in enumerate(_elements(v.shape)):
             name = f"{v.name}{subscript}"
             variables[name] = Variable(
                 name=name,
                 causality=v.causality,
                 variability=v.variability,
-                unit=unit,
+                unit=v.unit,
                 start=_finite(starts[i]),
                 min=_finite(low),
                 max=_finite(high),
-                description=v.description or "",
+                description=v.description,
                 type=v.type,
             )
             slots[name] = Slot(
-                reference=v.valueReference,
+                reference=v.reference,
                 suffix=suffix,
                 storage=storage,
                 element=i,
@@ -162,16 +158,15 @@ def read_variables(description: Any, version: int, where: Path) -> tuple[dict[st
     return variables, slots
 
 
-def read_feedthrough(description: Any, variables: Mapping[str, Variable]) -> dict[str, frozenset[str]]:
+def read_feedthrough(description: FmuDescription, variables: Mapping[str, Variable]) -> dict[str, frozenset[str]]:
     """Return the inputs that each output depends on without delay, element by element (all where not said)."""
-    elements: dict[str, list[str]] = {}
-    for v in description.modelVariables:
-        names = [f"{v.name}{subscript}" for subscript in _elements(tuple(v.shape or ()))]
-        elements[v.name] = names
+    elements = {
+        v.name: [f"{v.name}{subscript}" for subscript in _elements(v.shape)] for v in description.variables
+    }
     inputs = frozenset(n for n, v in variables.items() if v.causality == "input")
     found = {n: inputs for n, v in variables.items() if v.causality == "output"}
-    for unknown in description.outputs:
-        if unknown.dependencies is not None:
-            known = frozenset(n for v in unknown.dependencies for n in elements[v.name]) & inputs
-            found |= dict.fromkeys(elements[unknown.variable.name], known)
+    for output, dependencies in description.outputs.items():
+        if dependencies is not None:
+            known = frozenset(n for name in dependencies for n in elements[name]) & inputs
+            found |= dict.fromkeys(elements[output], known)
     return found

@@ -138,7 +138,9 @@ def _judged(case: Case) -> tuple[FloatArray, FloatArray]:
             unit = criterion.residuals(np.ones(n)) - criterion.residuals(np.zeros(n))
             squares[rows[criterion.signal], criterion.rows] += criterion.weight * unit**2
     if not np.any(squares):  # judged by features or colour: as the sensors' noise says
-        squares = np.array([np.where(np.isfinite(c.mean), 1.0 / c.noise.of_mean(c.count) ** 2, 0.0) for c in case.channels])
+        squares = np.array(
+            [np.where(np.isfinite(c.mean), 1.0 / c.noise.of_mean(c.count) ** 2, 0.0) for c in case.channels]
+        )
     target = np.array([c.mean for c in case.channels])
     weight = np.where(np.isfinite(target), np.sqrt(squares), 0.0)
     lead = ((0, 0), (case.lead, 0))

@@ -226,7 +226,7 @@ class DfoLs:
     def check(self, problem: Problem) -> None:
         """See `Solver.check`."""
         if find_spec("dfols") is None:
-            raise ProblemError("solver 'dfols' is not installed", fix="pip install DFO-LS")
+            raise ProblemError("solver 'dfols' is not installed", fix="pip install 'fmuid[dfols]'")
         _require_smooth(problem, self.name)
         _ = self._radii
 
