@@ -23,6 +23,7 @@ from fmuid.identification.solvers import choose
 from fmuid.simulation.runners import in_process
 
 LOCAL = ["trf", "dfols", "nelder_mead", "sbplx", "cobyla", "bobyqa", "newuoa_bound", "praxis", "slsqp"]
+LOCAL += ["pattern_search", "lbfgs"]
 GLOBAL = ["crs2", "isres", "direct", "direct_l", "esch", "mlsl", "ags"]
 
 
@@ -71,6 +72,24 @@ def test_a_chain_polishes_what_a_global_search_found(analytic):
     options = {"crs2": {"evaluations": 300}}
     result = identify(problem, solver="crs2 > bobyqa", options=options, with_uncertainty=False)
     assert result.parameters["a"] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("budget", [StopRules(evaluations=300), StopRules(seconds=2.0)])
+def test_a_budget_leaves_every_link_of_a_chain_its_share(analytic, budget):
+    """ESCH never ends by itself."""
+    problem = curve(analytic, rugged, ["a"], np.zeros(5), specs=[ParameterSpec("a", 3.0, -4.7, 5.3)])
+    stage = identify(problem, solver="esch > bobyqa", stop=budget, with_uncertainty=False).stages[0]
+    assert stage["a"].value == pytest.approx(0.0, abs=1e-6)
+    assert budget.evaluations is None or stage.evaluations <= budget.evaluations
+
+
+def test_a_pattern_search_keeps_to_an_inequality(analytic):
+    level = lambda time, inputs, p: {"y": p["a"] + 2.0 * p["b"]}  # noqa: E731
+    limit = Constraint.from_mapping({"expression": "a + b", "min": 1.0})
+    problem = curve(analytic, level, ["a", "b"], np.full(5, 0.5), constraints=[limit])
+    result = identify(problem, solver="pattern_search", with_uncertainty=False)
+    assert result.parameters["a"] + result.parameters["b"] >= 1.0 - 1e-6
+    assert result.parameters["a"] + 2 * result.parameters["b"] == pytest.approx(0.5, abs=1e-3)
 
 
 def test_multistart_is_the_same_for_the_same_seed_and_keeps_the_waterfall(analytic):

@@ -1,8 +1,9 @@
 """Solvers by one signature; `make` finds one by name, `choose` by the structure of the problem.
 
 Names: ``trf``, ``lm``, ``dfols`` (least squares); ``nelder_mead``, ``sbplx``, ``cobyla``, ``bobyqa``,
-``newuoa_bound``, ``praxis``, ``slsqp`` (local); ``crs2``, ``isres``, ``direct``, ``direct_l``, ``esch``,
-``mlsl``, ``ags`` (global). ``"crs2 > bobyqa"`` is a chain; the option ``starts = 8`` makes a multistart.
+``newuoa_bound``, ``praxis``, ``pattern_search``, ``lbfgs``, ``slsqp`` (local); ``crs2``, ``isres``, ``direct``,
+``direct_l``, ``esch``, ``mlsl``, ``ags`` (global). ``"crs2 > bobyqa"`` is a chain; the option ``starts = 8`` makes
+a multistart.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.solvers.compound import Chain, Lexicographic, MultiStart
 from fmuid.identification.solvers.least_squares import DfoLs, TrustRegion
 from fmuid.identification.solvers.nlopt_solver import _ALIASES, ALGORITHMS, NloptSolver
+from fmuid.identification.solvers.pattern_search import PatternSearch
 from fmuid.identification.solvers.search import (
     Outcome,
     Search,
@@ -40,7 +42,7 @@ __all__ = [
     "make",
 ]
 
-NAMES = ("auto", "trf", "lm", "dfols", *ALGORITHMS)
+NAMES = ("auto", "trf", "lm", "dfols", "pattern_search", *ALGORITHMS)
 
 
 def make(name: str, options: Mapping[str, Any], problem: Problem) -> tuple[Solver, str]:
@@ -106,6 +108,8 @@ def _single(name: str, options: dict[str, Any]) -> Solver:
             return TrustRegion("lm" if name == "lm" else "trf", tolerance)
         case "dfols":
             return DfoLs(options)
+        case "pattern_search":
+            return PatternSearch(options)
     if name in ALGORITHMS or name in _ALIASES:
         return NloptSolver(name, options)
     raise ProblemError(f"unknown solver '{name}'", fix=suggestion(name, NAMES))

@@ -13,12 +13,15 @@ from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.solvers.parallel_searches import Abreast
-from fmuid.identification.solvers.search import Outcome, Search, Solver, Start, Status
+from fmuid.identification.solvers.search import Outcome, Search, Solver, Start, Status, StopSearch
 
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """One solver after the other, each from the best point of those before: global, then local."""
+    """One solver after the other, each from the best point of those before: global, then local.
+
+    Each has an equal share of the budget that is left, the last one all of it.
+    """
 
     links: tuple[Solver, ...]
 
@@ -40,8 +43,15 @@ class Chain:
     def solve(self, search: Search, start: FloatArray) -> Outcome:
         """See `Solver.solve`."""
         outcome = Outcome(Status.FAILED, "no solver in the chain")
-        for link in self.links:
-            outcome = link.solve(search, start)
+        for k, link in enumerate(self.links):
+            left = len(self.links) - k
+            try:
+                with search.share(left):
+                    outcome = link.solve(search, start)
+            except StopSearch as stopped:
+                if left == 1 or stopped.outcome.status is not Status.BUDGET:
+                    raise
+                outcome = stopped.outcome
             if search.reached is None:
                 break
             start = search.reached.x

@@ -41,6 +41,7 @@ ALGORITHMS: Mapping[str, _Algorithm] = {
     "esch": _Algorithm("GN_ESCH", finite_bounds=True),
     "mlsl": _Algorithm("G_MLSL_LDS", finite_bounds=True, subsidiary=True),
     "ags": _Algorithm("GN_AGS", finite_bounds=True, model=True),
+    "lbfgs": _Algorithm("LD_LBFGS", gradient=True, model=True),
     "slsqp": _Algorithm("LD_SLSQP", constraints=True, gradient=True, model=True),
 }
 _ALIASES = {"neldermead": "nelder_mead", "newuoa": "newuoa_bound", "direct-l": "direct_l", "sqp": "slsqp"}

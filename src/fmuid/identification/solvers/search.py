@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import enum
+import math
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -199,6 +201,21 @@ class Search:
             np.all(self.violations(evaluation, equality=False) <= FEASIBLE)
             and np.all(np.abs(self.violations(evaluation, equality=True)) <= FEASIBLE)
         )
+
+    @contextmanager
+    def share(self, links: int) -> Iterator[None]:
+        """Leave to what is done inside its share of the budget that is left, one of `links`; then `StopSearch`."""
+        whole = self.stop
+        evaluations, seconds = whole.evaluations, whole.seconds
+        if evaluations is not None:
+            evaluations = self.evaluations + math.ceil((evaluations - self.evaluations) / links)
+        if seconds is not None:
+            seconds = self.seconds + (seconds - self.seconds) / links
+        self.stop = replace(whole, evaluations=evaluations, seconds=seconds)
+        try:
+            yield
+        finally:
+            self.stop = whole
 
     def _check_budget(self) -> None:
         stop = self.stop
