@@ -20,6 +20,7 @@ from fmuid.core.campaign import Interface
 from fmuid.core.errors import CampaignError, FmuidError, MeasurementsError, UnitError
 from fmuid.core.experiments import Experiment, Measurements
 from fmuid.core.files import write_atomically
+from fmuid.core.formatting import once_each
 from fmuid.core.toml_tables import toml_text
 from fmuid.core.units import conversion
 from fmuid.data.crosscheck_csv import Table
@@ -54,6 +55,7 @@ def new_campaign(
     base: TimeBase | None = None,
     units: Mapping[str, str] | None = None,
     sigmas: Mapping[str, float] | None = None,
+    columns: Sequence[str] = (),
     progress: Callable[[float], None] | None = None,
     runner: Runner = in_process,
 ) -> NewCampaign:
@@ -73,6 +75,8 @@ def new_campaign(
         What signals with different time bases are brought onto.
     units, sigmas
         Units (these win over the files') and noise standard deviations by column.
+    columns
+        Headers of CSV files that have none.
     progress
         Called with the share of the work that is behind.
     runner
@@ -89,13 +93,13 @@ def new_campaign(
             raise CampaignError("is there already", where=file, fix="name another folder with --out")
     model = load_model(fmu)
     ports = {n: v for n, v in model.variables.items() if v.causality in ("input", "output")}
-    guesses: list[str] = []
+    notes: list[tuple[str, str]] = []
     runs: dict[str, Experiment] = {}
     mapping: dict[str, str] = {}
     for file in files:
         if file.stem in runs:
             raise CampaignError(f"two runs are called '{file.stem}'", where=file, fix="rename one file")
-        run = read_run(file, signals, base)
+        run = read_run(file, signals, base, columns)
         run = replace(run, table=_with_units(run.table, units or {}))
         table = run.table
         matched = match_columns(table, ports)
@@ -107,14 +111,14 @@ def new_campaign(
                 fix=f"rename columns, or state their units (--unit); {known_names(outputs)}",
             )
         runs[file.stem] = _run(file, run, matched, ports, fmu.stem, sigmas or {})
-        guesses += [f"{file.name}: {note}" for note in run.notes]
-        guesses += _lines(table, matched, ports, file.name)
+        notes += [(file.name, note) for note in (*run.notes, *_lines(table, matched, ports))]
         mapping |= {c: v for c, v in matched.items() if c != v}
     for what, names in (("--unit", units or {}), ("--sigma", sigmas or {})):
         for name in names:
             if not any(name in run.signals for run in runs.values()):
                 known = dict.fromkeys(n for run in runs.values() for n in run.signals)
                 raise CampaignError(f"no signal '{name}' is used", where=what, fix=suggestion(name, known))
+    guesses = once_each(notes)
     runs = with_repeats(runs)
     used = _for_identification(runs)
     interface: Interface | None = None
@@ -244,16 +248,16 @@ def _choice_lines(choice: FirstChoice, driven: bool) -> list[str]:
     return lines
 
 
-def _lines(table: Table, matched: Mapping[str, str], ports: Mapping[str, Variable], file: str) -> list[str]:
+def _lines(table: Table, matched: Mapping[str, str], ports: Mapping[str, Variable]) -> list[str]:
     lines = []
     for column in table.columns:
         if column not in matched:
-            lines.append(f"{file}: column '{column}' is not used, no input or output of the FMU fits")
+            lines.append(f"column '{column}' is not used, no input or output of the FMU fits")
             continue
         variable = ports[matched[column]]
         unit = table.units.get(column)
         stated = f"in {unit}" if unit else f"taken to be in {variable.unit or '1'}, as the FMU's"
-        lines.append(f"{file}: '{column}' is {variable.causality} '{variable.name}', {stated}")
+        lines.append(f"'{column}' is {variable.causality} '{variable.name}', {stated}")
     return lines
 
 

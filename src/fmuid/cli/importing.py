@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fmuid.cli.output import Json, Printer, Quiet, numbers, pairs
+from fmuid.cli.output import Json, Printer, Quiet, command_line, numbers, pairs
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 from fmuid.core.errors import FmuidError
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 
 _METHODS = ("linear", "hold", "mean")
+_ROWS = 12  # of runs in a table
 Signals = Annotated[list[str] | None, typer.Option("--signal", help="Take this signal only (repeat).")]
 Resample = Annotated[
     float | None,
@@ -28,6 +29,12 @@ Methods = Annotated[
         "--method", metavar="[SIGNAL=]METHOD", help="How, for all or one (repeat): linear (default), hold or mean."
     ),
 ]
+Columns = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAMES", help="Headers of CSV files that have none: 'time,tau [N.m]', one for each column."
+    ),
+]
 Units = Annotated[list[str] | None, typer.Option(metavar="NAME=UNIT", help="Unit of a signal (repeat).")]
 Sigmas = Annotated[
     list[str] | None, typer.Option(metavar="NAME=VALUE", help="Noise standard deviation of a signal (repeat).")
@@ -35,6 +42,7 @@ Sigmas = Annotated[
 
 
 def import_(
+    context: typer.Context,
     files: Annotated[
         list[Path],
         typer.Argument(
@@ -51,7 +59,29 @@ def import_(
     unit: Units = None,
     sigma: Sigmas = None,
     setting: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=VALUE", help="Known value that the runs set (repeat).")
+        list[str] | None,
+        typer.Option(
+            metavar="[RUN:]NAME=VALUE",
+            help="Known value that the runs set, or those that RUN (a glob) names (repeat).",
+        ),
+    ] = None,
+    columns: Columns = None,
+    cut: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[RUN:]FROM..TO", help="Keep this time span (s) only; either end may be left out (repeat)."
+        ),
+    ] = None,
+    from_zero: Annotated[bool, typer.Option("--from-zero", help="Time of the first sample becomes 0.")] = False,
+    shift: Annotated[
+        list[str] | None,
+        typer.Option(metavar="SIGNAL=SECONDS", help="A signal's samples belong so much later (repeat)."),
+    ] = None,
+    mask: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="CONDITION", help='Leave out the samples of outputs where it holds: "abs(tau) > 40" (repeat).'
+        ),
     ] = None,
     repeats: Annotated[bool, typer.Option("--repeats", help="Runs with the same inputs are repeats.")] = False,
     append: Annotated[bool, typer.Option("--append", help="Add the runs to the file at --out.")] = False,
@@ -67,10 +97,13 @@ def import_(
 
     Example: fmuid import step.mf4 --setup fixed_shaft -i i_cmd --signal i_cmd --signal w --resample 1000
     """
+    from dataclasses import replace
+
     from fmuid.core.experiments import Measurements
-    from fmuid.core.formatting import counted
+    from fmuid.core.formatting import counted, once_each
     from fmuid.data.measurements import read_measurements, write_measurements
     from fmuid.data.recordings.conversion import experiment_from_table, read_run, with_repeats
+    from fmuid.data.recordings.editing import Edits
 
     printer = Printer(quiet, json)
     if out.exists() and not append:
@@ -78,13 +111,19 @@ def import_(
     old = read_measurements(out) if append and out.exists() else Measurements({}, title=title)
     experiments = dict(old.experiments)
     base = _time_base(resample, align, method or [])
+    notes: list[tuple[str, str]] = []
+    spans = {file.stem: _span(_of_run(cut or [], file.stem)) for file in files}
     for file in files:
         if file.stem in experiments:
             raise FmuidError(f"there is a run '{file.stem}' already", where=file, fix="rename the file")
         with printer.working(f"reading {file}"):
-            run = read_run(file, signal or (), base)
-        for note in run.notes:
-            printer.say(f"{file}: {note}")
+            run = read_run(file, signal or (), base, _listed(columns))
+        notes += [(str(file), note) for note in run.notes]
+        begin, end = spans.get(file.stem, (float("-inf"), float("inf")))
+        shifts = numbers(shift or [], "--shift")
+        edits = Edits(shifts, begin, end, from_zero, mask or ())
+        outputs = [name for name in run.table.columns if name not in input_]
+        run = replace(run, table=edits(run.table, outputs, file))
         try:
             experiments[file.stem] = experiment_from_table(
                 run.table,
@@ -93,7 +132,7 @@ def import_(
                 inputs=input_,
                 units=pairs(unit or [], "--unit"),
                 sigmas=numbers(sigma or [], "--sigma"),
-                settings=numbers(setting or [], "--setting"),
+                settings=numbers(_of_run(setting or [], file.stem), "--setting"),
                 resampled=run.resampled,
             )
         except FmuidError as error:
@@ -103,17 +142,28 @@ def import_(
     if repeats:
         experiments = with_repeats(experiments)
     measurements = Measurements(
-        experiments, title=title or old.title, rig=old.rig, source=old.source, licence=old.licence
+        experiments,
+        title=title or old.title,
+        rig=old.rig,
+        source=old.source,
+        licence=old.licence,
+        history="\n".join(filter(None, [old.history, command_line(context)])),
     )
+    for line in once_each(notes):
+        printer.say(line)
     with printer.working(f"writing {out}"):
         write_measurements(measurements, out)
+    shown = list(measurements)
+    shown = shown if len(shown) <= _ROWS else shown[: _ROWS // 2]
     printer.table(
         ("experiment", "samples", "end s", "inputs", "outputs", "repeat of"),
         [
             (e.id, e.time.size, float(e.time[-1]), " ".join(e.inputs), " ".join(e.outputs), e.repeat_of or "")
-            for e in measurements
+            for e in shown
         ],
     )
+    if len(shown) < len(measurements):
+        printer.say(f"... and {len(measurements) - len(shown)} more")
     printer.say(f"{out}: {counted(len(measurements), 'run')}")
     resampled = {e.id: {s.name: s.resampled for s in e.signals.values() if s.resampled} for e in measurements}
     printer.write({"out": out, "experiments": list(measurements.experiments), "resampled": resampled})
@@ -160,6 +210,7 @@ def init(
     method: Methods = None,
     unit: Units = None,
     sigma: Sigmas = None,
+    columns: Columns = None,
     workers: Workers = None,
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,
@@ -183,6 +234,7 @@ def init(
             base=_time_base(resample, align, method or []),
             units=pairs(unit or [], "--unit"),
             sigmas=numbers(sigma or [], "--sigma"),
+            columns=_listed(columns),
             progress=progress,
             runner=runner,
         )
@@ -191,6 +243,40 @@ def init(
     printer.say(f"{out / 'campaign.toml'}: look it through, then run: fmuid check {out}; fmuid identify {out}")
     printer.say(f"{out / 'effects.toml'}: what may be wrong with the signals, for: fmuid diagnose {out}")
     printer.write({"out": out, "guesses": made.guesses})
+
+
+def _listed(columns: str | None) -> list[str]:
+    return [name.strip() for name in columns.split(",")] if columns else []
+
+
+def _of_run(texts: list[str], run: str) -> list[str]:
+    """Return what is said of all runs or of this one: RUN:TEXT, RUN being a glob."""
+    from fnmatch import fnmatchcase
+
+    found = []
+    for text in texts:
+        name, colon, rest = text.partition(":")
+        if not colon:
+            found.append(text)
+        elif fnmatchcase(run, name):
+            found.append(rest)
+    return found
+
+
+def _span(texts: list[str]) -> tuple[float, float]:
+    """Return the last span FROM..TO."""
+    span = (float("-inf"), float("inf"))
+    for text in texts:
+        begin, dots, end = text.partition("..")
+        try:
+            span = (float(begin or "-inf"), float(end or "inf"))
+        except ValueError:
+            dots = ""
+        if not dots or not span[0] < span[1]:
+            raise FmuidError(
+                f"'{text}' is no time span", where="--cut", fix="write it as in --cut 0.5..10 or --cut 0.5.."
+            )
+    return span
 
 
 def _time_base(rate: float | None, align: str | None, methods: list[str]) -> TimeBase | None:

@@ -64,6 +64,27 @@ class Printer:
             write_atomically(self.json_file, json.dumps(_plain(result), indent=2, allow_nan=False) + "\n")
 
 
+def command_line(context: typer.Context) -> str:
+    """Return the command that is being run, as it can be given again."""
+    import shlex
+
+    words: list[str] = []
+    for parameter in context.command.params:
+        name = str(parameter.name)
+        source = context.get_parameter_source(name)
+        if source is None or source.name != "COMMANDLINE":
+            continue
+        value = context.params[name]
+        each = value if isinstance(value, list | tuple) else [value]
+        if parameter.param_type_name == "argument":
+            words[:0] = [str(v) for v in each]
+        elif value is True:
+            words.append(parameter.opts[0])
+        else:
+            words += [word for v in each for word in (parameter.opts[0], str(v))]
+    return shlex.join(["fmuid", str(context.info_name), *words])
+
+
 def pairs(texts: Sequence[str], option: str) -> dict[str, str]:
     """Return ``name=value`` texts as a mapping."""
     result = {}

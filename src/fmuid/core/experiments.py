@@ -144,6 +144,8 @@ class Measurements:
         By id, in the file's order.
     title, rig, source, licence
         Of the recording, as free text.
+    history
+        The commands that made the file, one a line.
     """
 
     experiments: Mapping[str, Experiment]
@@ -151,6 +153,7 @@ class Measurements:
     rig: str = ""
     source: str = ""
     licence: str = ""
+    history: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "experiments", frozen_mapping(self.experiments))

@@ -50,3 +50,11 @@ def range_text(low: float, high: float, span: float | None = None) -> str:
     span = high - low if span is None else span
     ends = [0.0 if abs(end) < 1e-3 * span < math.inf else float(f"{end:.3g}") for end in (low, high)]
     return " … ".join(f"{end:g}".replace("-", "−") for end in ends)
+
+
+def once_each(notes: Sequence[tuple[str, str]]) -> list[str]:
+    """Return each note on files once, with the file that it is on, or with how many there are."""
+    files: dict[str, list[str]] = {}
+    for file, note in notes:
+        files.setdefault(note, []).append(file)
+    return [f"{on[0]}{f' and {len(on) - 1} more' if len(on) > 1 else ''}: {note}" for note, on in files.items()]

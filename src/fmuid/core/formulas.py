@@ -9,7 +9,10 @@ import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from fmuid.core.errors import ProblemError
+from fmuid.core.immutable import FloatArray
 
 _BINARY: Mapping[type[ast.operator], Callable[[float, float], float]] = {
     ast.Add: operator.add,
@@ -38,6 +41,7 @@ _FUNCTIONS: Mapping[str, Callable[..., float]] = {
     "sqrt": math.sqrt,
     "tan": math.tan,
 }
+_ARRAYS = {"max": "maximum", "min": "minimum"}  # NumPy's names of functions, where others
 _SLOPES: Mapping[str, Callable[[float], float]] = {
     "abs": lambda x: math.copysign(1.0, x),
     "cos": lambda x: -math.sin(x),
@@ -72,6 +76,19 @@ class Expression:
         if isinstance(result, complex) or not math.isfinite(result):
             raise ProblemError(f"'{self.text}' is {result}", fix="change the bounds")
         return float(result)
+
+    def of_samples(self, columns: Mapping[str, FloatArray]) -> FloatArray:
+        """Return the value at every sample of (N,) `columns`; NaN or infinite where there is none."""
+        functions = {name: getattr(np, _ARRAYS.get(name, name)) for name in _FUNCTIONS}
+        tree = ast.Expression(copy.deepcopy(self._tree))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Name):
+                node.ctx = ast.Load()
+        code = compile(ast.fix_missing_locations(tree), "<formula>", "eval")
+        with np.errstate(all="ignore"):
+            # Nothing but arithmetic, names and these functions is in a tree that `parse` has let through.
+            found = eval(code, {"__builtins__": {}} | functions, {n: columns[n] for n in self.names})
+        return np.asarray(found, dtype=np.float64)
 
     def slope(self, values: Mapping[str, float], slopes: Mapping[str, float]) -> float:
         """Return the derivative at the parameter `values` where some of them move with these `slopes`.

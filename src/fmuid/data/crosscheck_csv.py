@@ -10,7 +10,7 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -25,11 +25,15 @@ from fmuid.core.units import check_unit, conversion
 
 MAX_BYTES = 2_000_000_000
 MAX_COLUMNS = 10_000
-TIMES = ("time", "t", "timestamp", "timestamps", "datetime")
+TIMES = ("time", "t", "timestamp", "timestamps", "datetime", "zeit")
 """Names of a time axis, in any case."""
 _DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab"}
+_PER_MINUTE = ("1/min", "min-1", "min^-1", "/min")
+_PREAMBLE = 100  # lines that a header is looked for in
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 # "tau [N.m]", "tau[N.m]", "tau (N.m)": a name and its unit; but lossTable[1,2] and der(v) are names.
+_QUOTIENT = re.compile(r"(?P<name>.*\S)\s(?:/|in)\s(?P<unit>\S+)")  # "Drehmoment / N.m", as in ISO 80000
+_CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 _WITH_UNIT = re.compile(
     r"(?P<name>.*\S)(?:\s+\[(?P<square>[^\[\]]*)\]|\[(?P<tight>[^\[\]]*[^\W\d][^\[\]]*)\]|\s+\((?P<round>[^()]*)\))"
 )
@@ -68,8 +72,17 @@ class Table:
         return Table(self.time, {n: self.columns[n] for n in names}, units, self.notes)
 
 
-def read_csv(path: str | Path) -> Table:
+def read_csv(path: str | Path, columns: Sequence[str] = ()) -> Table:
     """Read a CSV file with a header row whose first column is `time`.
+
+    Lines before the header are left out. Text is UTF-8, UTF-16 or, if it is neither, Windows-1252.
+
+    Parameters
+    ----------
+    path
+        The file.
+    columns
+        Headers of a file that has none, with units as in ``tau [N.m]``.
 
     Raises
     ------
@@ -77,22 +90,30 @@ def read_csv(path: str | Path) -> Table:
         The file is missing or no such table; the line names row and column.
     """
     path = Path(path)
-    text = _read_text(path)
-    delimiter = _delimiter(text)
+    text, encoding = _read_text(path)
+    text, skipped = (text, 0) if columns else _without_preamble(text)
+    delimiter = _delimiter_of(text, columns, path) if columns else _delimiter(text)
     rows = csv.reader(io.StringIO(text), delimiter=delimiter, strict=True, skipinitialspace=True)
     try:
-        header = next((row for row in rows if any(cell.strip() for cell in row)), None)
+        found = (row for row in rows if any(cell.strip() for cell in row))
+        header = list(columns) if columns else next(found, None)
     except csv.Error as error:
         raise _malformed(path, 1, error) from None
     if header is None:
         raise MeasurementsError("is empty", where=path, fix='write a header "time","..." and the samples')
     names, units = _read_header(header, path)
-    notes = [] if delimiter == "," else [f"cells are separated by {_DELIMITERS[delimiter]}s"]
+    notes = [f"read as {encoding}"] if encoding else []
+    notes += [f"the header is in line {skipped + 1}"] if skipped else []
+    notes += [] if delimiter == "," else [f"cells are separated by {_DELIMITERS[delimiter]}s"]
     skip = rows.line_num
     if not units and (below := _units_row(text, skip, names, delimiter)):
         units = {n: u for n, u in zip(names, below, strict=True) if u}
         notes.append(f"units are in line {skip + 1}")
         skip += 1
+    for name, unit in units.items():
+        if unit.replace(" ", "") in _PER_MINUTE:
+            units[name] = "rpm"
+            notes.append(f"'{name}' in {unit} is taken for revolutions a minute (rpm)")
     text, dated = _dates_as_seconds(text, skip, delimiter)
     if dated:
         notes.append("time counts from the first date")
@@ -115,6 +136,11 @@ def name_and_unit(header: str) -> tuple[str, str | None]:
     """Return the name and the unit in ``tau [N.m]``, ``tau[N.m]`` or ``tau (N.m)``; no unit is None."""
     match = _WITH_UNIT.fullmatch(header.strip())
     if match is None:
+        quotient = _QUOTIENT.fullmatch(header.strip())
+        with suppress(UnitError):
+            if quotient is not None:
+                check_unit(quotient["unit"])
+                return quotient["name"], quotient["unit"]
         return header.strip(), None
     return match["name"], (match["square"] or match["tight"] or match["round"] or "").strip()
 
@@ -129,25 +155,65 @@ def write_csv(table: Table, path: str | Path) -> None:
     write_atomically(Path(path), "\n".join(lines) + "\n")
 
 
-def _read_text(path: Path) -> str:
+def _read_text(path: Path) -> tuple[str, str]:
+    """Return the text of a file, and its encoding if that is not UTF-8."""
     try:
         if path.stat().st_size > MAX_BYTES:
             raise MeasurementsError("is larger than 2 GB", where=path, fix="split it")
-        return path.read_bytes().decode("utf-8-sig")
+        content = path.read_bytes()
     except FileNotFoundError:
         raise MeasurementsError("no such file", where=path, fix="check the path") from None
-    except UnicodeDecodeError:
-        raise MeasurementsError("is not UTF-8 text", where=path, fix="save it as CSV in UTF-8") from None
     except OSError as error:
         raise MeasurementsError(f"cannot be read ({error.strerror})", where=path, fix="check the path") from None
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        encodings = [("utf-16", "UTF-16")]
+    elif b"\0" in content[:1000] and len(content) % 2 == 0:
+        little = content[:1000:2].count(0) < content[1:1000:2].count(0)
+        encodings = [("utf-16-le" if little else "utf-16-be", "UTF-16")]
+    else:
+        encodings = [("utf-8-sig", ""), ("cp1252", "Windows-1252")]
+    for encoding, name in encodings:
+        with suppress(UnicodeDecodeError):
+            text = content.decode(encoding).replace("\r\n", "\n")
+            # Text has no control characters: other files are no text in any encoding.
+            if not name or not _CONTROL.search(text[:10_000]):
+                return text, name
+    raise MeasurementsError("is not text", where=path, fix="save it as CSV in UTF-8")
+
+
+def _without_preamble(text: str) -> tuple[str, int]:
+    """Return the text with empty lines in place of those before the header, and how many these are."""
+    lines = text.split("\n", _PREAMBLE)
+    for k, line in enumerate(lines[:_PREAMBLE]):
+        if any(_names_time(line, delimiter) for delimiter in _DELIMITERS):
+            return "\n" * k + "\n".join(lines[k:]), k if any(old.strip() for old in lines[:k]) else 0
+    return text, 0
+
+
+def _names_time(line: str, delimiter: str) -> bool:
+    cell = line.split(delimiter, 1)[0].strip().strip('"')
+    return delimiter in line and name_and_unit(cell)[0].casefold() in TIMES
+
+
+def _delimiter_of(text: str, columns: Sequence[str], path: Path) -> str:
+    """Return what separates the cells of a file without a header."""
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    counts = {d: len(first.split(d)) for d in (";", "\t", ",")}
+    for delimiter, count in counts.items():
+        if count == len(columns):
+            if not any(c.isdigit() for c in first.split(delimiter)[0]):
+                raise MeasurementsError("has a header", where=path, fix="leave --columns out")
+            return delimiter
+    raise MeasurementsError(
+        f"has {max(counts.values())} columns, {len(columns)} are named", where=path, fix="name every column"
+    )
 
 
 def _delimiter(text: str) -> str:
     """Return the first of comma, semicolon and tab that leaves `time` alone in the first cell."""
     first = next((line for line in text.splitlines() if line.strip()), "")
     for delimiter in _DELIMITERS:
-        cell = first.split(delimiter, 1)[0].strip().strip('"')
-        if delimiter in first and name_and_unit(cell)[0].casefold() in TIMES:
+        if _names_time(first, delimiter):
             return delimiter
     return ","
 
@@ -155,6 +221,10 @@ def _delimiter(text: str) -> str:
 def _read_header(header: list[str], path: Path) -> tuple[list[str], dict[str, str]]:
     cells = [name_and_unit(cell) for cell in header]
     names = [name for name, _ in cells]
+    if re.fullmatch(r"[-+\d.,;eE\s]+", names[0]):
+        raise MeasurementsError(
+            "has no header", where=path, fix="name its columns: --columns 'time,tau [N.m]', one name for each"
+        )
     if names[0].casefold() not in TIMES:
         raise MeasurementsError(
             f"the first column is '{names[0][:40]}'", where=path, fix="it must be 'time', in s"

@@ -18,7 +18,7 @@ from fmuid.data.isolated_reader import read_apart
 FORMAT = "fmuid-campaign"
 VERSION = 1
 UNIT_SUFFIX = ".unit"
-_ROOT_TEXTS = ("title", "rig", "source", "licence")
+_ROOT_TEXTS = ("title", "rig", "source", "licence", "history")
 _CAUSALITIES = ("input", "output")
 _Error = MeasurementsError
 

@@ -1,13 +1,13 @@
-"""Runs in the files that people have: CSV, MATLAB, HDF5, Parquet and MF4, read into tables over time.
+"""Runs in the files that people have, read into tables over time.
 
-One module a format; the libraries for Parquet and MF4 are extras. Nothing is resampled here: signals with
-different time bases stay apart until the user says how to bring them together (`resampling`).
+One module a format: CSV, MATLAB, HDF5, and with extras Parquet, MF4, ROS bags and MCAP. Nothing is resampled here:
+signals with different time bases stay apart until the user says how to bring them together (`resampling`).
 """
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from fmu_build.suggest import suggestion
@@ -25,18 +25,24 @@ _MODULES = {
     ".parquet": "parquet",
     ".mf4": "mdf",
     ".mdf": "mdf",
+    ".bag": "rosbag",
+    ".db3": "rosbag",
+    ".mcap": "rosbag",
 }
 
 
-def read_recording(path: str | Path, names: Collection[str] = ()) -> Recording:
+def read_recording(path: str | Path, names: Collection[str] = (), columns: Sequence[str] = ()) -> Recording:
     """Read one recorded run.
 
     Parameters
     ----------
     path
-        ``.mat``, ``.h5``, ``.hdf5``, ``.parquet``, ``.mf4`` or ``.mdf``; any other name is read as CSV.
+        ``.mat``, ``.h5``, ``.hdf5``, ``.parquet``, ``.mf4``, ``.mdf``, ``.bag``, ``.db3`` or ``.mcap``; any other
+        name is read as CSV.
     names
         Signals to read; all by default.
+    columns
+        Headers of a CSV file that has none.
 
     Returns
     -------
@@ -54,7 +60,7 @@ def read_recording(path: str | Path, names: Collection[str] = ()) -> Recording:
         raise MeasurementsError(what, where=path, fix="check the path")
     module = _MODULES.get(path.suffix.casefold())
     if module is None:
-        table = read_csv(path)
+        table = read_csv(path, columns)
         found = Recording((table,), notes=table.notes)
     else:
         found = read_apart(importlib.import_module(f"fmuid.data.recordings.{module}").read, path)

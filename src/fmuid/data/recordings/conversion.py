@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,7 +26,9 @@ class Run:
     notes: tuple[str, ...]
 
 
-def read_run(path: Path, signals: Collection[str] = (), base: TimeBase | None = None) -> Run:
+def read_run(
+    path: Path, signals: Collection[str] = (), base: TimeBase | None = None, columns: Sequence[str] = ()
+) -> Run:
     """Read a file of one run, and bring it onto one time base as `base` says.
 
     Raises
@@ -34,7 +36,7 @@ def read_run(path: Path, signals: Collection[str] = (), base: TimeBase | None = 
     MeasurementsError
         As `fmuid.data.recordings.read_recording` and `fmuid.data.recordings.resampling.one_time_base` do.
     """
-    recording = read_recording(path, signals)
+    recording = read_recording(path, signals, columns)
     table, resampled = one_time_base(recording, base, path)
     notes = [*recording.notes, *(f"'{name}' resampled: {how}" for name, how in resampled.items())]
     fast = aliased(table, recording, base) if base is not None else ()
