@@ -12,6 +12,7 @@ from fmuid import (
     profile_of,
     propagate,
 )
+from fmuid.identification.problem.combination import Constraint
 from fmuid.identification.uncertainty.propagation import worst_points
 
 TIME = np.linspace(0.0, 10.0, 201)
@@ -38,6 +39,83 @@ def test_standard_errors_of_a_line_are_the_textbook_ones(analytic):
     whiteness = stage.uncertainty.whiteness[0]
     assert whiteness.variance == pytest.approx(1.0, abs=0.2)
     assert whiteness.p_value > 0.01
+
+
+SPARSE = np.array([0.0, 10.0])
+
+
+def sparse(analytic, y, **options):
+    task = Task(SPARSE, {}, ("y",))
+    case = measured_case("run", analytic(line, ["a", "b"]), task, {"y": np.array(y)}, **options)
+    return identify(Problem([case], [ParameterSpec("a", 1.0), ParameterSpec("b", 1.0)])).stages[0]
+
+
+def test_as_many_samples_as_parameters_leave_the_sigma_that_was_given(analytic):
+    stage = sparse(analytic, [2.0, 7.0], sigma={"y": 0.1})
+    assert stage.uncertainty.standard_errors == pytest.approx([0.1, 0.01 * np.sqrt(2)], rel=1e-6)
+    low, high = stage["a"].interval
+    assert (low, high) == pytest.approx((2.0 - 1.95996 * 0.1, 2.0 + 1.95996 * 0.1), rel=1e-5)
+    assert stage.uncertainty.degrees_of_freedom is None
+
+
+def test_as_many_samples_as_parameters_and_no_sigma_give_no_interval_and_say_why(analytic):
+    stage = sparse(analytic, [2.0, 7.0])
+    assert (stage["a"].standard_error, stage["a"].interval) == (None, None)
+    assert stage.warnings == (
+        "no standard errors: 2 residuals for 2 parameters leave nothing to judge the noise by; give sigma, or "
+        "record more",
+    )
+    assert "2 residuals for 2 parameters" in str(stage)
+
+
+def test_as_many_samples_as_parameters_have_the_sigma_of_their_repeats(analytic):
+    stage = sparse(analytic, [[1.9, 7.0], [2.1, 7.0], [2.0, 7.3]])
+    sigma = np.sqrt((0.02 + 0.06) / 4)
+    assert stage.uncertainty.standard_errors[0] == pytest.approx(sigma / np.sqrt(3), rel=1e-6)
+    assert stage.uncertainty.degrees_of_freedom == 4
+
+
+def test_a_sigma_that_was_given_is_taken_unless_the_residuals_contradict_it(analytic):
+    noise = 0.1 * np.random.default_rng(0).standard_normal(TIME.size)
+    design = np.column_stack([np.ones_like(TIME), TIME])
+    unit = np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
+    for sigma, expected, exactly in ((0.1, 0.1, 1e-6), (0.5, 0.5, 1e-6), (0.02, 0.1, 0.2)):
+        _, stage = fitted(analytic, line, ["a", "b"], 2 + 0.5 * TIME + noise, sigma)
+        assert stage.uncertainty.standard_errors == pytest.approx(expected * unit, rel=exactly)
+        assert (stage.uncertainty.degrees_of_freedom is None) == (exactly == 1e-6)
+    slow = 2 + 0.5 * TIME + 0.1 * np.sin(TIME)
+    _, stage = fitted(analytic, line, ["a", "b"], slow, 0.1)
+    assert np.all(np.array(stage.uncertainty.standard_errors) > 1.5 * 0.1 * unit)
+
+
+@pytest.mark.parametrize("limit", ["max", "min", "equal", "inactive"])
+@pytest.mark.parametrize(("expression", "across"), [("a - 4*b", (1.0, -4.0)), ("b", (0.0, 1.0))])
+def test_at_an_active_constraint_standard_errors_are_those_along_it(analytic, expression, across, limit):
+    y = 2 + 0.5 * TIME + 0.1 * np.random.default_rng(0).standard_normal(TIME.size)
+    design = np.column_stack([np.ones_like(TIME), TIME])
+    covariance = 0.01 * np.linalg.inv(design.T @ design)
+    # One standard error beside what the expression is without the constraint.
+    free = float(across @ np.linalg.lstsq(design, y)[0])
+    beside = (1.0 if limit in ("min", "inactive") else -1.0) * np.sqrt(across @ covariance @ across)
+    table = {"expression": expression, "max" if limit == "inactive" else limit: free + beside}
+    case = measured_case("run", analytic(line, ["a", "b"]), Task(TIME, {}, ("y",)), {"y": y}, sigma={"y": 0.1})
+    specs = [ParameterSpec("a", 1.0), ParameterSpec("b", 1.0)]
+    problem = Problem([case], specs, constraints=[Constraint.from_mapping(table)])
+    stage = identify(problem, options={"tolerance": 1e-9}).stages[0]
+    errors = stage.uncertainty.standard_errors
+    if limit == "inactive":
+        assert errors == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-4)
+        assert stage.uncertainty.notes == ()
+        return
+    assert stage.warnings[0] == f"standard errors are those along the active constraint on '{expression}'"
+    along = np.array([-across[1], across[0]])
+    expected = 0.1 * np.abs(along) / np.linalg.norm(design @ along)
+    if expression == "b":  # which leaves it no freedom at all
+        assert (errors[1], stage["b"].interval) == (None, None)
+        assert stage.warnings[1] == "no standard error: the active constraints alone determine b"
+        assert errors[0] == pytest.approx(0.1 / np.sqrt(TIME.size), rel=1e-4)
+    else:
+        assert errors == pytest.approx(expected, rel=1e-4)
 
 
 def coverage(draws, colour):
@@ -148,7 +226,9 @@ def test_a_sum_is_named_as_a_sum_and_a_dead_parameter_as_dead(analytic):
     found = stage.uncertainty.identifiability
     assert found.undetermined == ("a", "b", "d")
     assert found.combinations == ("a + b",)
-    assert stage["c"].standard_error == pytest.approx(0.0, abs=1e-6)
+    design = np.column_stack([TIME, np.ones_like(TIME)])
+    expected = 0.1 * np.sqrt(np.linalg.inv(design.T @ design)[1, 1])  # by the sigma that is given
+    assert stage["c"].standard_error == pytest.approx(expected, rel=1e-4)
 
 
 def test_an_offset_near_zero_is_determined(analytic):

@@ -14,6 +14,7 @@ from fmuid.diagnosis.cross_validation import HeldOut, leave_each_out
 from fmuid.diagnosis.observed import gap
 from fmuid.diagnosis.refit import Refit, refit
 from fmuid.diagnosis.scores import Score, nominal_basis, project_off, score_effects, stack
+from fmuid.diagnosis.standard_errors import standard_errors
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Estimate
 
@@ -144,23 +145,11 @@ def contribution(subject: Subject, fitted: Fitted, name: str) -> float:
 
 
 def estimates(fitted: Fitted, subject: Subject) -> dict[str, Estimate]:
-    """Return every parameter with its standard error, widened by what the model leaves unexplained.
-
-    The covariance is (J'J)^-1 in units of the noise of a single run's floor, times the mean square of the
-    remaining residual where that is above 1. A direction that the data do not determine has no standard error.
-    """
-    steps = np.array([u.step for u in fitted.fit.unknowns])
-    jacobian = stack(fitted.fit.jacobian, subject.observed) * steps
-    residual = stack(fitted.fit.residuals, subject.observed)
-    scale = max(1.0, float(np.mean(residual**2)))
-    errors: FloatArray = np.full(len(steps), np.nan)
-    norms = np.linalg.norm(jacobian, axis=0)
-    seen = norms > 0.0
-    if seen.any():
-        _, s, vt = np.linalg.svd(jacobian[:, seen] / norms[seen], full_matrices=False)
-        if s[-1] > 1e-6 * s[0]:
-            variance = np.sum((vt.T / s) ** 2, axis=1) / norms[seen] ** 2
-            errors[seen] = np.sqrt(scale * variance) * steps[seen]
+    """Return every parameter with its standard error; None where the data do not determine it."""
+    (prediction,) = subject.model.predict([fitted.fit.values])  # remembered from the refit
+    errors: FloatArray = np.full(len(fitted.fit.unknowns), np.nan)
+    if not isinstance(prediction, SimulationError):
+        errors = standard_errors(fitted.fit, subject.observed, prediction)
     return {
         u.name: Estimate(fitted.fit.values[u.name], None if np.isnan(e) else float(e))
         for u, e in zip(fitted.fit.unknowns, errors, strict=True)

@@ -70,13 +70,14 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | Non
                 bound = list(problem.space.names)
                 found.warnings.append(f"no standard errors: a {problem.combination.kind} is no sum of squares")
             found.uncertainty = without_intervals(free, bound)
+            found.warnings += free.notes
     estimate = found.uncertainty
     if estimate is not None and spec.profiles:
         # Of what is determined and not at a bound: the warnings name the rest.
         for name in [n for n, e in zip(estimate.names, estimate.standard_errors, strict=True) if e is not None]:
             with _noted(found, f"no profile of {name}"):
                 found.profiles += (profile_of(problem, estimate, name, evaluate=evaluate, floor=floor),)
-    if estimate is not None and spec.monte_carlo:
+    if estimate is not None and spec.monte_carlo and estimate.degrees_of_freedom != 0.0:
         with _noted(found, "no Monte Carlo"):
             joint = problem if held is None else held.problem
             found.spread = criteria_spread(

@@ -369,7 +369,7 @@ def _warnings(search: Search, estimates: Sequence[Estimate], found: Uncertainty 
     warnings = []
     if found is not None and not found.identifiability.complete:
         warnings.append(str(found.identifiability))
-    if found is not None:
+    if found is not None and not found.constraints:  # which join parameters that the experiments tell apart
         for i, a in enumerate(found.names):
             for k, b in enumerate(found.names[:i]):
                 r = found.correlation[i][k]

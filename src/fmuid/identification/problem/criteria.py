@@ -63,6 +63,13 @@ class Target:
     inputs: Mapping[str, FloatArray]
     repeated: tuple[RepeatedRuns, ...] = ()
 
+    @property
+    def degrees(self) -> float:
+        """Degrees of freedom of the noise level: infinite if it was given, 0 if it is not known."""
+        if self.noise.source == "repeats":
+            return float(np.sum(np.maximum(self.count - 1.0, 0.0)))
+        return math.inf if self.noise.source == "given" else 0.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Criterion:
@@ -70,7 +77,9 @@ class Criterion:
 
     `rows` are the sample indices its residuals belong to if it has one residual a sample, else None. If it is
     `affine`, residuals are such a function of the prediction, and several predictions, (..., N), may be given at
-    once. `priority` orders criteria of a lexicographic combination, 1 first.
+    once. `priority` orders criteria of a lexicographic combination, 1 first. `scatter` are the standard deviations
+    of its residuals under the noise, which is known to so many `degrees` of freedom; None if it is not known or
+    they are no samples.
     """
 
     label: str
@@ -83,6 +92,8 @@ class Criterion:
     rows: Rows | None = None
     priority: int = 1
     affine: bool = False
+    scatter: FloatArray | None = None
+    degrees: float = 0.0
 
     def length(self, measured: FloatArray) -> int:
         """Return the number of its residuals; (N,) `measured` tells, or what lies beside it.
@@ -133,10 +144,16 @@ def prepare(spec: CriterionSpec, target: Target) -> Criterion:
     options = dict(spec.options)
     label = str(options.pop("name", f"{spec.signal} {spec.kind}"))
     priority = int(options.pop("priority", 1))
+    degrees = math.inf if "sigma" in options else target.degrees
     raw = _residuals(spec.kind, target, rows, options, where)
     if options:
         raise ProblemError(f"unknown option '{next(iter(options))}'", where=where, fix="leave it out")
     by_sample = spec.kind in ("least_squares", "error_vector")
+    scatter = None
+    if by_sample and not whitened(spec) and degrees > 0.0:
+        unit = spec.kind == "least_squares"
+        scatter = np.ones(len(rows)) if unit else target.noise.of_mean(target.count[rows])
+        scatter = scatter / spec.demand
     return Criterion(
         label=label,
         signal=spec.signal,
@@ -148,6 +165,8 @@ def prepare(spec: CriterionSpec, target: Target) -> Criterion:
         rows=rows if by_sample else None,
         priority=priority,
         affine=spec.kind in ("least_squares", "error_vector", "integral_squared") and not whitened(spec),
+        scatter=scatter,
+        degrees=degrees,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,8 +38,8 @@ class Whiteness:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Record:
-    """Residuals (N,) of one channel over its case's samples, their Jacobian (N, n), where they exist (N,)."""
+class Record:
+    """Residuals (N,) of one channel over its case's samples, their Jacobian (N, n); `there` (N,) is 1 or 0."""
 
     signal: str
     residuals: FloatArray
@@ -60,18 +61,27 @@ def score_covariance(
     own scatter.
     """
     n = j.shape[1]
-    meat = np.zeros((n, n))
-    by_case: dict[str, list[_Record]] = {}
+    features = np.zeros((n, n))
+    by_case: dict[str, list[Record]] = {}
     for (case, criterion), rows in zip(problem.criteria, problem.slices, strict=True):
         r, jr = best.residuals[rows], j[rows]
         if criterion.rows is None:
-            meat += jr.T @ (jr * r[:, None] ** 2)
+            features += jr.T @ (jr * r[:, None] ** 2)
             continue
         length = len(case.task.time)
-        record = _Record(criterion.signal, np.zeros(length), np.zeros((length, n)), np.zeros(length))
+        record = Record(criterion.signal, np.zeros(length), np.zeros((length, n)), np.zeros(length))
         record.residuals[criterion.rows], record.jacobian[criterion.rows] = r, jr
         record.there[criterion.rows] = 1.0
         by_case.setdefault(case.id, []).append(record)
+    meat, whiteness = coloured_covariance(by_case, n)
+    return features + meat, whiteness
+
+
+def coloured_covariance(
+    by_case: Mapping[str, Sequence[Record]], n: int
+) -> tuple[FloatArray, tuple[Whiteness, ...]]:
+    """Return J' W J, (n, n), of cases' records of all channels, and the residuals' statistics."""
+    meat = np.zeros((n, n))
     whiteness: list[Whiteness] = []
     for case_id, records in by_case.items():
         # One filter for all channels of a case, so that their cross-covariances stay defined.
@@ -94,7 +104,7 @@ def _colour(r: FloatArray, count: float) -> float:
     return float(np.clip(rho + (1.0 + 4.0 * rho) / max(count, 1.0), -0.97, 0.97))
 
 
-def _prewhitened(record: _Record, colour: float) -> _Record:
+def _prewhitened(record: Record, colour: float) -> Record:
     """Return ``L r`` and ``L^-T J`` for the autoregressive filter L, so that J' W J keeps its value.
 
     Andrews and Monahan (1992): what is left of the correlation is short, and the kernel estimate of it is
@@ -110,7 +120,7 @@ def _prewhitened(record: _Record, colour: float) -> _Record:
     r[0] *= first
     j = lfilter([1.0], [1.0, -colour], record.jacobian[::-1], axis=0)[::-1].copy()
     j[0] /= first
-    return _Record(record.signal, r, j, record.there)
+    return Record(record.signal, r, j, record.there)
 
 
 def _correlations(r: FloatArray) -> FloatArray:
@@ -140,7 +150,7 @@ def _taper(n: int, lag: int) -> FloatArray:
     return np.maximum(1.0 - np.arange(n) / (2 * lag + 1), 0.0)
 
 
-def _quadratic(a: _Record, b: _Record, lag: int) -> FloatArray:
+def _quadratic(a: Record, b: Record, lag: int) -> FloatArray:
     """Return sum_kl ja_k gamma_(l-k) jb_l with gamma the tapered covariance of channels a and b."""
     n = len(a.residuals)
     decay = _taper(n, lag)
@@ -152,7 +162,7 @@ def _quadratic(a: _Record, b: _Record, lag: int) -> FloatArray:
     return np.asarray(a.jacobian.T @ moved)
 
 
-def _whiteness(case: str, record: _Record, white: _Record, colour: float, lag: int) -> Whiteness:
+def _whiteness(case: str, record: Record, white: Record, colour: float, lag: int) -> Whiteness:
     from scipy.special import chdtrc
 
     r, count = record.residuals, int(record.count)

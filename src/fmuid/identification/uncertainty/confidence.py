@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -13,12 +14,14 @@ from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.derivatives import Differences, EvaluateMany, NoiseFloor, noise_floor
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
+from fmuid.identification.uncertainty.active_constraints import Active, active_constraints, tangent_space
 from fmuid.identification.uncertainty.coloured_residuals import Whiteness, score_covariance
 from fmuid.identification.uncertainty.identifiability import Identifiability, identifiability
 from fmuid.identification.uncertainty.inherited import Held, effective_degrees
 
 Matrix = tuple[tuple[float, ...], ...]
 LEVEL = 0.95
+_DOUBTED = 0.01  # how unlikely residuals must be under the sigma that was given to be believed instead
 _COLLINEAR = 1000.0  # ratio of eigenvalues of the correlation from which a direction is walked
 _FARTHEST = 64.0
 _FOLLOWING = 4  # evaluations for the others to follow a parameter that is moved
@@ -32,7 +35,9 @@ class Uncertainty:
     model space; the latter are None where the experiments do not determine the parameter. All of them contain
     what is `inherited`, (n, n), from the errors of parameters that earlier stages identified and this one holds:
     `held` are their names, `held_slopes` (n, h) the derivatives of the estimate by them in model space.
-    `degrees_of_freedom` are those of the stage's own noise, `degrees` (n,) those of the standard errors.
+    `degrees_of_freedom` are those of the stage's own noise, `degrees` (n,) those of the standard errors; None
+    means without limit. `notes` say what the errors are subject to, and why there are none; `constraints` are the
+    active ones.
     """
 
     names: tuple[str, ...]
@@ -41,7 +46,7 @@ class Uncertainty:
     standard_errors: tuple[float | None, ...]
     intervals: tuple[tuple[float, float] | None, ...]
     correlation: Matrix
-    degrees_of_freedom: float
+    degrees_of_freedom: float | None
     identifiability: Identifiability
     whiteness: tuple[Whiteness, ...] = ()
     naive_errors: tuple[float | None, ...] = field(default=())
@@ -49,7 +54,14 @@ class Uncertainty:
     held: tuple[str, ...] = ()
     held_slopes: Matrix = ()
     inherited: Matrix = ()
-    degrees: tuple[float, ...] = ()
+    degrees: tuple[float | None, ...] = ()
+    notes: tuple[str, ...] = ()
+    constraints: tuple[str, ...] = ()
+
+    @property
+    def freedom(self) -> FloatArray:
+        """(n,) degrees of freedom of the standard errors, infinite where there is no limit."""
+        return np.array([math.inf if d is None else d for d in self.degrees])
 
     @property
     def inherited_shares(self) -> tuple[float, ...]:
@@ -71,10 +83,14 @@ def uncertainty_of(
 ) -> Uncertainty:
     """Return the uncertainty of the estimate `best` of a problem.
 
-    The covariance is the sandwich ``(J'J)^-1 J' W J (J'J)^-1`` in search space; W holds each case's residual
-    auto- and cross-covariances, tapered (Bartlett) beyond the lag where they drown in their own scatter. White
-    residuals give the textbook covariance, coloured ones (model error, friction) a wider one. The errors of what
-    the problem holds at an earlier stage's estimate are added (`fmuid.identification.uncertainty.inherited`).
+    The covariance is the sandwich ``(J'J)^-1 J' W J (J'J)^-1`` in search space. If sigma was given for every
+    residual, W is that noise, known without limit. If the residuals contradict it (their energy or their colour,
+    at 1 %), or if sigma was not given, W holds each case's residual auto- and cross-covariances, tapered
+    (Bartlett) beyond the lag where they drown in their own scatter: coloured residuals (model error, friction)
+    give a wider covariance than white ones. As many residuals as parameters say nothing of the noise: without a
+    sigma there are no standard errors then. At active constraints the covariance is that along them. The errors of
+    what the problem holds at an earlier stage's estimate are added
+    (`fmuid.identification.uncertainty.inherited`).
 
     Parameters
     ----------
@@ -103,22 +119,19 @@ def uncertainty_of(
     scale = differences.column_scale(j)
     first = identifiability(problem, best.x, j, scale, tolerance=tolerance)
     scaled = j / scale
-    bread = np.linalg.pinv(scaled.T @ scaled, rcond=tolerance**2, hermitian=True) / np.outer(scale, scale)
-    meat, whiteness = score_covariance(problem, here, j)
-    n, m = len(best.x), len(here.residuals)
-    fitted = n + problem.nuisances
-    correction = m / max(m - fitted, 1)
-    covariance = correction * bread @ meat @ bread
-    if n > 1 and first.complete:
+    free = _bread(scaled, scale, np.eye(len(best.x)), tolerance)
+    active = active_constraints(problem, here, evaluate, floor.central_step, -free @ j.T @ here.residuals)
+    along = tangent_space(active.gradients / scale)
+    bread = _bread(scaled, scale, along, tolerance) if active.texts else free
+    n = len(best.x)
+    scatter = _scatter(problem, here, j, bread, along.shape[1] + problem.nuisances)
+    covariance, whiteness = scatter.covariance, scatter.whiteness
+    if n > 1 and first.complete and not active.texts and scatter.degrees > 0.0:
         covariance = _widened(problem, evaluate, here, j, covariance)
-    found = identifiability(problem, best.x, j, scale, tolerance=tolerance, covariance=covariance)
+    spoken = covariance if scatter.degrees > 0.0 else None
+    found = identifiability(problem, best.x, j, scale, tolerance=tolerance, covariance=spoken)
     found = found if first.complete else first
-    # Residuals that are no samples (whitened ones, features) count one by one.
-    others = sum(
-        r.stop - r.start for (_, c), r in zip(problem.criteria, problem.slices, strict=True) if c.rows is None
-    )
-    effective = sum(w.effective for w in whiteness) + others
-    own = max(effective - fitted, 1.0)
+    own = scatter.degrees
     slope = problem.space.slope(best.x)
     degrees, inherited, held_slopes = np.full(n, own), np.zeros((n, n)), np.zeros((n, 0))
     if held is not None:
@@ -131,14 +144,17 @@ def uncertainty_of(
         parts = np.column_stack([np.maximum(np.diag(covariance), 0.0), roots**2])
         degrees = effective_degrees(parts, np.append(own, held.degrees))
         covariance = covariance + inherited
-    t = stdtrit(degrees, 0.5 + 0.5 * LEVEL)
+    t = stdtrit(np.maximum(degrees, 1.0), 0.5 + 0.5 * LEVEL)
     variance = np.diag(covariance)
     spread = np.sqrt(np.maximum(variance, 0.0))
     low, high = (problem.space.to_model(best.x + sign * t * spread) for sign in (-1.0, 1.0))
     # A kernel estimate can come out indefinite: a variance below zero is none.
-    sound = variance >= -1e-9 * np.max(np.abs(variance))
-    known = [n not in found.undetermined and bool(s) for n, s in zip(problem.space.names, sound, strict=True)]
-    naive = np.sqrt(np.diag(bread) * float(here.residuals @ here.residuals) / max(m - fitted, 1))
+    sound = (variance >= -1e-9 * np.max(np.abs(variance))) & (scatter.degrees > 0.0)
+    fixed = np.diag(bread) <= 1e-9 * np.diag(free)  # nothing along the constraints moves it
+    names = problem.space.names
+    known = [n not in found.undetermined and bool(s) for n, s in zip(names, sound & ~fixed, strict=True)]
+    spare = max(scatter.residuals - scatter.parameters, 1)
+    naive = np.sqrt(np.diag(bread) * float(here.residuals @ here.residuals) / spare)
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / np.outer(spread, spread)
     return Uncertainty(
@@ -150,7 +166,7 @@ def uncertainty_of(
             (low[name], high[name]) if k else None for name, k in zip(problem.space.names, known, strict=True)
         ),
         correlation=_matrix(np.nan_to_num(correlation)),
-        degrees_of_freedom=own,
+        degrees_of_freedom=_limited(own),
         identifiability=found,
         whiteness=whiteness,
         naive_errors=tuple(float(s) if k else None for s, k in zip(slope * naive, known, strict=True)),
@@ -158,8 +174,96 @@ def uncertainty_of(
         held=() if held is None else held.names,
         held_slopes=_matrix(held_slopes),
         inherited=() if held is None else _matrix(inherited),
-        degrees=tuple(map(float, degrees)),
+        degrees=tuple(map(_limited, degrees)),
+        constraints=active.texts,
+        notes=tuple(_notes(scatter, active, [n for n, f in zip(names, fixed, strict=True) if f])),
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scatter:
+    """How estimates scatter with the noise: covariance (n, n) and its degrees of freedom, 0 if it is unknown."""
+
+    covariance: FloatArray
+    degrees: float
+    whiteness: tuple[Whiteness, ...]
+    residuals: int
+    parameters: int
+
+
+def _scatter(problem: Problem, here: Evaluation, j: FloatArray, bread: FloatArray, parameters: int) -> _Scatter:
+    from scipy.special import chdtrc
+
+    m = len(here.residuals)
+    meat, whiteness = score_covariance(problem, here, j)
+    known, degrees = _noise(problem)
+    of_noise = bread @ (j.T @ (j * known[:, None] ** 2)) @ bread
+
+    def by(covariance: FloatArray, freedom: float) -> _Scatter:
+        return _Scatter(covariance, freedom, whiteness, m, parameters)
+
+    if m <= parameters:
+        return by(of_noise if degrees > 0.0 else bread, degrees)
+    if math.isinf(degrees):
+        there = known > 0.0
+        energy = float(np.sum((here.residuals[there] / known[there]) ** 2))
+        doubts = [float(chdtrc(m - parameters, energy)), *(w.p_value for w in whiteness)]
+        if min(doubts) * len(doubts) >= _DOUBTED:
+            return by(of_noise, degrees)
+    covariance = m / (m - parameters) * bread @ meat @ bread
+    if math.isinf(degrees):  # there may be more than the noise that was given, but not less
+        covariance = _not_below(covariance, of_noise)
+    # Residuals that are no samples (whitened ones, features) count one by one.
+    others = sum(
+        r.stop - r.start for (_, c), r in zip(problem.criteria, problem.slices, strict=True) if c.rows is None
+    )
+    return by(covariance, max(sum(w.effective for w in whiteness) + others - parameters, 1.0))
+
+
+def _not_below(covariance: FloatArray, least: FloatArray) -> FloatArray:
+    """Return the (n, n) covariance with no variance below those of another one: correlations stay as they are."""
+    variance = np.diag(covariance)
+    wider = np.sqrt(np.maximum(np.diag(least) / np.where(variance > 0.0, variance, np.inf), 1.0))
+    return np.asarray(covariance * np.outer(wider, wider))
+
+
+def _noise(problem: Problem) -> tuple[FloatArray, float]:
+    """Return the (m,) standard deviations of the residuals by what is known of the noise, and how well it is."""
+    parts, degrees = [], math.inf
+    rows = zip(problem.criteria, problem.slices, problem.root_weights, strict=True)
+    for (_, criterion), where, weight in rows:
+        part = np.zeros(where.stop - where.start)
+        if weight > 0.0:
+            degrees = min(degrees, criterion.degrees if criterion.scatter is not None else 0.0)
+            part = part if criterion.scatter is None else weight * criterion.scatter
+        parts.append(part)
+    return np.concatenate(parts), degrees
+
+
+def _bread(scaled: FloatArray, scale: FloatArray, along: FloatArray, tolerance: float) -> FloatArray:
+    """Return the inverse of J'J within the directions `along`, for a Jacobian J of `scaled` columns."""
+    moved = scaled @ along
+    inner = np.linalg.pinv(moved.T @ moved, rcond=tolerance**2, hermitian=True)
+    return np.asarray(along @ inner @ along.T / np.outer(scale, scale))
+
+
+def _notes(scatter: _Scatter, active: Active, fixed: Sequence[str]) -> list[str]:
+    notes = []
+    if scatter.degrees <= 0.0:
+        notes.append(
+            f"no standard errors: {scatter.residuals} residuals for {scatter.parameters} parameters leave nothing "
+            "to judge the noise by; give sigma, or record more"
+        )
+    if active.texts:
+        held = ", ".join(f"'{text}'" for text in active.texts)
+        notes.append(f"standard errors are those along the active constraint on {held}")
+    if fixed:
+        notes.append(f"no standard error: the active constraints alone determine {', '.join(fixed)}")
+    return notes
+
+
+def _limited(degrees: float) -> float | None:
+    return None if math.isinf(degrees) else float(degrees)
 
 
 def _widened(

@@ -74,9 +74,8 @@ class Known:
                 moved[name] = np.append(inherited, own[k])
         rows |= moved
         rows |= _tied(problem, rows, values, len(self.degrees) + len(own))
-        degrees = np.append(
-            self.degrees, np.full(len(own), found.degrees_of_freedom if found is not None else 1.0)
-        )
+        freedom = 1.0 if found is None else found.degrees_of_freedom
+        degrees = np.append(self.degrees, np.full(len(own), np.inf if freedom is None else freedom))
         unsure = (self.unsure | set(space.names)) - sure - space.ties.keys()
         return Known(rows, degrees, unsure)
 

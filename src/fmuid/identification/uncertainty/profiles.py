@@ -88,7 +88,7 @@ def profile_of(
     differences = Differences(problem, floor or noise_floor(problem, x, evaluate=evaluate), central=True)
     j = differences.jacobian(evaluate, best)
     spread = float(np.sqrt(estimate.covariance[i][i]))
-    t = float(stdtrit(estimate.degrees[i], 0.5 + 0.5 * level))
+    t = float(stdtrit(estimate.freedom[i], 0.5 + 0.5 * level))
     # What the others cannot follow is the parameter's own share of the residuals.
     allowed = float((t * spread) ** 2 / np.linalg.pinv(j.T @ j, hermitian=True)[i, i])
     found = {float(x[i]): 0.0}

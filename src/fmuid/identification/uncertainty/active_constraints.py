@@ -1,0 +1,96 @@
+"""What constraints leave of the directions in which an estimate can be wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.core.errors import SimulationError
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.derivatives import EvaluateMany
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.problem.evaluation import Evaluation
+
+_NEAR = 0.01  # of the way that the estimate would go beyond a constraint
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Active:
+    """Constraints that an estimate is held by.
+
+    Attributes
+    ----------
+    texts
+        What they are on.
+    gradients
+        (k, n) their derivatives in search space.
+    """
+
+    texts: tuple[str, ...]
+    gradients: FloatArray
+
+
+def active_constraints(
+    problem: Problem, here: Evaluation, evaluate: EvaluateMany, step: float, descent: FloatArray
+) -> Active:
+    """Return the constraints that hold the estimate where it is.
+
+    Equalities do. An inequality does if the estimate is at it, and the (n,) step `descent` to where the cost would
+    be least without constraints leads beyond it.
+
+    Parameters
+    ----------
+    step
+        Of the central differences, in search units.
+
+    Raises
+    ------
+    SimulationError
+        A constraint is on a criterion, and the neighbourhood of the estimate cannot be simulated.
+    """
+    n, constraints = len(here.x), problem.constraints
+    if not constraints:
+        return Active((), np.zeros((0, n)))
+    ends = [
+        np.clip(here.x + sign * step * np.eye(n)[i], problem.space.lower, problem.space.upper)
+        for i in range(n)
+        for sign in (1.0, -1.0)
+    ]
+    values = _violations(problem, here, evaluate, [here.x, *ends])
+    widths = np.array(
+        [above[i] - below[i] for i, (above, below) in enumerate(zip(ends[::2], ends[1::2], strict=True))]
+    )
+    gradients = (values[1::2] - values[2::2]).T / widths
+    beyond = gradients @ descent
+    held = [
+        k
+        for k, constraint in enumerate(constraints)
+        if constraint.is_equality or (beyond[k] > 0.0 and values[0, k] > -_NEAR * beyond[k])
+    ]
+    return Active(tuple(constraints[k].text for k in held), gradients[held])
+
+
+def tangent_space(gradients: FloatArray) -> FloatArray:
+    """Return an orthonormal basis, (n, n - rank), of the directions along (k, n) gradients' constraints."""
+    sizes = np.linalg.norm(gradients, axis=1, keepdims=True)
+    unit = gradients[sizes[:, 0] > 0.0] / sizes[sizes[:, 0] > 0.0]
+    if not len(unit):
+        return np.eye(gradients.shape[1])
+    _, s, axes = np.linalg.svd(unit)
+    return np.asarray(axes[int(np.sum(s > 1e-9 * s[0])) :].T)
+
+
+def _violations(
+    problem: Problem, here: Evaluation, evaluate: EvaluateMany, points: list[FloatArray]
+) -> FloatArray:
+    if all(constraint.expression is not None for constraint in problem.constraints):  # nothing to simulate
+        values = [problem.space.to_model(x) for x in points]
+        return np.array(
+            [[c.violation(problem.labels, here.criteria, v) for c in problem.constraints] for v in values]
+        )
+    evaluations = evaluate(points)
+    for evaluation in evaluations:
+        if evaluation.failure is not None:
+            raise SimulationError(evaluation.failure, fix="narrow the bounds")
+    return np.array([evaluation.constraints for evaluation in evaluations])
