@@ -10,12 +10,12 @@ from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis.candidates import Fitted, fit_effects, score_further
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import HeldOut, advantage, closure, closure_interval, leave_each_out
-from fmuid.diagnosis.decide import names, strained
+from fmuid.diagnosis.decide import names, strained, unexplained
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.ports import fit_decoys, harmonics, hats, quantile_knots
+from fmuid.diagnosis.ports import Decoy, fit_decoys, harmonics, hats, quantile_knots
 from fmuid.diagnosis.refit import Refit, Unknown, refit
 from fmuid.diagnosis.regimes import Regime, bases, own_bases, trajectories
-from fmuid.diagnosis.scores import alias_classes, nominal_basis, project_off, stack
+from fmuid.diagnosis.scores import alias_classes, nominal_basis, project_off, score_effects, stack
 from fmuid.simulation.runners import in_process
 
 TIME = np.linspace(0.0, 1.0, 501)
@@ -161,6 +161,27 @@ def test_an_advantage_that_the_runs_do_not_agree_on_is_within_its_error():
     assert gained > 5 * error
 
 
+def test_the_error_of_an_advantage_is_that_of_a_mean_over_the_runs():
+    """With n - 1 in the denominator: of the runs, and where none is repeated of the pieces."""
+    worse = HeldOut(np.array([2.0]), (np.array([1.0, 3.0]),), np.array([100.0]))
+    better = HeldOut(np.zeros(1), (np.zeros(2),), np.array([100.0]))
+    assert advantage(better, worse) == pytest.approx((2.0, 1.0))
+    pieces = HeldOut(np.array([1.0, 3.0]), (np.array([1.0]), np.array([3.0])), np.array([100.0, 100.0]))
+    none = HeldOut(np.zeros(2), (np.zeros(1), np.zeros(1)), np.array([100.0, 100.0]))
+    assert advantage(none, pieces) == pytest.approx((2.0, 1.0))
+
+
+def test_runs_that_agree_by_chance_make_no_score_certain():
+    """Their scatter counts as if the floor's had been seen in four more experiments."""
+    subject = plant({"a": 0.05})
+    nominal = fit_effects(subject, (), {})
+    runs = tuple(replace(r, values=np.broadcast_to(r.mean, r.values.shape)) for r in subject.observed.runs)
+    observed = replace(subject.observed, runs=runs)
+    scores = score_effects(subject.model.predict, observed, nominal.fit, subject.effects)
+    best, repeats = scores[0], runs[0].n_repeats
+    assert best.per_run == pytest.approx(np.sqrt(best.drop * (repeats - 1 + 4) / 4))
+
+
 def test_basis_functions_are_what_they_are_named():
     values = [np.linspace(-1.0, 1.0, 101)]
     knots = quantile_knots(values, 5)
@@ -232,6 +253,22 @@ def test_what_finishes_a_weak_gap_is_not_named_if_unknown_is_likelier(held_out, 
         for effects, loss, left in [((), 1.0, 0.4), (("e",), (1.0 - held_out) ** 2, 0.2)]
     )
     assert names(nominal, best, finished=True) is named
+
+
+def fitted(effects, gap):
+    return Fitted(effects, effects, Refit((), {}, (), (), 0.0, 0, True), lost(gap**2), gap)
+
+
+@pytest.mark.parametrize(("held_out", "named"), [(0.25, False), (0.45, False), (0.55, True)])
+def test_an_effect_that_leaves_something_is_named_if_it_closes_half_of_the_gap(held_out, named):
+    assert names(fitted((), 1.0), fitted(("e",), 1.0 - held_out), finished=False) is named
+
+
+@pytest.mark.parametrize(("left", "found"), [(0.1, True), (0.6, True), (0.7, False)])
+def test_a_free_function_that_leaves_much_less_than_the_effect_shows_the_gap_unexplained(left, found):
+    best = fitted(("e",), 0.5)
+    decoy = Decoy("port", "speed", best.fit, fitted((), left * best.gap).held_out, np.zeros(3))
+    assert unexplained(fitted((), 1.0), best, [decoy], ["other"]) is (decoy if found else None)
 
 
 def test_a_law_of_a_confined_variable_is_sought_at_its_port_alone():

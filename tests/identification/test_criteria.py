@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from fmuid.data.noise.level import NoiseLevel
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.identification.problem import criteria
 from fmuid.identification.problem.criteria import Target, prepare
+from fmuid.identification.problem.features import settling_time
 
 TIME = np.linspace(0.0, 2.0, 401)
 
@@ -53,6 +56,23 @@ def test_response_features_of_a_second_order_step():
     ideal = np.where(TIME < 0.5, 0.0, 1.0)
     assert score("rise_time", second_order(0.5), ideal) == pytest.approx(0.164, abs=0.005)
     assert score("settling_time", second_order(0.5), second_order(0.5)) == 0.0
+
+
+def test_the_settling_band_is_a_share_of_the_change_whatever_the_level():
+    rise = 1 - np.exp(-TIME / 0.1)  # within 5 % after three time constants
+    for level in (0.0, 10.0, -1.0):
+        assert settling_time(TIME, level + rise) == pytest.approx(0.3, abs=0.01)
+
+
+def test_a_time_weighted_integral_counts_from_the_start_of_the_record():
+    spec, early = CriterionSpec("y", "integral_time_absolute"), np.exp(-TIME)
+    here, later = (
+        criteria.value(prepare(spec, replace(target(0 * TIME), time=TIME + shift)).residuals(early))
+        for shift in (0.0, 100.0)
+    )
+    # The integral of t exp(-t) over that of t, up to 2.
+    assert here == pytest.approx((1 - 3 * np.exp(-2)) / 2, rel=0.01)
+    assert later == pytest.approx(here)
 
 
 def test_frequency_response_of_a_gain_and_a_delay():

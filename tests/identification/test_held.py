@@ -103,6 +103,15 @@ def test_errors_go_through_ties_and_on_to_the_stage_after_next(bench):
     assert result["c"].standard_error == pytest.approx(np.hypot(error, error / 1.5), rel=0.2)
 
 
+def test_what_was_tied_has_its_share_of_the_error(bench):
+    tied, again = replace(LEVEL, tie={"b": "0.25*a"}), replace(SLOPE, free=("a",))
+    result = identify(campaign(tied, again), simulators=bench)
+    assert result.stage("slope").uncertainty.held == ("b",)
+    # a = mean(y - b t): the error of b, a quarter of the level's, counts with the mean time.
+    own, level = SIGMA / np.sqrt(LOADED.size), SIGMA / np.sqrt(IDLE.size)
+    assert result["a"].standard_error == pytest.approx(np.hypot(own, LOADED.mean() * level / 4), rel=0.2)
+
+
 def test_profiles_and_draws_contain_what_is_inherited(bench):
     asked = AnalysisSpec(profiles=True, monte_carlo=400)
     steady = CriterionSpec("y", "steady_state", demand=SIGMA, weight=0.0)

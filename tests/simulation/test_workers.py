@@ -135,6 +135,22 @@ def test_linear_algebra_of_a_worker_runs_in_one_thread(pool):
     assert "OMP_NUM_THREADS" not in os.environ
 
 
+def test_what_exceeds_the_time_limit_is_not_tried_again(tmp_path):
+    """Not even in a worker that has done others before, as what crashes one is."""
+    tried = tmp_path / "tried"
+    source = f"open({str(tried)!r}, 'a').write('x')\n"
+    with WorkerPool(1, time_limit=2.0) as pool:
+        for end, message, times in (
+            ("while True: pass", "time limit", 1),
+            ("import os; os._exit(3)", "crashed", 2),
+        ):
+            assert pool.submit(pow, 2, 3).result() == 8
+            tried.write_text("")
+            with pytest.raises(SimulationError, match=message):
+                pool.submit(exec, source + end).result()
+            assert tried.read_text() == "x" * times
+
+
 def test_recycled_after_so_many(build):
     with WorkerPool(1, recycle_after=3) as pool:
         pids = [f.result() for f in [pool.submit(os.getpid) for _ in range(9)]]
