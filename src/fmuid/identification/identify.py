@@ -17,6 +17,7 @@ from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.folder_lock import claim
 from fmuid.identification.analyses import Findings, analyse
 from fmuid.identification.history import History
+from fmuid.identification.misfit import misfit
 from fmuid.identification.observer import Observer, Progress
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
@@ -356,13 +357,26 @@ def _result(
         seconds=seconds,
         starts=tuple(search.starts),
         uncertainty=found,
-        warnings=(*problem.findings, *_warnings(search, estimates, found), *findings.warnings),
+        warnings=(
+            *problem.findings,
+            *_misfit(problem, first, best, outcome),
+            *_warnings(search, estimates, found),
+            *findings.warnings,
+        ),
         ties={name: expression.text for name, expression in problem.space.ties.items()},
         parameters=values,
         profiles=findings.profiles,
         spread=findings.spread,
         front=findings.front,
     )
+
+
+def _misfit(
+    problem: Problem, first: Evaluation | None, best: Evaluation | None, outcome: Outcome
+) -> tuple[str, ...]:
+    if best is None or outcome is _INTERRUPTED:
+        return ()
+    return misfit(problem, first if first is not None and first.ok else None, best)
 
 
 def _warnings(search: Search, estimates: Sequence[Estimate], found: Uncertainty | None) -> tuple[str, ...]:

@@ -1,0 +1,123 @@
+"""What a fit leaves, against the noise; and if it is much: whether a sign, a scale or a unit looks wrong."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.problem.evaluation import Evaluation
+
+_TIMES_NOISE = 2.0  # then three quarters of the residual's energy are not noise
+_UNEXPLAINED = 0.1  # share of the signal's energy that a fit leaves before its sign and unit are doubted
+_ALIKE = 0.8  # correlation: scaled by one number, the prediction explains two thirds of the signal
+_SCALED = 2.5  # factor between measurement and prediction that a start value is not likely to be off by
+_NEAR = math.log(1.5)  # from the factor between two units: start values are off as well
+_FACTORS: Mapping[str, float] = {
+    "degrees and radians": 180.0 / math.pi,
+    "turns and radians, or Hz and rad/s": 2.0 * math.pi,
+    "rpm and rad/s": 30.0 / math.pi,
+    "per cent and shares, or cm and m": 100.0,
+    "mm and m, or any unit and its thousandth": 1e3,
+    "a unit and its millionth": 1e6,
+    "kgf and N": 9.80665,
+    "km/h and m/s": 3.6,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """One signal, measured and predicted, each without its mean in every case: samples of all cases."""
+
+    correlation: float
+    gain: float  # measured = gain * predicted, in the least squares sense
+    unexplained: float  # residual energy over the signal's
+
+
+def misfit(problem: Problem, first: Evaluation | None, best: Evaluation) -> tuple[str, ...]:
+    """Return what a user should look at: sentences, none if the fit is as good as the noise allows.
+
+    A signal whose residual is large is compared with its prediction, at the start or else at the end: a wrong sign
+    or unit leaves the shape, so prediction and measurement are proportional to each other by a factor that tells.
+
+    Parameters
+    ----------
+    problem
+        What was fitted.
+    first, best
+        Its evaluations at the start, if that could be simulated, and at the estimate.
+    """
+    found = []
+    times = _times_noise(problem, best)
+    for signal in dict.fromkeys(c.signal for case in problem.cases for c in case.channels):
+        if times.get(signal, math.inf) <= _TIMES_NOISE:
+            continue
+        views = [(_seen(problem, e, signal), where) for e, where in ((first, "start"), (best, "end")) if e]
+        known = [(seen, where) for seen, where in views if seen is not None]
+        if known and known[-1][0].unexplained > _UNEXPLAINED:
+            # At the start first: a fit has bent the shape towards what it cannot reach.
+            found += next((d for d in (_doubt(signal, *one) for one in known) if d), [])
+    if times and (worst := max(times, key=lambda name: times[name])) and times[worst] > _TIMES_NOISE:
+        found.append(
+            f"the residual of {worst} is {times[worst]:.3g} times its noise: "
+            "the model misses something, or holds a wrong value; run fmuid diagnose"
+        )
+    return tuple(found)
+
+
+def _times_noise(problem: Problem, best: Evaluation) -> dict[str, float]:
+    """Return the RMS of residuals over the noise of one sample, by signal: of what is judged sample by sample."""
+    energy: dict[str, list[FloatArray]] = {}
+    for case, prediction in zip(problem.cases, best.predictions, strict=False):
+        for criterion in case.criteria:
+            k = next(i for i, c in enumerate(case.channels) if c.signal == criterion.signal)
+            channel = case.channels[k]
+            if criterion.rows is not None and channel.noise != "unknown":
+                error = (prediction[k] - channel.mean)[criterion.rows] / channel.sigma[criterion.rows]
+                energy.setdefault(criterion.signal, []).append(error**2)
+    return {signal: float(np.sqrt(np.mean(np.concatenate(parts)))) for signal, parts in energy.items()}
+
+
+def _seen(problem: Problem, evaluation: Evaluation, signal: str) -> _Seen | None:
+    measured, predicted, residual = [], [], []
+    for case, prediction in zip(problem.cases, evaluation.predictions, strict=False):
+        for channel, y in zip(case.channels, prediction, strict=True):
+            there = np.isfinite(channel.mean)
+            if channel.signal == signal and there.any():
+                m, p = channel.mean[there], y[there]
+                measured.append(m - np.mean(m))
+                predicted.append(p - np.mean(p))
+                residual.append(p - m)
+    if not measured:
+        return None
+    m, p, e = (np.concatenate(parts) for parts in (measured, predicted, residual))
+    mm, pp, mp = (float(np.sum(a * b)) for a, b in ((m, m), (p, p), (m, p)))
+    if not (mm > 0.0 and pp > 0.0):
+        return None
+    return _Seen(mp / math.sqrt(mm * pp), mp / pp, float(np.sum(e * e)) / mm)
+
+
+def _doubt(signal: str, seen: _Seen, where: str) -> list[str]:
+    at = f"at the {where} (correlation {seen.correlation:+.2f})"
+    if seen.correlation < -_ALIKE:
+        return [
+            f"{signal} was measured against the direction of its prediction {at}: "
+            "look at its sign and at those of the inputs"
+        ]
+    if seen.correlation > _ALIKE:
+        ratio = max(seen.gain, 1.0 / seen.gain)
+        if ratio > _SCALED:
+            far = {units: abs(math.log(ratio / factor)) for units, factor in _FACTORS.items()}
+            close = [
+                f"{units} ({_FACTORS[units]:.4g})"
+                for units in sorted(far, key=far.__getitem__)
+                if far[units] < _NEAR
+            ]
+            near = f", about as between {' or '.join(close)}" if close else ""
+            what = f"{signal} was measured as {seen.gain:.3g} times its prediction {at}{near}"
+            return [f"{what}: look at its unit and at those of the inputs"]
+    return []
