@@ -198,7 +198,7 @@ def test_a_free_function_of_position_finds_what_no_effect_explains():
     nominal = fit_effects(subject, (), [{}])
     paths = trajectories(subject.model, nominal.fit.values, REGIMES)
     families = {**bases(paths, REGIMES), "position, fine": hats(paths["position"], np.linspace(-1.0, 1.0, 60))}
-    decoys = fit_decoys(subject.model, subject.observed, nominal.fit, tuple(PORTS.values()), families)
+    decoys = fit_decoys(subject.model, subject.observed, nominal.fit, ports=tuple(PORTS.values()), bases=families)
     assert {d.port for d in decoys} == {"friction", "reading"}
     by_name = {d.over: d for d in decoys if d.port == "friction"}
     assert by_name["position"].fit.cost < nominal.fit.cost
@@ -216,7 +216,7 @@ def test_a_sensor_that_also_shows_another_signal_is_found_out():
     nominal = fit_effects(subject, (), [{}])
     paths = trajectories(subject.model, nominal.fit.values, REGIMES)
     families = {"speed": hats(paths["speed"], np.linspace(-2.0, 2.0, 5))}
-    decoys = fit_decoys(subject.model, subject.observed, nominal.fit, tuple(PORTS.values()), families)
+    decoys = fit_decoys(subject.model, subject.observed, nominal.fit, ports=tuple(PORTS.values()), bases=families)
     best = min(decoys, key=lambda d: d.held_out.gap)
     assert (best.port, best.over) == ("reading", "other signals")
     assert closure(nominal.held_out, best.held_out) > 0.8
@@ -294,12 +294,12 @@ def test_a_law_of_a_confined_variable_is_sought_at_its_port_alone():
     observed = Observed(tuple(runs), subject.observed.noise)
     again = fit_effects(replace(subject, observed=observed), (), [{}])
     ports = tuple(PORTS.values())
-    decoys = fit_decoys(subject.model, observed, again.fit, ports, free, {"friction": own})
+    decoys = fit_decoys(subject.model, observed, again.fit, ports=ports, bases=free, own={"friction": own})
     at_port = sorted((d for d in decoys if d.port == "friction"), key=lambda d: d.held_out.gap)
     assert at_port[0].over == "drive and turn"
     assert closure(again.held_out, at_port[0].held_out) > 0.7
     assert at_port[1].held_out.gap > 2.0 * at_port[0].held_out.gap
-    without = fit_decoys(subject.model, observed, again.fit, ports, free)
+    without = fit_decoys(subject.model, observed, again.fit, ports=ports, bases=free)
     assert {d.over for d in decoys} - {d.over for d in without} == set(own)
 
 

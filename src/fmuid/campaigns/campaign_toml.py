@@ -181,13 +181,14 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None) -
         )
     roles = _Roles.from_table(document.roles, recorded, str(file))
     models = {s: _model(s, t, folder, f"{file} [models.{s}]") for s, t in document.models.items()}
-    _check_models(models, recorded, roles, parameters, settings, str(file))
+    _check_models(models, recorded, roles=roles, parameters=parameters, settings=settings, file=str(file))
     for n in document.stages:
         if n in ("", ".", "..") or "/" in n or not n.isprintable():  # groups and files are called so
             fix = "use letters, digits, spaces, . - _"
             raise CampaignError(f"'{n}' is no name of a stage", where=f"{file} [stages]", fix=fix)
     stages = {
-        n: _stage(n, t, recorded, roles, parameters, f"{file} [stages.{n}]") for n, t in document.stages.items()
+        n: _stage(n, t, measurements=recorded, roles=roles, parameters=parameters, where=f"{file} [stages.{n}]")
+        for n, t in document.stages.items()
     }
     effects = None
     if document.effects is not None:
@@ -401,6 +402,7 @@ def expand(
 def _check_models(
     models: Mapping[str, ModelSpec],
     measurements: Measurements,
+    *,
     roles: _Roles,
     parameters: Mapping[str, ParameterSpec],
     settings: Mapping[str, float],
@@ -438,6 +440,7 @@ def _check_models(
 def _stage(
     name: str,
     raw: _Table,
+    *,
     measurements: Measurements,
     roles: _Roles,
     parameters: Mapping[str, ParameterSpec],

@@ -110,14 +110,14 @@ def new_campaign(
                 where=file,
                 fix=f"rename columns, or state their units (--unit); {known_names(outputs)}",
             )
-        runs[file.stem] = _run(file, run, matched, ports, fmu.stem, sigmas or {})
+        runs[file.stem] = _run(file, run, matched=matched, ports=ports, setup=fmu.stem, sigmas=sigmas or {})
         notes += [(file.name, note) for note in (*run.notes, *_lines(table, matched, ports))]
         mapping |= {c: v for c, v in matched.items() if c != v}
+    known = dict.fromkeys(n for run in runs.values() for n in run.signals)
     for what, names in (("--unit", units or {}), ("--sigma", sigmas or {})):
-        for name in names:
-            if not any(name in run.signals for run in runs.values()):
-                known = dict.fromkeys(n for run in runs.values() for n in run.signals)
-                raise CampaignError(f"no signal '{name}' is used", where=what, fix=suggestion(name, known))
+        if unused := [name for name in names if name not in known]:
+            fix = suggestion(unused[0], known)
+            raise CampaignError(f"no signal '{unused[0]}' is used", where=what, fix=fix)
     guesses = once_each(notes)
     runs = with_repeats(runs)
     used = _for_identification(runs)
@@ -142,7 +142,9 @@ def new_campaign(
         guesses.append(f"runs are cut into segments: simulated open loop the model runs away ({away})")
     write_measurements(Measurements(runs), folder / "measurements.h5")
     write_atomically(catalogue, signal_catalogue(runs.values(), mapping, ports))
-    write_atomically(target, _toml(folder, fmu, runs, mapping, choice, interface, away))
+    write_atomically(
+        target, _toml(folder, fmu, runs=runs, mapping=mapping, choice=choice, interface=interface, away=away)
+    )
     load_campaign(folder)
     return NewCampaign(folder, tuple(dict.fromkeys(guesses)))
 
@@ -194,6 +196,7 @@ def _with_units(table: Table, units: Mapping[str, str]) -> Table:
 def _run(
     file: Path,
     run: Run,
+    *,
     matched: Mapping[str, str],
     ports: Mapping[str, Variable],
     setup: str,
@@ -264,6 +267,7 @@ def _lines(table: Table, matched: Mapping[str, str], ports: Mapping[str, Variabl
 def _toml(
     folder: Path,
     fmu: Path,
+    *,
     runs: Mapping[str, Experiment],
     mapping: Mapping[str, str],
     choice: FirstChoice,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -77,40 +78,40 @@ def signal_catalogue(runs: Iterable[Experiment], mapping: Mapping[str, str], mod
                 "",
             ]
         ports += [f"unit = {toml_text(unit)}", ""]
-        late = ((step, 5 * step), (0.0, 0.0, 50 * step, step / 10), "s")
-        numbers = {
-            "gain": ((1.02, 1.1), (1.0, 0.5, 2.0, 2e-3), "1"),
-            "offset": ((0.01 * size, 0.05 * size), (0.0, -size, size, 1e-3 * size), unit),
+        late = _Sizes((step, 5 * step), (0.0, 0.0, 50 * step, step / 10), "s")
+        sizes = {
+            "gain": _Sizes((1.02, 1.1), (1.0, 0.5, 2.0, 2e-3), "1"),
+            "offset": _Sizes((0.01 * size, 0.05 * size), (0.0, -size, size, 1e-3 * size), unit),
             "lag": late,
             "delay": late,
         }
         for (kind, prop), (description, source) in _WORDS.items():
             if kind == causality:
-                effects += _effect(own, prop, description.format(own), source, *numbers[prop])
+                effects += _effect(own, prop, description.format(own), source, sizes[prop])
     note = ["# ---- regimes: variables of the model; a gap is looked at along them, and over time ----", ""]
     return "\n".join([_HEAD, *ports, *note, *regimes, *effects])
 
 
-def _effect(
-    signal: str,
-    prop: str,
-    description: str,
-    source: str,
-    trials: tuple[float, ...],
-    numbers: tuple[float, float, float, float],
-    unit: str,
-) -> list[str]:
+class _Sizes(NamedTuple):
+    """Of a property of a signal: trial values, then neutral, lower, upper and step, all in `unit`."""
+
+    trials: tuple[float, ...]
+    limits: tuple[float, float, float, float]
+    unit: str
+
+
+def _effect(signal: str, prop: str, description: str, source: str, sizes: _Sizes) -> list[str]:
     name, table = toml_text(f"{signal}.{prop}"), f"[effects.{toml_text(f'{signal}_{prop}')}"
-    neutral, lower, upper, step = (f"{x:.4g}" for x in numbers)
+    neutral, lower, upper, step = (f"{x:.4g}" for x in sizes.limits)
     return [
         f"{table}]",
         f"description = {toml_text(description)}",
         f"source = {toml_text(source)}",
         f"port = {toml_text(signal)}",
         *(["two_sided = true"] if prop in ("gain", "offset") else []),
-        f"trials = [{', '.join(f'{{ {name} = {x:.4g} }}' for x in trials)}]",
+        f"trials = [{', '.join(f'{{ {name} = {x:.4g} }}' for x in sizes.trials)}]",
         f"{table}.parameters]",
         f"{name} = {{ neutral = {neutral}, lower = {lower}, upper = {upper}, step = {step}, "
-        f"unit = {toml_text(unit)} }}",
+        f"unit = {toml_text(sizes.unit)} }}",
         "",
     ]

@@ -89,7 +89,16 @@ def drift_of(
         if simulator is not None:
             inputs = [n for n in table.columns if _is_input(simulator, n)]
             compared = compared or [n for n in table.columns if n not in inputs]
-            got = _simulated(simulator, table, inputs, compared, parameters or {}, interpolation, where, runner)
+            got = _simulated(
+                simulator,
+                table,
+                inputs=inputs,
+                outputs=compared,
+                parameters=parameters or {},
+                interpolation=interpolation,
+                where=where,
+                runner=runner,
+            )
         assert got is not None
         try:
             comparisons = compare_tables(got, table, tolerance=tolerance, funnel=funnel, names=compared)
@@ -178,6 +187,7 @@ def _is_input(simulator: Simulator, name: str) -> bool:
 def _simulated(
     simulator: Simulator,
     reference: Table,
+    *,
     inputs: Sequence[str],
     outputs: Sequence[str],
     parameters: Mapping[str, float],

@@ -105,21 +105,25 @@ def check_measurements(measurements: Measurements, path: str | Path) -> None:
         where = f"{path}: experiment '{experiment_id}'"
         if experiment.id != experiment_id or not _is_name(experiment_id):
             raise _Error("is not a usable id", where=where, fix="use printable characters without '/'")
-        if not _is_name(experiment.setup):
-            raise _Error("has no setup", where=where, fix="write the attribute 'setup'")
-        check_time(experiment.time, f"{where}, time")
-        if not experiment.signals:
-            raise _Error("has no signals", where=where, fix="write at least one under 'signals'")
-        for name, signal in experiment.signals.items():
-            if not _is_name(name) or signal.name != name:
-                raise _Error("is not a usable signal name", where=f"{where}, signal '{name}'", fix="rename it")
-            check_signal(signal, experiment.time.size, f"{where}, signal '{name}'")
-        for name, value in experiment.settings.items():
-            if not np.isfinite(value):
-                raise _Error(f"setting '{name}' is {value}", where=where, fix="write a finite number")
+        _check_experiment(experiment, where)
     for experiment in measurements:
         if experiment.repeat_of is not None:
             _check_repeat(experiment, measurements, f"{path}: experiment '{experiment.id}'")
+
+
+def _check_experiment(experiment: Experiment, where: str) -> None:
+    if not _is_name(experiment.setup):
+        raise _Error("has no setup", where=where, fix="write the attribute 'setup'")
+    check_time(experiment.time, f"{where}, time")
+    if not experiment.signals:
+        raise _Error("has no signals", where=where, fix="write at least one under 'signals'")
+    for name, signal in experiment.signals.items():
+        if not _is_name(name) or signal.name != name:
+            raise _Error("is not a usable signal name", where=f"{where}, signal '{name}'", fix="rename it")
+        check_signal(signal, experiment.time.size, f"{where}, signal '{name}'")
+    for name, value in experiment.settings.items():
+        if not np.isfinite(value):
+            raise _Error(f"setting '{name}' is {value}", where=where, fix="write a finite number")
 
 
 def check_time(time: FloatArray, where: str) -> None:

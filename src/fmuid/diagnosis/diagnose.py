@@ -128,30 +128,33 @@ def diagnose_subject(
         say("free functions at every port", 0.75)
         regimes, ports = subject.catalogue.regimes, subject.catalogue.ports
         own = {name: own_bases(paths, regimes, name) for name in ports}
-        decoys = fit_decoys(model, observed, nominal.fit, tuple(ports.values()), bases(paths, regimes), own)
+        decoys = fit_decoys(
+            model, observed, nominal.fit, ports=tuple(ports.values()), bases=bases(paths, regimes), own=own
+        )
     say("deciding", 0.95)
     return _conclude(
         subject,
-        begin,
-        nominal,
-        best,
-        candidates,
-        scores,
-        decoys,
-        energy,
-        paths,
-        present,
-        p_value,
-        seen,
-        powerless,
-        done,
-        shipped() if calibration is None else calibration,
-        null,
+        begin=begin,
+        nominal=nominal,
+        best=best,
+        candidates=candidates,
+        scores=scores,
+        decoys=decoys,
+        energy=energy,
+        paths=paths,
+        present=present,
+        p_value=p_value,
+        seen=seen,
+        powerless=powerless,
+        done=done,
+        calibration=shipped() if calibration is None else calibration,
+        null=null,
     )
 
 
 def _conclude(
     subject: Subject,
+    *,
     begin: Sequence[FloatArray],
     nominal: Fitted,
     best: Fitted | None,
@@ -218,7 +221,15 @@ def _conclude(
             calibrated=all(n.calibrated for n in observed.noise.values()),
         ),
         where=energy.shares(),
-        effects=_candidates(subject, nominal, best, candidates, scores, probability, null),
+        effects=_candidates(
+            subject,
+            nominal=nominal,
+            best=best,
+            candidates=candidates,
+            scores=scores,
+            probability=probability,
+            null=null,
+        ),
         alias_classes=aliases(subject, nominal, candidates, scores),
         model={**subject.model.expanded(chosen.fit.values)},
         next_experiment=following,
@@ -232,6 +243,7 @@ def _conclude(
 
 def _candidates(
     subject: Subject,
+    *,
     nominal: Fitted,
     best: Fitted | None,
     candidates: Sequence[Fitted],

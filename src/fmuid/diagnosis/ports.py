@@ -110,6 +110,7 @@ def fit_decoys(
     model: CampaignModel,
     observed: Observed,
     base: Refit,
+    *,
     ports: Sequence[Port],
     bases: Mapping[str, Basis],
     own: Mapping[str, Mapping[str, Basis]] | None = None,

@@ -10,6 +10,7 @@ from functools import partial
 from fmuid.core.campaign import AnalysisSpec, ParetoSpec
 from fmuid.core.errors import FmuidError
 from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.derivatives import EvaluateMany
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.result import at_bound
@@ -71,23 +72,9 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | Non
                 found.warnings.append(f"no standard errors: a {problem.combination.kind} is no sum of squares")
             found.uncertainty = without_intervals(free, bound)
             found.warnings += free.notes
-    estimate = found.uncertainty
-    if estimate is not None and spec.profiles:
-        # Of what is determined and not at a bound: the warnings name the rest.
-        for name in [n for n, e in zip(estimate.names, estimate.standard_errors, strict=True) if e is not None]:
-            with _noted(found, f"no profile of {name}"):
-                found.profiles += (profile_of(problem, estimate, name, evaluate=evaluate, floor=floor),)
-    if estimate is not None and spec.monte_carlo and estimate.degrees_of_freedom != 0.0:
-        with _noted(found, "no Monte Carlo"):
-            joint = problem if held is None else held.problem
-            found.spread = criteria_spread(
-                joint,
-                estimate if held is None else with_held(estimate, held),
-                draws=spec.monte_carlo,
-                seed=search.seed,
-                evaluate=evaluate_held or evaluate,
-                floor=floor,
-            )
+    if found.uncertainty is not None:
+        _profile(found, found.uncertainty, spec, search, evaluate)
+        _spread(found, found.uncertainty, spec, search, (held, evaluate_held or evaluate))
     if spec.pareto is not None:
         found.front = _front(search, spec.pareto, best, record)
         if found.front.beats_chosen:
@@ -95,6 +82,40 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | Non
                 "the front has a point that beats the estimate: search on, or from several starts"
             )
     return found
+
+
+def _profile(
+    found: Findings, estimate: Uncertainty, spec: AnalysisSpec, search: Search, evaluate: EvaluateMany
+) -> None:
+    """Add the profiles of what is determined and not at a bound: the warnings name the rest."""
+    if not spec.profiles:
+        return
+    for name in [n for n, e in zip(estimate.names, estimate.standard_errors, strict=True) if e is not None]:
+        with _noted(found, f"no profile of {name}"):
+            profile = profile_of(search.problem, estimate, name, evaluate=evaluate, floor=search.noise_floor)
+            found.profiles += (profile,)
+
+
+def _spread(
+    found: Findings,
+    estimate: Uncertainty,
+    spec: AnalysisSpec,
+    search: Search,
+    joint: tuple[Held | None, EvaluateMany],
+) -> None:
+    """Add the criteria's spread over the uncertainty, `joint` with what the search held of earlier stages."""
+    if not spec.monte_carlo or estimate.degrees_of_freedom == 0.0:
+        return
+    held, evaluate = joint
+    with _noted(found, "no Monte Carlo"):
+        found.spread = criteria_spread(
+            search.problem if held is None else held.problem,
+            estimate if held is None else with_held(estimate, held),
+            draws=spec.monte_carlo,
+            seed=search.seed,
+            evaluate=evaluate,
+            floor=search.noise_floor,
+        )
 
 
 @contextmanager

@@ -315,22 +315,22 @@ def _match_names(campaign: Campaign, simulators: Mapping[str, Simulator]) -> Non
     every = {name: v for s in models for name, v in simulators[s].variables.items()}
     settable = [n for n, v in every.items() if v.causality == "parameter"]
     helpers = _helper_names(campaign)
+
+    def with_variable(name: str) -> list[tuple[ModelSpec, Mapping[str, Variable]]]:
+        pairs = [(model, simulators[setup].variables) for setup, model in models.items()]
+        return [(model, variables) for model, variables in pairs if model.variable(name) in variables]
+
     for name in campaign.settings:
-        found = False
-        for setup, model in models.items():
-            if model.variable(name) in simulators[setup].variables:
-                found = True
-                _settable(model.variable(name), model, simulators[setup].variables, f"[settings] '{name}'")
+        found = with_variable(name)
+        for model, variables in found:
+            _settable(model.variable(name), model, variables, f"[settings] '{name}'")
         if not found:
             raise FmuError(f"no FMU has a variable '{name}'", where="[settings]", fix=suggestion(name, settable))
     for spec in campaign.parameters.values():
-        found = spec.name in helpers
-        for setup, model in models.items():
-            variables = simulators[setup].variables
-            if model.variable(spec.name) in variables:
-                found = True
-                _match_parameter(spec, model, variables)
-        if not found and models:
+        found = with_variable(spec.name)
+        for model, variables in found:
+            _match_parameter(spec, model, variables)
+        if not found and spec.name not in helpers and models:
             names = sorted({m.fmu.name for m in models.values()})
             raise FmuError(
                 f"{' and '.join(names)} {'has' if len(names) == 1 else 'have'} no variable '{spec.name}'",

@@ -277,7 +277,17 @@ def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
                 )
         except KeyboardInterrupt:
             outcome = _INTERRUPTED
-    result = _result(run, problem, search, first, outcome, solver, why, found, clock.perf_counter() - begin)
+    result = _result(
+        run,
+        problem,
+        search=search,
+        first=first,
+        outcome=outcome,
+        solver=solver,
+        why=why,
+        findings=found,
+        seconds=clock.perf_counter() - begin,
+    )
     if outcome is not _INTERRUPTED:
         run.history.finish(problem.name, msgspec.json.encode(result), repr(asked.analyses))
     run.observer.finished(result)
@@ -287,7 +297,17 @@ def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
 def _begun(run: _Run, problem: Problem, solver: Solver, why: str) -> StageResult:
     """Return the result of a stage without an evaluation; its criteria are there to be filled in."""
     nothing = Search(problem)
-    begun = _result(run, problem, nothing, None, _INTERRUPTED, solver, why, Findings(), 0.0)
+    begun = _result(
+        run,
+        problem,
+        search=nothing,
+        first=None,
+        outcome=_INTERRUPTED,
+        solver=solver,
+        why=why,
+        findings=Findings(),
+        seconds=0.0,
+    )
     criteria = tuple(CriterionValue(case.id, criterion.label, None, 0.0) for case, criterion in problem.criteria)
     return replace(begun, criteria=criteria, warnings=())
 
@@ -295,6 +315,7 @@ def _begun(run: _Run, problem: Problem, solver: Solver, why: str) -> StageResult
 def _result(
     run: _Run,
     problem: Problem,
+    *,
     search: Search,
     first: Evaluation | None,
     outcome: Outcome,

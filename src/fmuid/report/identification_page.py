@@ -258,7 +258,7 @@ def _fit_sections(
                 if (case.setup, case.id, overlay.signal) in keep:
                     drawn.setdefault((case.setup, overlay.signal), []).append(overlay)
         scores = tuple(s for s in found.scores if (s.setup, s.experiment, s.signal) in keep)
-        sections.append(_fit_section(title, text, role, drawn, scores, found.scores))
+        sections.append(_fit_section(title, text, role=role, drawn=drawn, judged=scores, scores=found.scores))
         validation = scores if role == "validation" else validation
     return sections, validation
 
@@ -266,6 +266,7 @@ def _fit_sections(
 def _fit_section(
     title: str,
     text: str,
+    *,
     role: str,
     drawn: Mapping[tuple[str, str], Sequence[Overlay]],
     judged: Sequence[RunScore],

@@ -101,7 +101,7 @@ def _lines(figure: LineFigure) -> tuple[list[Spec], Spec]:
             "anchor": f"x{suffix}",
         }
         if len(figure.panels) > 1:
-            layout["annotations"].append(_text(panel.title, f"x{suffix}", f"y{suffix}", 0, 1, 12))
+            layout["annotations"].append(_text(panel.title, f"x{suffix}", f"y{suffix}", at_x=0, at_y=1, size=12))
         _marks(layout, panel, suffix)
         for series in panel.series:
             text = html.escape(style.legend(series), quote=False)
@@ -128,11 +128,11 @@ def _marks(layout: Spec, panel: Panel, suffix: str) -> None:
                 "line": {"color": style.GREY, "width": 1, "dash": "dot"},
             }
         )
-        note = _text(text, f"x{suffix}", f"y{suffix}", position, 1, 10, domain=False)
+        note = _text(text, f"x{suffix}", f"y{suffix}", at_x=position, at_y=1, size=10, domain=False)
         layout["annotations"].append(note | {"textangle": -90, "yanchor": "bottom", "xanchor": "center"})
 
 
-def _text(text: str, x: str, y: str, at_x: float, at_y: float, size: int, *, domain: bool = True) -> Spec:
+def _text(text: str, x: str, y: str, *, at_x: float, at_y: float, size: int, domain: bool = True) -> Spec:
     return {
         "text": html.escape(text, quote=False),
         "xref": f"{x} domain" if domain else x,
@@ -215,7 +215,7 @@ def _map(figure: MapFigure) -> tuple[list[Spec], Spec]:
         trace |= {"texttemplate": "%{z:.2f}", "textfont": {"size": 10}}
     annotations, shapes, start = [], [], 0
     for name, width in figure.headings:
-        note = _text(name, "x", "y", start + width / 2 - 0.5, 1, 11, domain=False)
+        note = _text(name, "x", "y", at_x=start + width / 2 - 0.5, at_y=1, size=11, domain=False)
         annotations.append(note | {"xanchor": "center", "text": note["text"].replace("\n", "<br>")})
         start += width
         if start < n_columns:

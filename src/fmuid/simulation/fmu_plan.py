@@ -56,42 +56,10 @@ class PreparedTask:
         n = len(task.time)
         self.size = 8 * n * (2 * len(task.inputs) + 1)  # bytes, about, with the task's own
         self._check_time(task.time, even_steps)
-        inputs = np.empty((n, len(task.inputs)))
-        for j, (name, values) in enumerate(task.inputs.items()):
-            if self._slot(name) and variables[name].causality != "input":
-                known = [v.name for v in variables.values() if v.causality == "input"]
-                raise FmuError(
-                    f"'{name}' is no input but has causality {variables[name].causality}",
-                    where=self._where,
-                    fix=suggestion(name, known),
-                )
-            if slots[name].suffix is None:
-                raise FmuError(
-                    f"'{name}' is a {variables[name].type}, not a number", where=self._where, fix="leave it out"
-                )
-            if values.shape != (n,) or not np.isfinite(values).all():
-                raise FmuError(
-                    f"input '{name}' must have {n} finite samples, one for each time",
-                    where=self._where,
-                    fix="an input may not have missing samples",
-                )
-            inputs[:, j] = values
-            self._check_whole(name, values)
+        inputs = self._inputs(variables)
         fixed = {k: v for k, v in task.start_values.items() if k not in names}
         back = [name for name in restored if name not in names and name not in fixed and slots[name].has_start]
-        for name in [*names, *fixed]:
-            refusal = self._slot(name).refusal
-            if refusal is not None:
-                settable = [k for k, s in slots.items() if s.refusal is None and variables[k].causality != "input"]
-                raise FmuError(
-                    f"'{name}' {refusal}: its start value cannot be set",
-                    where=self._where,
-                    fix=suggestion(name, settable),
-                )
-            if name in task.inputs:
-                raise FmuError(
-                    f"'{name}' has both a signal and a start value", where=self._where, fix="give one of them"
-                )
+        self._check_settable([*names, *fixed], variables)
         # Put back first: an alias among the names that are really set then wins.
         self.starts = np.zeros(len(back) + len(fixed) + len(names))
         self.starts[: len(back)] = [slots[k].starts[slots[k].element] for k in back]
@@ -233,6 +201,49 @@ class PreparedTask:
         array = (Group * max(1, len(groups)))(*groups)
         self._kept.append(array)
         return len(groups), ctypes.cast(array, ctypes.POINTER(Group))
+
+    def _inputs(self, variables: Mapping[str, Variable]) -> FloatArray:
+        """Return the inputs as columns, (N, n)."""
+        task, n = self.task, len(self.task.time)
+        inputs = np.empty((n, len(task.inputs)))
+        for j, (name, values) in enumerate(task.inputs.items()):
+            if self._slot(name) and variables[name].causality != "input":
+                known = [v.name for v in variables.values() if v.causality == "input"]
+                raise FmuError(
+                    f"'{name}' is no input but has causality {variables[name].causality}",
+                    where=self._where,
+                    fix=suggestion(name, known),
+                )
+            if self._slots[name].suffix is None:
+                raise FmuError(
+                    f"'{name}' is a {variables[name].type}, not a number", where=self._where, fix="leave it out"
+                )
+            if values.shape != (n,) or not np.isfinite(values).all():
+                raise FmuError(
+                    f"input '{name}' must have {n} finite samples, one for each time",
+                    where=self._where,
+                    fix="an input may not have missing samples",
+                )
+            inputs[:, j] = values
+            self._check_whole(name, values)
+        return inputs
+
+    def _check_settable(self, names: Sequence[str], variables: Mapping[str, Variable]) -> None:
+        for name in names:
+            refusal = self._slot(name).refusal
+            if refusal is not None:
+                known = [
+                    k for k, s in self._slots.items() if s.refusal is None and variables[k].causality != "input"
+                ]
+                raise FmuError(
+                    f"'{name}' {refusal}: its start value cannot be set",
+                    where=self._where,
+                    fix=suggestion(name, known),
+                )
+            if name in self.task.inputs:
+                raise FmuError(
+                    f"'{name}' has both a signal and a start value", where=self._where, fix="give one of them"
+                )
 
     def _integrate(self, described: FmuDescription, n_inputs: int) -> None:
         """Provide for the integrator of model_exchange.c."""

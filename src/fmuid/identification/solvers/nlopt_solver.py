@@ -114,7 +114,11 @@ class NloptSolver:
 
         def run(x: FloatArray, scale: float) -> Outcome:
             return around_failures(
-                search, x, lambda x, lower, upper: self._run(search, algorithm, first, x, lower, upper, scale)
+                search,
+                x,
+                lambda x, lower, upper: self._run(
+                    search, algorithm, first, x=x, lower=lower, upper=upper, initial_step=scale
+                ),
             )
 
         outcome = run(start, own)
@@ -137,6 +141,7 @@ class NloptSolver:
         search: Search,
         algorithm: _Algorithm,
         first: Evaluation,
+        *,
         x: FloatArray,
         lower: FloatArray,
         upper: FloatArray,
@@ -165,21 +170,10 @@ class NloptSolver:
         for each in {id(opt): opt, id(inner): inner}.values():
             each.set_lower_bounds(lower)
             each.set_upper_bounds(upper)
-            tolerance = self._number("tolerance")
-            each.set_xtol_rel(tolerance)
-            each.set_xtol_abs(0.1 * tolerance)  # search coordinates are of order one, but may be 0
-            each.set_ftol_rel(self._number("cost_tolerance"))
             if not algorithm.finite_bounds:
                 each.set_initial_step(step)
-        if algorithm.subsidiary:
-            local = nlopt.opt(getattr(nlopt, ALGORITHMS[self.options.get("local", "sbplx")].nlopt), n)
-            local.set_xtol_rel(1e-5)
-            local.set_ftol_rel(1e-9)
-            inner.set_local_optimizer(local)
-        if "population" in self.options:
-            inner.set_population(int(self.options["population"]))
-        if opt is not inner:
-            opt.set_local_optimizer(inner)
+            self._set_tolerances(each)
+        self._set_parts(opt, inner, algorithm)
         limit = self.options.get("evaluations")
         if limit is None and search.stop == StopRules() and (algorithm.finite_bounds or opt is not inner):
             limit = (_GLOBAL_EVALUATIONS if algorithm.finite_bounds else _PENALTY_EVALUATIONS) * (n + 1)
@@ -190,26 +184,54 @@ class NloptSolver:
             opt.add_inequality_mconstraint(functions.inequalities, np.full(count, FEASIBLE / 10.0))
         if count := functions.count(first, equality=True):
             opt.add_equality_mconstraint(functions.equalities, np.full(count, FEASIBLE / 10.0))
-        try:
-            opt.optimize(np.clip(here, lower, upper))
-        except nlopt.RoundoffLimited:
-            functions.reraise()
-            return Outcome(Status.CONVERGED, "no further progress in floating point")
-        except (nlopt.ForcedStop, nlopt.exception) as error:
-            functions.reraise()
-            if functions.stuck:
-                return Outcome(Status.CONVERGED, "the solver no longer moves")
-            return Outcome(Status.FAILED, f"NLopt gave up {error}".strip())
+        return _optimized(opt, functions, np.clip(here, lower, upper)) or Outcome(
+            Status.BUDGET, f"{limit} evaluations of {self.name}"
+        )
+
+    def _set_tolerances(self, opt: Any) -> None:
+        tolerance = self._number("tolerance")
+        opt.set_xtol_rel(tolerance)
+        opt.set_xtol_abs(0.1 * tolerance)  # search coordinates are of order one, but may be 0
+        opt.set_ftol_rel(self._number("cost_tolerance"))
+
+    def _set_parts(self, opt: Any, inner: Any, algorithm: _Algorithm) -> None:
+        """Give a global algorithm its local one and its population, and what stands around it the algorithm."""
+        import nlopt
+
+        if algorithm.subsidiary:
+            name = ALGORITHMS[self.options.get("local", "sbplx")].nlopt
+            local = nlopt.opt(getattr(nlopt, name), opt.get_dimension())
+            local.set_xtol_rel(1e-5)
+            local.set_ftol_rel(1e-9)
+            inner.set_local_optimizer(local)
+        if "population" in self.options:
+            inner.set_population(int(self.options["population"]))
+        if opt is not inner:
+            opt.set_local_optimizer(inner)
+
+
+def _optimized(opt: Any, functions: _Functions, start: FloatArray) -> Outcome | None:
+    """Run the search from `start` (n,) and return how it ended; None if its budget was spent."""
+    import nlopt
+
+    try:
+        opt.optimize(start)
+    except nlopt.RoundoffLimited:
         functions.reraise()
-        code = opt.last_optimize_result()
-        messages = {
-            nlopt.FTOL_REACHED: "cost no longer changes",
-            nlopt.XTOL_REACHED: "parameters no longer change",
-            nlopt.SUCCESS: "done",
-        }
-        if code in messages:
-            return Outcome(Status.CONVERGED, messages[code])
-        return Outcome(Status.BUDGET, f"{limit} evaluations of {self.name}")
+        return Outcome(Status.CONVERGED, "no further progress in floating point")
+    except (nlopt.ForcedStop, nlopt.exception) as error:
+        functions.reraise()
+        if functions.stuck:
+            return Outcome(Status.CONVERGED, "the solver no longer moves")
+        return Outcome(Status.FAILED, f"NLopt gave up {error}".strip())
+    functions.reraise()
+    messages = {
+        nlopt.FTOL_REACHED: "cost no longer changes",
+        nlopt.XTOL_REACHED: "parameters no longer change",
+        nlopt.SUCCESS: "done",
+    }
+    code = opt.last_optimize_result()
+    return Outcome(Status.CONVERGED, messages[code]) if code in messages else None
 
 
 class _Functions:

@@ -124,7 +124,7 @@ def trace(search: Search, spec: ParetoSpec, solver: Solver, best: Evaluation) ->
     found: list[Evaluation] = []
     message = "complete"
     try:
-        _trace(search, solver, objectives, spec.points, best, found)
+        _trace(search, solver, objectives=objectives, points=spec.points, best=best, found=found)
     except StopSearch as stop:
         message = f"incomplete ({stop.outcome.message})"
     names = search.problem.space.names
@@ -137,7 +137,13 @@ def trace(search: Search, spec: ParetoSpec, solver: Solver, best: Evaluation) ->
 
 
 def _trace(
-    search: Search, solver: Solver, objectives: Objectives, points: int, best: Evaluation, found: list[Evaluation]
+    search: Search,
+    solver: Solver,
+    *,
+    objectives: Objectives,
+    points: int,
+    best: Evaluation,
+    found: list[Evaluation],
 ) -> None:
     """Add to `found`, so that what a budget leaves is there."""
 

@@ -289,7 +289,7 @@ def _widened(
             offset = 2.0 * sign * covariance[i] / spread[i]  # where the others are expected
             reach = 1.0
             while reach <= _FARTHEST:
-                moved = _followed(problem, evaluate, best, j, best.x + offset, i)
+                moved = _followed(problem, evaluate, best, j=j, x=best.x + offset, i=i)
                 if moved is None or moved.cost - best.cost >= 0.25 * expected:
                     break
                 offset = 2.0 * (moved.x - best.x)
@@ -301,7 +301,7 @@ def _widened(
 
 
 def _followed(
-    problem: Problem, evaluate: EvaluateMany, best: Evaluation, j: FloatArray, x: FloatArray, i: int
+    problem: Problem, evaluate: EvaluateMany, best: Evaluation, *, j: FloatArray, x: FloatArray, i: int
 ) -> Evaluation | None:
     """Return the evaluation at `x` after all parameters but `i` have followed, or None where it fails."""
     others = np.arange(len(x)) != i

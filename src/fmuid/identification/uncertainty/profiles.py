@@ -94,7 +94,7 @@ def profile_of(
     found = {float(x[i]): 0.0}
     ends: list[float | None] = []
     for sign, bound in ((-1.0, problem.space.lower[i]), (1.0, problem.space.upper[i])):
-        walk = _Walk(problem, evaluate, j, best, i, allowed)
+        walk = _Walk(problem, evaluate, j, best=best, i=i, allowed=allowed)
         distance = walk.crossing(sign, t * spread, abs(bound - x[i]))
         found |= walk.found
         point = x.copy()
@@ -110,7 +110,7 @@ class _Walk:
     """Moves parameter `i` outwards; the others are fitted again at every step, each time from the last fit."""
 
     def __init__(
-        self, problem: Problem, evaluate: EvaluateMany, j: FloatArray, best: Evaluation, i: int, allowed: float
+        self, problem: Problem, evaluate: EvaluateMany, j: FloatArray, *, best: Evaluation, i: int, allowed: float
     ) -> None:
         self.problem, self.evaluate, self.best, self.i, self.allowed = problem, evaluate, best, i, allowed
         self.others = np.arange(len(best.x)) != i

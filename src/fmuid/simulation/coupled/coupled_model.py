@@ -271,7 +271,12 @@ class CoupledModel:
                 for name, own in starts.items()
             }
             layout = Layout(
-                self._wiring, task, inputs, [self._shown_by(n) for n in task.outputs], merged, self.path
+                self._wiring,
+                task,
+                inputs=inputs,
+                outputs=[self._shown_by(n) for n in task.outputs],
+                starts=merged,
+                where=self.path,
             )
             while self._layouts and sum(other.size for other in self._layouts.values()) > _MAX_LAYOUTS:
                 self._layouts.pop(next(iter(self._layouts)))

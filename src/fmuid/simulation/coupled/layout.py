@@ -139,6 +139,7 @@ class Layout:
         self,
         wiring: Wiring,
         task: Task,
+        *,
         inputs: Mapping[str, Sequence[tuple[Place, Linear]]],
         outputs: Sequence[tuple[Place, Linear]],
         starts: Mapping[str, Mapping[str, float]],

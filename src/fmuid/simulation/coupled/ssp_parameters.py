@@ -67,7 +67,9 @@ def bindings(element: Element, path: Path, folder: Path) -> Iterator[dict[str, V
     """
     for binding in element.iterfind(f"{SSD}ParameterBindings/{SSD}ParameterBinding"):
         what = f"a parameter binding of '{element.get('name')}'"
-        values = _content(binding, f"{SSD}ParameterValues", f"{SSV}ParameterSet", _SET, path, folder, what)
+        values = _content(
+            binding, f"{SSD}ParameterValues", f"{SSV}ParameterSet", kind=_SET, path=path, folder=folder, what=what
+        )
         prefix = binding.get("prefix", "")
         found = {}
         for parameter in values.iterfind(f"{SSV}Parameters/{SSV}Parameter"):
@@ -81,7 +83,9 @@ def bindings(element: Element, path: Path, folder: Path) -> Iterator[dict[str, V
         mapping = binding.find(f"{SSD}ParameterMapping")
         if mapping is not None:
             what = f"a parameter mapping of '{element.get('name')}'"
-            entries = _content(mapping, None, f"{SSM}ParameterMapping", _MAPPING, path, folder, what)
+            entries = _content(
+                mapping, None, f"{SSM}ParameterMapping", kind=_MAPPING, path=path, folder=folder, what=what
+            )
             found = {
                 entry.get("target", ""): _mapped(found[entry.get("source", "")], entry, path)
                 for entry in entries.iterfind(f"{SSM}MappingEntry")
@@ -116,7 +120,7 @@ def _mapped(value: Value, entry: Element, path: Path) -> Value:
 
 
 def _content(
-    element: Element, holder: str | None, tag: str, kind: str, path: Path, folder: Path, what: str
+    element: Element, holder: str | None, tag: str, *, kind: str, path: Path, folder: Path, what: str
 ) -> Element:
     """Return the root of a file that `element` names, or of what it holds inline."""
     if (element.get("type") or kind) != kind:
