@@ -76,8 +76,8 @@ def _times_noise(problem: Problem, best: Evaluation) -> dict[str, float]:
         for criterion in case.criteria:
             k = next(i for i, c in enumerate(case.channels) if c.signal == criterion.signal)
             channel = case.channels[k]
-            if criterion.rows is not None and channel.noise != "unknown":
-                error = (prediction[k] - channel.mean)[criterion.rows] / channel.sigma[criterion.rows]
+            if criterion.rows is not None and channel.noise.source != "unknown":
+                error = (prediction[k] - channel.mean)[criterion.rows] / channel.noise.sigma
                 energy.setdefault(criterion.signal, []).append(error**2)
     return {signal: float(np.sqrt(np.mean(np.concatenate(parts)))) for signal, parts in energy.items()}
 
