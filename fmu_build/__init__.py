@@ -9,9 +9,24 @@ from typing import TYPE_CHECKING
 from fmu_build.build import build, check_tools
 
 if TYPE_CHECKING:
+    from fmu_build.flat_model import FlatModel
     from fmu_build.model import CompiledModel
 
-__all__ = ["build", "compile_modelica"]
+__all__ = ["build", "compile_flat", "compile_modelica", "load"]
+
+
+def load(file: Path, class_name: str, roots: Sequence[Path] = ()) -> FlatModel:
+    """Flatten a Modelica class; see `fmu_build.front.flatten.load`."""
+    from fmu_build.front.flatten import load as load_
+
+    return load_(file, class_name, roots)
+
+
+def compile_flat(flat: FlatModel) -> CompiledModel:
+    """Translate a flat model; see `fmu_build.compiler.compile_flat`."""
+    from fmu_build.compiler import compile_flat as compile_
+
+    return compile_(flat)
 
 
 def compile_modelica(file: Path, class_name: str, roots: Sequence[Path] = ()) -> CompiledModel:

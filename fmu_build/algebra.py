@@ -101,7 +101,7 @@ class UnknownSizeError(Exception):
     def __init__(self, value: SX) -> None:
         super().__init__("a size, a range or a choice that is not known at translation")
         self.value = value
-        self.span: Any = None
+        self.span: Any = None  # where, once known
 
 
 def whole(value: Value) -> int:
@@ -207,22 +207,22 @@ def _mod(x: Number, y: Number) -> Number:
 
 # Scalar built-in functions without events.
 FUNCTIONS: dict[str, Callable[..., Scalar]] = {
-    "Abs": numeric_or_symbolic(abs, ca.fabs),
-    "Sign": numeric_or_symbolic(_sign, ca.sign),
-    "Sqrt": numeric_or_symbolic(math.sqrt, ca.sqrt),
-    "Exp": numeric_or_symbolic(math.exp, ca.exp),
-    "Log": numeric_or_symbolic(math.log, ca.log),
-    "Log10": numeric_or_symbolic(math.log10, _log10),
-    "Sin": numeric_or_symbolic(math.sin, ca.sin),
-    "Cos": numeric_or_symbolic(math.cos, ca.cos),
-    "Tan": numeric_or_symbolic(math.tan, ca.tan),
-    "Asin": numeric_or_symbolic(math.asin, ca.asin),
-    "Acos": numeric_or_symbolic(math.acos, ca.acos),
-    "Atan": numeric_or_symbolic(math.atan, ca.atan),
-    "Atan2": numeric_or_symbolic(math.atan2, ca.atan2),
-    "Sinh": numeric_or_symbolic(math.sinh, ca.sinh),
-    "Cosh": numeric_or_symbolic(math.cosh, ca.cosh),
-    "Tanh": numeric_or_symbolic(math.tanh, ca.tanh),
+    "abs": numeric_or_symbolic(abs, ca.fabs),
+    "sign": numeric_or_symbolic(_sign, ca.sign),
+    "sqrt": numeric_or_symbolic(math.sqrt, ca.sqrt),
+    "exp": numeric_or_symbolic(math.exp, ca.exp),
+    "log": numeric_or_symbolic(math.log, ca.log),
+    "log10": numeric_or_symbolic(math.log10, _log10),
+    "sin": numeric_or_symbolic(math.sin, ca.sin),
+    "cos": numeric_or_symbolic(math.cos, ca.cos),
+    "tan": numeric_or_symbolic(math.tan, ca.tan),
+    "asin": numeric_or_symbolic(math.asin, ca.asin),
+    "acos": numeric_or_symbolic(math.acos, ca.acos),
+    "atan": numeric_or_symbolic(math.atan, ca.atan),
+    "atan2": numeric_or_symbolic(math.atan2, ca.atan2),
+    "sinh": numeric_or_symbolic(math.sinh, ca.sinh),
+    "cosh": numeric_or_symbolic(math.cosh, ca.cosh),
+    "tanh": numeric_or_symbolic(math.tanh, ca.tanh),
 }
 MIN = numeric_or_symbolic(min, ca.fmin)
 MAX = numeric_or_symbolic(max, ca.fmax)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
 from fmu_build import algebra
 from fmu_build.algebra import Array, Scalar, Value
 from fmu_build.equations import Equation
 from fmu_build.expressions import Evaluator
-from fmu_build.frontend import Node
-from fmu_build.functions import Body, Functions
+from fmu_build.flat_model import Algorithm
+from fmu_build.functions import Body
 from fmu_build.graph import SX
 from fmu_build.scope import ModelScope
 from fmu_build.start import declared_start
+from fmu_build.syntax import Assign, AssignMany, Reinit, Terminate, walk
 
 
 class _Section:
@@ -20,17 +24,33 @@ class _Section:
         self.name = "algorithm"
         self.variables: dict[str, Value] = {}
         self._scope = scope
+        self._outside = False
 
     def lookup(self, name: str) -> Value:
-        if name in self.variables:
-            return self.variables[name]
+        if name in self.variables and not self._outside:
+            value = self.variables[name]
+            if value is None:
+                raise ValueError(f"'{name}' is used before it has a value")
+            return value
         return self._scope.lookup(name)
+
+    @contextmanager
+    def outside(self) -> Iterator[None]:
+        """Look at variables as equations see them."""
+        before, self._outside = self._outside, True
+        try:
+            yield
+        finally:
+            self._outside = before
+
+    def fires(self, conditions: Iterable[SX]) -> SX:
+        return self._scope.fires(conditions)
 
     def derivative(self, value: Scalar) -> Scalar:
         return self._scope.derivative(value)
 
-    def previous(self, value: Scalar) -> Scalar:  # noqa: ARG002  (the scope's signature)
-        raise ValueError("pre() in an algorithm section")
+    def previous(self, value: Scalar) -> Scalar:
+        return self._scope.previous(value)
 
     def relation(self, difference: SX, inclusive: bool) -> SX:
         return self._scope.relation(difference, inclusive)
@@ -45,7 +65,7 @@ class _Section:
         return self._scope.initial()
 
 
-def run(scope: ModelScope, section: Node, initial: bool) -> list[Equation]:
+def run(scope: ModelScope, section: Algorithm, initial: bool) -> list[Equation]:
     """Execute a section; one equation for each scalar that it assigns.
 
     Parameters
@@ -54,40 +74,65 @@ def run(scope: ModelScope, section: Node, initial: bool) -> list[Equation]:
         An ``initial algorithm``: no events, and its variables start from their start values.
     """
     frame = _Section(scope)
-    evaluator = Evaluator(scope.flat, frame, Functions(scope.flat))
-    names = list(dict.fromkeys(output["name"] for output in section["outputs"]))
+    evaluator = Evaluator(scope.flat, frame, scope.functions)
+    names: dict[str, None] = {}
+    for node in walk(section.statements):
+        if isinstance(node, Assign):
+            names[node.target.name] = None
+        elif isinstance(node, AssignMany):
+            names.update({t.name: None for t in node.targets if t is not None})
+        elif isinstance(node, Terminate | Reinit):
+            raise scope.flat.error(f"{type(node).__name__.lower()}() in an algorithm is not supported", node.at)
     for name in names:
-        frame.variables[name] = _before(scope, name, initial)
-    body = Body(scope.flat, frame, evaluator)
+        try:
+            frame.variables[name] = _before(scope, name, initial)
+        except ValueError as error:
+            raise scope.flat.error(str(error), section.at) from None
+    body = Body(scope.flat, frame, evaluator, scope.functions)
     if initial:
         with evaluator.no_event():
-            body.run(section["statements"])
+            body.run(section.statements)
     else:
-        body.run(section["statements"])
+        body.run(section.statements)
     out = []
     for name in names:
-        targets = algebra.scalars(scope.declarations.values[name])
-        span = scope.flat.parts["variables"][name]["source_span"]
-        for target, value in zip(targets, algebra.scalars(frame.variables[name]), strict=True):
+        whole = _whole(scope, name)
+        for target, value in zip(algebra.scalars(whole), _items(frame.variables[name], whole), strict=True):
             sides = (algebra.sx(target), algebra.sx(value))
-            out.append(Equation(sides[0] - sides[1], span, sides))
+            out.append(Equation(sides[0] - sides[1], section.at, sides))
     return out
+
+
+def _items(value: Value, like: Value) -> tuple[Scalar, ...]:
+    items = algebra.scalars(value)
+    return items * len(algebra.scalars(like)) if len(items) == 1 else items
+
+
+def _whole(scope: ModelScope, name: str) -> Value:
+    found = scope.declarations.values.get(name)
+    return scope.lookup(name) if found is None else found
 
 
 def _before(scope: ModelScope, name: str, initial: bool) -> Value:
     """Value of a variable when its section starts: pre(v) if discrete, else its start value."""
-    whole = scope.declarations.values.get(name)
-    if whole is None:
+    if name not in scope.flat.variables and not any(n.startswith(f"{name}.") for n in scope.flat.variables):
         raise ValueError(f"'{name}' cannot be assigned")
 
     def one(symbol: Scalar) -> Scalar:
         declared = scope.declared(algebra.sx(symbol))
+        if declared is not None and initial and any(declared is d for d in scope.parameters.from_initial):
+            return declared_start(scope, declared)
         if declared is None or declared.kind not in ("continuous", "discrete"):
             raise ValueError(f"'{name}' cannot be assigned")
         if declared.kind == "discrete" and not initial:
             return scope.previous_symbol(algebra.sx(symbol))
         return declared_start(scope, declared)
 
-    if isinstance(whole, Array):
-        return Array(whole.shape, tuple(one(s) for s in whole.items))
-    return one(algebra.sx(whole))
+    def each(value: Value) -> Value:
+        if isinstance(value, dict):
+            return {n: each(v) for n, v in value.items()}
+        if isinstance(value, Array):
+            return Array(value.shape, tuple(one(s) for s in value.items))
+        return one(algebra.sx(value))
+
+    return each(_whole(scope, name))

@@ -11,12 +11,12 @@ from fmu_build.graph import SX, Graph, Substitution, is_number, key
 from fmu_build.scope import ModelScope
 from fmu_build.variables import Declared
 
-_SELECT = {"Never": 0, "Avoid": 1, "Default": 3, "Prefer": 4, "Always": 5}
+_SELECT = {"never": 0, "avoid": 1, "default": 3, "prefer": 4, "always": 5}
 
 
 def preference(declared: Declared) -> tuple[int, bool, bool]:
     """How much a variable wants to be a state: StateSelect, then fixed, then an explicit start value."""
-    return (_SELECT[declared.node["state_select"]], bool(declared.fixed), declared.has_start)
+    return (_SELECT[declared.variable.state_select], bool(declared.fixed), declared.has_start)
 
 
 @dataclass

@@ -19,7 +19,7 @@ from typing import Literal
 from fmu_build.errors import BuildError, ModelicaError
 from fmu_build.sources import source_files
 
-Compiler = Literal["rumoca", "omc"]
+Compiler = Literal["own", "omc"]
 
 
 def build(
@@ -27,13 +27,13 @@ def build(
     class_name: str,
     out: Path | str,
     fmi: str = "2",
-    compiler: str = "rumoca",
+    compiler: str = "own",
     roots: Sequence[Path | str] = (),
 ) -> Path:
     """Build the FMU of a Modelica class.
 
     An FMU that is already there is kept if nothing it depends on has changed: the Modelica sources, this package,
-    the versions of rumoca and CasADi, and the options.
+    the version of CasADi, and the options.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def build(
     fmi
         Version of FMI, "2" or "3".
     compiler
-        "rumoca" (the built-in way) or "omc" (OpenModelica, if it is on the PATH).
+        "own" (the built-in way) or "omc" (OpenModelica, if it is on the PATH).
     roots
         Directories of further Modelica libraries.
 
@@ -69,7 +69,7 @@ def build(
         file /= "package.mo"
     if not file.is_file():
         raise ModelicaError("no such Modelica file", where=file)
-    if compiler == "rumoca":
+    if compiler == "own":
         check_tools()
     target = out / f"{class_name.rpartition('.')[2]}.fmu"
     stamp = target.with_suffix(".stamp")
@@ -81,7 +81,7 @@ def build(
     except OSError as error:
         what = f"cannot be a folder ({error.strerror or error})"
         raise BuildError(what, where=out, fix="name a folder that can be written") from None
-    if compiler == "rumoca":
+    if compiler == "own":
         from fmu_build.compiler import compile_modelica
         from fmu_build.packaging import package
 
@@ -92,14 +92,14 @@ def build(
     elif compiler == "omc":
         built = _openmodelica(file, class_name, target, fmi, folders)
     else:
-        raise BuildError(f"no Modelica compiler {compiler!r}", fix="choose rumoca or omc")
+        raise BuildError(f"no Modelica compiler {compiler!r}", fix="choose own or omc")
     partial = stamp.with_name(f".{stamp.name}.{os.getpid()}")
     partial.write_text(f"{state} {_digest(built)}")
     partial.replace(stamp)
     return built
 
 
-_TOOLS = ("casadi", "fmpy", "rumoca")
+_TOOLS = ("casadi", "fmpy")
 
 
 def check_tools() -> None:
@@ -118,7 +118,7 @@ def _state(file: Path, class_name: str, roots: Sequence[Path], fmi: str, compile
     own = Path(__file__).parent
     tools = sorted(p for p in own.rglob("*") if p.suffix in (".py", ".c", ".h", ".jinja"))
     paths = [*source_files(file, roots), *tools]
-    versions = [metadata.version(name) for name in _TOOLS] if compiler == "rumoca" else []
+    versions = [metadata.version(name) for name in _TOOLS] if compiler == "own" else []
     what = [class_name, fmi, compiler, os.environ.get("CC", ""), versions, [_digest(p) for p in paths]]
     return hashlib.sha256(json.dumps(what).encode()).hexdigest()
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from fmu_build import algebra
-from fmu_build.algebra import Array, Scalar, Value, whole
+from fmu_build.algebra import Array, Scalar, UnknownSizeError, Value, whole
 from fmu_build.graph import SX
 
 
@@ -121,43 +121,78 @@ def cat(e: Operators, dimension: Value, *parts: Value) -> Value:
     return Array((rows, *arrays[0].shape[1:]), tuple(i for a in arrays for i in a.items))
 
 
-def _edge(e: Operators, a: Value) -> Value:
-    return algebra.elementwise(lambda b: algebra.AND(b, algebra.NOT(e.scope.previous(b))), a)
-
-
-def _change(e: Operators, a: Value) -> Value:
-    return algebra.elementwise(lambda b: algebra.NOT(algebra.EQUAL(b, e.scope.previous(b))), a)
-
-
 def _semi_linear(e: Operators, x: Value, positive: Value, negative: Value) -> Value:
     a, p, n = algebra.scalars(x)[0], algebra.scalars(positive)[0], algebra.scalars(negative)[0]
     return algebra.choose(algebra.LESS_EQUAL(0, a), p * a, n * a)
 
 
+def _string(e: Operators, value: Value, *rest: Value) -> Value:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, SX):
+        raise UnknownSizeError(value)
+    if isinstance(value, float):
+        digits = rest[0] if rest and isinstance(rest[0], int) and not isinstance(rest[0], bool) else 6
+        return f"{value:.{digits}g}"
+    return str(value)
+
+
+def _matrix(e: Operators, a: Value) -> Value:
+    return as_matrix(a)
+
+
+def _symmetric(e: Operators, a: Value) -> Value:
+    if not isinstance(a, Array) or len(a.shape) != 2:
+        raise ValueError(f"symmetric of {algebra.kind(a)}")
+    n, m = a.shape
+    return Array((n, m), tuple(a[(min(i, j), max(i, j))] for i in range(n) for j in range(m)))
+
+
 BUILTIN: dict[str, Callable[..., Value]] = {
-    "Der": lambda e, a: algebra.elementwise(e.scope.derivative, a),
-    "Pre": lambda e, a: algebra.elementwise(e.scope.previous, a),
-    "Edge": _edge,
-    "Change": _change,
-    "Sample": lambda e, start, interval: e.scope.sample(algebra.scalars(start)[0], algebra.scalars(interval)[0]),
-    "Initial": lambda e: e.scope.initial(),
-    "Min": _extreme(algebra.MIN),
-    "Max": _extreme(algebra.MAX),
-    "Sum": _total,
-    "Product": _product,
-    "Zeros": lambda e, *n: _fill(0, *n),
-    "Ones": lambda e, *n: _fill(1, *n),
-    "Fill": lambda e, v, *n: _fill(v, *n),
-    "Identity": _identity,
-    "Linspace": _linspace,
-    "Transpose": _transpose,
-    "Cross": _cross,
-    "OuterProduct": _outer_product,
-    "Diagonal": _diagonal,
-    "Skew": _skew,
-    "Cat": cat,
-    "Ndims": lambda e, a: len(a.shape) if isinstance(a, Array) else 0,
-    "Scalar": lambda e, a: algebra.scalars(a)[0],
-    "Vector": lambda e, a: Array((len(algebra.scalars(a)),), algebra.scalars(a)),
-    "SemiLinear": _semi_linear,
+    "der": lambda e, a: algebra.elementwise(e.scope.derivative, a),
+    "sample": lambda e, start, interval: e.scope.sample(algebra.scalars(start)[0], algebra.scalars(interval)[0]),
+    "initial": lambda e: e.scope.initial(),
+    "min": _extreme(algebra.MIN),
+    "max": _extreme(algebra.MAX),
+    "sum": _total,
+    "product": _product,
+    "zeros": lambda e, *n: _fill(0, *n),
+    "ones": lambda e, *n: _fill(1, *n),
+    "fill": lambda e, v, *n: _fill(v, *n),
+    "identity": _identity,
+    "linspace": _linspace,
+    "transpose": _transpose,
+    "cross": _cross,
+    "outerProduct": _outer_product,
+    "diagonal": _diagonal,
+    "skew": _skew,
+    "cat": cat,
+    "ndims": lambda e, a: len(a.shape) if isinstance(a, Array) else 0,
+    "scalar": lambda e, a: algebra.scalars(a)[0],
+    "vector": lambda e, a: Array((len(algebra.scalars(a)),), algebra.scalars(a)),
+    "matrix": _matrix,
+    "symmetric": _symmetric,
+    "semiLinear": _semi_linear,
+    "String": _string,
+    "Integer": lambda e, a: a,
+}
+STEPS = frozenset(("floor", "integer", "ceil", "div", "mod", "rem"))
+SUPPORTED = frozenset(
+    (*BUILTIN, *STEPS, *algebra.FUNCTIONS, "noEvent", "smooth", "homotopy", "size", "pre", "edge", "change")
+)
+UNSUPPORTED = frozenset(
+    ("delay", "spatialDistribution", "terminal", "cardinality", "inStream", "actualStream", "rooted", "previous",
+     "hold", "backSample", "subSample", "superSample", "shiftSample", "noClock", "interval", "firstTick", "Clock",
+     "loadResource")
+)  # fmt: skip
+# Names of the arguments of built-in functions that are called by name.
+NAMED: dict[str, list[str]] = {
+    "homotopy": ["actual", "simplified"],
+    "smooth": ["p", "expr"],
+    "sample": ["start", "interval"],
+    "String": ["value", "significantDigits", "minimumLength", "leftJustified"],
+    "semiLinear": ["x", "positiveSlope", "negativeSlope"],
+    "fill": ["s"],
+    "linspace": ["x1", "x2", "n"],
+    "atan2": ["u1", "u2"],
 }

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from fmu_build import algebra, algorithms, codegen, events, start, unit_check
 from fmu_build.aliases import Aliases, eliminate
-from fmu_build.annotations import experiment
-from fmu_build.equations import Equations, collect, when_targets
-from fmu_build.frontend import Flat, load
+from fmu_build.equations import Assertion, Equations, collect
+from fmu_build.flat_model import FlatModel
+from fmu_build.front.flatten import load
 from fmu_build.graph import SX, Graph, key
 from fmu_build.index_reduction import Reduced, reduce
 from fmu_build.interface import Interface, describe
@@ -41,28 +41,29 @@ def compile_modelica(file: Path, class_name: str, roots: Sequence[Path] = ()) ->
     return compile_flat(load(Path(file), class_name, roots))
 
 
-def compile_flat(flat: Flat) -> CompiledModel:
+def compile_flat(flat: FlatModel) -> CompiledModel:
     """Translate a flattened class (see `compile_modelica`)."""
     structural: set[str] = set()
     while True:
-        scope = ModelScope(flat, Graph(), when_targets(flat), structural)
+        scope = ModelScope(flat, Graph(), structural)
         try:
             return _translate(flat, scope)
         except algebra.UnknownSizeError as error:
             # Parameters that turn out to decide a size become constants of the translation.
             found = [scope.declarations.by_symbol.get(k) for k in scope.graph.symbols(error.value)]
-            names = {d.node["name"] for d in found if d is not None and d.kind == "parameter"}
+            names = {d.variable.name for d in found if d is not None and d.kind == "parameter"}
             if None in found or not names - structural:
                 raise flat.error(str(error), error.span) from None
             structural |= names
 
 
-def _translate(flat: Flat, scope: ModelScope) -> CompiledModel:
+def _translate(flat: FlatModel, scope: ModelScope) -> CompiledModel:
     equations = collect(scope)
-    for section in flat["algorithms"]:
+    for section in flat.algorithms:
         equations.add(scope, algorithms.run(scope, section, initial=False))
-    for section in flat["initial_algorithms"]:
+    for section in flat.initial_algorithms:
         equations.initial += algorithms.run(scope, section, initial=True)
+    equations.asserts += [Assertion(*found) for found in scope.functions.asserts]
     explicit = _initial_parameters(scope, equations)
     aliases = eliminate(scope, equations.continuous)
     point = Point(scope)
@@ -91,7 +92,7 @@ def _initial_parameters(scope: ModelScope, equations: Equations) -> start.Explic
         value = explicit.parameters.get(key(algebra.sx(declared.symbol)))
         if value is None:
             raise scope.flat.error(
-                f"nothing gives '{declared.name}' (fixed = false) a value", declared.span,
+                f"nothing gives '{declared.name}' (fixed = false) a value", declared.at,
                 "give it an initial equation that has it alone on one side",
             )  # fmt: skip
         scope.parameters.dependent.append((declared, value))
@@ -107,12 +108,12 @@ def _check_left_limits(scope: ModelScope, aliases: Aliases, reduced: Reduced) ->
         if key(base) not in states and not (declared is not None and declared.kind == "input"):
             raise scope.flat.error(
                 f"pre({symbol.name()}) of a continuous variable that is not a state",
-                declared.span if declared else None,
+                declared.at if declared else None,
             )
 
 
 def _generate(
-    flat: Flat,
+    flat: FlatModel,
     scope: ModelScope,
     equations: Equations,
     reduced: Reduced,
@@ -173,7 +174,7 @@ def _generate(
         "NM": len(ports.m), "NY": len(ports.y), "NV": len(interface.evaluated), "NASSERT": len(asserts),
         "HAS_EVENTS": int(has_events), "HAS_INITIAL": int(not conditions.explicit),
     }  # fmt: skip
-    messages = [(f"{flat.where(a.span) or flat.class_name}: {a.message}", a.warning) for a in equations.asserts]
+    messages = [(f"{a.at}: {a.message}", a.warning) for a in equations.asserts]
     files = codegen.c_files(
         functions,
         codegen.Header(
@@ -189,10 +190,10 @@ def _generate(
     model = CompiledModel(
         name=flat.class_name.rpartition(".")[2],
         class_name=flat.class_name,
-        description=flat.parts.get("model_description") or "",
+        description=flat.description,
         variables=interface.variables,
         units=interface.units,
-        experiment=experiment(flat.class_name, flat.files),
+        experiment=flat.experiment,
         n_x=sizes["NX"], n_u=sizes["NU"], n_p=sizes["NP"], n_d=sizes["ND"], n_z=sizes["NZ"], n_m=sizes["NM"],
         n_y=sizes["NY"], n_v=sizes["NV"], n_assert=sizes["NASSERT"],
         has_events=has_events,
@@ -201,7 +202,7 @@ def _generate(
         c_rare=files.rare,
         c_header=files.header,
         content_hash="",
-        warnings=(*scope.parameters.warnings, *unit_check.check(flat)),
+        warnings=(*flat.warnings, *scope.parameters.warnings, *unit_check.check(flat)),
         functions=functions,
     )  # fmt: skip
     what = repr(replace(model, c_source="", c_rare="", c_header="")) + "".join(

@@ -74,8 +74,8 @@ def collect(
         assigned: list[tuple[SX, list[tuple[SX, SX]]]] = []
         for branch in chain:
             if branch.asserts:
-                raise scope.flat.error("assert in a when-clause is not supported", branch.asserts[0].span)
-            fires = ca.logic_and(_fires(scope, branch), ca.logic_not(earlier))
+                raise scope.flat.error("assert in a when-clause is not supported", branch.asserts[0].at)
+            fires = ca.logic_and(scope.fires(branch.conditions), ca.logic_not(earlier))
             earlier = ca.logic_or(earlier, fires)
             assigned.append((fires, list(branch.assign)))
             if branch.terminate:
@@ -87,7 +87,7 @@ def collect(
             if key(symbol) in values:
                 declared = scope.declared(symbol)
                 raise scope.flat.error(
-                    f"'{symbol.name()}' is defined more than once", declared.span if declared else None
+                    f"'{symbol.name()}' is defined more than once", declared.at if declared else None
                 )
             out = scope.previous_symbol(symbol)
             for fires, pairs in reversed(assigned):
@@ -113,21 +113,6 @@ def collect(
     )
 
 
-def _fires(scope: ModelScope, branch: Branch) -> SX:
-    fires = SX(0.0)
-    for whole in branch.conditions:
-        condition = whole
-        if key(scope.init) in scope.graph.symbols(whole):  # initial() in it: may fire at initialisation
-            fires = ca.logic_or(fires, ca.logic_and(scope.init, whole))
-            condition = Substitution({key(scope.init): SX(0.0)})(whole)
-            if condition.is_constant():
-                continue
-        held = scope.hold(f"condition {len(scope.held) + 1}", whole, SX(0.0))
-        edge = ca.logic_and(condition, ca.logic_not(held.previous))
-        fires = ca.logic_or(fires, ca.logic_and(edge, ca.logic_not(scope.init)))
-    return fires
-
-
 def _reinit(
     scope: ModelScope, new_state: dict[int, SX], variable: SX, value: SX, fires: SX, branch: Branch
 ) -> None:
@@ -136,7 +121,7 @@ def _reinit(
     if key(symbol) not in new_state:
         raise scope.flat.error(
             "reinit of a variable that is not a state",
-            branch.span,
+            branch.at,
             "give it stateSelect = StateSelect.always",
         )
     new_state[key(symbol)] = if_else(fires, -value if negative else value, new_state[key(symbol)])
@@ -153,7 +138,7 @@ def _definitions(scope: ModelScope, equations: list[Equation]) -> dict[int, SX]:
     row_of: dict[int, int] = {}
     for number, equation in enumerate(equations):
         if not augment(number, incidence.__getitem__, row_of, set()):
-            raise scope.flat.error("this equation defines no discrete variable that is still open", equation.span)
+            raise scope.flat.error("this equation defines no discrete variable that is still open", equation.at)
     out = {}
     for k, c in column.items():
         if c in row_of:
@@ -169,7 +154,7 @@ def _entries(scope: ModelScope, values: dict[int, SX], starts: dict[int, SX]) ->
             continue
         symbol = algebra.sx(declared.symbol)
         if key(symbol) not in values:
-            raise scope.flat.error(f"nothing determines '{declared.name}'", declared.span)
+            raise scope.flat.error(f"nothing determines '{declared.name}'", declared.at)
         start = starts.get(key(symbol), declared_start(scope, declared))
         if declared.literals and not declared.has_start and key(symbol) not in starts:
             start = SX(1.0)

@@ -1,4 +1,4 @@
-"""Flat expressions (rumoca's tree) to values: numbers where known, SX otherwise."""
+"""Flat expressions to values: numbers where known, SX otherwise."""
 
 from __future__ import annotations
 
@@ -8,24 +8,51 @@ from contextlib import contextmanager
 from itertools import product
 from typing import Any, Protocol
 
+import casadi as ca
+
 from fmu_build import algebra
 from fmu_build.algebra import Array, Scalar, UnknownSizeError, Value, whole
-from fmu_build.builtin_functions import BUILTIN, as_matrix, cat
+from fmu_build.builtin_functions import BUILTIN, STEPS, as_matrix, cat
 from fmu_build.errors import ModelicaError
-from fmu_build.frontend import Flat, Node
 from fmu_build.graph import SX
+from fmu_build.syntax import (
+    All,
+    ArrayOf,
+    Binary,
+    Call,
+    Comprehension,
+    End,
+    Expression,
+    Field,
+    If,
+    Literal,
+    Matrix,
+    Node,
+    Place,
+    Range,
+    Reference,
+    Subscripted,
+    TupleOf,
+    Unary,
+)
 
 _ELEMENTWISE: dict[str, Callable[..., Scalar]] = {
-    "Add": algebra.add,
-    "Sub": lambda a, b: a - b,
-    "AddElem": algebra.add,
-    "SubElem": lambda a, b: a - b,
-    "MulElem": lambda a, b: a * b,
-    "DivElem": algebra.divide,
-    "ExpElem": algebra.power,
+    "+": algebra.add,
+    "-": lambda a, b: a - b,
+    ".+": algebra.add,
+    ".-": lambda a, b: a - b,
+    ".*": lambda a, b: a * b,
+    "./": algebra.divide,
+    ".^": algebra.power,
 }
-_RELATIONS = {"Lt", "Le", "Gt", "Ge", "Eq", "Neq"}
-_STEPS = {"Floor", "Integer", "Ceil", "Div", "Mod", "Rem"}
+_RELATIONS = {"<", "<=", ">", ">=", "==", "<>"}
+
+
+class Context(Protocol):
+    """What an evaluator needs of the model: how to make an error."""
+
+    def error(self, what: str, at: Place | None, fix: str | None = None) -> ModelicaError:
+        """Make the error for a construct at a place."""
 
 
 class Scope(Protocol):
@@ -58,38 +85,40 @@ class Evaluator:
 
     Parameters
     ----------
-    flat
-        The flat class (for messages and enumeration literals).
+    context
+        Makes the errors.
     scope
         Meaning of names.
     call
         Evaluates a function by its name with positional arguments (``functions.Functions``).
     """
 
-    def __init__(self, flat: Flat, scope: Scope, call: Callable[[Node, list[Value]], Value]) -> None:
-        self.flat = flat
+    def __init__(self, context: Context, scope: Scope, call: Callable[[str, list[Value]], Value]) -> None:
+        self.context = context
         self.scope = scope
         self._call = call
+        self._guards: list[SX] = getattr(call, "guards", [])
         self._no_event = 0
         self._iterators: dict[str, Scalar] = {}
         self._last: list[tuple[Array, int]] = []  # what ``end`` means
-        self._handlers: dict[str, Callable[[Any], Value]] = {
-            "Literal": self._literal,
-            "VarRef": self._reference,
-            "Unary": self._unary,
-            "Binary": self._binary,
-            "If": self._if,
-            "Array": self._array,
-            "Tuple": lambda n: tuple(self(e) for e in n["elements"]),
-            "Range": self._range,
-            "Index": lambda n: self._subscripted(self(n["base"]), n["subscripts"]),
-            "FieldAccess": self._field,
-            "ArrayComprehension": self._comprehension,
-            "BuiltinCall": self._builtin,
-            "FunctionCall": self._function,
+        self._handlers: dict[type, Callable[[Any], Value]] = {
+            Literal: lambda n: n.value,
+            Reference: self._reference,
+            Unary: self._unary,
+            Binary: self._binary,
+            If: self._if,
+            ArrayOf: self._array,
+            Matrix: self._matrix,
+            TupleOf: lambda n: tuple(None if e is None else self(e) for e in n.items),
+            Range: self._range,
+            Subscripted: lambda n: self._subscripted(self(n.base), n.subscripts),
+            Field: self._field,
+            Comprehension: self._comprehension,
+            Call: self._function,
+            End: self._end,
         }
 
-    def __call__(self, node: Node) -> Value:
+    def __call__(self, node: Expression) -> Value:
         """Evaluate an expression tree.
 
         Raises
@@ -97,29 +126,29 @@ class Evaluator:
         ModelicaError
             With the source line, for a construct outside the subset or values that do not fit.
         """
-        ((tag, content),) = node.items()
-        handler = self._handlers.get(tag)
-        span = content.get("span") if isinstance(content, Mapping) else None
+        handler = self._handlers.get(type(node))
         if handler is None:
-            raise self.flat.error(f"{tag} expressions are not supported", span)
+            raise self.context.error(f"{type(node).__name__} expressions are not supported", node.at)
         try:
-            return handler(content)
+            return handler(node)
         except ModelicaError:
             raise
         except UnknownSizeError as error:
-            error.span = error.span or span
+            error.span = error.span or node.at
             raise
         except (TypeError, ValueError, IndexError, KeyError, ArithmeticError) as error:
             what = error.args[0] if error.args else error
-            raise self.flat.error(str(what), span) from None
+            if isinstance(error, KeyError):
+                what = f"there is no variable '{what}'"
+            raise self.context.error(str(what), node.at) from None
 
-    def scalar(self, node: Node) -> Scalar:
+    def scalar(self, node: Expression) -> Scalar:
         """Evaluate an expression that must be a scalar number."""
         value = self(node)
         if isinstance(value, Array) and len(value.items) == 1:
             return value.items[0]
         if not isinstance(value, bool | int | float | SX):
-            raise self.flat.error(f"a scalar is needed here, not {algebra.kind(value)}", span_of(node))
+            raise self.context.error(f"a scalar is needed here, not {algebra.kind(value)}", node.at)
         return value
 
     @contextmanager
@@ -144,201 +173,244 @@ class Evaluator:
             else:
                 self._iterators[name] = before
 
-    def _array(self, node: Node) -> Value:
-        elements = [self(e) for e in node["elements"]]
-        if node["kind"] == "Array":
-            return Array.stack(elements)
-        matrices = [as_matrix(e) for e in elements]  # [a, b; c, d]
-        return cat(self, 2 if node["kind"] == "Horizontal" else 1, *matrices)
-
-    def _literal(self, node: Node) -> Value:
-        ((tag, value),) = node["value"].items()
-        if tag not in ("Real", "Integer", "Boolean", "String"):
-            raise ValueError(f"{tag} literals are not supported")
-        return value  # type: ignore[no-any-return]
-
-    def _reference(self, node: Node) -> Value:
-        name = node["name"]["name"]
-        if name in self._iterators:
-            return self._iterators[name]
+    @contextmanager
+    def guard(self, condition: Scalar) -> Iterator[None]:
+        """Evaluate what only matters where a condition holds."""
+        if not isinstance(condition, SX):
+            yield
+            return
+        self._guards.append(condition)
         try:
-            value = self.scope.lookup(name)
-        except KeyError:
-            ordinals = self.flat["enum_literal_ordinals"]
-            if name not in ordinals:
-                raise KeyError(f"unknown name '{name}'") from None
-            return int(ordinals[name])
-        return self._subscripted(value, node["subscripts"]) if node["subscripts"] else value
+            yield
+        finally:
+            self._guards.pop()
 
-    def subscripts(self, value: Array, nodes: list[Node]) -> list[list[int] | int | SX]:
-        """Zero-based subscripts: a position, several positions (slice), or an expression."""
+    def _reference(self, node: Reference) -> Value:
+        first, *rest = node.parts
+        value: Value = (
+            self._iterators[first.name] if first.name in self._iterators else self.scope.lookup(first.name)
+        )
+        if first.subscripts:
+            value = self._subscripted(value, first.subscripts)
+        for part in rest:
+            if not isinstance(value, Mapping) or part.name not in value:
+                raise ValueError(f"no field '{part.name}' in {algebra.kind(value)}")
+            value = value[part.name]
+            if part.subscripts:
+                value = self._subscripted(value, part.subscripts)
+        return value
+
+    def _array(self, node: ArrayOf) -> Value:
+        parts = [self(e) for e in node.items]
+        if parts and all(isinstance(p, str) for p in parts):
+            return Array((len(parts),), tuple(parts))  # type: ignore[arg-type]
+        if parts and all(isinstance(p, dict) for p in parts):
+            # an array of records is a record of arrays
+            first = parts[0]
+            assert isinstance(first, dict)
+            return {name: Array.stack([p[name] for p in parts]) for name in first}  # type: ignore[index,call-overload]
+        return Array.stack(parts)
+
+    def _matrix(self, node: Matrix) -> Value:
+        values = [[self(e) for e in row] for row in node.rows]
+        rank = max([2, *(len(v.shape) for row in values for v in row if isinstance(v, Array))])
+        if rank > 2:
+            raise ValueError("[] of arrays with more than two dimensions")
+        rows = [cat(self, 2, *(as_matrix(v) for v in row)) for row in values]
+        return cat(self, 1, *rows)
+
+    def _end(self, _: End) -> int:
+        if not self._last:
+            raise ValueError("'end' outside subscripts")
+        array, dimension = self._last[-1]
+        return array.shape[dimension]
+
+    def subscripts(self, value: Array, nodes: tuple[Expression, ...]) -> list[list[int] | int | SX]:
+        """Zero-based indices that subscripts select in an array."""
         out: list[list[int] | int | SX] = []
+        if len(nodes) > len(value.shape):
+            raise ValueError(f"{len(nodes)} subscripts on {algebra.kind(value)}")
         for dimension, node in enumerate(nodes):
-            ((tag, content),) = node.items()
             size = value.shape[dimension]
-            if tag == "Index":
-                out.append(int(content["value"]) - 1)
-            elif tag == "Colon":
+            if isinstance(node, All):
                 out.append(list(range(size)))
-            elif tag == "Expr":
-                self._last.append((value, dimension))
-                index = self(content["expr"])
-                self._last.pop()
-                if isinstance(index, SX):
-                    out.append(index - 1)
-                elif isinstance(index, Array):
-                    out.append([int(i) - 1 for i in index.items])
-                else:
-                    out.append(int(algebra.scalars(index)[0]) - 1)
+                continue
+            self._last.append((value, dimension))
+            index = self(node)
+            self._last.pop()
+            if isinstance(index, SX):
+                out.append(index - 1)
+            elif isinstance(index, Array):
+                out.append([whole(i) - 1 for i in index.items])
+            elif isinstance(index, bool):
+                out.append(int(index))
             else:
-                raise ValueError(f"{tag} subscripts are not supported")
+                out.append(whole(index) - 1)
         out += [list(range(n)) for n in value.shape[len(out) :]]
         return out
 
-    def _subscripted(self, value: Value, nodes: list[Node]) -> Value:
+    def _subscripted(self, value: Value, nodes: tuple[Expression, ...]) -> Value:
+        if isinstance(value, dict):  # an array of records
+            return {name: self._subscripted(part, nodes) for name, part in value.items()}
         if not isinstance(value, Array):
             raise TypeError(f"subscripts on {algebra.kind(value)}")
         return select(value, self.subscripts(value, nodes))
 
-    def _unary(self, node: Node) -> Value:
-        operand = self(node["rhs"])
-        match node["op"]:
-            case "Minus" | "DotMinus":
-                return algebra.elementwise(lambda a: -a, operand)
-            case "Plus" | "DotPlus":
-                return operand
-            case "Not":
-                return algebra.elementwise(algebra.NOT, operand)
-        raise ValueError(f"operator {node['op']} is not supported")
+    def _unary(self, node: Unary) -> Value:
+        operand = self(node.operand)
+        if node.operator == "not":
+            return algebra.elementwise(algebra.NOT, operand)
+        return algebra.elementwise(lambda a: -a, operand) if "-" in node.operator else operand
 
-    def _binary(self, node: Node) -> Value:
-        op = node["op"]
-        if op in ("And", "Or"):
-            return self._logical(op == "And", node)
-        a, b = self(node["lhs"]), self(node["rhs"])
-        if op in ("Eq", "Neq") and isinstance(a, str) and isinstance(b, str):
-            return bool((a == b) == (op == "Eq"))
+    def _binary(self, node: Binary) -> Value:
+        op = node.operator
+        if op in ("and", "or"):
+            return self._logical(op == "and", node)
+        a, b = self(node.left), self(node.right)
         if op in _RELATIONS:
+            if isinstance(a, str) and isinstance(b, str):
+                return {"==": a == b, "<>": a != b, "<": a < b, "<=": a <= b, ">": a > b, ">=": a >= b}[op]
             return algebra.elementwise(lambda x, y: self._relation(op, x, y), a, b)
-        if isinstance(a, tuple) and isinstance(b, tuple) and op == "Sub":
-            # (a, b, ...) = f(...): outputs that are left out on the left are not needed
-            return tuple(algebra.elementwise(_ELEMENTWISE[op], x, y) for x, y in zip(a, b, strict=False))
-        if isinstance(a, dict) and isinstance(b, dict) and op == "Sub":
+        if isinstance(a, dict) and isinstance(b, dict) and op == "-":
             return {name: algebra.elementwise(_ELEMENTWISE[op], a[name], b[name]) for name in a}
-        if op == "Add" and (isinstance(a, str) or isinstance(b, str)):
+        if op == "+" and (isinstance(a, str) or isinstance(b, str)):
             return f"{a}{b}"
         if op in _ELEMENTWISE:
             return algebra.elementwise(_ELEMENTWISE[op], a, b)
-        if op == "Mul":
+        if op == "*":
             if isinstance(a, Array) and isinstance(b, Array):
                 return algebra.matrix_product(a, b)
             return algebra.elementwise(lambda x, y: x * y, a, b)
-        if op == "Div" and not isinstance(b, Array):
+        if op == "/" and not isinstance(b, Array):
             return algebra.elementwise(algebra.divide, a, b)
-        if op == "Exp" and not isinstance(a, Array):
+        if op == "^" and not isinstance(a, Array):
             return algebra.elementwise(algebra.power, a, b)
         raise ValueError(f"operator {op} on {algebra.kind(a)} and {algebra.kind(b)} is not supported")
 
-    def _logical(self, both: bool, node: Node) -> Value:
+    def _logical(self, both: bool, node: Binary) -> Value:
         """``and`` (`both`) or ``or``; what is decided by one side alone does not look at the other."""
-        a = self(node["lhs"])
+        a = self(node.left)
         if isinstance(a, bool | int | float) and bool(a) != both:
             return not both
-        b = self(node["rhs"])
+        b = self(node.right)
         if isinstance(b, bool | int | float) and not isinstance(a, Array):
             return a if bool(b) == both else not both
         return algebra.elementwise(algebra.AND if both else algebra.OR, a, b)
 
     def _relation(self, op: str, a: Scalar, b: Scalar) -> Scalar:
-        if op in ("Eq", "Neq"):
+        if op in ("==", "<>"):
             equal = algebra.EQUAL(a, b)
-            return equal if op == "Eq" else algebra.NOT(equal)
+            return equal if op == "==" else algebra.NOT(equal)
         if not isinstance(a, SX) and not isinstance(b, SX):
-            return {"Lt": a < b, "Le": a <= b, "Gt": a > b, "Ge": a >= b}[op]
-        low, high = (a, b) if op in ("Lt", "Le") else (b, a)
+            return {"<": a < b, "<=": a <= b, ">": a > b, ">=": a >= b}[op]
+        low, high = (a, b) if op in ("<", "<=") else (b, a)
         if self._no_event:
-            return (algebra.LESS if op in ("Lt", "Gt") else algebra.LESS_EQUAL)(low, high)
-        return algebra.fold(self.scope.relation(algebra.sx(high) - algebra.sx(low), op in ("Le", "Ge")))
+            return (algebra.LESS if op in ("<", ">") else algebra.LESS_EQUAL)(low, high)
+        return algebra.fold(self.scope.relation(algebra.sx(high) - algebra.sx(low), op in ("<=", ">=")))
 
-    def _if(self, node: Node) -> Value:
-        branches = list(node["branches"])
+    def _if(self, node: If) -> Value:
         conditions: list[Scalar] = []
         chosen: list[Value] = []
-        for condition, expression in branches:
-            truth = self.scalar(condition)
-            if not isinstance(truth, SX):
-                if truth:
-                    last = self(expression)
-                    break
-                continue
-            conditions.append(truth)
-            chosen.append(self(expression))
-        else:
-            last = self(node["else_branch"])
+        depth = 0
+        try:
+            for condition, expression in node.branches:
+                truth = self.scalar(condition)
+                if not isinstance(truth, SX):
+                    if truth:
+                        last = self(expression)
+                        break
+                    continue
+                conditions.append(truth)
+                with self.guard(truth):
+                    chosen.append(self(expression))
+                self._guards.append(ca.logic_not(truth))
+                depth += 1
+            else:
+                last = self(node.otherwise)
+        finally:
+            for _ in range(depth):
+                self._guards.pop()
         for truth, value in zip(reversed(conditions), reversed(chosen), strict=True):
             last = algebra.choose(truth, value, last)
         return last
 
-    def _range(self, node: Node) -> Value:
-        start, end = self.scalar(node["start"]), self.scalar(node["end"])
-        step = self.scalar(node["step"]) if node["step"] else 1
+    def _range(self, node: Range) -> Value:
+        start, end = self.scalar(node.start), self.scalar(node.stop)
+        step = self.scalar(node.step) if node.step else 1
         if isinstance(start, SX) or isinstance(end, SX) or isinstance(step, SX):
             raise UnknownSizeError(next(b for b in (start, end, step) if isinstance(b, SX)))
+        if step == 0:
+            raise ValueError("a range with step 0")
         if all(isinstance(v, int) for v in (start, end, step)):
             items: tuple[Scalar, ...] = tuple(range(int(start), int(end) + (1 if step > 0 else -1), int(step)))
         else:
-            n = math.floor((end - start) / step * (1 + 1e-15)) + 1
+            n = max(math.floor((end - start) / step * (1 + 1e-15)) + 1, 0)
             items = tuple(start + i * step for i in range(n))
         return Array((len(items),), items)
 
-    def _field(self, node: Node) -> Value:
-        base = self(node["base"])
-        if not isinstance(base, dict) or node["field"] not in base:
-            raise ValueError(f"no field '{node['field']}' in {algebra.kind(base)}")
-        return base[node["field"]]
+    def _field(self, node: Field) -> Value:
+        base = self(node.base)
+        if not isinstance(base, dict) or node.name not in base:
+            raise ValueError(f"no field '{node.name}' in {algebra.kind(base)}")
+        return base[node.name]
 
-    def _comprehension(self, node: Node) -> Value:
-        if node.get("filter"):
-            raise ValueError("array comprehension with a filter")
-        indices = [(i["name"] if "name" in i else i["ident"], i["range"]) for i in node["indices"]]
-
+    def _comprehension(self, node: Comprehension) -> Value:
         def build(level: int) -> Value:
-            if level == len(indices):
-                return self(node["expr"])
-            name, bounds = indices[level]
+            if level < 0:
+                return self(node.element)
+            name, bounds = node.iterators[level]
+            assert bounds is not None
             parts = []
             for i in algebra.scalars(self(bounds)):
-                with self.iterator(name, int(i)):
-                    parts.append(build(level + 1))
+                with self.iterator(name, i):
+                    parts.append(build(level - 1))
             return Array.stack(parts)
 
-        return build(0)
+        return build(len(node.iterators) - 1)
 
-    def _function(self, node: Node) -> Value:
-        return self._call(node, [self(a) for a in node["args"]])
+    def _function(self, node: Call) -> Value:
+        name, nodes = node.function, node.arguments
+        if name in BUILTIN or name in STEPS or name in algebra.FUNCTIONS or name in _SPECIAL:
+            return self._builtin(name, nodes)
+        return self._call(name, [None if a is None else self(a) for a in nodes])
 
-    def _builtin(self, node: Node) -> Value:
-        name, nodes = node["function"], node["args"]
-        if name in ("NoEvent", "Smooth"):
+    def _builtin(self, name: str, nodes: tuple[Expression | None, ...]) -> Value:
+        given = [n for n in nodes if n is not None]
+        if name in ("noEvent", "smooth"):
             with self.no_event():
-                return self(nodes[-1])
-        if name == "Homotopy":
-            return self(nodes[0])
-        if name == "Size":
-            array = self(nodes[0])
+                return self(given[-1])
+        if name == "homotopy":
+            return self(given[0])
+        if name == "size":
+            array = self(given[0])
             shape = array.shape if isinstance(array, Array) else ()
-            if len(nodes) == 1:
+            if len(given) == 1:
                 return Array((len(shape),), shape)
-            return shape[whole(self(nodes[1])) - 1]
-        arguments = [self(n) for n in nodes]
+            return shape[whole(self(given[1])) - 1]
+        if name in ("pre", "edge", "change"):
+            return self._with_previous(name, given[0])
+        arguments = [self(n) for n in given]
         if name in algebra.FUNCTIONS:
             return algebra.elementwise(algebra.FUNCTIONS[name], *arguments)
-        if name in _STEPS:
+        if name in STEPS:
             return algebra.elementwise(lambda *a: self._step(name, *a), *arguments)
-        special = BUILTIN.get(name)
-        if special is None:
-            raise ValueError(f"{name[0].lower()}{name[1:]}() is not supported")
-        return special(self, *arguments)
+        return BUILTIN[name](self, *arguments)
+
+    def _with_previous(self, name: str, node: Expression) -> Value:
+        """``pre``, ``edge`` and ``change``: an algorithm's own variable counts as it is outside."""
+        outside = getattr(self.scope, "outside", None)
+        if outside is None:
+            declared = self(node)
+        else:
+            with outside():
+                declared = self(node)
+        before = algebra.elementwise(self.scope.previous, declared)
+        if name == "pre":
+            return before
+        now = self(node)
+        if name == "edge":
+            return algebra.elementwise(lambda a, b: algebra.AND(a, algebra.NOT(b)), now, before)
+        return algebra.elementwise(lambda a, b: algebra.NOT(algebra.EQUAL(a, b)), now, before)
 
     def _step(self, name: str, *arguments: Scalar) -> Scalar:
         def floor(x: Scalar) -> Scalar:
@@ -347,23 +419,25 @@ class Evaluator:
             return algebra.FLOOR(x)
 
         x, *rest = arguments
-        if name in ("Floor", "Integer"):
+        if name in ("floor", "integer"):
             return floor(x)
-        if name == "Ceil":
+        if name == "ceil":
             return -floor(-x)
         y = rest[0]
         quotient = algebra.divide(x, y) if isinstance(x, SX) or isinstance(y, SX) or x % y else x // y
-        if name == "Mod":
+        if name == "mod":
             return x - floor(quotient) * y
         # div and rem round towards zero
-        toward_zero = algebra.FUNCTIONS["Sign"](quotient) * floor(algebra.FUNCTIONS["Abs"](quotient))
-        return toward_zero if name == "Div" else x - toward_zero * y
+        toward_zero = algebra.FUNCTIONS["sign"](quotient) * floor(algebra.FUNCTIONS["abs"](quotient))
+        return toward_zero if name == "div" else x - toward_zero * y
 
 
-def span_of(node: Node) -> Any:
-    """Return the span of an expression node."""
-    ((_, content),) = node.items()
-    return content.get("span") if isinstance(content, Mapping) else None
+_SPECIAL = {"noEvent", "smooth", "homotopy", "size", "pre", "edge", "change"}
+
+
+def place_of(node: Any) -> Place | None:
+    """Place of a node."""
+    return node.at if isinstance(node, Node) else None
 
 
 def select(value: Array, index: list[list[int] | int | SX]) -> Value:

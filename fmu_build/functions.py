@@ -1,56 +1,73 @@
 # ruff: noqa: ARG002  (a function's scope refuses what a model's scope offers)
-"""Modelica functions by symbolic execution of their algorithms."""
+"""Modelica functions by symbolic execution of their algorithms.
+
+What depends on a condition that is only known at run time is executed on both branches and merged; a ``return`` or
+``break`` under such a condition is a flag that the statements after it look at.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Any, Protocol
 
+import casadi as ca
+
 from fmu_build import algebra
 from fmu_build.algebra import Array, Scalar, Value, whole
-from fmu_build.expressions import Evaluator, Scope, span_of
-from fmu_build.frontend import Flat, Node
+from fmu_build.errors import ModelicaError
+from fmu_build.expressions import Evaluator, Scope
+from fmu_build.flat_model import Formal, Function
 from fmu_build.graph import SX
+from fmu_build.syntax import (
+    Assert,
+    Assign,
+    AssignMany,
+    Binary,
+    Break,
+    Call,
+    Expression,
+    ForStatement,
+    IfStatement,
+    Literal,
+    Part,
+    Place,
+    Reference,
+    Return,
+    Statement,
+    WhenStatement,
+    WhileStatement,
+)
 from fmu_build.tables import EXTERNAL
 
 _MAX_ROUNDS = 100_000  # of a while loop with a condition known at translation
+_MAX_UNKNOWN_ROUNDS = 200  # of one whose condition is not
+_DONE, _LEFT = "(returned)", "(left the loop)"
 
 
-class _Return(Exception):  # noqa: N818  (not an error)
-    pass
+class Library(Protocol):
+    """What has the functions of a model and makes its errors."""
 
+    @property
+    def functions(self) -> Mapping[str, Function]:
+        """By name."""
 
-class _Break(Exception):  # noqa: N818
-    pass
+    def error(self, what: str, at: Place | None, fix: str | None = None) -> ModelicaError:
+        """Make the error for a construct at a place."""
 
 
 class _Frame:
     """Scope of one call: inputs, outputs and local variables; no model variables, no events."""
 
-    def __init__(self, flat: Flat, name: str) -> None:
-        self.flat = flat
+    def __init__(self, name: str) -> None:
         self.name = name
         self.variables: dict[str, Value] = {}
 
     def lookup(self, name: str) -> Value:
-        if name in self.variables:
-            value = self.variables[name]
-            if value is None:
-                raise ValueError(f"'{name}' is used before it has a value")
-            return value
-        constant = self.flat["variables"].get(name)
-        if constant is not None and _is_constant(constant):
-            return self._constant(constant)
-        head, _, field = name.partition(".")
-        record = self.variables.get(head)
-        if isinstance(record, dict) and field in record:
-            return record[field]
-        raise KeyError(name)
-
-    def _constant(self, variable: Node) -> Value:
-        return Evaluator(self.flat, self, Functions(self.flat))(variable["binding"])
+        value = self.variables[name]
+        if value is None:
+            raise ValueError(f"'{name}' is used before it has a value")
+        return value
 
     def derivative(self, value: Scalar) -> Scalar:
         raise ValueError("der() in a function")
@@ -71,92 +88,108 @@ class _Frame:
         raise ValueError("initial() in a function")
 
 
-def _is_constant(variable: Node) -> bool:
-    variability = variable["variability"]
-    return isinstance(variability, Mapping) and "Constant" in variability and variable["binding"] is not None
-
-
 class Functions:
-    """The functions of a flat class; calling it evaluates a call node with evaluated arguments."""
+    """The functions of a model; calling it evaluates a call with evaluated arguments.
 
-    def __init__(self, flat: Flat) -> None:
-        self._flat = flat
-        functions = flat.parts.get("functions") or {}
-        self._by_name: dict[str, Node] = dict(functions)
-        self._by_instance: dict[Any, Node] = {f["instance_id"]: f for f in functions.values()}
+    Attributes
+    ----------
+    asserts
+        What assertions in functions want at run time: condition, message, whether it is a warning, place.
+    guards
+        Conditions under which the current evaluation matters.
+    """
+
+    def __init__(self, library: Library) -> None:
+        self._library = library
         self._depth = 0
+        self.guards: list[SX] = []
+        self.asserts: list[tuple[SX, str, bool, Place]] = []
 
-    def __call__(self, call: Node, arguments: list[Value]) -> Value:
+    def __call__(self, name: str, arguments: Sequence[Value]) -> Value:
         """Return the result (a tuple if the function has several outputs) of a call."""
-        resolved = call["name"].get("resolved_function") or {}
-        function = self._by_instance.get(resolved.get("instance_id"))
-        function = function or self._by_name.get(call["name"]["name"])
+        function = self._library.functions.get(name)
         if function is None:
-            raise ValueError(f"function '{call['name']['name']}' is not supported")
-        if not function.get("pure", True):
-            raise ValueError(f"impure function '{function['name']}' is not supported")
-        return self._vectorised(function, arguments)
+            raise ValueError(f"function '{name}' is not supported")
+        if not function.pure:
+            raise ValueError(f"impure function '{function.name}' is not supported")
+        return self._vectorised(function, list(arguments))
 
-    def _vectorised(self, function: Node, arguments: list[Value]) -> Value:
-        for position, (formal, actual) in enumerate(zip(function["inputs"], arguments, strict=False)):
-            scalar = not formal["shape_expr"] and not formal["effective_type"]["dimensions"]
-            if scalar and isinstance(actual, Array):
+    def _vectorised(self, function: Function, arguments: list[Value]) -> Value:
+        for position, (formal, actual) in enumerate(zip(function.inputs, arguments, strict=False)):
+            if not formal.shape and formal.fields is None and isinstance(actual, Array):
+                others = [
+                    k for k, (f, a) in enumerate(zip(function.inputs, arguments, strict=False))
+                    if k > position and not f.shape and isinstance(a, Array) and a.shape == actual.shape
+                ]  # fmt: skip
                 parts = []
-                for item in actual.items:
-                    row = [item if a is actual else a for a in arguments]
+                for number, item in enumerate(actual.items):
+                    row = list(arguments)
                     row[position] = item
+                    for k in others:
+                        other = arguments[k]
+                        assert isinstance(other, Array)
+                        row[k] = other.items[number]
                     parts.append(self._vectorised(function, row))
+                if parts and isinstance(parts[0], Array):
+                    return Array(
+                        (*actual.shape, *parts[0].shape), tuple(i for p in parts for i in algebra.scalars(p))
+                    )
                 return Array(actual.shape, tuple(algebra.scalars(p)[0] for p in parts))
         if self._depth > 50:
-            raise ValueError(f"function '{function['name']}' calls itself without end")
+            raise ValueError(f"function '{function.name}' calls itself without end")
         self._depth += 1
         try:
             return self._run(function, arguments)
         finally:
             self._depth -= 1
 
-    def _run(self, function: Node, arguments: list[Value]) -> Value:
-        frame = _Frame(self._flat, function["name"])
-        evaluator = Evaluator(self._flat, frame, self)
+    def _run(self, function: Function, arguments: list[Value]) -> Value:
+        frame = _Frame(function.name)
+        evaluator = Evaluator(self._library, frame, self)
         with evaluator.no_event():
-            for position, formal in enumerate(function["inputs"]):
-                if position < len(arguments):
-                    frame.variables[formal["name"]] = arguments[position]
-                elif formal["default"] is not None:
-                    frame.variables[formal["name"]] = evaluator(formal["default"])
+            for position, formal in enumerate(function.inputs):
+                given = arguments[position] if position < len(arguments) else None
+                if given is not None:
+                    frame.variables[formal.name] = given
+                elif formal.default is not None:
+                    frame.variables[formal.name] = evaluator(formal.default)
+                elif formal.fields is not None:
+                    frame.variables[formal.name] = self._initial(formal, evaluator)
+                elif function.constructor:
+                    frame.variables[formal.name] = 0.0
                 else:
-                    raise ValueError(f"function '{function['name']}' lacks its argument '{formal['name']}'")
-            external = function.get("external")
-            if external:
-                if external["function_name"] not in EXTERNAL:
-                    raise ValueError(f"external function '{function['name']}' is not supported")
-                return EXTERNAL[external["function_name"]](*map(evaluator, external["args"]))
-            for variable in [*function["outputs"], *function["locals"]]:
-                frame.variables[variable["name"]] = self._initial(variable, evaluator)
-            if function["is_constructor"]:
+                    raise ValueError(f"function '{function.name}' lacks its argument '{formal.name}'")
+            if function.external is not None:
+                name, given_to_it, _ = function.external
+                if name not in EXTERNAL:
+                    raise ValueError(f"external function '{function.name}' is not supported")
+                return EXTERNAL[name](*map(evaluator, given_to_it))
+            for formal in (*function.outputs, *function.locals):
+                frame.variables[formal.name] = self._initial(formal, evaluator)
+            if function.constructor:
                 return dict(frame.variables)
-            body = Body(self._flat, frame, evaluator)
-            with suppress(_Return):
-                body.run(function["body"])
-            results = tuple(frame.lookup(o["name"]) for o in function["outputs"])
+            body = Body(self._library, frame, evaluator, self)
+            frame.variables[_DONE] = False
+            body.run(function.body)
+            results = tuple(frame.lookup(o.name) for o in function.outputs)
         return results[0] if len(results) == 1 else results
 
-    def _initial(self, variable: Node, evaluator: Evaluator) -> Value:
-        if variable["default"] is not None:
-            return evaluator(variable["default"])
-        if variable["type_class"] == "Record":
-            return {}
-        if variable["type_class"] not in (None, "Type"):
-            raise self._flat.error(f"'{variable['name']}' of type {variable['type_name']}", variable["span"])
-        shape = []
-        for size in variable["shape_expr"]:
-            ((tag, content),) = size.items()
-            if tag == "Index":
-                shape.append(int(content["value"]))
-            elif tag == "Expr":
-                shape.append(whole(evaluator(content["expr"])))
-            else:
-                raise self._flat.error(f"'{variable['name']}' has an open size", variable["span"])
+    def _initial(self, formal: Formal, evaluator: Evaluator) -> Value:
+        if formal.default is not None:
+            return evaluator(formal.default)
+        if any(size is None for size in formal.shape):
+            return None  # its size is that of what is assigned
+        shape = [whole(evaluator(size)) for size in formal.shape if size is not None]
+        if formal.fields is not None:
+            record: dict[str, Value] = {}
+            for field in formal.fields:
+                record[field.name] = self._initial(field, evaluator)
+            if shape:
+                return {
+                    name: Array.stack([float("nan") if value is None else value] * shape[0])
+                    for name, value in record.items()
+                }
+            return record
         if not shape:
             return None
         # Entries are assigned one by one; one that never is stays NaN and shows.
@@ -173,149 +206,245 @@ class Frame(Scope, Protocol):
 class Body:
     """Runs statements on a frame."""
 
-    def __init__(self, flat: Flat, frame: Frame, evaluator: Evaluator) -> None:
-        self._flat = flat
+    def __init__(self, library: Library, frame: Frame, evaluator: Evaluator, functions: Functions) -> None:
+        self._library = library
         self._frame = frame
         self._evaluate = evaluator
+        self._functions = functions
 
-    def run(self, statements: list[Any]) -> None:
+    def run(self, statements: Sequence[Statement]) -> None:
         """Execute statements in order."""
         for statement in statements:
-            if isinstance(statement, str):
-                statement = {statement: {}}
-            ((tag, content),) = statement.items()
-            run = getattr(self, f"_run_{tag.lower()}", None)
-            if run is None:
-                raise self._flat.error(f"{tag} statements in a function are not supported", _span(content))
-            run(content)
+            stopped = self._stopped()
+            if not isinstance(stopped, SX):
+                if stopped:
+                    return
+                self._execute(statement)
+                continue
+            before = dict(self._frame.variables)
+            with self._evaluate.guard(ca.logic_not(stopped)):
+                self._execute(statement)
+            after = self._frame.variables
+            self._frame.variables = self._chosen(stopped, before, after)
 
-    def _run_empty(self, node: Node) -> None:
-        pass
+    def _stopped(self) -> Scalar:
+        variables = self._frame.variables
+        done, left = variables.get(_DONE, False), variables.get(_LEFT, False)
+        assert isinstance(done, bool | int | float | SX)
+        assert isinstance(left, bool | int | float | SX)
+        if not isinstance(done, SX) and not isinstance(left, SX):
+            return bool(done) or bool(left)
+        return algebra.OR(done, left)
 
-    def _run_assignment(self, node: Node) -> None:
-        self._assign(node["comp"], self._evaluate(node["value"]))
+    @staticmethod
+    def _chosen(condition: Scalar, then: dict[str, Value], otherwise: dict[str, Value]) -> dict[str, Value]:
+        return {
+            name: algebra.choose(condition, then.get(name), value) if then.get(name) is not value else value
+            for name, value in otherwise.items()
+        }
 
-    def _run_functioncall(self, node: Node) -> None:
-        call = {"FunctionCall": {**node, "name": node.get("name") or node.get("comp")}}
-        result = self._evaluate(call)
-        outputs = node.get("outputs") or []
-        results = result if isinstance(result, tuple) else (result,)
-        for output, value in zip(outputs, results, strict=False):
-            if output is not None:
-                self._assign(output, value)
+    def _execute(self, statement: Statement) -> None:
+        match statement:
+            case Assign():
+                self._assign(statement.target, self._evaluate(statement.value))
+            case AssignMany():
+                result = self._evaluate(statement.call)
+                results = result if isinstance(result, tuple) else (result,)
+                for target, value in zip(statement.targets, results, strict=False):
+                    if target is not None:
+                        self._assign(target, value)
+            case IfStatement():
+                self._branch(list(statement.branches))
+            case ForStatement():
+                self._for(statement)
+            case WhileStatement():
+                self._while(statement)
+            case WhenStatement():
+                self._when(statement)
+            case Return():
+                self._frame.variables[_DONE] = True
+            case Break():
+                self._frame.variables[_LEFT] = True
+            case Assert():
+                self._assert(statement)
+            case _:
+                raise self._library.error(
+                    f"{type(statement).__name__.lower()} is not supported here", statement.at
+                )
 
-    def _run_if(self, node: Node) -> None:
-        self._branch(list(node["cond_blocks"]), node["else_block"] or [])
-
-    def _branch(self, blocks: list[Node], otherwise: list[Any]) -> None:
-        if not blocks:
-            self.run(otherwise)
+    def _branch(self, branches: list[tuple[Expression | None, tuple[Any, ...]]]) -> None:
+        if not branches:
             return
-        first, *rest = blocks
-        condition = self._evaluate.scalar(first["cond"])
+        (test, statements), *rest = branches
+        condition: Scalar = True if test is None else self._evaluate.scalar(test)
         if not isinstance(condition, SX):
             if condition:
-                self.run(first["stmts"])
+                self.run(statements)
             else:
-                self._branch(rest, otherwise)
+                self._branch(rest)
             return
         before = dict(self._frame.variables)
-        try:
-            self.run(first["stmts"])
-            then = self._frame.variables
-            self._frame.variables = dict(before)
-            self._branch(rest, otherwise)
-        except (_Return, _Break):
-            raise self._flat.error(
-                "return or break that depends on a condition not known at translation", span_of(first["cond"])
-            ) from None
+        with self._evaluate.guard(condition):
+            self.run(statements)
+        then = self._frame.variables
+        self._frame.variables = before
+        with self._evaluate.guard(ca.logic_not(condition)):
+            self._branch(rest)
         after = self._frame.variables
-        self._frame.variables = {name: algebra.choose(condition, then[name], after[name]) for name in after}
+        for name in then.keys() - after.keys():
+            after[name] = None
+        self._frame.variables = self._chosen(condition, then, after)
 
-    def _run_for(self, node: Node) -> None:
-        self._loop(list(node["indices"]), node["equations"])
+    def _for(self, statement: ForStatement) -> None:
+        outer = self._frame.variables.get(_LEFT, False)
+        self._frame.variables[_LEFT] = False
+        self._loop(list(statement.iterators), statement.body)
+        self._frame.variables[_LEFT] = outer
 
-    def _loop(self, indices: list[Node], statements: list[Any]) -> None:
-        if not indices:
+    def _loop(self, iterators: list[tuple[str, Expression | None]], statements: Sequence[Any]) -> None:
+        if not iterators:
             self.run(statements)
             return
-        first, *rest = indices
-        for i in algebra.scalars(self._evaluate(first["range"])):
-            with self._evaluate.iterator(first["ident"], i):
-                try:
-                    self._loop(rest, statements)
-                except _Break:
-                    break
+        (name, bounds), *rest = iterators
+        assert bounds is not None
+        for i in algebra.scalars(self._evaluate(bounds)):
+            stopped = self._stopped()
+            if not isinstance(stopped, SX) and stopped:
+                return
+            with self._evaluate.iterator(name, i):
+                self._loop(rest, statements)
 
-    def _run_while(self, node: Node) -> None:
-        block = node.get("block") or node
-        condition_node = block["cond"] if "cond" in block else block["condition"]
+    def _while(self, statement: WhileStatement) -> None:
+        outer = self._frame.variables.get(_LEFT, False)
+        self._frame.variables[_LEFT] = False
+        unknown = 0
         for _ in range(_MAX_ROUNDS):
-            condition = self._evaluate.scalar(condition_node)
-            if isinstance(condition, SX):
-                raise self._flat.error(
-                    "a while loop whose condition is not known at translation is not supported",
-                    span_of(condition_node),
-                    "write a for loop over all rows with an if inside",
+            stopped = self._stopped()
+            if not isinstance(stopped, SX) and stopped:
+                break
+            condition = self._evaluate.scalar(statement.condition)
+            if not isinstance(condition, SX):
+                if not condition:
+                    break
+                self.run(statement.body)
+                continue
+            unknown += 1
+            if unknown > _MAX_UNKNOWN_ROUNDS:
+                raise self._library.error(
+                    "a while loop whose condition is not known at translation",
+                    statement.at,
+                    "bound it by a counter as well, or write a for loop with an if inside",
                 )
-            if not condition:
+            before = dict(self._frame.variables)
+            with self._evaluate.guard(condition):
+                self.run(statement.body)
+            after = self._frame.variables
+            # once the condition is false the loop is left for good
+            before[_LEFT] = True
+            self._frame.variables = self._chosen(ca.logic_not(condition), before, after)
+        else:
+            raise self._library.error("a while loop that does not end", statement.at)
+        self._frame.variables[_LEFT] = outer
+
+    def _when(self, statement: WhenStatement) -> None:
+        fires = getattr(self._frame, "fires", None)
+        if fires is None:
+            raise self._library.error("when in a function", statement.at)
+        branches: list[tuple[SX, tuple[Any, ...]]] = []
+        earlier = SX(0.0)
+        for test, statements in statement.branches:
+            conditions = [algebra.sx(c) for c in algebra.scalars(self._evaluate(test))]
+            now = ca.logic_and(fires(conditions), ca.logic_not(earlier))
+            earlier = ca.logic_or(earlier, now)
+            branches.append((now, statements))
+        for now, statements in branches:
+            before = dict(self._frame.variables)
+            with self._evaluate.guard(now), self._evaluate.no_event():
+                self.run(statements)
+            self._frame.variables = self._chosen(now, self._frame.variables, before)
+
+    def _assert(self, statement: Assert) -> None:
+        condition = self._evaluate.scalar(statement.condition)
+        guards = self._functions.guards
+        if not isinstance(condition, SX):
+            if condition:
                 return
-            try:
-                self.run(block.get("stmts") or block.get("equations") or [])
-            except _Break:
-                return
-        raise self._flat.error("a while loop that does not end", span_of(condition_node))
+            if not guards:
+                message = self._evaluate(statement.message)
+                if statement.warning:
+                    return
+                raise self._library.error(f"assertion in function '{self._frame.name}': {message}", statement.at)
+        holds = algebra.sx(condition)
+        for guard in guards:
+            holds = ca.logic_or(ca.logic_not(guard), holds)
+        text = message_text(self._evaluate, statement.message)
+        self._functions.asserts.append((holds, text, statement.warning, statement.at))
 
-    def _run_return(self, node: Node) -> None:
-        raise _Return
+    def _assign(self, target: Reference, value: Value) -> None:
+        name = target.parts[0].name
+        if name not in self._frame.variables:
+            raise self._library.error(f"'{target.name}' cannot be assigned here", target.at)
+        self._frame.variables[name] = self._put(self._frame.variables[name], target.parts, value, target)
 
-    def _run_break(self, node: Node) -> None:
-        raise _Break
+    def _put(self, old: Value, parts: tuple[Part, ...], value: Value, target: Reference) -> Value:
+        """Return a variable with a part of it replaced."""
+        first, *rest = parts
+        if first.subscripts:
+            if isinstance(old, dict):  # an array of records is a record of arrays
+                if rest:
+                    name = rest[0].name
+                    inner = (Part(name, first.subscripts), *rest[1:])
+                    return {**old, name: self._put(old.get(name), inner, value, target)}
+                assert isinstance(value, dict)
+                return {n: self._put(old[n], (Part(n, first.subscripts),), value[n], target) for n in old}
+            if not isinstance(old, Array) or rest:
+                raise self._library.error(f"subscripts on {algebra.kind(old)}", target.at)
+            return _replace(old, self._evaluate.subscripts(old, first.subscripts), value)
+        if rest:
+            fields = dict(old) if isinstance(old, dict) else {}
+            name = rest[0].name
+            return {**fields, name: self._put(fields.get(name), tuple(rest), value, target)}
+        if isinstance(old, Array) and not isinstance(value, Array) and isinstance(value, bool | int | float | SX):
+            raise self._library.error(f"a scalar is assigned to '{target.name}', which is an array", target.at)
+        return value
 
-    def _run_assert(self, node: Node) -> None:
-        condition = self._evaluate.scalar(node["condition"])
-        if not isinstance(condition, SX) and not condition:
-            message = self._evaluate(node["message"])
-            raise self._flat.error(f"assertion in function '{self._frame.name}': {message}", _span(node))
-        if isinstance(condition, SX):
-            raise self._flat.error("assert in a function on values not known at translation", _span(node))
 
-    def _assign(self, target: Node, value: Value) -> None:
-        parts = target["parts"]
-        if len(parts) == 2 and not parts[0]["subs"] and not parts[1]["subs"]:
-            record = self._frame.variables.get(parts[0]["ident"])
-            fields = dict(record) if isinstance(record, dict) else {}
-            self._frame.variables[parts[0]["ident"]] = {**fields, parts[1]["ident"]: value}
-            return
-        if len(parts) != 1:
-            raise self._flat.error("assignment to part of a record", target.get("span"))
-        name, subscripts = parts[0]["ident"], parts[0]["subs"]
-        if not subscripts:
-            self._frame.variables[name] = value
-            return
-        array = self._frame.variables[name]
-        if not isinstance(array, Array):
-            raise self._flat.error(f"subscripts on {algebra.kind(array)}", target.get("span"))
-        index = self._evaluate.subscripts(array, subscripts)
-        self._frame.variables[name] = _replace(array, index, value)
+def message_text(evaluate: Evaluator, node: Expression) -> str:
+    """Text of a message; a value that is only known at run time shows as its name."""
+    if isinstance(node, Binary) and node.operator == "+":
+        return message_text(evaluate, node.left) + message_text(evaluate, node.right)
+    if isinstance(node, Literal):
+        return str(node.value)
+    inner: Expression = node
+    if isinstance(node, Call) and node.function == "String" and node.arguments[0] is not None:
+        inner = node.arguments[0]
+    try:
+        value = evaluate(inner)
+    except (ModelicaError, algebra.UnknownSizeError):
+        value = SX.sym("unknown")
+    if isinstance(value, SX) or not isinstance(value, bool | int | float | str):
+        return inner.name if isinstance(inner, Reference) else "(expression)"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _replace(array: Array, index: list[list[int] | int | SX], value: Value) -> Array:
     new = list(array.items)
-    source = iter(algebra.scalars(value))
     if any(isinstance(i, SX) for i in index):
         (item,) = algebra.scalars(value)
         for position, at in enumerate(array.indices()):
             hit: Scalar = True
             for i, k in zip(index, at, strict=True):
-                hit = algebra.AND(hit, algebra.EQUAL(i, k) if isinstance(i, SX) else i == k)
+                inside = algebra.EQUAL(i, k) if isinstance(i, SX) else (k in i if isinstance(i, list) else i == k)
+                hit = algebra.AND(hit, inside)
             new[position] = algebra.scalars(algebra.choose(hit, item, new[position]))[0]
         return Array(array.shape, tuple(new))
     lists = [i if isinstance(i, list) else [i] for i in index if not isinstance(i, SX)]
-    for at in product(*lists):
-        new[array.offset(at)] = next(source)
+    places = list(product(*lists))
+    items = algebra.scalars(value)
+    if len(items) == 1:
+        items = items * len(places)
+    for at, item in zip(places, items, strict=True):
+        new[array.offset(at)] = item
     return Array(array.shape, tuple(new))
-
-
-def _span(node: Any) -> Any:
-    return node.get("span") if isinstance(node, Mapping) else None

@@ -92,7 +92,7 @@ class _System:
         residual = algebra.sx(self.scope.derivative(old.residual))
         self._meet(residual)
         branches = tuple(algebra.sx(self.scope.derivative(b)) for b in old.branches)
-        self.equations.append(Equation(residual, old.span, branches=branches, choice=old.choice))
+        self.equations.append(Equation(residual, old.at, branches=branches, choice=old.choice))
         self.origin.append(self.origin[equation])
         self.next[equation] = len(self.equations) - 1
         return self.next[equation]
@@ -179,11 +179,11 @@ def _check_structure(system: _System) -> None:
 
 
 def _singular(system: _System, equations: list[int], unknowns: list[SX]) -> None:
-    where = [system.scope.flat.where(system.equations[e].span) or "?" for e in equations]
+    where = [str(system.equations[e].at) for e in equations]
     raise system.scope.flat.error(
         f"structurally singular: the equations at {_some(list(dict.fromkeys(where)))} "
         f"overdetermine {_some([u.name() for u in unknowns]) or 'known values'}",
-        system.equations[equations[0]].span,
+        system.equations[equations[0]].at,
     )
 
 
@@ -207,7 +207,7 @@ def _check_branches(system: _System, unknowns: list[SX]) -> None:
             if not all(augment(row, rows.__getitem__, matched, set()) for row in range(len(rows))):
                 raise system.scope.flat.error(
                     "the branches of this if-equation do not determine the same unknowns (their index differs)",
-                    equation.span,
+                    equation.at,
                     "let one variable follow a curve in a path parameter, as Drives.Signals.StickSlip does",
                 )
 
@@ -232,7 +232,7 @@ def _select(system: _System, n: int, point: Callable[[list[SX]], np.ndarray[Any,
                 declared = system.scope.declared(name)
                 raise system.scope.flat.error(
                     f"'{name.name()}' has stateSelect = always, but constraints leave too few states",
-                    declared.span if declared else None,
+                    declared.at if declared else None,
                 )
         columns = chosen
     states = []
@@ -317,7 +317,7 @@ def _check_static(
     raise system.scope.flat.error(
         f"the constraint between {_some([system.chains[v][0].name() for v in inside])} needs dynamic state "
         "selection, which is not supported",
-        system.equations[leaves[min(rows)]].span,
+        system.equations[leaves[min(rows)]].at,
         "give stateSelect = StateSelect.always (or prefer) to the variables that can stay states",
     )
 

@@ -113,21 +113,21 @@ class _Describer:
         return variable.name == self.states[variable.location.index].symbol.name()
 
     def _variable(self, declared: Declared) -> Variable:
-        node = declared.node
+        variable = declared.variable
         number = self._number
         common: dict[str, Any] = {
             "name": declared.name,
             "type": declared.type,
-            "description": node["description"] or "",
-            "unit": node["unit"] or None,
-            "display_unit": node["display_unit"] or None,
-            "quantity": node["quantity"] or None,
+            "description": variable.description,
+            "unit": variable.unit,
+            "display_unit": variable.display_unit,
+            "quantity": variable.quantity,
             "min": number(declared, "min"),
             "max": number(declared, "max"),
             "nominal": number(declared, "nominal"),
             "enumeration": declared.literals,
         }
-        output = self.scope.declarations.is_output(declared)
+        output = declared.variable.causality == "output"
         match declared.kind:
             case "constant":
                 place: dict[str, Any] = {
@@ -156,7 +156,7 @@ class _Describer:
         return Variable(**common, **place)
 
     def _constant(self, declared: Declared) -> algebra.Scalar:
-        value = self.scope.lookup(declared.node["name"])
+        value = self.scope.lookup(declared.variable.name)
         return algebra.scalars(value)[declared.position]
 
     def _number(self, declared: Declared, attribute: str) -> float | None:
@@ -213,7 +213,7 @@ class _Describer:
             if self.scope.declared(state.symbol) is None:
                 initial, value = self._state_start(i)
                 base = self.scope.declared(state.base)
-                unit = base.node["unit"] if base else None
+                unit = base.variable.unit if base else None
                 for _ in range(state.order):
                     unit = _per_second(unit)
                 place = Location("x", i)

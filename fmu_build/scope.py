@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,9 +11,10 @@ import casadi as ca
 from fmu_build import algebra
 from fmu_build.algebra import Scalar, Value
 from fmu_build.expressions import Evaluator
-from fmu_build.frontend import Flat
+from fmu_build.flat_model import FlatModel
 from fmu_build.functions import Functions
-from fmu_build.graph import SX, Graph, key
+from fmu_build.graph import SX, Graph, Substitution, key
+from fmu_build.syntax import Assign, AssignMany, WhenStatement, walk
 from fmu_build.variables import Declarations, Declared, Parameters
 
 
@@ -38,13 +40,15 @@ class Held:
 class ModelScope:
     """Scope of equations; collects what the expressions ask for (derivatives, relations, held values)."""
 
-    def __init__(self, flat: Flat, graph: Graph, discrete: set[str], structural: set[str]) -> None:
+    def __init__(self, flat: FlatModel, graph: Graph, structural: set[str]) -> None:
         self.flat = flat
         self.graph = graph
-        self.assigned = discrete  # names of what when-clauses assign
-        self.declarations = Declarations(flat, discrete, structural)
+        self.assigned = when_targets(flat.whens)  # names of what when-equations assign
+        held = self.assigned | when_targets(s for a in flat.algorithms for s in a.statements)
+        self.declarations = Declarations(flat, held, structural)
         self.parameters = Parameters(self.declarations)
-        self.evaluate = Evaluator(flat, self, Functions(flat))
+        self.functions = Functions(flat)
+        self.evaluate = Evaluator(flat, self, self.functions)
         self.time = SX.sym("time")
         self.init = SX.sym("initial()")
         self.relations: list[Relation] = []
@@ -65,8 +69,7 @@ class ModelScope:
         """Return the value of a variable or parameter."""
         if name == "time":
             return self.time
-        node = self.flat.parts["variables"].get(name)
-        if node is None:
+        if name not in self.flat.variables:
             return self._record(name)
         if name not in self.declarations.values:
             return self.parameters.lookup(name, self._evaluate_binding)  # a String
@@ -87,7 +90,7 @@ class ModelScope:
 
     def _record(self, name: str) -> Value:
         prefix = f"{name}."
-        members = [n for n in self.flat.parts["variables"] if n.startswith(prefix)]
+        members = [n for n in self.flat.variables if n.startswith(prefix)]
         if not members:
             raise KeyError(name)
         out: dict[str, Value] = {}
@@ -138,7 +141,7 @@ class ModelScope:
             if declared.kind == "input":
                 raise self.flat.error(
                     f"the derivative of input '{declared.name}' is needed",
-                    declared.span,
+                    declared.at,
                     "let a filter or an integrator stand between the input and what differentiates it",
                 )
             if declared.kind != "continuous":
@@ -225,6 +228,21 @@ class ModelScope:
         self.time_events.append(first + count * distance)
         return ca.logic_and(due, ca.logic_not(self.init))
 
+    def fires(self, conditions: Iterable[SX]) -> SX:
+        """Truth of a when-clause's firing: one of its conditions becomes true."""
+        fires = SX(0.0)
+        for whole in conditions:
+            condition = whole
+            if key(self.init) in self.graph.symbols(whole):  # initial() in it: may fire at initialisation
+                fires = ca.logic_or(fires, ca.logic_and(self.init, whole))
+                condition = Substitution({key(self.init): SX(0.0)})(whole)
+                if condition.is_constant():
+                    continue
+            held = self.hold(f"condition {len(self.held) + 1}", whole, SX(0.0))
+            edge = ca.logic_and(condition, ca.logic_not(held.previous))
+            fires = ca.logic_or(fires, ca.logic_and(edge, ca.logic_not(self.init)))
+        return fires
+
     def initial(self) -> SX:
         """Truth of ``initial()``."""
         return self.init
@@ -254,3 +272,16 @@ class ModelScope:
     def current_of(self, symbol: SX) -> SX:
         """Return the variable of a pre-value symbol; other symbols as they are."""
         return self._current.get(key(symbol), symbol)
+
+
+def when_targets(statements: Iterable[Any]) -> set[str]:
+    """Names of the variables that the when-clauses among some statements assign."""
+    found: set[str] = set()
+    for when in walk(tuple(statements)):
+        if isinstance(when, WhenStatement):
+            for node in walk(when.branches):
+                if isinstance(node, Assign):
+                    found.add(node.target.name)
+                elif isinstance(node, AssignMany):
+                    found |= {t.name for t in node.targets if t is not None}
+    return found

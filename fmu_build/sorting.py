@@ -41,7 +41,7 @@ def solve(scope: ModelScope, reduced: Reduced) -> Solution:
     row_of: dict[int, int] = {}
     for row, equation in enumerate(reduced.equations):
         if not augment(row, rows.__getitem__, row_of, set()):
-            raise scope.flat.error("structurally singular after index reduction", equation.span)
+            raise scope.flat.error("structurally singular after index reduction", equation.at)
     successors = [[row_of[c] for c in cs if row_of[c] != r] for r, cs in enumerate(rows)]
     column_of = {r: c for c, r in row_of.items()}
     solution = Solution(Substitution())
@@ -123,7 +123,7 @@ def _solve_rest(
     determinant, values = _linear(a, b)
     if determinant is not None and is_number(determinant) and float(determinant) == 0.0:
         raise scope.flat.error(
-            f"singular: the equations do not determine {', '.join(s.name() for s in left)}", equations[0].span
+            f"singular: the equations do not determine {', '.join(s.name() for s in left)}", equations[0].at
         )
     for symbol, value in zip(left, values, strict=True):
         solution.expression.define(symbol, value)

@@ -97,7 +97,7 @@ def initial_conditions(
     """
     flat, graph = scope.flat, scope.graph
     starts = [start_of(scope, aliases, s.symbol) for s in states]
-    conditions = [(rewrite(e.residual), e.span) for e in equations]
+    conditions = [(rewrite(e.residual), e.at) for e in equations]
     own = {key(s.symbol) for s in states}
     for k, group in aliases.groups.items():
         fixed = [(d, s) for d, s in group.members if d.fixed and d.kind == "continuous"]
@@ -105,7 +105,7 @@ def initial_conditions(
             if position == 0 and k in own:
                 continue
             value = rewrite(sign * algebra.sx(group.representative.symbol)) - declared_start(scope, declared)
-            conditions.append((value, declared.span))
+            conditions.append((value, declared.at))
     at_start = {key(s.symbol): start.value for s, start in zip(states, starts, strict=True)}
     columns = [i for i, start in enumerate(starts) if not start.fixed]
     columns.sort(key=lambda i: (starts[i].given, -states[i].order, i))
@@ -213,7 +213,7 @@ def _explicit(scope: ModelScope, equation: Equation, out: Explicit) -> bool:
         known = all(scope.is_parameter(k) for k in scope.graph.symbols(other))
         if not known and (unbound or key(symbol) != key(one)):
             raise scope.flat.error(
-                f"the initial equation of '{declared.name}' depends on more than parameters", equation.span
+                f"the initial equation of '{declared.name}' depends on more than parameters", equation.at
             )
         if unbound:
             out.parameters[key(symbol)] = other

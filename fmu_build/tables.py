@@ -20,7 +20,7 @@ _INLINE = "NoName"
 def _make(*arguments: Value) -> Value:
     file_name, table_name, table, _, _, columns, _, smoothness, extrapolation, *_ = arguments
     if file_name != _INLINE or table_name != _INLINE:
-        raise ValueError("a table that is not given as a matrix is not supported")
+        raise ValueError("a table read from a file is not supported")
     if whole(smoothness) not in (_LINEAR, _CONSTANT):
         raise ValueError("tables are interpolated by LinearSegments or ConstantSegments; others are not supported")
     if whole(extrapolation) not in (_HOLD, _LAST_TWO):
@@ -43,7 +43,7 @@ def _value(this: Value, column: Value, u: Value) -> Value:
     if whole(this["smoothness"]) == _CONSTANT:
         out: Scalar = y[0]
         for start, step in zip(x[1:], pairwise(y), strict=True):
-            out = out + algebra.FUNCTIONS["Abs"](algebra.LESS_EQUAL(start, at)) * (step[1] - step[0])
+            out = out + algebra.FUNCTIONS["abs"](algebra.LESS_EQUAL(start, at)) * (step[1] - step[0])
         return out
     if whole(this["extrapolation"]) == _HOLD:
         at = algebra.MAX(x[0], algebra.MIN(x[-1], at))

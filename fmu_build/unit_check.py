@@ -7,23 +7,38 @@ everything in sums. An angle in rad is a pure number.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from math import isclose
 from typing import Any
 
-from fmu_build.frontend import Flat, Node
+from fmu_build.flat_model import FlatModel
 from fmu_build.model import BASE_UNITS
+from fmu_build.syntax import (
+    ArrayOf,
+    Assign,
+    Binary,
+    Call,
+    Comprehension,
+    Field,
+    If,
+    Literal,
+    Place,
+    Reference,
+    Reinit,
+    Subscripted,
+    Unary,
+)
 from fmu_build.unit_strings import parse_unit
 
-_SAME = {"Abs", "NoEvent", "Pre", "Previous", "Sum", "Min", "Max", "Homotopy", "Transpose", "Scalar", "Vector",
-         "Floor", "Ceil", "Integer", "Mod", "Rem", "Cat", "Fill", "Diagonal", "Symmetric", "Matrix"}  # fmt: skip
-_PURE = {"Sin", "Cos", "Tan", "Asin", "Acos", "Atan", "Sinh", "Cosh", "Tanh", "Exp", "Log", "Log10"}
-_ALIKE = {"Min", "Max", "Mod", "Rem", "Atan2"}
-_SUMS = {"Add", "Sub", "AddElem", "SubElem"}
-_PRODUCTS = {"Mul": 1, "MulElem": 1, "Div": -1, "DivElem": -1}
-_RELATIONS = {"Lt", "Le", "Gt", "Ge", "Eq", "Neq"}
+_SAME = {"abs", "noEvent", "pre", "previous", "sum", "min", "max", "homotopy", "transpose", "scalar", "vector",
+         "floor", "ceil", "integer", "mod", "rem", "cat", "fill", "diagonal", "symmetric", "matrix"}  # fmt: skip
+_PURE = {"sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "log", "log10"}
+_ALIKE = {"min", "max", "mod", "rem", "atan2"}
+_SUMS = {"+", "-", ".+", ".-"}
+_PRODUCTS = {"*": 1, ".*": 1, "/": -1, "./": -1}
+_RELATIONS = {"<", "<=", ">", ">=", "==", "<>"}
 
 
 @dataclass(frozen=True)
@@ -43,143 +58,121 @@ _NUMBER = Dimension((Fraction(0),) * len(BASE_UNITS), 1.0, "1")
 _SECOND = Dimension(tuple(Fraction(b == "s") for b in BASE_UNITS), 1.0, "s")
 
 
-def check(flat: Flat) -> list[str]:
+def check(flat: FlatModel) -> list[str]:
     """Return one line for each place where two known units meet that differ."""
     return list(dict.fromkeys(_Checker(flat).run()))
 
 
 class _Checker:
-    def __init__(self, flat: Flat) -> None:
+    def __init__(self, flat: FlatModel) -> None:
         self._flat = flat
-        self._variables = flat.parts["variables"]
-        self._found: list[tuple[Any, str, str]] = []
+        self._found: list[tuple[Place, str, str]] = []
 
     def run(self) -> Iterator[str]:
-        for node in self._variables.values():
-            own = _of_unit(node["unit"])
-            for attribute in ("binding", "start", "min", "max", "nominal"):
-                if node[attribute] is not None:
-                    self._alike(own, self._unit(node[attribute]), node["source_span"])
-            yield from self._report(node["source_span"])
-        for part in ("equations", "initial_equations"):
-            for equation in self._flat[part]:
-                self._unit(equation["residual"])
-                yield from self._report(equation["span"])
-        for part in ("structured_equations", "initial_structured_equations"):
-            for loop in self._flat[part]:
-                for residual in (loop.get("template") or {}).get("body") or []:
-                    self._unit(residual)
-        for node in [*self._flat["assert_equations"], *self._flat["initial_assert_equations"]]:
-            self._unit(node["condition"])
-        for chain in self._flat["when_chains"]:
-            for branch in [chain["first"], *chain["else_when"]]:
-                self._when(branch)
-        yield from self._report(None)
+        for variable in self._flat.variables.values():
+            own = _of_unit(variable.unit)
+            for value in (variable.binding, variable.start, variable.min, variable.max, variable.nominal):
+                if value is not None and not isinstance(value, Literal):
+                    self._alike(own, self._unit(value), variable.at)
+            yield from self._report()
+        for equation in (*self._flat.equations, *self._flat.initial_equations):
+            self._alike(self._unit(equation.left), self._unit(equation.right), equation.at)
+            yield from self._report()
+        for node in self._flat.asserts:
+            self._unit(node.condition)
+        for when in self._flat.whens:
+            for condition, statements in when.branches:
+                self._unit(condition)
+                for statement in statements:
+                    if isinstance(statement, Assign):
+                        self._alike(self._unit(statement.target), self._unit(statement.value), statement.at)
+                    elif isinstance(statement, Reinit):
+                        self._alike(self._unit(statement.state), self._unit(statement.value), statement.at)
+        yield from self._report()
 
-    def _when(self, branch: Node) -> None:
-        self._unit(branch["condition"])
-        for statement in branch["equations"]:
-            ((tag, content),) = statement.items()
-            target = content.get("target" if tag == "Assign" else "state") if isinstance(content, dict) else None
-            if tag in ("Assign", "Reinit") and isinstance(target, str):
-                value = self._unit(content["value"])
-                self._alike(self._named(target), value, content.get("span") or branch.get("span"))
-
-    def _report(self, span: Any) -> Iterator[str]:
-        for own, a, b in self._found:
-            place = self._flat.where(own) or self._flat.where(span) or self._flat.class_name
-            yield f"{place}: the units differ: {a} and {b}"
+    def _report(self) -> Iterator[str]:
+        for at, a, b in self._found:
+            yield f"{at}: the units differ: {a} and {b}"
         self._found.clear()
 
-    def _alike(self, a: Dimension | None, b: Dimension | None, span: Any) -> Dimension | None:
+    def _alike(self, a: Dimension | None, b: Dimension | None, at: Place) -> Dimension | None:
         if a is not None and b is not None and not a.fits(b):
-            self._found.append((span, a.name, b.name))
+            self._found.append((at, a.name, b.name))
         return a or b
 
     def _unit(self, node: Any) -> Dimension | None:
         """Return the unit of an expression tree, None if unknown; notes what does not fit inside it."""
-        ((tag, content),) = node.items()
-        rule: Callable[[Any], Dimension | None] | None = getattr(self, f"_of_{tag.lower()}", None)
-        return rule(content) if rule else None
+        match node:
+            case Reference():
+                variable = self._flat.variables.get(node.name)
+                return _of_unit(variable.unit) if variable else None
+            case Subscripted() | Field():
+                return self._unit(node.base) if isinstance(node, Subscripted) else None
+            case Unary():
+                return self._unit(node.operand)
+            case ArrayOf():
+                units = [self._unit(e) for e in node.items]
+                first = units[0] if units else None
+                return first if all(u is not None and first is not None and u.fits(first) for u in units) else None
+            case Comprehension():
+                return self._unit(node.element)
+            case If():
+                unit: Dimension | None = None
+                for condition, branch in node.branches:
+                    self._unit(condition)
+                    unit = self._alike(unit, self._unit(branch), node.at)
+                return self._alike(unit, self._unit(node.otherwise), node.at)
+            case Binary():
+                return self._binary(node)
+            case Call():
+                return self._call(node)
+        return None
 
-    def _number(self, node: Any) -> Dimension | None:
+    def _factor(self, node: Any) -> Dimension | None:
         """Return the unit of a factor, where a whole number is a pure number."""
         value = _literal(node)
         return self._unit(node) if value is None else _NUMBER if value == int(value) else None
 
-    def _named(self, name: str) -> Dimension | None:
-        variable = self._variables.get(name) or self._variables.get(name.partition("[")[0])
-        return _of_unit(variable["unit"]) if variable else None
-
-    def _of_varref(self, node: Node) -> Dimension | None:
-        return self._named(node["name"]["name"])
-
-    def _of_index(self, node: Node) -> Dimension | None:
-        return self._unit(node["base"])
-
-    def _of_unary(self, node: Node) -> Dimension | None:
-        return self._unit(node["rhs"])
-
-    def _of_array(self, node: Node) -> Dimension | None:
-        units = [self._unit(e) for e in node["elements"]]
-        return units[0] if units and all(u is not None and units[0] and u.fits(units[0]) for u in units) else None
-
-    def _of_arraycomprehension(self, node: Node) -> Dimension | None:
-        return self._unit(node["expr"])
-
-    def _of_if(self, node: Node) -> Dimension | None:
-        unit: Dimension | None = None
-        for condition, branch in node["branches"]:
-            self._unit(condition)
-            unit = self._alike(unit, self._unit(branch), node.get("span"))
-        return self._alike(unit, self._unit(node["else_branch"]), node.get("span"))
-
-    def _of_binary(self, node: Node) -> Dimension | None:
-        op, span = node["op"], node.get("span")
+    def _binary(self, node: Binary) -> Dimension | None:
+        op, at = node.operator, node.at
         if op in _PRODUCTS:
-            return _product(self._number(node["lhs"]), self._number(node["rhs"]), _PRODUCTS[op])
-        a, b = self._unit(node["lhs"]), self._unit(node["rhs"])
+            return _product(self._factor(node.left), self._factor(node.right), _PRODUCTS[op])
+        a, b = self._unit(node.left), self._unit(node.right)
         if op in _SUMS:
-            return self._alike(a, b, span)
+            return self._alike(a, b, at)
         if op in _RELATIONS:
-            self._alike(a, b, span)
-        if op in ("Exp", "ExpElem") and a is not None:
-            exponent = _literal(node["rhs"])
+            self._alike(a, b, at)
+        if op in ("^", ".^") and a is not None:
+            exponent = _literal(node.right)
             return _NUMBER if a.fits(_NUMBER) else None if exponent is None else _power(a, Fraction(exponent))
         return None
 
-    def _of_builtincall(self, node: Node) -> Dimension | None:
-        name, span = node["function"], node.get("span")
-        units = [self._unit(a) for a in node["args"]]
+    def _call(self, node: Call) -> Dimension | None:
+        name = node.function
+        units = [self._unit(a) for a in node.arguments]
         first = units[0] if units else None
-        if name == "Smooth":
+        if name == "smooth":
             return units[-1]
         if name in _ALIKE and len(units) == 2:
-            first = self._alike(units[0], units[1], span)
+            first = self._alike(units[0], units[1], node.at)
         if name in _PURE:
-            self._alike(_NUMBER, first, span)
-        if name in _PURE or name in ("Sign", "Atan2"):
+            self._alike(_NUMBER, first, node.at)
+        if name in _PURE or name in ("sign", "atan2"):
             return _NUMBER
-        if name == "Der" and first is not None:
+        if name == "der" and first is not None:
             return _product(first, _SECOND, -1)
-        if name == "Sqrt" and first is not None:
+        if name == "sqrt" and first is not None:
             return _power(first, Fraction(1, 2))
         return first if name in _SAME else None
 
-    def _of_functioncall(self, node: Node) -> None:
-        for argument in node["args"]:
-            self._unit(argument)
-
 
 def _literal(node: Any) -> float | None:
-    ((tag, content),) = node.items()
-    if tag == "Unary" and content["op"] == "Minus":
-        value = _literal(content["rhs"])
+    if isinstance(node, Unary) and node.operator == "-":
+        value = _literal(node.operand)
         return None if value is None else -value
-    if tag != "Literal":
+    if not isinstance(node, Literal) or isinstance(node.value, bool | str):
         return None
-    ((kind, value),) = content["value"].items()
-    return float(value) if kind in ("Real", "Integer") else None
+    return float(node.value)
 
 
 def _of_unit(text: str | None) -> Dimension | None:

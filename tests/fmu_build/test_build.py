@@ -72,7 +72,7 @@ def test_shipped_setups_have_no_events_and_explicit_starts(name):
 def test_errors_say_what_to_do(tmp_path):
     with pytest.raises(BuildError, match="choose 2 or 3"):
         build(MODELS / "Structure.mo", "Structure.RC", tmp_path, fmi="4")
-    with pytest.raises(BuildError, match="choose rumoca or omc"):
+    with pytest.raises(BuildError, match="choose own or omc"):
         build(MODELS / "Structure.mo", "Structure.RC", tmp_path, compiler="gcc")
     with pytest.raises(ModelicaError, match="no such Modelica file"):
         build(tmp_path / "Nothing.mo", "Nothing", tmp_path)

@@ -176,11 +176,11 @@ def test_assertions():
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("WhileLoop", "Language.mo.*endless"),
+        ("WhileLoop", r"Language\.mo:\d+: a while loop"),
         ("InputDerivative", r"Language\.mo:\d+: .*der"),
         ("Singular", r"Language\.mo:\d+: singular"),
         ("Contradiction", r"Language\.mo:\d+: .*contradict"),
-        ("Circle", "cyclic"),
+        ("Circle", r"Language\.mo:\d+: parameters depend on each other"),
     ],
 )
 def test_refused_in_one_line(name, message):
@@ -197,26 +197,8 @@ def test_errors_of_the_source_have_their_line(tmp_path):
     with pytest.raises(ModelicaError, match="no such Modelica file"):
         compile_modelica(tmp_path / "N.mo", "N")
     file.write_text("model M\n  Real x = y;\nend M;\n")
-    with pytest.raises(ModelicaError, match="unresolved component reference: 'y'"):
+    with pytest.raises(ModelicaError, match=r"M\.mo:2: there is no variable 'y'"):
         compile_modelica(file, "M")
-
-
-@pytest.mark.parametrize(
-    ("use", "line"),
-    [
-        ("extends Base(redeclare model Law = Other(k = 3));", 4),
-        ("Base b(law.k = 3);", 4),
-    ],
-)
-def test_what_the_front_end_would_drop_is_refused(tmp_path, use, line):
-    file = tmp_path / "P.mo"
-    file.write_text(
-        "package P\n  model Law Real y = k; parameter Real k = 1; end Law; model Other = Law;\n"
-        "  model Base replaceable model Law = P.Law; Law law; end Base;\n"
-        f"  model M {use} end M;\nend P;\n"
-    )
-    with pytest.raises(ModelicaError, match=rf"P\.mo:{line}: .*not supported"):
-        compile_modelica(file, "P.M")
 
 
 def test_operators_arrays_functions_and_modifiers():

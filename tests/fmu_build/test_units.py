@@ -7,7 +7,7 @@ import shutil
 import pytest
 
 from fmu_build import compile_modelica
-from fmu_build.frontend import load
+from fmu_build.front.flatten import load
 from fmu_build.unit_check import check
 from tests.conftest import MODELICA
 

@@ -12,7 +12,7 @@ from fmu_build.errors import ModelicaError
 from fmuid.cli.output import Json, Printer, Quiet
 
 Fmi = Literal["2", "3"]
-Compiler = Literal["rumoca", "omc"]
+Compiler = Literal["own", "omc"]
 
 
 def build(
@@ -22,7 +22,7 @@ def build(
     class_name: Annotated[str, typer.Argument(metavar="CLASS", help="Qualified name of the model to export.")],
     out: Annotated[Path, typer.Option(help="Folder for the FMU.")] = Path("build/fmus"),
     fmi: Annotated[Fmi, typer.Option(help="Version of FMI.")] = "2",
-    compiler: Annotated[Compiler, typer.Option(help="Modelica front end; omc has to be on the PATH.")] = "rumoca",
+    compiler: Annotated[Compiler, typer.Option(help="Modelica front end; omc has to be on the PATH.")] = "own",
     root: Annotated[
         list[Path] | None,
         typer.Option(help="Folder with further libraries (repeat); modelica is the one that is shipped."),

@@ -11,7 +11,7 @@ from pathlib import Path
 from fmuid.identification import provenance
 from fmuid.report.plots.figure_data import Table
 
-_PACKAGES = ("fmuid", "numpy", "scipy", "nlopt", "h5py", "casadi", "rumoca")
+_PACKAGES = ("fmuid", "numpy", "scipy", "nlopt", "h5py", "casadi")
 
 
 def versions() -> dict[str, str]:

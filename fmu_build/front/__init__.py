@@ -1,0 +1,1 @@
+"""Front end: Modelica source to a flat model (`flatten.load`)."""

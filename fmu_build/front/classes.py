@@ -1,0 +1,174 @@
+"""Classes as they are written: elements, modifications, sections."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from fmu_build.syntax import Expression, Place, Reference
+
+
+@dataclass(frozen=True, slots=True)
+class Modification:
+    """``(arguments) = value``."""
+
+    at: Place
+    arguments: tuple[Argument | Redeclaration, ...] = ()
+    value: Expression | None = None
+    broken: bool = False  # ``= break``
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """``each final name modification``; a dotted name is written as nested arguments."""
+
+    at: Place
+    name: str
+    modification: Modification
+    each: bool = False
+    final: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Redeclaration:
+    """``redeclare element`` or ``replaceable element`` inside a modification."""
+
+    at: Place
+    element: ComponentDef | ClassDef
+    each: bool = False
+    final: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name of what is redeclared."""
+        return self.element.name
+
+
+@dataclass(frozen=True, slots=True)
+class Constraint:
+    """``constrainedby type modification``."""
+
+    type: Reference
+    modification: Modification
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentDef:
+    """One declared component."""
+
+    at: Place
+    name: str
+    type: Reference
+    prefixes: frozenset[str]  # flow stream parameter constant discrete input output
+    subscripts: tuple[Expression, ...]
+    modification: Modification
+    condition: Expression | None
+    description: str
+    annotation: Source | None
+    redeclare: bool = False
+    final: bool = False
+    inner: bool = False
+    outer: bool = False
+    replaceable: bool = False
+    constraint: Constraint | None = None
+    protected: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Extends:
+    """``extends type modification``."""
+
+    at: Place
+    type: Reference
+    modification: Modification
+    protected: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Import:
+    """An import: ``name`` is visible as `alias`; an alias of ``*`` brings in the whole package."""
+
+    at: Place
+    name: str
+    alias: str
+
+
+@dataclass(frozen=True, slots=True)
+class Short:
+    """``= prefix type[subscripts] modification`` of a short class."""
+
+    type: Reference
+    prefixes: frozenset[str]
+    subscripts: tuple[Expression, ...]
+    modification: Modification
+
+
+@dataclass(frozen=True, slots=True)
+class External:
+    """``external "language" output = name(arguments)``."""
+
+    at: Place
+    language: str
+    name: str
+    output: Reference | None
+    arguments: tuple[Expression, ...] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """An equation or algorithm section."""
+
+    at: Place
+    kind: str  # "equation" or "algorithm"
+    initial: bool
+    items: tuple[Any, ...]
+
+
+@dataclass(slots=True, eq=False)
+class ClassDef:
+    """A class as it is written. Filled by the parser, not changed afterwards (but for files of a package)."""
+
+    at: Place
+    name: str
+    kind: str
+    partial: bool = False
+    encapsulated: bool = False
+    redeclare: bool = False
+    final: bool = False
+    inner: bool = False
+    outer: bool = False
+    replaceable: bool = False
+    protected: bool = False
+    impure: bool = False
+    constraint: Constraint | None = None
+    short: Short | None = None
+    enumeration: tuple[tuple[str, str], ...] | None = None
+    extended: Modification | None = None  # of ``redeclare class extends``
+    description: str = ""
+    annotation: Source | None = None
+    elements: list[ComponentDef | ClassDef | Extends] = field(default_factory=list)
+    imports: list[Import] = field(default_factory=list)
+    sections: list[Section] = field(default_factory=list)
+    external: External | None = None
+    outside: ClassDef | None = None  # the class it is written in
+    path: str = ""  # qualified name
+    loader: Any = None  # finds members of a package that lie in files of their own
+
+    def member(self, name: str) -> ClassDef | ComponentDef | None:
+        """Own element of that name, from a file of its own if need be."""
+        for element in self.elements:
+            if not isinstance(element, Extends) and element.name == name:
+                return element
+        if self.loader is not None:
+            return self.loader(self, name)  # type: ignore[no-any-return]
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A piece of source that is parsed when somebody wants it (annotations)."""
+
+    file: str
+    text: str
+    start: int
+    stop: int

@@ -1,0 +1,418 @@
+"""Connections: expandable connectors filled, equalities of potentials, balances of flows (specification 9)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+
+from fmu_build.errors import ModelicaError
+from fmu_build.flat_model import Connector, Equation, Origin
+from fmu_build.front.classes import ClassDef, ComponentDef, Modification
+from fmu_build.front.instances import NO_MOD, ClassRef, Instance, Slot, World
+from fmu_build.front.resolve import Absent, Env, Item, Many, NotInBusError, Resolver, Var
+from fmu_build.syntax import All, Assert, Binary, Connect, Expression, Literal, Part, Place, Reference, Unary
+
+Element = tuple[str, tuple[int, ...]]  # variable and index
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """One side of one connection: a connector or an element of a variable, seen from the inside or the outside."""
+
+    item: Instance | Var
+    index: tuple[int, ...]
+    outside: bool
+
+    @property
+    def path(self) -> str:
+        """Path of the connector."""
+        if isinstance(self.item, Instance):
+            return self.item.path or ""
+        return self.item.name if self.item.connector is not None else (self.item.owner.path or "")
+
+
+@dataclass(frozen=True)
+class Written:
+    """A connect equation with its scope."""
+
+    connect: Connect
+    scope: Instance
+    env: Env
+
+
+class Connections:
+    """Connection sets of a model."""
+
+    def __init__(self, resolver: Resolver) -> None:
+        self._resolver = resolver
+        self._flow_parent: dict[tuple[Element, bool], tuple[Element, bool]] = {}
+        self._potential_parent: dict[Element, Element] = {}
+        self._owner: dict[str, str] = {}  # variable -> connector
+        self._flow_origin: dict[tuple[Element, bool], tuple[Origin, Place]] = {}
+        self.equations: list[Equation] = []
+        self.asserts: list[Assert] = []
+        self.touched: set[str] = set()  # names of connected variables
+
+    def run(self, connects: list[Written]) -> None:
+        """Work on all connect equations of the model."""
+        pairs = self._fill_buses(connects)
+        for written, left, right in pairs:
+            at = written.connect.at
+            if len(left) != len(right):
+                names = f"'{written.connect.a.name}' and '{written.connect.b.name}'"
+                raise ModelicaError(
+                    f"{names} have {len(left)} and {len(right)} elements and cannot be connected", where=at
+                )
+            for a, b in zip(left, right, strict=True):
+                self._join(a, b, written, (a.path, b.path))
+
+    # ---- resolving
+
+    def leaves(self, e: Reference, scope: Instance, env: Env) -> list[Leaf] | None:
+        """Connectors that a reference stands for; None if one is a conditional component that is not there."""
+        found = self._resolver.world.find(scope, e.parts[0].name, e.rooted)
+        if not isinstance(found, Slot) or not isinstance(found.element, ComponentDef):
+            raise ModelicaError(f"there is no connector '{e.name}'", where=e.at,
+                                fix=World.suggest(e.parts[0].name, scope.root.slots))  # fmt: skip
+        root = found.scope.root
+        item = self._resolver.item(root, found.name)
+        outside = _is_connector(item) and root is scope.root
+        out: list[Leaf] = []
+        return out if self._walk(item, e, 0, scope, env, outside, out) else None
+
+    def _walk(
+        self, item: Item, e: Reference, position: int, scope: Instance, env: Env, outside: bool, out: list[Leaf]
+    ) -> bool:
+        part = e.parts[position]
+        last = position + 1 == len(e.parts)
+        if isinstance(item, Absent):
+            return False
+        if isinstance(item, Many):
+            there = True
+            for index in self._indices(item.dims, part, e, scope, env):
+                offset = 0
+                for i, n in zip(index, item.dims, strict=True):
+                    offset = offset * n + i - 1
+                bare = replace(e, parts=(*e.parts[:position], Part(part.name), *e.parts[position + 1 :]))
+                there = self._walk(item.items[offset], bare, position, scope, env, outside, out) and there
+            return there
+        if isinstance(item, Instance):
+            if part.subscripts:
+                raise ModelicaError(f"'{part.name}' is no array", where=e.at)
+            if last:
+                if not _is_connector(item):
+                    raise ModelicaError(f"'{e.name}' is no connector", where=e.at)
+                out.append(Leaf(item, (), outside))
+                return True
+            name = e.parts[position + 1].name
+            slot = item.slot(name)
+            if slot is None:
+                if item.definition.kind == "expandable connector":
+                    raise NotInBusError(item, name, e.at)
+                raise ModelicaError(f"'{item.path or e.name}' has no '{name}'", where=e.at,
+                                    fix=World.suggest(name, item.slots))  # fmt: skip
+            if isinstance(slot.element, ClassDef):
+                raise ModelicaError(f"'{e.name}' is no connector", where=e.at)
+            return self._walk(self._resolver.item(item, name), e, position + 1, scope, env, outside, out)
+        if not last:
+            raise ModelicaError(f"'{e.name}' is no connector", where=e.at)
+        if item.connector is None and not _is_connector(item.owner):
+            raise ModelicaError(f"'{e.name}' is no connector", where=e.at)
+        out.extend(Leaf(item, index, outside) for index in self._indices(item.dims, part, e, scope, env))
+        return True
+
+    def _indices(
+        self, dims: tuple[int, ...], part: Part, e: Reference, scope: Instance, env: Env
+    ) -> Iterator[tuple[int, ...]]:
+        if len(part.subscripts) > len(dims):
+            raise ModelicaError(f"'{part.name}' has {len(dims)} dimensions", where=e.at)
+        choices = []
+        for k, n in enumerate(dims):
+            subscript = part.subscripts[k] if k < len(part.subscripts) else All(e.at)
+            if isinstance(subscript, All):
+                choices.append(range(1, n + 1))
+                continue
+            found = self._resolver._subscript(self._resolver.expr(subscript, scope, env), n)
+            if found is None:
+                raise ModelicaError("a subscript in a connection must be known at translation", where=e.at)
+            chosen = found if isinstance(found, list) else [found]
+            for i in chosen:
+                if not 1 <= i <= n:
+                    raise ModelicaError(f"subscript {i} of '{part.name}' is outside 1..{n}", where=e.at)
+            choices.append(chosen)  # type: ignore[arg-type]
+        return product(*choices)
+
+    # ---- expandable connectors
+
+    def _fill_buses(self, connects: list[Written]) -> list[tuple[Written, list[Leaf], list[Leaf]]]:
+        done: dict[int, tuple[Written, list[Leaf], list[Leaf]]] = {}
+        left = list(range(len(connects)))
+        while left:
+            waiting: list[int] = []
+            grown = False
+            for k in left:
+                written = connects[k]
+                sides: list[list[Leaf] | NotInBusError | None] = []
+                for e in (written.connect.a, written.connect.b):
+                    try:
+                        sides.append(self.leaves(e, written.scope, written.env))
+                    except NotInBusError as missing:
+                        sides.append(missing)
+                a, b = sides
+                if a is None or b is None:
+                    continue
+                if isinstance(a, list) and isinstance(b, list):
+                    done[k] = (written, a, b)
+                elif isinstance(a, NotInBusError) and isinstance(b, list):
+                    self._grow(a, b, written)
+                    grown = True
+                    waiting.append(k)
+                elif isinstance(b, NotInBusError) and isinstance(a, list):
+                    self._grow(b, a, written)
+                    grown = True
+                    waiting.append(k)
+                else:
+                    waiting.append(k)
+            grown = self._share(list(done.values())) or grown
+            if waiting and not grown:
+                at = connects[waiting[0]].connect
+                raise ModelicaError(f"neither '{at.a.name}' nor '{at.b.name}' is declared anywhere", where=at.at)
+            left = waiting
+        while self._share(list(done.values())):
+            pass
+        return [done[k] for k in sorted(done)]
+
+    def _grow(self, missing: NotInBusError, like: list[Leaf], written: Written) -> None:
+        """Add to a bus what is connected to a name that it does not have."""
+        e = (
+            written.connect.a
+            if any(p.name == missing.name for p in written.connect.a.parts[1:])
+            else written.connect.b
+        )
+        part = next(p for p in e.parts[1:] if p.name == missing.name)
+        if part.subscripts or len(like) == 0 or e.parts[-1].name != missing.name:
+            raise ModelicaError(f"'{e.name}' in an expandable connector is not supported", where=e.at)
+        dims = () if len(like) == 1 and like[0].index == () else (len(like),)
+        dims = () if len(like) == 1 else dims
+        self._copy(missing.instance, missing.name, like[0].item, dims)
+
+    def _copy(self, bus: Instance, name: str, like: Instance | Var, dims: tuple[int, ...]) -> None:
+        path = f"{bus.path}.{name}" if bus.path else name
+        at = like.at if isinstance(like, Var) else like.declared_at or like.definition.at
+        if isinstance(like, Var):
+            item: Item = replace(
+                like, name=path, owner=bus.root, dims=dims, attributes=replace(like.attributes, value=None, subs={
+                    n: m for n, m in like.attributes.subs.items() if n in ("unit", "quantity", "displayUnit")
+                }), direction=None, connector=None, protected=bus.protected, binding_memo=[],
+                variability="discrete" if like.variability == "discrete" else "continuous", final=False,
+            )  # fmt: skip
+            self._resolver.vars[path] = item  # type: ignore[assignment]
+            slot = like.slot
+        else:
+            if dims:
+                raise ModelicaError("arrays of connectors in an expandable connector are not supported", where=at)
+            ref = ClassRef(like.definition, like.parent)
+            made = self._resolver.world.instantiate(ref, replace(like.mod, value=None), path, bus.root)
+            slot = Slot(
+                name,
+                ComponentDef(at, name, Reference(at, (Part(like.definition.name),)), frozenset(), (),
+                             Modification(at), None, "", None),
+                bus, NO_MOD,
+            )  # fmt: skip
+            self._resolver._settle(bus.root, made, slot, path)
+            item = made
+        bus.root.slots[name] = slot
+        bus.root.visible.add(name)
+        bus.visible.add(name)
+        bus.root.items[name] = item
+
+    def _share(self, pairs: list[tuple[Written, list[Leaf], list[Leaf]]]) -> bool:
+        """Give connected buses the same members."""
+        grown = False
+        for _, left, right in pairs:
+            for a, b in zip(left, right, strict=False):
+                if isinstance(a.item, Instance) and isinstance(b.item, Instance):
+                    for one, other in ((a.item, b.item), (b.item, a.item)):
+                        if other.definition.kind != "expandable connector":
+                            continue
+                        for name in list(one.root.slots):
+                            if name in other.root.slots:
+                                continue
+                            item = self._resolver.item(one, name)
+                            if isinstance(item, Var):
+                                self._copy(other, name, item, item.dims)
+                                grown = True
+                            elif isinstance(item, Instance):
+                                self._copy(other, name, item, ())
+                                grown = True
+        return grown
+
+    # ---- sets
+
+    def _join(self, a: Leaf, b: Leaf, written: Written, connectors: tuple[str, str]) -> None:
+        at = written.connect.at
+        if isinstance(a.item, Instance) and isinstance(b.item, Instance):
+            for name, slot in a.item.slots.items():
+                if not isinstance(slot.element, ComponentDef):
+                    continue
+                if name not in b.item.slots:
+                    raise ModelicaError(
+                        f"'{connectors[0]}' has '{name}', but '{connectors[1]}' does not", where=at
+                    )
+                left = self._elements(self._resolver.item(a.item, name), a.outside)
+                right = self._elements(self._resolver.item(b.item, name), b.outside)
+                if len(left) != len(right):
+                    raise ModelicaError(f"'{name}' has another size on each side of this connection", where=at)
+                for c, d in zip(left, right, strict=True):
+                    self._join(c, d, written, connectors)
+            extra = [
+                n for n, s in b.item.slots.items() if n not in a.item.slots and isinstance(s.element, ComponentDef)
+            ]
+            if extra:
+                raise ModelicaError(
+                    f"'{connectors[1]}' has '{extra[0]}', but '{connectors[0]}' does not", where=at
+                )
+            return
+        if isinstance(a.item, Instance) or isinstance(b.item, Instance):
+            raise ModelicaError(f"'{connectors[0]}' and '{connectors[1]}' are of different kinds", where=at)
+        self._join_variables(a, b, written, connectors)
+
+    def _join_variables(self, a: Leaf, b: Leaf, written: Written, connectors: tuple[str, str]) -> None:
+        one, other, at = a.item, b.item, written.connect.at
+        assert isinstance(one, Var)
+        assert isinstance(other, Var)
+        if one.flow != other.flow:
+            raise ModelicaError(f"'{one.name}' and '{other.name}': only one of them is a flow", where=at)
+        if one.stream or other.stream:
+            raise ModelicaError("stream connectors are not supported", where=at)
+        if (one.type == "Real") != (other.type == "Real") or (one.type == "Boolean") != (other.type == "Boolean"):
+            raise ModelicaError(f"'{one.name}' is {one.type}, '{other.name}' is {other.type}", where=at)
+        self.touched |= {one.name, other.name}
+        self._owner[one.name] = connectors[0]
+        self._owner[other.name] = connectors[1]
+        origin = Origin("potential", written.scope.root.path or "", written.scope.class_name, connectors)
+        left, right = (one.name, a.index), (other.name, b.index)
+        if one.flow:
+            self._flow_origin.setdefault((left, a.outside), (origin, at))
+            self._union_flow((left, a.outside), (right, b.outside))
+            return
+        if one.variability in ("constant", "parameter") or other.variability in ("constant", "parameter"):
+            condition = Binary(at, "==", _reference(left, at), _reference(right, at))
+            message = Literal(at, f"{one.name} and {other.name} are connected and must be equal")
+            if one.type != "Real":
+                self.asserts.append(Assert(at, condition, message, False))
+            return
+        if self._union_potential(left, right):
+            # what has an output is written first: it says what the other one is
+            self.equations.append(Equation(_reference(left, at), _reference(right, at), origin, at))
+
+    def _elements(self, item: Item, outside: bool) -> list[Leaf]:
+        if isinstance(item, Var):
+            return [Leaf(item, i, outside) for i in product(*(range(1, n + 1) for n in item.dims))]
+        if isinstance(item, Many):
+            return [leaf for inner in item.items for leaf in self._elements(inner, outside)]
+        if isinstance(item, Instance):
+            return [Leaf(item, (), outside)]
+        return []
+
+    def _union_potential(self, a: Element, b: Element) -> bool:
+        def find(x: Element) -> Element:
+            while self._potential_parent.setdefault(x, x) != x:
+                x = self._potential_parent[x]
+            return x
+
+        root_a, root_b = find(a), find(b)
+        if root_a == root_b:
+            return False
+        self._potential_parent[root_b] = root_a
+        return True
+
+    def _union_flow(self, a: tuple[Element, bool], b: tuple[Element, bool]) -> None:
+        root_a, root_b = self._find_flow(a), self._find_flow(b)
+        if root_a != root_b:
+            self._flow_parent[root_b] = root_a
+
+    def _find_flow(self, x: tuple[Element, bool]) -> tuple[Element, bool]:
+        while self._flow_parent.setdefault(x, x) != x:
+            x = self._flow_parent[x]
+        return x
+
+    # ---- equations
+
+    def balances(self, flows: list[Var]) -> list[Equation]:
+        """One balance for each set of connected flows, and zero for each flow that nothing is connected to."""
+        sets: dict[tuple[Element, bool], list[tuple[Element, bool]]] = {}
+        for x in self._flow_parent:
+            sets.setdefault(self._find_flow(x), []).append(x)
+        out = []
+        for root, members in sets.items():
+            origin, at = self._flow_origin.get(root) or next(
+                self._flow_origin[m] for m in members if m in self._flow_origin
+            )
+            total: Expression | None = None
+            for element, outside in members:
+                term: Expression = _reference(element, at)
+                if total is None:
+                    total = Unary(at, "-", term) if outside else term
+                else:
+                    total = Binary(at, "-" if outside else "+", total, term)
+            assert total is not None
+            connectors = tuple(dict.fromkeys(self._owner[e[0]] for e, _ in members))
+            flow = Origin("flow", origin.component, origin.class_name, connectors)
+            out.append(Equation(total, Literal(at, 0), flow, at))
+        for var in flows:
+            for index in product(*(range(1, n + 1) for n in var.dims)):
+                if ((var.name, index), False) not in self._flow_parent:
+                    owner = var.name if var.connector is not None else var.owner.path or ""
+                    origin = Origin("unconnected", owner.rpartition(".")[0], "", (owner,))
+                    out.append(Equation(_reference((var.name, index), var.at), Literal(var.at, 0), origin, var.at))
+        return out
+
+
+def connector(item: Instance | Var, resolver: Resolver) -> Connector:
+    """Describe a connector."""
+    if isinstance(item, Var):
+        names = [_name((item.name, i)) for i in product(*(range(1, n + 1) for n in item.dims))]
+        flows = tuple(names) if item.flow else ()
+        return Connector(
+            item.name, item.owner.path or "", item.connector or "", () if item.flow else tuple(names), flows,
+            item.direction,  # type: ignore[arg-type]
+        )  # fmt: skip
+    flows_: list[str] = []
+    potentials: list[str] = []
+
+    def visit(found: Item) -> None:
+        if isinstance(found, Var):
+            target = flows_ if found.flow else potentials
+            if found.variability not in ("constant", "parameter"):
+                target.extend(_name((found.name, i)) for i in product(*(range(1, n + 1) for n in found.dims)))
+        elif isinstance(found, Many):
+            for inner in found.items:
+                visit(inner)
+        elif isinstance(found, Instance):
+            for name, slot in list(found.slots.items()):
+                if isinstance(slot.element, ComponentDef):
+                    visit(resolver.item(found, name))
+
+    visit(item)
+    owner = item.owner.path if item.owner is not None else ""
+    return Connector(item.path or "", owner or "", item.class_name, tuple(potentials), tuple(flows_))
+
+
+def _is_connector(item: Item) -> bool:
+    if isinstance(item, Many):
+        return bool(item.items) and _is_connector(item.items[0])
+    if isinstance(item, Var):
+        return item.connector is not None
+    return isinstance(item, Instance) and item.is_kind("connector", "expandable connector")
+
+
+def _name(element: Element) -> str:
+    name, index = element
+    return f"{name}[{','.join(map(str, index))}]" if index else name
+
+
+def _reference(element: Element, at: Place) -> Reference:
+    name, index = element
+    return Reference(at, (Part(name, tuple(Literal(at, i) for i in index)),))

@@ -1,0 +1,620 @@
+"""Modelica source to a flat model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from fmu_build.algebra import Array
+from fmu_build.errors import ModelicaError
+from fmu_build.flat_model import Algorithm, Component, Connector, Equation, FlatModel, Origin, Variable
+from fmu_build.front.classes import Argument, ClassDef, ComponentDef
+from fmu_build.front.connections import Connections, Written, connector
+from fmu_build.front.instances import NO_MOD, ClassRef, Instance, Slot, World
+from fmu_build.front.library import Library
+from fmu_build.front.parser import annotation
+from fmu_build.front.resolve import Env, Item, Many, Resolver, Var
+from fmu_build.model import Experiment
+from fmu_build.syntax import (
+    Assert,
+    Assign,
+    AssignMany,
+    Binary,
+    Call,
+    Connect,
+    Expression,
+    ForStatement,
+    If,
+    IfStatement,
+    Literal,
+    Part,
+    Place,
+    Reference,
+    Reinit,
+    SourceEquation,
+    Terminate,
+    TupleOf,
+    Unary,
+    WhenStatement,
+    walk,
+)
+
+
+def load(file: Path, class_name: str, roots: Sequence[Path] = ()) -> FlatModel:
+    """Flatten a Modelica class.
+
+    Parameters
+    ----------
+    file
+        Source file that has the class, or the ``package.mo`` (or any file) of its package.
+    class_name
+        Qualified name of the class.
+    roots
+        Directories of further libraries.
+
+    Raises
+    ------
+    ModelicaError
+        If a file is missing, or the source is wrong or outside the supported subset, with file and line.
+    """
+    file = Path(file)
+    if file.is_dir():
+        file /= "package.mo"
+    if not file.is_file():
+        raise ModelicaError("no such Modelica file", where=file)
+    for folder in roots:
+        if not Path(folder).is_dir():
+            raise ModelicaError("no such library directory", where=folder)
+    library = Library(file, roots)
+    world = World(library)
+    return _Flattener(world, _class(world, class_name, file)).run(class_name)
+
+
+def _class(world: World, class_name: str, file: Path) -> ClassRef:
+    first, *rest = class_name.split(".")
+    top = world.library.top(first)
+    ref: ClassRef | None = None if top is None else ClassRef(top, None)
+    for part in rest:
+        if ref is not None:
+            slot = world.package(ref, ref.definition.at).slot(part)
+            ref = None if slot is None else world.class_ref(slot)
+    if ref is None:
+        known = world.library.names()
+        same = [k for k in known if k.rpartition(".")[2] == class_name.rpartition(".")[2]]
+        fix = f"did you mean '{same[0]}'?" if same else World.suggest(class_name, known)
+        if fix is None:
+            fix = f"known: {', '.join(known[:12])}" if known else None
+        raise ModelicaError(f"there is no model '{class_name}'", where=file.name, fix=fix)
+    if ref.definition.kind not in ("model", "block", "class", "connector", "record", "operator record"):
+        raise ModelicaError(f"'{class_name}' is a {ref.definition.kind}, not a model", where=ref.definition.at)
+    if ref.definition.partial:
+        raise ModelicaError(
+            "the class is partial", where=ref.definition.at, fix="translate a class that extends it"
+        )
+    return ref
+
+
+class _Sink:
+    """What equations of the source become."""
+
+    def __init__(self) -> None:
+        self.equations: list[Equation] = []
+        self.asserts: list[Assert] = []
+        self.whens: list[WhenStatement] = []
+
+
+class _Flattener:
+    def __init__(self, world: World, ref: ClassRef) -> None:
+        self.world = world
+        self.ref = ref
+        self.resolver = Resolver(world)
+        self.order: list[Var] = []
+        self.tree: list[Instance] = []
+        self.connects: list[Written] = []
+        self.sink = _Sink()
+        self.initial = _Sink()
+        self.algorithms: list[Algorithm] = []
+        self.initial_algorithms: list[Algorithm] = []
+
+    def run(self, class_name: str) -> FlatModel:
+        definition = self.ref.definition
+        root = self.world.instantiate(self.ref, NO_MOD, "", None)
+        self.resolver.instances[""] = root
+        self._visit(root)
+        for instance in list(self.tree):
+            for base in instance.all_bases():
+                for section in base.definition.sections:
+                    if section.kind == "equation":
+                        self._gather_connects(section.items, base, {})
+        connections = Connections(self.resolver)
+        connections.run(self.connects)
+        self.order.clear()
+        self.tree.clear()
+        self._visit(root)  # once more: buses have grown
+        self._drop_unused(connections.touched)
+        for instance in self.tree:
+            for base in instance.all_bases():
+                self._sections(base)
+        flows = [v for v in self.order if v.flow and (v.connector or v.owner.is_kind("connector"))]
+        equations = [*self.sink.equations, *connections.equations, *connections.balances(flows)]
+        variables = {v.name: self._variable(v) for v in self.order}
+        components = {i.path or "": self._component(i) for i in self.tree}
+        connectors = self._connectors()
+        return FlatModel(
+            class_name=class_name,
+            description=definition.description,
+            variables=MappingProxyType(variables),
+            equations=tuple(equations),
+            components=MappingProxyType(components),
+            connectors=MappingProxyType(connectors),
+            functions=MappingProxyType(dict(self.resolver.functions)),
+            initial_equations=tuple(self.initial.equations),
+            algorithms=tuple(self.algorithms),
+            initial_algorithms=tuple(self.initial_algorithms),
+            whens=tuple(self.sink.whens),
+            asserts=(*connections.asserts, *self.sink.asserts, *self.initial.asserts),
+            experiment=_experiment(definition),
+            structural=frozenset(self.resolver.structural),
+            files=tuple(sorted(self.world.library.used)),
+            warnings=tuple(self.resolver.warnings),
+        )
+
+    # ---- the instance tree
+
+    def _visit(self, item: Item) -> None:
+        if isinstance(item, Var):
+            self.order.append(item)
+        elif isinstance(item, Many):
+            for inner in item.items:
+                self._visit(inner)
+        elif isinstance(item, Instance):
+            self.tree.append(item)
+            for name, slot in list(item.slots.items()):
+                element = slot.element
+                if not isinstance(element, ComponentDef):
+                    continue
+                if self._is_reference(slot):
+                    continue
+                self._visit(self.resolver.item(item, name, element.at))
+
+    def _is_reference(self, slot: Slot) -> bool:
+        """Whether a component is an outer one that stands for an inner one elsewhere."""
+        element = slot.effective().element
+        if not isinstance(element, ComponentDef) or not element.outer or element.inner:
+            return False
+        found = self.resolver.item(slot.scope.root, slot.name)
+        path = slot.scope.root.path
+        own = f"{path}.{slot.name}" if path else slot.name
+        name = found.name if isinstance(found, Var | Many) else found.path if isinstance(found, Instance) else own
+        return name != own
+
+    def _component(self, instance: Instance) -> Component:
+        bases = dict.fromkeys(b.class_name for b in instance.all_bases() if b is not instance)
+        owner = instance.owner.root.path if instance.owner is not None else ""
+        return Component(
+            instance.path or "", owner or "", instance.class_name, instance.definition.kind, tuple(bases),
+            instance.description if instance.path else instance.definition.description,
+            instance.declared_at or instance.definition.at,
+        )  # fmt: skip
+
+    def _connectors(self) -> dict[str, Connector]:
+        out: dict[str, Connector] = {}
+        for instance in self.tree:
+            if instance.path and instance.is_kind("connector", "expandable connector"):
+                out[instance.path] = connector(instance, self.resolver)
+        for var in self.order:
+            if var.connector is not None:
+                out[var.name] = connector(var, self.resolver)
+        return out
+
+    def _drop_unused(self, connected: set[str]) -> None:
+        """Variables of expandable connectors that nothing is connected to do not exist."""
+        self.order = [
+            v
+            for v in self.order
+            if v.name in connected
+            or v.variability in ("constant", "parameter")
+            or v.owner.definition.kind != "expandable connector"
+        ]
+
+    # ---- variables
+
+    def _variable(self, var: Var) -> Variable:
+        resolver = self.resolver
+        attributes: dict[str, Any] = {}
+        for name in ("start", "min", "max", "nominal"):
+            attributes[name] = resolver.attribute(var, name)
+        for name, key in (("unit", "unit"), ("displayUnit", "display_unit"), ("quantity", "quantity")):
+            found = resolver.attribute(var, name)
+            if found is not None:
+                text = resolver.known(found, found.at)
+                if isinstance(text, Array):
+                    text = str(text.items[0]) if text.items else ""
+                attributes[key] = str(text) or None
+        fixed = resolver.attribute(var, "fixed")
+        if fixed is not None:
+            value = resolver.known(fixed, fixed.at)
+            items = value.items if isinstance(value, Array) else (value,)
+            attributes["fixed"] = tuple(bool(i) for i in items)
+        select = resolver.attribute(var, "stateSelect")
+        if select is not None:
+            chosen = resolver.known(select, select.at)
+            ordinal = int(chosen.items[0] if isinstance(chosen, Array) else chosen)  # type: ignore[arg-type]
+            attributes["state_select"] = ("never", "avoid", "default", "prefer", "always")[ordinal - 1]
+        causality = None
+        if var.direction is not None and not var.protected and self._at_top(var):
+            causality = var.direction
+        return Variable(
+            name=var.name, at=var.at, type=var.type, variability=var.variability,  # type: ignore[arg-type]
+            component=var.owner.path or "", type_name=var.type_name, literals=var.literals, shape=var.dims,
+            direction=var.direction, causality=causality, flow=var.flow,  # type: ignore[arg-type]
+            binding=resolver.binding(var), description=var.element.description, final=var.final,
+            evaluate=var.evaluate, protected=var.protected, **attributes,
+        )  # fmt: skip
+
+    def _at_top(self, var: Var) -> bool:
+        owner: Instance | None = var.owner
+        while owner is not None and owner.path:
+            if not owner.is_kind("connector", "expandable connector", "record"):
+                return False
+            owner = owner.owner.root if owner.owner is not None else None
+        return True
+
+    # ---- equations
+
+    def _gather_connects(self, items: Sequence[Any], scope: Instance, env: Env) -> None:
+        for item in items:
+            if isinstance(item, Connect):
+                self.connects.append(Written(item, scope, dict(env)))
+            elif isinstance(item, ForStatement):
+                if _has_connect(item.body):
+                    for inner in self._unrolled(item, scope, env):
+                        self._gather_connects(item.body, scope, inner)
+            elif isinstance(item, IfStatement) and _has_connect(item.branches):
+                self._gather_connects(self._selected(item, scope, env), scope, env)
+
+    def _unrolled(self, loop: ForStatement, scope: Instance, env: Env) -> list[Env]:
+        envs = [dict(env)]
+        for name, bounds in loop.iterators:
+            envs = [
+                {**inner, name: point}
+                for inner in envs
+                for point in self.resolver.points(name, bounds, loop.body, scope, inner)
+            ]
+        return envs
+
+    def _selected(self, item: IfStatement, scope: Instance, env: Env) -> tuple[Any, ...]:
+        """Branch of an if-equation whose conditions are known."""
+        for condition, body in item.branches:
+            if condition is None:
+                return body
+            if self.resolver.known(self.resolver.expr(condition, scope, env), condition.at):
+                return body
+        return ()
+
+    def _sections(self, scope: Instance) -> None:
+        origin = Origin("class", scope.root.path or "", scope.class_name)
+        for section in scope.definition.sections:
+            if section.kind == "equation":
+                sink = self.initial if section.initial else self.sink
+                for item in section.items:
+                    self._equation(item, scope, {}, origin, sink)
+            else:
+                statements = self.resolver.statements(section.items, scope, {})
+                target = self.initial_algorithms if section.initial else self.algorithms
+                target.append(Algorithm(statements, origin, section.at))
+
+    def _equation(self, item: Any, scope: Instance, env: Env, origin: Origin, sink: _Sink) -> None:
+        expr = self.resolver.expr
+        match item:
+            case Connect():
+                pass
+            case SourceEquation():
+                sink.equations.append(
+                    Equation(expr(item.left, scope, env), expr(item.right, scope, env), origin, item.at)
+                )
+            case ForStatement():
+                for inner in self._unrolled(item, scope, env):
+                    for part in item.body:
+                        self._equation(part, scope, inner, origin, sink)
+            case IfStatement():
+                self._if(item, scope, env, origin, sink)
+            case WhenStatement():
+                if sink is self.initial:
+                    raise ModelicaError("when in an initial equation", where=item.at)
+                sink.whens.append(self._when(item, scope, env))
+            case Assert():
+                sink.asserts.append(self._assert(item, scope, env))
+            case Terminate():
+                always = WhenStatement(item.at, ((Call(item.at, "initial", ()), (item,)),))
+                sink.whens.append(self._when(always, scope, env))
+            case Reinit():
+                raise ModelicaError("reinit() outside a when-equation", where=item.at)
+            case AssignMany():
+                if item.call.function.startswith("Connections."):
+                    raise ModelicaError(f"'{item.call.function}' is not supported", where=item.at)
+                raise ModelicaError(
+                    f"a call of '{item.call.function}' as an equation is not supported", where=item.at
+                )
+            case _:
+                raise ModelicaError("this equation is not supported", where=item.at)
+
+    def _assert(self, item: Assert, scope: Instance, env: Env) -> Assert:
+        expr = self.resolver.expr
+        return Assert(item.at, expr(item.condition, scope, env), expr(item.message, scope, env), item.warning)
+
+    def _if(self, item: IfStatement, scope: Instance, env: Env, origin: Origin, sink: _Sink) -> None:
+        def take(body: tuple[Any, ...]) -> None:
+            for part in body:
+                self._equation(part, scope, env, origin, sink)
+
+        if _has_connect(item.branches):
+            take(self._selected(item, scope, env))
+            return
+        conditions: list[Expression | None] = []
+        bodies: list[tuple[Any, ...]] = []
+        for condition, body in item.branches:
+            test = None if condition is None else self.resolver.expr(condition, scope, env)
+            if isinstance(test, Literal):
+                if not test.value:
+                    continue
+                test = None
+            conditions.append(test)
+            bodies.append(body)
+            if test is None:
+                break
+        if not conditions:
+            return
+        if conditions[0] is None:
+            take(bodies[0])
+            return
+        sinks: list[_Sink] = []
+        try:
+            for body in bodies:
+                inner = _Sink() if sink is not self.initial else _InitialSink()
+                for part in body:
+                    self._equation(part, scope, env, origin, inner)
+                sinks.append(inner)
+        except ModelicaError:
+            chosen = self._choose(conditions)
+            if chosen is None:
+                raise
+            take(bodies[chosen] if chosen < len(bodies) else ())
+            return
+        if conditions[-1] is not None:
+            conditions.append(None)
+            sinks.append(_Sink())
+        if len({len(s.equations) for s in sinks}) > 1:
+            for inner in sinks:
+                inner.equations = [e for whole in inner.equations for e in self._elements(whole)]
+        merged = _merge(conditions, sinks, item.at, origin)
+        if merged is None:
+            chosen = self._choose(conditions)
+            if chosen is None:
+                what = "the branches of this if-equation have different numbers of equations"
+                if any(s.whens for s in sinks):
+                    what = "a when-equation inside an if-equation whose condition is not known at translation"
+                raise ModelicaError(what, where=item.at)
+            sink.equations += sinks[chosen].equations
+            sink.asserts += sinks[chosen].asserts
+            sink.whens += sinks[chosen].whens
+            return
+        equations, alike = merged
+        if not alike:
+            chosen = self._choose(conditions)
+            if chosen is not None:
+                equations = sinks[chosen].equations
+        sink.equations += equations
+        before: list[Expression] = []
+        for condition, inner in zip(conditions, sinks, strict=True):
+            for one in inner.asserts:
+                test = one.condition
+                for other in [*before, *([] if condition is None else [Unary(one.at, "not", condition)])]:
+                    test = Binary(one.at, "or", other, test)
+                sink.asserts.append(replace(one, condition=test))
+            if condition is not None:
+                before.append(condition)
+
+    def _elements(self, equation: Equation) -> list[Equation]:
+        """One equation for each element, where a whole array is on the left."""
+        left = equation.left
+        var = self.resolver.vars.get(left.name) if isinstance(left, Reference) else None
+        if var is None or not var.dims or not isinstance(left, Reference) or left.subscripts:
+            return [equation]
+        out = []
+        for index in product(*(range(1, n + 1) for n in var.dims)):
+            subscripts = tuple(Literal(equation.at, i) for i in index)
+            out.append(
+                replace(
+                    equation,
+                    left=Reference(left.at, (Part(var.name, subscripts),)),
+                    right=self.resolver.pick(equation.at, equation.right, subscripts),
+                )
+            )
+        return out
+
+    def _choose(self, conditions: Sequence[Expression | None]) -> int | None:
+        """Branch that known conditions choose, or the number of conditions; None if they are not known."""
+        for k, condition in enumerate(conditions):
+            if condition is None:
+                return k
+            value = self.resolver.maybe_known(condition)
+            if value is None:
+                return None
+            if value:
+                return k
+        return len(conditions)
+
+    # ---- when-equations
+
+    def _when(self, item: WhenStatement, scope: Instance, env: Env) -> WhenStatement:
+        branches = []
+        for condition, body in item.branches:
+            test = self.resolver.expr(condition, scope, env)
+            statements: list[Any] = []
+            for part in body:
+                statements += self._when_part(part, scope, env)
+            branches.append((test, tuple(statements)))
+        return WhenStatement(item.at, tuple(branches))
+
+    def _when_part(self, item: Any, scope: Instance, env: Env) -> list[Any]:
+        expr = self.resolver.expr
+        match item:
+            case SourceEquation():
+                left = expr(item.left, scope, env)
+                right = expr(item.right, scope, env)
+                if isinstance(left, Reference):
+                    return [Assign(item.at, left, right)]
+                if isinstance(right, Reference):
+                    return [Assign(item.at, right, left)]
+                if isinstance(left, TupleOf) and isinstance(right, Call):
+                    targets = [i for i in left.items if i is None or isinstance(i, Reference)]
+                    if len(targets) == len(left.items):
+                        return [AssignMany(item.at, tuple(targets), right)]
+                raise ModelicaError("an equation in a when-clause has a variable alone on its left", where=item.at)
+            case ForStatement():
+                return [
+                    found
+                    for inner in self._unrolled(item, scope, env)
+                    for part in item.body
+                    for found in self._when_part(part, scope, inner)
+                ]
+            case IfStatement():
+                return self._when_if(item, scope, env)
+            case Reinit():
+                state = expr(item.state, scope, env)
+                if not isinstance(state, Reference):
+                    raise ModelicaError(f"reinit() of '{item.state.name}'", where=item.at)
+                return [Reinit(item.at, state, expr(item.value, scope, env))]
+            case Assert():
+                return [self._assert(item, scope, env)]
+            case Terminate():
+                return [Terminate(item.at, expr(item.message, scope, env))]
+        raise ModelicaError("this is not supported in a when-equation", where=item.at)
+
+    def _when_if(self, item: IfStatement, scope: Instance, env: Env) -> list[Any]:
+        branches: list[tuple[Expression | None, list[Any]]] = []
+        for condition, body in item.branches:
+            test = None if condition is None else self.resolver.expr(condition, scope, env)
+            if isinstance(test, Literal):
+                if not test.value:
+                    continue
+                test = None
+            branches.append((test, [s for part in body for s in self._when_part(part, scope, env)]))
+            if test is None:
+                break
+        if not branches:
+            return []
+        if branches[0][0] is None:
+            return branches[0][1]
+        targets: dict[Any, Reference] = {}
+        for _, statements in branches:
+            for s in statements:
+                if not isinstance(s, Assign | Reinit):
+                    raise ModelicaError("this is not supported inside an if in a when-equation", where=s.at)
+                target = _assigned(s)
+                targets.setdefault((type(s), _bare(target)), target)
+        out: list[Any] = []
+        for (kind, _), target in targets.items():
+            otherwise: Expression = Call(item.at, "pre", (target,)) if kind is Assign else target
+            chosen: list[tuple[Expression, Expression]] = []
+            for condition, statements in branches:
+                value = next(
+                    (s.value for s in statements
+                     if type(s) is kind and _bare(_assigned(s)) == _bare(target)),
+                    None,
+                )  # fmt: skip
+                if condition is None:
+                    otherwise = otherwise if value is None else value
+                else:
+                    kept: Expression = Call(item.at, "pre", (target,)) if kind is Assign else target
+                    chosen.append((condition, kept if value is None else value))
+            value = If(item.at, tuple(chosen), otherwise)
+            out.append(Assign(item.at, target, value) if kind is Assign else Reinit(item.at, target, value))
+        return out
+
+
+class _InitialSink(_Sink):
+    pass
+
+
+def _assigned(statement: Assign | Reinit) -> Reference:
+    return statement.target if isinstance(statement, Assign) else statement.state
+
+
+def _bare(reference: Reference) -> Any:
+    return tuple((p.name, tuple(getattr(s, "value", None) for s in p.subscripts)) for p in reference.parts)
+
+
+def _has_connect(tree: Any) -> bool:
+    return any(
+        isinstance(n, Connect) or (isinstance(n, AssignMany) and n.call.function.startswith("Connections."))
+        for n in walk(tree)
+    )
+
+
+def _merge(
+    conditions: Sequence[Expression | None], sinks: Sequence[_Sink], at: Place, origin: Origin
+) -> tuple[list[Equation], bool] | None:
+    """Equations of all branches in one; None if their numbers differ.
+
+    Second: whether they say the same variables.
+    """
+    first = sinks[0]
+    if any(len(s.equations) != len(first.equations) or s.whens for s in sinks):
+        return None
+    columns: list[list[Equation]] = []
+    lefts = [[_left(e) for e in s.equations] for s in sinks]
+    names = lefts[0]
+    alike = all(None not in row and len(set(row)) == len(row) and set(row) == set(names) for row in lefts)
+    for k, equation in enumerate(first.equations):
+        if alike:
+            columns.append([s.equations[row.index(names[k])] for s, row in zip(sinks, lefts, strict=True)])
+        else:
+            columns.append([s.equations[k] for s in sinks])
+        assert equation is columns[-1][0]
+    tests = [c for c in conditions if c is not None]
+    out = []
+    for column in columns:
+        place = column[0].at
+        if alike:
+            values: list[Expression] = [e.right for e in column]
+            left: Expression = column[0].left
+            right: Expression = If(place, tuple(zip(tests, values, strict=False)), values[-1])
+        else:
+            values = [Binary(e.at, "-", e.left, e.right) for e in column]
+            left = If(place, tuple(zip(tests, values, strict=False)), values[-1])
+            right = Literal(at, 0)
+        out.append(Equation(left, right, origin, place))
+    return out, alike
+
+
+def _left(equation: Equation) -> Any:
+    """Return what identifies the left side of an equation that has a reference there; None otherwise."""
+    left = equation.left
+    if isinstance(left, Call) and left.function == "der" and isinstance(left.arguments[0], Reference):
+        return ("der", _bare(left.arguments[0]))
+    if isinstance(left, Reference):
+        return _bare(left)
+    return None
+
+
+def _experiment(definition: ClassDef) -> Experiment:
+    values: dict[str, float] = {}
+    for argument in annotation(definition.annotation):
+        if isinstance(argument, Argument) and argument.name == "experiment":
+            for inner in argument.modification.arguments:
+                if isinstance(inner, Argument):
+                    value: Any = inner.modification.value
+                    sign = 1.0
+                    if isinstance(value, Unary) and value.operator == "-":
+                        sign, value = -1.0, value.operand
+                    if isinstance(value, Literal) and not isinstance(value.value, str):
+                        values[inner.name] = sign * float(value.value)
+    return Experiment(
+        values.get("StartTime"), values.get("StopTime"), values.get("Tolerance"), values.get("Interval")
+    )

@@ -1,0 +1,1230 @@
+# ruff: noqa: ARG002  (methods of one table share a signature)
+"""Names to flat expressions: components, constants, functions; and what must be known to flatten."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from fmu_build import algebra
+from fmu_build.algebra import Array, UnknownSizeError, Value
+from fmu_build.builtin_functions import NAMED, SUPPORTED, UNSUPPORTED
+from fmu_build.errors import ModelicaError
+from fmu_build.expressions import Evaluator
+from fmu_build.flat_model import Formal, Function
+from fmu_build.front.classes import ClassDef, ComponentDef
+from fmu_build.front.instances import (
+    NO_MOD,
+    ClassRef,
+    Foreign,
+    Instance,
+    Mod,
+    Slot,
+    World,
+    field_mod,
+    merge,
+)
+from fmu_build.front.parser import annotation
+from fmu_build.functions import Functions
+from fmu_build.graph import SX
+from fmu_build.syntax import (
+    All,
+    ArrayOf,
+    Assert,
+    Assign,
+    AssignMany,
+    Binary,
+    Break,
+    Call,
+    Comprehension,
+    End,
+    Expression,
+    Field,
+    ForStatement,
+    If,
+    IfStatement,
+    Literal,
+    Matrix,
+    Part,
+    PartialCall,
+    Place,
+    Range,
+    Reference,
+    Reinit,
+    Return,
+    Subscripted,
+    Terminate,
+    TupleOf,
+    Unary,
+    WhenStatement,
+    WhileStatement,
+    transform,
+    walk,
+)
+
+Env = dict[str, Literal | None]  # loop variables: their value, or None where they stay
+_RANK = {"constant": 0, "parameter": 1, "discrete": 2}
+_MOST_ELEMENTS = 20_000  # of an array of components
+
+
+class Absent:
+    """What a conditional component is whose condition is false."""
+
+
+ABSENT = Absent()
+
+
+@dataclass(eq=False)
+class Var:
+    """A component of a predefined type."""
+
+    name: str
+    slot: Slot
+    owner: Instance
+    type: str
+    type_name: str
+    literals: tuple[str, ...]
+    dims: tuple[int, ...]
+    attributes: Mod
+    variability: str
+    direction: str | None
+    flow: bool
+    stream: bool
+    final: bool
+    protected: bool
+    connector: str | None  # class of a connector that is one variable
+    evaluate: bool = False
+    binding_memo: list[Expression | None] = field(default_factory=list)
+
+    @property
+    def at(self) -> Place:
+        """Where it is declared."""
+        return self.slot.element.at
+
+    @property
+    def element(self) -> ComponentDef:
+        """Its declaration."""
+        assert isinstance(self.slot.element, ComponentDef)
+        return self.slot.element
+
+
+@dataclass(eq=False)
+class Many:
+    """An array of components that are no variables, row-major."""
+
+    name: str
+    dims: tuple[int, ...]
+    items: list[Any]
+
+
+Item = Var | Instance | Many | Absent
+
+
+class Resolver:
+    """Resolves the names of one model.
+
+    Parameters
+    ----------
+    world
+        Its classes.
+    """
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.vars: dict[str, Var] = {}
+        self.instances: dict[str, Instance] = {}
+        self.functions: dict[str, Function] = {}
+        self.structural: set[str] = set()
+        self.shown_constants: dict[str, Var] = {}
+        self.warnings: list[str] = []
+        self.files: tuple[Path, ...] = ()
+        self._function_keys: dict[tuple[int, int, int], str] = {}
+        self._open: set[tuple[int, str]] = set()
+        self._values: dict[str, Value] = {}
+        self._constants: dict[str, Expression] = {}
+        self._shape_only = 0
+        self._knowing = _Known(self)
+        self.evaluator = Evaluator(self, self._knowing, Functions(self))
+
+    # ---- for the evaluator
+
+    def error(self, what: str, at: Place | None, fix: str | None = None) -> ModelicaError:
+        """Make an error."""
+        return ModelicaError(what, where=at, fix=fix)
+
+    # ---- items
+
+    def item(self, instance: Instance, name: str, at: Place | None = None) -> Item:
+        """Component of an instance by name."""
+        root = instance.root
+        if name in root.items:
+            return root.items[name]  # type: ignore[no-any-return]
+        memo = (id(root), name)
+        slot = root.slots[name].effective()
+        if memo in self._open:
+            raise ModelicaError(f"'{name}' depends on itself", where=slot.element.at)
+        self._open.add(memo)
+        try:
+            found = self._item(root, name, slot)
+        finally:
+            self._open.discard(memo)
+        root.items[name] = found
+        return found
+
+    def _item(self, root: Instance, name: str, slot: Slot) -> Item:
+        component = slot.element
+        assert isinstance(component, ComponentDef)
+        if component.outer and not component.inner:
+            found = self._inner(root, name, component)
+            if found is not None:
+                return found
+        if component.condition is not None:
+            condition = self.expr(component.condition, slot.scope, {})
+            if not self.known(condition, component.condition.at):
+                return ABSENT
+        prefix = root.class_name if root.path is None else root.path
+        path = f"{prefix}.{name}" if prefix else name
+        ref = self.world.find_class(slot.scope, component.type)
+        if ref.definition.partial and not component.outer and ref.definition.kind not in ("type", "record"):
+            raise ModelicaError(
+                f"'{path}' is of the partial class '{ref.definition.path}'",
+                where=component.at,
+                fix="redeclare it" if component.replaceable else "give it a class that extends it",
+            )
+        if ref.definition.kind in ("package",) or ref.definition.kind.endswith("function"):
+            if ref.definition.kind.endswith("function") and root.function:
+                raise ModelicaError(f"'{name}': functions as arguments are not supported", where=component.at)
+            raise ModelicaError(
+                f"'{ref.definition.path}' is a {ref.definition.kind}, not a type", where=component.at
+            )
+        subscripts: list[tuple[Expression, Instance]] = [(s, slot.scope) for s in component.subscripts]
+        single = self.world.instantiate(ref, slot.mod if not subscripts else NO_MOD, path, root)
+        if single.builtin or single.enumeration:
+            if subscripts:
+                single = self.world.instantiate(ref, slot.mod, path, root)
+            return self._var(root, path, slot, single, ref)
+        if component.prefixes & {"flow", "stream"}:
+            raise ModelicaError(f"'{path}' has the prefix flow or stream, but is no variable", where=component.at)
+        if not subscripts:
+            self._settle(root, single, slot, path)
+            return single
+        dims = tuple(
+            self._dimension(s, scope, k, lambda: self._bound_shape(slot.mod, component.at))
+            for k, (s, scope) in enumerate(subscripts)
+        )
+        if math.prod(dims) > _MOST_ELEMENTS:
+            raise ModelicaError(f"'{path}' has {math.prod(dims)} elements", where=component.at)
+        items = []
+        for index in product(*(range(1, n + 1) for n in dims)):
+            own = f"{path}[{','.join(map(str, index))}]"
+            one = self.world.instantiate(ref, slot.mod.indexed(index), own, root)
+            self._settle(root, one, slot, own)
+            items.append(one)
+        return Many(path, dims, items)
+
+    def _settle(self, root: Instance, instance: Instance, slot: Slot, path: str) -> None:
+        component = slot.element
+        assert isinstance(component, ComponentDef)
+        instance.prefixes = root.prefixes | component.prefixes | instance.short_prefixes
+        instance.final = root.final or component.final or slot.mod.final
+        instance.protected = root.protected or component.protected
+        instance.declared_at = component.at
+        instance.description = component.description
+        self.instances[path] = instance
+        value = instance.mod
+        if value.value is not None:
+            if not instance.is_kind("record", "operator record"):
+                raise ModelicaError(f"'{path}' is no variable and cannot have a value", where=value.at)
+            for name, sub in instance.slots.items():
+                if isinstance(sub.element, ComponentDef) and not sub.element.final:
+                    sub.mod = merge(sub.mod, field_mod(value, name), name)
+                    sub.resolved = None
+
+    def _inner(self, root: Instance, name: str, component: ComponentDef) -> Item | None:
+        above: Instance | None = root.owner
+        while above is not None:
+            slot = above.root.slots.get(name)
+            if slot is not None:
+                declared = slot.effective().element
+                if isinstance(declared, ComponentDef) and declared.inner:
+                    return self.item(above, name)
+            above = above.root.owner
+        if root.path == "":
+            return None
+        raise ModelicaError(
+            f"'{root.path}.{name}' is outer, and nothing around it has an inner '{name}'", where=component.at,
+            fix=f"declare 'inner {component.type.name} {name}' in the model",
+        )  # fmt: skip
+
+    def _var(self, root: Instance, path: str, slot: Slot, instance: Instance, ref: ClassRef) -> Var:
+        component = slot.element
+        assert isinstance(component, ComponentDef)
+        attributes = instance.attributes
+        own = [(s, slot.scope) for s in component.subscripts] + instance.subscripts
+        prefixes = root.prefixes | component.prefixes | instance.short_prefixes
+        known = [p for p in ("constant", "parameter", "discrete") if p in prefixes]
+        direction = next(
+            (p for p in ("input", "output") if p in component.prefixes | instance.short_prefixes), None
+        )
+        if direction is None:
+            direction = next((p for p in ("input", "output") if p in root.prefixes), None)
+        literals: tuple[str, ...] = ()
+        if instance.enumeration is not None:
+            type_name, literals = "Integer", tuple(n for n, _ in instance.enumeration.enumeration or ())
+        else:
+            type_name = instance.builtin or "Real"
+        for name, mod in attributes.subs.items():
+            if name not in _ATTRIBUTES:
+                raise ModelicaError(
+                    f"'{path}' has no attribute '{name}'", where=mod.at, fix=World.suggest(name, _ATTRIBUTES)
+                )
+        protected = root.protected or component.protected
+        is_connector = ref.definition.kind.endswith("connector")
+        evaluated = _says(component, "Evaluate") or _says(component, "__Dymola_Evaluate")
+        # a constant of a package is a number wherever it is used
+        variable = Var(
+            path, slot, root, type_name, ref.definition.path, literals, (), attributes,
+            known[0] if known else "continuous", direction, "flow" in component.prefixes,
+            "stream" in component.prefixes, root.final or component.final or attributes.final,
+            protected, ref.definition.path if is_connector else None, evaluated,
+        )  # fmt: skip
+        if root.path is not None:
+            self.vars[path] = variable
+        if own:
+            variable.dims = tuple(
+                self._dimension(s, scope, k, lambda: self._bound_shape(attributes, component.at))
+                for k, (s, scope) in enumerate(own)
+            )
+        return variable
+
+    def _dimension(self, subscript: Expression, scope: Instance, position: int, shape: Any) -> int:
+        if isinstance(subscript, All):
+            found = shape()
+            if len(found) <= position:
+                raise ModelicaError("the value has fewer dimensions than the declaration", where=subscript.at)
+            return int(found[position])
+        if isinstance(subscript, Reference):
+            literals = self._enumeration_type(subscript, scope)
+            if literals is not None:
+                return len(literals)
+        value = self.known(self.expr(subscript, scope, {}), subscript.at)
+        if isinstance(value, Array | str | dict | tuple) or value is None:
+            raise ModelicaError(f"a size is {algebra.kind(value)}", where=subscript.at)
+        return max(algebra.whole(value), 0)
+
+    def _enumeration_type(self, name: Reference, scope: Instance) -> tuple[tuple[str, str], ...] | None:
+        if name.name == "Boolean":
+            return (("false", ""), ("true", ""))
+        found = self.world.find(scope, name.parts[0].name, name.rooted)
+        if isinstance(found, Slot) and isinstance(found.element, ComponentDef):
+            return None
+        ref = self.world.lookup_class(scope, name)
+        if ref is None:
+            return None
+        instance = self.world.package(ref, name.at)
+        return instance.enumeration.enumeration if instance.enumeration is not None else None
+
+    def _bound_shape(self, mod: Mod, at: Place) -> tuple[int, ...]:
+        if mod.value is None:
+            raise ModelicaError("a size is left open (:), and there is no value to take it from", where=at)
+        assert mod.scope is not None
+        self._shape_only += 1
+        try:
+            value = self.evaluator(self.expr(mod.value, mod.scope, {}))
+        except UnknownSizeError as error:
+            raise ModelicaError(str(error), where=error.span or at) from None
+        finally:
+            self._shape_only -= 1
+        return value.shape if isinstance(value, Array) else ()
+
+    # ---- values that must be known
+
+    def known(self, expression: Expression, at: Place) -> Value:
+        """Value of an expression that decides the structure.
+
+        Raises
+        ------
+        ModelicaError
+            If it depends on more than parameters and constants.
+        """
+        if isinstance(expression, Literal):
+            return expression.value
+        try:
+            with self.evaluator.no_event():
+                value = self.evaluator(expression)
+        except UnknownSizeError as error:
+            raise ModelicaError(str(error), where=error.span or at) from None
+        if any(isinstance(s, SX) for s in _scalars(value)):
+            raise ModelicaError("what decides the structure must be known at translation", where=at)
+        return value
+
+    def maybe_known(self, expression: Expression) -> Value | None:
+        """Value of an expression if it is known; nothing is used up if it is not."""
+        before = set(self.structural)
+        try:
+            return self.known(expression, expression.at)
+        except ModelicaError:
+            self.structural = before
+            return None
+
+    def binding(self, var: Var) -> Expression | None:
+        """Flat binding of a variable."""
+        if not var.binding_memo:
+            value, scope = var.attributes.value, var.attributes.scope
+            if value is None:
+                var.binding_memo.append(None)
+            else:
+                assert scope is not None
+                var.binding_memo.append(self.expr(value, scope, {}))
+        return var.binding_memo[0]
+
+    def attribute(self, var: Var, name: str) -> Expression | None:
+        """Flat attribute of a variable."""
+        mod = var.attributes.subs.get(name)
+        if mod is None or mod.value is None:
+            return None
+        assert mod.scope is not None
+        return self.expr(mod.value, mod.scope, {})  # type: ignore[no-any-return]
+
+    def value(self, var: Var) -> Value:
+        """Value of a variable during flattening: known, or a symbol for each element."""
+        if var.name in self._values:
+            return self._values[var.name]
+        symbols = tuple(SX.sym(var.name) for _ in range(math.prod(var.dims)))
+        unknown: Value = Array(var.dims, symbols) if var.dims else symbols[0]
+        if var.variability not in ("constant", "parameter"):
+            return unknown
+        if self._shape_only and var.type == "Real" and var.variability == "parameter":
+            return unknown
+        memo = (id(var), "value")
+        if memo in self._open:
+            raise ModelicaError(f"'{var.name}' depends on itself", where=var.at)
+        self._open.add(memo)
+        try:
+            expression = self.binding(var)
+            fixed = self.attribute(var, "fixed")
+            if var.variability == "parameter" and isinstance(fixed, Literal) and fixed.value is False:
+                return unknown
+            if expression is None:
+                expression = self.attribute(var, "start")
+            if expression is None:
+                if var.type == "ExternalObject":
+                    return unknown
+                defaults: dict[str, bool | float | str] = {"String": "", "Boolean": False, "Real": 0.0}
+                expression = Literal(var.at, defaults.get(var.type, 0))
+                if var.variability == "constant":
+                    raise ModelicaError(f"constant '{var.name}' has no value", where=var.at)
+            shape_only, self._shape_only = self._shape_only, 0
+            try:
+                with self.evaluator.no_event():
+                    value = self.evaluator(expression)
+            finally:
+                self._shape_only = shape_only
+        finally:
+            self._open.discard(memo)
+        if var.dims and not isinstance(value, Array):
+            value = Array.fill(var.dims, algebra.scalars(value)[0])
+        if var.type == "Real" and isinstance(value, bool | int):
+            value = float(value)
+        if var.variability == "parameter":
+            self.structural.add(var.name)
+        if not any(isinstance(s, SX) for s in _scalars(value)):
+            self._values[var.name] = value
+        return value
+
+    # ---- expressions
+
+    def expr(self, e: Any, scope: Instance, env: Env) -> Any:
+        """Flatten an expression that is written in `scope`."""
+        if isinstance(e, Literal):
+            return e
+        return getattr(self, f"_expr_{type(e).__name__.lower()}")(e, scope, env)
+
+    def _all(self, items: Sequence[Any], scope: Instance, env: Env) -> tuple[Any, ...]:
+        return tuple(None if i is None else self.expr(i, scope, env) for i in items)
+
+    def _expr_foreign(self, e: Foreign, scope: Instance, env: Env) -> Any:
+        return self.expr(e.expression, e.scope, {})
+
+    def _expr_unary(self, e: Unary, scope: Instance, env: Env) -> Any:
+        operand = self.expr(e.operand, scope, env)
+        if e.operator in ("-", "+") and isinstance(operand, Literal) and not isinstance(operand.value, bool | str):
+            return Literal(e.at, -operand.value if e.operator == "-" else operand.value)
+        return Unary(e.at, e.operator, operand)
+
+    def _expr_binary(self, e: Binary, scope: Instance, env: Env) -> Any:
+        return Binary(e.at, e.operator, self.expr(e.left, scope, env), self.expr(e.right, scope, env))
+
+    def _expr_if(self, e: If, scope: Instance, env: Env) -> Any:
+        branches: list[tuple[Expression, Expression]] = []
+        for condition, value in e.branches:
+            test = self.expr(condition, scope, env)
+            if isinstance(test, Literal):  # what is never chosen need not make sense
+                if test.value:
+                    if not branches:
+                        return self.expr(value, scope, env)
+                    return If(e.at, tuple(branches), self.expr(value, scope, env))
+                continue
+            try:
+                branches.append((test, self.expr(value, scope, env)))
+            except ModelicaError:
+                if not self._never(test, False):
+                    raise
+        try:
+            otherwise = self.expr(e.otherwise, scope, env)
+        except ModelicaError:
+            if len(branches) == 1 and self._never(branches[0][0], True):
+                return branches[0][1]
+            raise
+        return If(e.at, tuple(branches), otherwise) if branches else otherwise
+
+    def _never(self, test: Expression, unless: bool) -> bool:
+        """Whether a branch that makes no sense is never chosen."""
+        value = self.maybe_known(test)
+        return value is not None and bool(value) is unless
+
+    def _expr_arrayof(self, e: ArrayOf, scope: Instance, env: Env) -> Any:
+        return ArrayOf(e.at, self._all(e.items, scope, env))
+
+    def _expr_matrix(self, e: Matrix, scope: Instance, env: Env) -> Any:
+        return Matrix(e.at, tuple(self._all(row, scope, env) for row in e.rows))
+
+    def _expr_range(self, e: Range, scope: Instance, env: Env) -> Any:
+        return Range(e.at, *self._all((e.start, e.step, e.stop), scope, env))
+
+    def _expr_tupleof(self, e: TupleOf, scope: Instance, env: Env) -> Any:
+        return TupleOf(e.at, self._all(e.items, scope, env))
+
+    def _expr_end(self, e: End, scope: Instance, env: Env) -> Any:
+        return e
+
+    def _expr_all(self, e: All, scope: Instance, env: Env) -> Any:
+        return e
+
+    def _expr_partialcall(self, e: PartialCall, scope: Instance, env: Env) -> Any:
+        raise ModelicaError("functions as arguments are not supported", where=e.at)
+
+    def _expr_subscripted(self, e: Subscripted, scope: Instance, env: Env) -> Any:
+        if isinstance(e.base, Reference) and not e.base.subscripts:
+            *before, last = e.base.parts
+            return self._expr_reference(
+                Reference(e.base.at, (*before, Part(last.name, e.subscripts)), e.base.rooted), scope, env
+            )
+        if isinstance(e.base, Foreign):
+            inner = Subscripted(e.at, e.base.expression, e.subscripts)
+            return self.expr(inner, e.base.scope, {})
+        base = self.expr(e.base, scope, env)
+        subscripts = self._all(e.subscripts, scope, env)
+        return self.pick(e.at, base, subscripts)
+
+    def pick(self, at: Place, base: Expression, subscripts: tuple[Expression, ...]) -> Expression:
+        """Select from an expression, now if what is selected shows."""
+        while subscripts:
+            first, *rest = subscripts
+            if not isinstance(base, ArrayOf) or not isinstance(first, Literal) or isinstance(first.value, str):
+                break
+            index = int(first.value)
+            if not 1 <= index <= len(base.items):
+                raise ModelicaError(f"subscript {index} is outside 1..{len(base.items)}", where=at)
+            base, subscripts = base.items[index - 1], tuple(rest)
+        if not subscripts:
+            return base
+        if isinstance(base, Call) and base.function == "fill" and len(base.arguments) == 1 + len(subscripts):
+            assert base.arguments[0] is not None
+            return base.arguments[0]
+        return Subscripted(at, base, subscripts)
+
+    def _expr_field(self, e: Field, scope: Instance, env: Env) -> Any:
+        base = e.base
+        if isinstance(base, Subscripted) and isinstance(base.base, Reference) and not base.base.subscripts:
+            *before, last = base.base.parts
+            base = Reference(base.at, (*before, Part(last.name, base.subscripts)), base.base.rooted)
+        if isinstance(base, Reference) and base.parts[0].name not in env:
+            return self._expr_reference(Reference(base.at, (*base.parts, Part(e.name)), base.rooted), scope, env)
+        if isinstance(base, If):
+            branches = tuple((c, Field(e.at, v, e.name)) for c, v in base.branches)
+            return self.expr(If(e.at, branches, Field(e.at, base.otherwise, e.name)), scope, env)
+        if isinstance(base, Subscripted) and isinstance(base.base, ArrayOf):
+            flat = [s for s in base.subscripts if isinstance(s, Literal)]
+            if len(flat) == len(base.subscripts) == 1 and not isinstance(flat[0].value, str):
+                return self._expr_field(Field(e.at, base.base.items[int(flat[0].value) - 1], e.name), scope, env)
+        if isinstance(base, Foreign):
+            return self.expr(Field(e.at, base.expression, e.name), base.scope, {})
+        value = self.expr(base, scope, env)
+        if isinstance(value, Call):
+            function = self.functions.get(value.function)
+            if function is not None and function.constructor:
+                names = [f.name for f in function.inputs]
+                if e.name in names:
+                    position = names.index(e.name)
+                    given = value.arguments[position] if position < len(value.arguments) else None
+                    if given is not None:
+                        return given
+        return Field(e.at, value, e.name)
+
+    def _expr_comprehension(self, e: Comprehension, scope: Instance, env: Env) -> Any:
+        if scope.root.function or any(value is None for value in env.values()):
+            inner = dict(env)
+            iterators = []
+            for name, bounds in e.iterators:
+                found = self._implied(name, e.element, scope, env) if bounds is None else bounds
+                iterators.append((name, self.expr(found, scope, inner)))
+                inner[name] = None
+            return Comprehension(e.at, self.expr(e.element, scope, inner), tuple(iterators))
+
+        def build(level: int, inner: Env) -> Any:
+            # the first iterator runs fastest: it is the last dimension of what the others make
+            if level < 0:
+                return self.expr(e.element, scope, inner)
+            name, bounds = e.iterators[level]
+            points = self.points(name, bounds, e.element, scope, inner)
+            return ArrayOf(e.at, tuple(build(level - 1, {**inner, name: p}) for p in points))
+
+        return build(len(e.iterators) - 1, dict(env))
+
+    def points(self, name: str, bounds: Expression | None, body: Any, scope: Instance, env: Env) -> list[Literal]:
+        """Values that a loop variable takes."""
+        if bounds is None:
+            bounds = self._implied(name, body, scope, env)
+        if isinstance(bounds, Reference):
+            literals = self._enumeration_type(bounds, scope) if bounds.parts[0].name not in env else None
+            if literals is not None and bounds.name == "Boolean":
+                return [Literal(bounds.at, value) for value in (False, True)]
+            if literals is not None:
+                return [Literal(bounds.at, i + 1, n) for i, (n, _) in enumerate(literals)]
+        value = self.known(self.expr(bounds, scope, env), bounds.at)
+        items = value.items if isinstance(value, Array) else _scalars(value)
+        return [Literal(bounds.at, i) for i in items]  # type: ignore[arg-type]
+
+    def _implied(self, name: str, body: Any, scope: Instance, env: Env) -> Expression:
+        """Range of a loop without one: the size of what its variable alone indexes."""
+        for node in walk(body):
+            if isinstance(node, Reference):
+                for k, part in enumerate(node.parts):
+                    for position, subscript in enumerate(part.subscripts):
+                        if isinstance(subscript, Reference) and subscript.name == name:
+                            array = Reference(node.at, (*node.parts[:k], Part(part.name)), node.rooted)
+                            size = Call(node.at, "size", (array, Literal(node.at, position + 1)))
+                            return Range(node.at, Literal(node.at, 1), None, size)
+        at = body.at if hasattr(body, "at") else body[0].at
+        raise ModelicaError(f"loop variable '{name}' has no range, and indexes nothing alone", where=at)
+
+    # ---- references
+
+    def _expr_reference(self, e: Reference, scope: Instance, env: Env) -> Any:
+        first = e.parts[0]
+        if first.name in env and not e.rooted:
+            value = env[first.name]
+            if value is None or len(e.parts) > 1:
+                return self._local(e, scope, env)
+            return value
+        if first.name == "time" and len(e.parts) == 1:
+            return e
+        found = self.world.find(scope, first.name, e.rooted)
+        if found is None:
+            raise ModelicaError(
+                f"there is no '{e.name}'" if len(e.parts) > 1 else f"there is no variable '{e.name}'", where=e.at,
+                fix=self.world.absent(e.name) if len(e.parts) > 1 else World.suggest(first.name, scope.root.slots),
+            )  # fmt: skip
+        position = 0
+        while isinstance(found, ClassRef) or not isinstance(found.element, ComponentDef):
+            position += 1
+            if position >= len(e.parts):
+                raise ModelicaError(f"'{e.name}' is a class, not a variable", where=e.at)
+            package = self.world.package(found, e.at)
+            name = e.parts[position].name
+            if package.enumeration is not None:
+                names = [n for n, _ in package.enumeration.enumeration or ()]
+                if name not in names:
+                    raise ModelicaError(f"'{package.class_name}' has no literal '{name}'", where=e.at,
+                                        fix=World.suggest(name, names))  # fmt: skip
+                return Literal(e.at, names.index(name) + 1, name)
+            member = package.slot(name)
+            if member is None:
+                raise ModelicaError(
+                    f"'{'.'.join(p.name for p in e.parts[:position])}' has no '{name}'", where=e.at,
+                    fix=World.suggest(name, package.slots),
+                )  # fmt: skip
+            found = member
+        root = found.scope.root
+        if root.function and position == 0:
+            return self._local(e, scope, env)
+        return self._walk(self.item(root, found.name), e, position, scope, env)
+
+    def _local(self, e: Reference, scope: Instance, env: Env) -> Reference:
+        parts = tuple(Part(p.name, self._all(p.subscripts, scope, env)) for p in e.parts)
+        return Reference(e.at, parts)
+
+    def _walk(self, item: Item, e: Reference, position: int, scope: Instance, env: Env) -> Any:
+        part = e.parts[position]
+        last = position + 1 == len(e.parts)
+        if isinstance(item, Absent):
+            raise ModelicaError(f"'{e.name}' is a conditional component that is not there", where=e.at)
+        if isinstance(item, Many):
+            subscripts = self._all(part.subscripts, scope, env)
+            return self._slice(item, subscripts, e, position, scope, env)
+        if isinstance(item, Instance):
+            if part.subscripts:
+                raise ModelicaError(f"'{part.name}' is no array", where=e.at)
+            if last:
+                if item.root.path is None or _in_package(item):
+                    return self._record_value(item, e.at)
+                return Reference(e.at, (Part(item.path or ""),))
+            name = e.parts[position + 1].name
+            slot = item.slot(name)
+            if slot is None:
+                if item.definition.kind == "expandable connector":
+                    raise _NotInBusError(item, name, e.at)
+                raise ModelicaError(
+                    f"'{item.path}' has no '{name}'", where=e.at, fix=World.suggest(name, item.slots)
+                )
+            if isinstance(slot.element, ClassDef):
+                raise ModelicaError(f"'{e.name}' is a class, not a variable", where=e.at)
+            return self._walk(self.item(item, name), e, position + 1, scope, env)
+        if not last:
+            raise ModelicaError(f"'{item.name}' has no '{e.parts[position + 1].name}'", where=e.at)
+        subscripts = self._all(part.subscripts, scope, env)
+        if len(subscripts) > len(item.dims):
+            raise ModelicaError(f"'{item.name}' has {len(item.dims)} dimensions", where=e.at)
+        if item.variability == "constant" and (item.owner.path is None or _in_package(item.owner)):
+            return self.pick(e.at, self.constant(item), subscripts)
+        if item.owner.path is None:
+            raise ModelicaError(f"'{item.name}' is no constant", where=e.at)
+        return Reference(e.at, (Part(item.name, subscripts),))
+
+    def constant(self, var: Var) -> Expression:
+        """Value of a constant of a package, as literals."""
+        if var.name not in self._constants:
+            value = self.value(var)
+            self._constants[var.name] = self.literal(value, var.at)
+        return self._constants[var.name]
+
+    def literal(self, value: Value, at: Place) -> Expression:
+        """Make literals of a value."""
+        if isinstance(value, Array):
+            if not value.shape:
+                return self.literal(value.items[0], at)
+            inner = value.shape[1:]
+            n = math.prod(inner)
+            rows = [value.items[i * n : (i + 1) * n] for i in range(value.shape[0])]
+            return ArrayOf(at, tuple(self.literal(Array(inner, row) if inner else row[0], at) for row in rows))
+        if isinstance(value, bool | int | float | str):
+            return Literal(at, value)
+        raise ModelicaError("a constant whose value is not known", where=at)
+
+    def _record_value(self, item: Instance, at: Place) -> Expression:
+        ref = ClassRef(item.definition, item.parent)
+        key = self.function_key(ref, at)
+        arguments = []
+        for formal in self.functions[key].inputs:
+            inner = self.item(item, formal.name)
+            if isinstance(inner, Var):
+                arguments.append(self.constant(inner))
+            elif isinstance(inner, Instance):
+                arguments.append(self._record_value(inner, at))
+            else:
+                raise ModelicaError("a constant record with an array of records is not supported", where=at)
+        return Call(at, key, tuple(arguments))
+
+    def _slice(
+        self,
+        many: Many,
+        subscripts: tuple[Expression, ...],
+        e: Reference,
+        position: int,
+        scope: Instance,
+        env: Env,
+    ) -> Any:
+        if len(subscripts) > len(many.dims):
+            raise ModelicaError(f"'{many.name}' has {len(many.dims)} dimensions", where=e.at)
+        chosen: list[list[int] | int] = []
+        open_at: tuple[int, Expression] | None = None
+        for k, n in enumerate(many.dims):
+            subscript = subscripts[k] if k < len(subscripts) else All(e.at)
+            if isinstance(subscript, All):
+                chosen.append(list(range(n)))
+                continue
+            value = None
+            if not _has_local(subscript, env) and not scope.root.function:
+                value = self._subscript(subscript, n)
+            if value is None:
+                if open_at is not None:
+                    raise ModelicaError("two subscripts that are not known at translation", where=e.at)
+                open_at = (len([c for c in chosen if isinstance(c, list)]), subscript)
+                chosen.append(list(range(n)))
+            elif isinstance(value, list):
+                chosen.append([i - 1 for i in value])
+            else:
+                chosen.append(value - 1)
+        for c, n in zip(chosen, many.dims, strict=True):
+            for i in c if isinstance(c, list) else [c]:
+                if not 0 <= i < n:
+                    raise ModelicaError(f"subscript {i + 1} of '{many.name}' is outside 1..{n}", where=e.at)
+
+        def build(k: int, index: list[int]) -> Any:
+            if k == len(chosen):
+                offset = 0
+                for i, n in zip(index, many.dims, strict=True):
+                    offset = offset * n + i
+                bare = Reference(
+                    e.at, (*e.parts[:position], Part(e.parts[position].name), *e.parts[position + 1 :])
+                )
+                return self._walk(many.items[offset], bare, position, scope, env)
+            c = chosen[k]
+            if isinstance(c, int):
+                return build(k + 1, [*index, c])
+            return ArrayOf(e.at, tuple(build(k + 1, [*index, i]) for i in c))
+
+        out = build(0, [])
+        if open_at is not None:
+            place, subscript = open_at
+            out = Subscripted(e.at, out, (*(All(e.at),) * place, subscript))
+        return out
+
+    def _subscript(self, subscript: Expression, size: int) -> int | list[int] | None:
+        if any(isinstance(node, End) for node in walk(subscript)):
+            subscript = transform(subscript, lambda n: Literal(n.at, size) if isinstance(n, End) else n)
+        value = self.maybe_known(subscript)
+        if isinstance(value, Array):
+            return [algebra.whole(i) for i in value.items]
+        if isinstance(value, bool):
+            return int(value) + 1
+        return None if value is None else int(value)  # type: ignore[arg-type]
+
+    # ---- calls
+
+    def _expr_call(self, e: Call, scope: Instance, env: Env) -> Any:
+        name = e.function
+        parts = name.split(".")
+        if name in ("size", "ndims", "cardinality", "getInstanceName"):
+            special = self._special(e, scope, env)
+            if special is not None:
+                return special
+        if name in SUPPORTED and len(parts) == 1:
+            shadow = self.world.find(scope, name)
+            if shadow is None or (isinstance(shadow, ClassRef) and shadow.definition.kind == "builtin"):
+                return self._builtin(e, scope, env)
+        if name in UNSUPPORTED or parts[0] == "Connections":
+            raise ModelicaError(f"'{name}' is not supported", where=e.at)
+        reference = Reference(e.at, tuple(Part(p) for p in parts), e.rooted)
+        found = self._function_class(reference, scope)
+        if found is None:
+            if name in SUPPORTED:
+                return self._builtin(e, scope, env)
+            raise ModelicaError(
+                f"there is no function '{name}'", where=e.at,
+                fix=self.world.absent(name) if len(parts) > 1 else World.suggest(name, SUPPORTED),
+            )  # fmt: skip
+        ref = found
+        if ref.definition.enumeration is not None or ref.definition.kind in ("type", "builtin"):
+            return self._builtin(replace(e, function="Integer"), scope, env)
+        key = self.function_key(ref, e.at)
+        function = self.functions[key]
+        arguments = self._positional(e, [f.name for f in function.inputs], name, scope, env)
+        if function.external is not None and function.external[0].startswith("builtin:"):
+            by_name = dict(zip([f.name for f in function.inputs], arguments, strict=False))
+            used = [by_name[a.name] for a in function.external[1] if isinstance(a, Reference)]
+            return Call(e.at, function.external[0].removeprefix("builtin:"), tuple(used))
+        return Call(e.at, key, arguments)
+
+    def _function_class(self, reference: Reference, scope: Instance) -> ClassRef | None:
+        """Class of a function by name; the name may begin with a component (``medium.f``)."""
+        found = self.world.find(scope, reference.parts[0].name, reference.rooted)
+        position = 0
+        while isinstance(found, Slot) and isinstance(found.element, ComponentDef):
+            position += 1
+            if position >= len(reference.parts):
+                raise ModelicaError(f"'{reference.name}' is a component, not a function", where=reference.at)
+            item = self.item(found.scope.root, found.name)
+            if not isinstance(item, Instance):
+                raise ModelicaError(f"'{reference.name}' is not a function", where=reference.at)
+            found = item.slot(reference.parts[position].name)
+        if found is None:
+            return None
+        if position:
+            for part in reference.parts[position + 1 :]:
+                member = self.world.member(found, part.name, reference.at)
+                if member is None:
+                    return None
+                found = member
+            return self.world.class_ref(found)
+        return self.world.lookup_class(scope, reference)
+
+    def _positional(
+        self, e: Call, names: list[str], shown: str, scope: Instance, env: Env
+    ) -> tuple[Expression | None, ...]:
+        given: list[Expression | None] = list(self._all(e.arguments, scope, env))
+        if len(given) > len(names):
+            raise ModelicaError(f"{shown}() has {len(names)} arguments, not {len(given)}", where=e.at)
+        given += [None] * (len(names) - len(given))
+        for key, value in e.named:
+            if key not in names:
+                raise ModelicaError(
+                    f"{shown}() has no argument '{key}'", where=e.at, fix=World.suggest(key, names)
+                )
+            if given[names.index(key)] is not None:
+                raise ModelicaError(f"{shown}() has its argument '{key}' twice", where=e.at)
+            given[names.index(key)] = self.expr(value, scope, env)
+        while given and given[-1] is None:
+            given.pop()
+        return tuple(given)
+
+    def _builtin(self, e: Call, scope: Instance, env: Env) -> Any:
+        name = e.function
+        if e.named:
+            arguments = self._positional(e, NAMED.get(name, []), name, scope, env)
+        else:
+            arguments = self._all(e.arguments, scope, env)
+        return Call(e.at, name, arguments)
+
+    def _special(self, e: Call, scope: Instance, env: Env) -> Any:
+        if e.function == "getInstanceName":
+            model = self.instances[""].definition.name if "" in self.instances else ""
+            path = scope.root.path
+            return Literal(e.at, f"{model}.{path}" if path else model)
+        if e.function == "cardinality":
+            raise ModelicaError("'cardinality' is not supported", where=e.at)
+        first = e.arguments[0] if e.arguments else None
+        if not isinstance(first, Reference) or first.parts[0].name in env:
+            return None
+        literals = self._enumeration_type(first, scope) if e.function == "size" else None
+        dims: tuple[int, ...] | None = None if literals is None else (len(literals),)
+        if dims is None:
+            dims = self._dims(first, scope, env)
+        if dims is None:
+            return None
+        if e.function == "ndims":
+            return Literal(e.at, len(dims))
+        if len(e.arguments) == 1:
+            return ArrayOf(e.at, tuple(Literal(e.at, n) for n in dims))
+        assert e.arguments[1] is not None
+        position = self.maybe_known(self.expr(e.arguments[1], scope, env))
+        if not isinstance(position, int):
+            return None
+        if not 1 <= position <= len(dims):
+            raise ModelicaError(f"'{first.name}' has {len(dims)} dimensions", where=e.at)
+        return Literal(e.at, dims[position - 1])
+
+    def _dims(self, e: Reference, scope: Instance, env: Env) -> tuple[int, ...] | None:
+        """Sizes of a component without subscripts; None if it takes more to know."""
+        found = self.world.find(scope, e.parts[0].name, e.rooted)
+        if not isinstance(found, Slot) or not isinstance(found.element, ComponentDef) or found.scope.root.function:
+            return None
+        item = self.item(found.scope.root, found.name)
+        out: tuple[int, ...] = ()
+        for k, part in enumerate(e.parts):
+            if part.subscripts:
+                return None
+            if isinstance(item, Many):
+                out += item.dims
+                if k + 1 < len(e.parts):
+                    return None
+            elif isinstance(item, Var):
+                return out + item.dims
+            elif isinstance(item, Instance) and k + 1 < len(e.parts):
+                slot = item.slot(e.parts[k + 1].name)
+                if slot is None or not isinstance(slot.element, ComponentDef):
+                    return None
+                item = self.item(item, slot.name)
+        return out if isinstance(item, Many) else None
+
+    # ---- functions
+
+    def function_key(self, ref: ClassRef, at: Place) -> str:
+        """Name of a flat function; makes it if need be."""
+        ref = self.world.plain(ref)
+        memo = (id(ref.definition), id(ref.parent), id(ref.slot) if ref.mod.subs else 0)
+        if memo in self._function_keys:
+            return self._function_keys[memo]
+        path = ref.definition.path or ref.definition.name
+        key, count = path, 1
+        while key in self.functions:
+            count += 1
+            key = f"{path} ({count})"
+        self._function_keys[memo] = key
+        self.functions[key] = Function(key, ref.definition.at, (), (), (), ())
+        # of its own, whatever package instance there is: its components stay local names
+        instance = Instance(self.world, ref.definition, ref.parent, ref.mod)
+        if instance.builtin == "ExternalObject":
+            slot = instance.slot("constructor")
+            if slot is None:
+                raise ModelicaError(f"'{path}' has no constructor", where=at)
+            inner = self.world.class_ref(slot)
+            assert inner is not None
+            instance = Instance(self.world, inner.definition, inner.parent, inner.mod)
+            self.functions[key] = self._function(key, instance)
+        elif instance.is_kind("record"):
+            self.functions[key] = self._constructor(key, instance)
+        elif instance.function or any(b.function for b in instance.all_bases()):
+            if ref.definition.partial:
+                raise ModelicaError(f"function '{path}' is partial", where=at)
+            self.functions[key] = self._function(key, instance)
+        else:
+            del self.functions[key]
+            raise ModelicaError(f"'{path}' is a {instance.definition.kind}, not a function", where=at)
+        return key
+
+    def _formals(self, instance: Instance) -> Iterator[tuple[ComponentDef, Slot, Formal]]:
+        for name, raw in list(instance.slots.items()):
+            if isinstance(raw.element, ComponentDef):
+                slot = raw.effective()
+                assert isinstance(slot.element, ComponentDef)
+                yield slot.element, slot, self._formal(name, slot)
+
+    def _formal(self, name: str, slot: Slot) -> Formal:
+        component = slot.element
+        assert isinstance(component, ComponentDef)
+        ref = self.world.find_class(slot.scope, component.type)
+        kind = ref.definition.kind
+        if kind.endswith("function"):
+            raise ModelicaError(f"'{name}': functions as arguments are not supported", where=component.at)
+        instance = Instance(self.world, ref.definition, ref.parent, merge(slot.mod, ref.mod, name))
+        subscripts = [(s, slot.scope) for s in component.subscripts] + instance.subscripts
+        shape = tuple(None if isinstance(s, All) else self._size(s, scope) for s, scope in subscripts)
+        default = None
+        value = instance.attributes if instance.builtin or instance.enumeration else instance.mod
+        if value.value is not None:
+            assert value.scope is not None
+            default = self.expr(value.value, value.scope, {})
+        fields = None
+        if instance.builtin:
+            type_name = instance.builtin
+        elif instance.enumeration is not None:
+            type_name = "Integer"
+        elif instance.is_kind("record"):
+            type_name = "record"
+            instance.function = True
+            fields = tuple(formal for _, _, formal in self._formals(instance))
+        else:
+            raise ModelicaError(f"'{name}' of '{ref.definition.path}' in a function", where=component.at)
+        return Formal(name, component.at, type_name, shape, default, fields)
+
+    def _size(self, subscript: Expression, scope: Instance) -> Expression:
+        if isinstance(subscript, Reference):
+            literals = self._enumeration_type(subscript, scope)
+            if literals is not None:
+                return Literal(subscript.at, len(literals))
+        return self.expr(subscript, scope, {})  # type: ignore[no-any-return]
+
+    def _function(self, key: str, instance: Instance) -> Function:
+        for base in instance.all_bases():
+            base.function = True
+        instance.function = True
+        inputs: list[Formal] = []
+        outputs: list[Formal] = []
+        inner: list[Formal] = []
+        for component, _, formal in self._formals(instance):
+            target = (
+                inputs if "input" in component.prefixes else outputs if "output" in component.prefixes else inner
+            )
+            target.append(formal)
+        # a function that calls itself finds its arguments
+        self.functions[key] = Function(key, instance.definition.at, tuple(inputs), tuple(outputs), (), ())
+        external = None
+        body: tuple[Any, ...] = ()
+        for base in instance.all_bases():
+            written = base.definition.external
+            if written is not None:
+                name = written.name or base.definition.name
+                prefix = "builtin:" if written.language == "builtin" else ""
+                if written.arguments is None:
+                    arguments: tuple[Expression, ...] = tuple(
+                        Reference(written.at, (Part(f.name),)) for f in inputs
+                    )
+                else:
+                    arguments = self._all(written.arguments, base, {})
+                target_name = written.output.name if written.output else (outputs[0].name if outputs else None)
+                external = (f"{prefix}{name}", arguments, target_name)
+            for section in base.definition.sections:
+                if section.kind != "algorithm":
+                    raise ModelicaError("a function has no equations", where=section.at)
+                body = self.statements(section.items, base, {})
+        pure = not any(b.definition.impure for b in instance.all_bases())
+        return Function(
+            key, instance.definition.at, tuple(inputs), tuple(outputs), tuple(inner), body, external, False, pure
+        )
+
+    def _constructor(self, key: str, instance: Instance) -> Function:
+        instance.function = True
+        inputs: list[Formal] = []
+        fixed: list[Formal] = []
+        for component, slot, formal in self._formals(instance):
+            closed = component.final or slot.mod.final or component.protected or "constant" in component.prefixes
+            (fixed if closed else inputs).append(formal)
+        return Function(key, instance.definition.at, tuple(inputs), (), tuple(fixed), (), None, True)
+
+    # ---- statements
+
+    def statements(self, items: Sequence[Any], scope: Instance, env: Env) -> tuple[Any, ...]:
+        """Flatten the statements of a function or an algorithm section."""
+        return tuple(self._statement(s, scope, env) for s in items)
+
+    def _statement(self, s: Any, scope: Instance, env: Env) -> Any:
+        match s:
+            case Assign():
+                return Assign(s.at, self._target(s.target, scope, env), self.expr(s.value, scope, env))
+            case AssignMany():
+                targets = tuple(None if t is None else self._target(t, scope, env) for t in s.targets)
+                call = self.expr(s.call, scope, env)
+                if not isinstance(call, Call):
+                    raise ModelicaError("a function call is expected here", where=s.at)
+                return AssignMany(s.at, targets, call)
+            case IfStatement():
+                branches = []
+                for condition, body in s.branches:
+                    test = None if condition is None else self.expr(condition, scope, env)
+                    if isinstance(test, Literal):
+                        if not test.value:
+                            continue
+                        test = None
+                    branches.append((test, self.statements(body, scope, env)))
+                    if test is None:
+                        break
+                return IfStatement(s.at, tuple(branches))
+            case ForStatement():
+                inner = dict(env)
+                iterators = []
+                for name, bounds in s.iterators:
+                    found = self._implied(name, s.body, scope, env) if bounds is None else bounds
+                    if isinstance(found, Reference) and found.parts[0].name not in inner:
+                        literals = self._enumeration_type(found, scope)
+                        if literals is not None:
+                            found = Range(found.at, Literal(found.at, 1), None, Literal(found.at, len(literals)))
+                    iterators.append((name, self.expr(found, scope, inner)))
+                    inner[name] = None
+                return ForStatement(s.at, tuple(iterators), self.statements(s.body, scope, inner))
+            case WhileStatement():
+                return WhileStatement(
+                    s.at, self.expr(s.condition, scope, env), self.statements(s.body, scope, env)
+                )
+            case WhenStatement():
+                return WhenStatement(
+                    s.at,
+                    tuple((self.expr(c, scope, env), self.statements(b, scope, env)) for c, b in s.branches),
+                )
+            case Reinit():
+                return Reinit(s.at, self._target(s.state, scope, env), self.expr(s.value, scope, env))
+            case Assert():
+                return Assert(
+                    s.at, self.expr(s.condition, scope, env), self.expr(s.message, scope, env), s.warning
+                )
+            case Terminate():
+                return Terminate(s.at, self.expr(s.message, scope, env))
+            case Return() | Break():
+                return s
+        raise ModelicaError("this statement is not supported", where=s.at)
+
+    def _target(self, e: Reference, scope: Instance, env: Env) -> Reference:
+        out = self.expr(e, scope, env)
+        if not isinstance(out, Reference):
+            raise ModelicaError(f"'{e.name}' cannot be assigned", where=e.at)
+        return out
+
+
+class _NotInBusError(ModelicaError):
+    """A name that an expandable connector does not have (yet)."""
+
+    def __init__(self, instance: Instance, name: str, at: Place) -> None:
+        super().__init__(f"expandable connector '{instance.path}' has no '{name}'", where=at)
+        self.instance = instance
+        self.name = name
+
+
+NotInBusError = _NotInBusError
+
+
+class _Known:
+    """Scope of evaluations during flattening."""
+
+    def __init__(self, resolver: Resolver) -> None:
+        self._resolver = resolver
+
+    def lookup(self, name: str) -> Value:
+        resolver = self._resolver
+        if name == "time":
+            return SX.sym("time")
+        var = resolver.vars.get(name)
+        if var is not None:
+            return resolver.value(var)
+        instance = resolver.instances.get(name)
+        if instance is None:
+            raise KeyError(name)
+        out: dict[str, Value] = {}
+        for field_name, slot in instance.slots.items():
+            if isinstance(slot.element, ComponentDef):
+                item = resolver.item(instance, field_name)
+                if isinstance(item, Var):
+                    out[field_name] = resolver.value(item)
+                elif isinstance(item, Instance):
+                    out[field_name] = self.lookup(item.path or "")
+        return out
+
+    def derivative(self, value: Any) -> Any:
+        return SX.sym("der") if isinstance(value, SX) else 0.0
+
+    def previous(self, value: Any) -> Any:
+        return value
+
+    def relation(self, difference: SX, inclusive: bool) -> SX:
+        return SX.sym("relation")
+
+    def step(self, argument: SX) -> SX:
+        return SX.sym("step")
+
+    def sample(self, start: Any, interval: Any) -> SX:
+        return SX.sym("sample")
+
+    def initial(self) -> SX:
+        return SX.sym("initial")
+
+    def terminal(self) -> SX:
+        return SX.sym("terminal")
+
+    def delay(self, value: Any, *rest: Any) -> Any:
+        return SX.sym("delay")
+
+
+def _in_package(instance: Instance) -> bool:
+    """Whether a component is part of a constant of a package."""
+    owner: Instance | None = instance
+    while owner is not None:
+        if owner.root.path is None:
+            return True
+        owner = owner.root.owner
+    return False
+
+
+def _has_local(tree: Any, env: Env) -> bool:
+    return any(isinstance(n, Reference) and n.parts[0].name in env for n in walk(tree))
+
+
+def _scalars(value: Value) -> tuple[Any, ...]:
+    if isinstance(value, str) or value is None:
+        return (value,)
+    if isinstance(value, dict):
+        return tuple(s for v in value.values() for s in _scalars(v))
+    if isinstance(value, tuple):
+        return tuple(s for v in value for s in _scalars(v))
+    return algebra.scalars(value)
+
+
+def _says(component: ComponentDef, name: str) -> bool:
+    """Whether an annotation of a component sets a flag."""
+    source = component.annotation
+    if source is None or name not in source.text[source.start : source.stop]:
+        return False
+    for argument in annotation(source):
+        if argument.name == name and not hasattr(argument, "element"):
+            value = argument.modification.value
+            return isinstance(value, Literal) and value.value is True
+    return False
+
+
+_ATTRIBUTES = frozenset(
+    ("quantity", "unit", "displayUnit", "min", "max", "start", "fixed", "nominal", "unbounded", "stateSelect",
+     "uncertain")
+)  # fmt: skip
