@@ -174,7 +174,7 @@ def test_the_error_of_an_advantage_is_that_of_a_mean_over_the_runs():
 def test_runs_that_agree_by_chance_make_no_score_certain():
     """Their scatter counts as if the floor's had been seen in four more experiments."""
     subject = plant({"a": 0.05})
-    nominal = fit_effects(subject, (), {})
+    nominal = fit_effects(subject, (), [{}])
     runs = tuple(replace(r, values=np.broadcast_to(r.mean, r.values.shape)) for r in subject.observed.runs)
     observed = replace(subject.observed, runs=runs)
     scores = score_effects(subject.model.predict, observed, nominal.fit, subject.effects)

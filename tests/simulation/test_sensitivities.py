@@ -181,7 +181,7 @@ def test_a_diagnosis_takes_exact_derivatives(slider):
     )
     unknowns = [
         Unknown("m", 0.8, 0.1, 10.0, 1e-4),
-        Unknown("d", 0.5, 0.0, 5.0, 1e-4),
+        Unknown("d", 0.5, -5.0, 5.0, 1e-4),
         Unknown("friction", 0.4, 0.0, 5.0, 1e-4),
         Unknown("v", 0.01, -1.0, 1.0, 1e-4),
     ]
