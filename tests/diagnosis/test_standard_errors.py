@@ -10,7 +10,7 @@ from fmuid.diagnosis.refit import Refit, Unknown
 from fmuid.diagnosis.scores import stack
 from fmuid.diagnosis.standard_errors import standard_errors
 
-TIME = 5e-3 * np.arange(300)
+TIME = 5e-3 * np.arange(200)
 TRUTH = np.array([1.0, 0.5])
 SHAPES = [
     np.stack([np.sin(2 * np.pi * (0.5 + 0.4 * e) * TIME), np.sign(np.sin(2 * np.pi * (0.9 + 0.3 * e) * TIME))])
@@ -44,7 +44,7 @@ def drawn(generator, colour, repeats, drift=0.0):
 @pytest.mark.parametrize(("colour", "repeats"), [(0.0, 3), (0.95, 2), (0.95, 5)])
 def test_two_standard_errors_cover_the_truth(colour, repeats):
     generator = np.random.default_rng(1)
-    off, errors = (np.array(x) for x in zip(*(drawn(generator, colour, repeats) for _ in range(200)), strict=True))
+    off, errors = (np.array(x) for x in zip(*(drawn(generator, colour, repeats) for _ in range(150)), strict=True))
     covered = np.mean(np.abs(off) < 1.96 * errors, axis=0)
     assert np.all(covered >= 0.90)
     # Nor are they wider than they need be.
