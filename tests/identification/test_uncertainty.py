@@ -119,10 +119,10 @@ def test_at_an_active_constraint_standard_errors_are_those_along_it(analytic, ex
 
 
 def test_the_standard_error_of_few_samples_is_that_of_their_mean(analytic):
-    """With n - 1 in the denominator, exactly."""
+    """With n - 1 in the denominator, exactly, where no sigma was given."""
     y = 2 + 0.1 * np.random.default_rng(0).standard_normal(5)
     level = analytic(lambda time, inputs, p: {"y": p["a"] + 0 * time}, ["a"])
-    case = measured_case("run", level, Task(np.arange(5.0), {}, ("y",)), {"y": y}, sigma={"y": 0.1})
+    case = measured_case("run", level, Task(np.arange(5.0), {}, ("y",)), {"y": y})
     found = identify(Problem([case], [ParameterSpec("a", 1.0)])).stages[0]
     assert found["a"].standard_error == pytest.approx(np.std(y, ddof=1) / np.sqrt(5), rel=1e-6)
 
