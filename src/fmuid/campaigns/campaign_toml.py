@@ -192,7 +192,14 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None) -
     }
     effects = None
     if document.effects is not None:
-        effects = _effects(document.effects, folder, recorded, parameters, roles.validation, f"{file} [effects]")
+        effects = _effects(
+            document.effects,
+            folder,
+            measurements=recorded,
+            parameters=parameters,
+            validation=roles.validation,
+            where=f"{file} [effects]",
+        )
     name = head.name or file.resolve().parent.name
     return Campaign(
         name=name,
@@ -264,6 +271,7 @@ def _derived(time: FloatArray, signal: Signal, name: str, causality: Causality, 
 def _effects(
     raw: _Table,
     folder: Path,
+    *,
     measurements: Measurements,
     parameters: Mapping[str, ParameterSpec],
     validation: Collection[str],

@@ -128,7 +128,7 @@ def runs_away(model: Simulator, runs: Sequence[Experiment], mapping: Mapping[str
     task = Task(run.time, inputs, tuple(measured))
     values = np.array(list(measured.values()))
     try:
-        whole = Segmented(model, task, "auto", values, np.isfinite(values).astype(np.float64), {})
+        whole = Segmented(model, task, "auto", target=values, weight=np.isfinite(values).astype(np.float64), at={})
     except ProblemError:  # a model that cannot be started anywhere
         return None
     found = open_loop(whole)

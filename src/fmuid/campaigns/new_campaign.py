@@ -103,13 +103,7 @@ def new_campaign(
         run = replace(run, table=_with_units(run.table, units or {}))
         table = run.table
         matched = match_columns(table, ports)
-        if not any(ports[v].causality == "output" for v in matched.values()):
-            outputs = [f"{n} [{v.unit or '1'}]" for n, v in ports.items() if v.causality == "output"]
-            raise CampaignError(
-                f"no column is an output of {fmu.name} by its name or its unit",
-                where=file,
-                fix=f"rename columns, or state their units (--unit); {known_names(outputs)}",
-            )
+        _require_output(matched, ports, fmu, file)
         runs[file.stem] = _run(file, run, matched=matched, ports=ports, setup=fmu.stem, sigmas=sigmas or {})
         notes += [(file.name, note) for note in (*run.notes, *_lines(table, matched, ports))]
         mapping |= {c: v for c, v in matched.items() if c != v}
@@ -191,6 +185,16 @@ def _fits(unit: str, other: str | None) -> bool:
 
 def _with_units(table: Table, units: Mapping[str, str]) -> Table:
     return replace(table, units=dict(table.units) | {n: u for n, u in units.items() if n in table.columns})
+
+
+def _require_output(matched: Mapping[str, str], ports: Mapping[str, Variable], fmu: Path, file: Path) -> None:
+    if not any(ports[v].causality == "output" for v in matched.values()):
+        outputs = [f"{n} [{v.unit or '1'}]" for n, v in ports.items() if v.causality == "output"]
+        raise CampaignError(
+            f"no column is an output of {fmu.name} by its name or its unit",
+            where=file,
+            fix=f"rename columns, or state their units (--unit); {known_names(outputs)}",
+        )
 
 
 def _run(

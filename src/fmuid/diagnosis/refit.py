@@ -164,10 +164,8 @@ def _search(
             cost_tolerance=tolerance,
             step_tolerance=1e-8,
         )
-    except SettledError:
-        return cost, best, True
-    except (_ExhaustedError, SimulationError):
-        return cost, best, False
+    except (SettledError, _ExhaustedError, SimulationError) as ended:
+        return cost, best, isinstance(ended, SettledError)
     return cost, best, True
 
 

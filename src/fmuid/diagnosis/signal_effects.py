@@ -87,7 +87,7 @@ def _behind(course: Course, edges: FloatArray, lag: float) -> Course:
 
     h, y = np.diff(edges), course.on(edges)
     slope = np.diff(y) / h if course.linear else np.zeros(len(h))
-    x = _lagged(h, y[:-1], slope, np.zeros(len(h)), lag, y[0])
+    x = _lagged(h, y[:-1], slope, np.zeros(len(h)), lag=lag, first=y[0])
     decaying = x[:-1] - (y[:-1] - lag * slope)  # with exp(-s / lag) towards a line
     left, area = np.exp(-h / lag), -lag * np.expm1(-h / lag)
     if course.linear:
@@ -137,7 +137,9 @@ class Disturbed:
             y = outcome[row] - slope * (self.time - begin)
             at_breaks = y[::width]
             if effect.get("lag", 0.0) > 0.0:
-                at_breaks = _lagged(np.diff(self._breaks), *_smooth(self._breaks, y, width), effect["lag"], y[0])
+                at_breaks = _lagged(
+                    np.diff(self._breaks), *_smooth(self._breaks, y, width), lag=effect["lag"], first=y[0]
+                )
             moved = self._samples - effect.get("delay", 0.0)
             out[row] = np.interp(moved, self._breaks, at_breaks) + slope * (self._samples - begin)
         return out
@@ -225,7 +227,7 @@ def _smooth(breaks: FloatArray, y: FloatArray, width: int) -> tuple[FloatArray, 
 
 
 def _lagged(
-    h: FloatArray, begin: FloatArray, slope: FloatArray, bend: FloatArray, lag: float, first: float
+    h: FloatArray, begin: FloatArray, slope: FloatArray, bend: FloatArray, *, lag: float, first: float
 ) -> FloatArray:
     """Return the (M+1,) states of a first-order lag that starts at `first`.
 

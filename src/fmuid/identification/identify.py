@@ -265,16 +265,7 @@ def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
     found = Findings()
     if outcome is not _INTERRUPTED:
         try:
-            found = analyse(
-                search,
-                asked.analyses,
-                lambda e, why, kept: run.history.record(problem.name, e, why, False, residuals=kept),
-                known.held_in(problem, run.specs) if asked.analyses.uncertainty else None,
-            )
-            if unsure := sorted(n for n in known.unsure if n in problem.space.fixed and problem.sees(n)):
-                found.warnings.append(
-                    f"held as if exactly known, for want of a standard error: {', '.join(unsure)}"
-                )
+            found = _findings(run, asked, known, search)
         except KeyboardInterrupt:
             outcome = _INTERRUPTED
     result = _result(
@@ -292,6 +283,20 @@ def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
         run.history.finish(problem.name, msgspec.json.encode(result), repr(asked.analyses))
     run.observer.finished(result)
     return result
+
+
+def _findings(run: _Run, asked: _Posed, known: Known, search: Search) -> Findings:
+    """Return what the stage asks about its estimate; the runs for it are recorded too."""
+    problem = asked.problem
+    found = analyse(
+        search,
+        asked.analyses,
+        lambda e, why, kept: run.history.record(problem.name, e, why, False, residuals=kept),
+        known.held_in(problem, run.specs) if asked.analyses.uncertainty else None,
+    )
+    if unsure := sorted(n for n in known.unsure if n in problem.space.fixed and problem.sees(n)):
+        found.warnings.append(f"fixed as if exactly known, for want of a standard error: {', '.join(unsure)}")
+    return found
 
 
 def _begun(run: _Run, problem: Problem, solver: Solver, why: str) -> StageResult:

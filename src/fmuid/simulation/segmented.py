@@ -113,6 +113,7 @@ class Segmented:
         length: Length,
         target: FloatArray,
         weight: FloatArray,
+        *,
         at: Mapping[str, float],
     ) -> None:
         self.simulator, self.task, self.length = simulator, task, length
@@ -148,7 +149,9 @@ class Segmented:
     def growth(self) -> Growth:
         """How errors grow in the run, as ``auto`` lays out the segments by it."""
         if self.length != "auto":
-            return Segmented(self.simulator, self.task, "auto", self.target, self.weight, self.at).growth
+            return Segmented(
+                self.simulator, self.task, "auto", target=self.target, weight=self.weight, at=self.at
+            ).growth
         growth = self._layout().growth
         assert growth is not None
         return growth

@@ -258,6 +258,40 @@ def _same_simulation(a: Experiment, b: Experiment) -> bool:
     )
 
 
+def _channel(
+    campaign: Campaign,
+    group: Sequence[Experiment],
+    simulator: Simulator,
+    *,
+    name: str,
+    sensor: Mapping[str, Expression],
+    known: FloatArray,
+) -> Channel:
+    """Return the output `name` of repeated runs, with its noise; `known` (N,) is NaN where nothing is compared."""
+    first, model = group[0], campaign.models[group[0].setup]
+    where = f"signal '{name}' of experiment '{first.id}'"
+    variable = _variable(model, name, simulator, f"experiment '{first.id}'")
+    unit = simulator.variables[variable].unit
+    if model.differentiates(name):
+        unit = f"{unit or '1'}/s"
+    convert = conversion_at(first.outputs[name].unit, unit, where)
+    repeats = known * convert(np.array([e.outputs[name].values for e in group]))
+    given = [e.outputs[name].sigma for e in group]
+    low_pass, gain = None, 1.0
+    if name in campaign.filters:
+        low_pass = LowPass(campaign.filters[name])
+        try:
+            repeats, gain = low_pass(first.time, repeats), low_pass.noise_gain(first.time)
+        except MeasurementsError as error:
+            raise MeasurementsError(error.what, where=where, fix=error.fix) from None
+    noise = noise_level(repeats, [None if s is None else gain * abs(convert.factor) * s for s in given])
+    if noise.source == "unknown":
+        elsewhere = noise_elsewhere(campaign, first, name, unit)
+        noise = noise if elsewhere is None else elsewhere.scaled(gain)
+    differentiated = model.differentiates(name)
+    return Channel(name, variable, unit, read_only(repeats), noise, sensor, differentiated, low_pass)
+
+
 def _case(
     campaign: Campaign,
     group: Sequence[Experiment],
@@ -279,38 +313,10 @@ def _case(
     told = specs if criteria else [s for stage in campaign.stages.values() for s in stage.criteria]
     sensors = _sensors([s for s in told if s.signal in first.outputs], campaign.parameters, where)
     specs = [_without_sensor(spec) for spec in specs]
-    channels = []
-    for name in dict.fromkeys(spec.signal for spec in specs):
-        variable = _variable(model, name, simulator, where)
-        signal, unit = first.outputs[name], variables[variable].unit
-        if model.differentiates(name):
-            unit = f"{unit or '1'}/s"
-        convert = conversion_at(signal.unit, unit, f"signal '{name}' of {where}")
-        repeats = known_until * convert(np.array([e.outputs[name].values for e in group]))
-        given = [e.outputs[name].sigma for e in group]
-        low_pass, gain = None, 1.0
-        if name in campaign.filters:
-            low_pass = LowPass(campaign.filters[name])
-            try:
-                repeats, gain = low_pass(first.time, repeats), low_pass.noise_gain(first.time)
-            except MeasurementsError as error:
-                raise MeasurementsError(error.what, where=f"signal '{name}' of {where}", fix=error.fix) from None
-        noise = noise_level(repeats, [None if s is None else gain * abs(convert.factor) * s for s in given])
-        if noise.source == "unknown":
-            elsewhere = noise_elsewhere(campaign, first, name, unit)
-            noise = noise if elsewhere is None else elsewhere.scaled(gain)
-        channels.append(
-            Channel(
-                name,
-                variable,
-                unit,
-                read_only(repeats),
-                noise,
-                sensors.get(name, {}),
-                model.differentiates(name),
-                low_pass,
-            )
-        )
+    channels = [
+        _channel(campaign, group, simulator, name=name, sensor=sensors.get(name, {}), known=known_until)
+        for name in dict.fromkeys(spec.signal for spec in specs)
+    ]
     inputs = {}
     for name, signal in first.inputs.items():
         variable = _variable(model, name, simulator, where)

@@ -181,16 +181,7 @@ def _residuals(kind: str, target: Target, rows: Rows, options: dict[str, Any], w
     chosen = slice(rows[0], rows[-1] + 1) if len(rows) == rows[-1] + 1 - rows[0] else rows
     match kind:
         case "least_squares":
-            whiten = options.pop("whiten", "sigma")
-            if whiten not in ("sigma", "repeats"):
-                raise ProblemError(f"unknown whiten '{whiten}'", where=where, fix="known: sigma, repeats")
-            if whiten == "repeats":
-                return _whitened(target, rows, where)
-            noise = target.noise
-            if "sigma" in options:
-                noise = NoiseLevel(_positive(options.pop("sigma"), "sigma", where) ** 2)
-            weight = 1.0 / noise.of_mean(target.count[rows])
-            return lambda p: weight * (p[..., chosen] - measured)
+            return _least_squares(target, rows, chosen, options, where)
         case "error_vector":
             return lambda p: p[..., chosen] - measured
         case "maximum":
@@ -214,6 +205,21 @@ def _residuals(kind: str, target: Target, rows: Rows, options: dict[str, Any], w
     known = ["least_squares", "error_vector", "maximum", "quantile", "integral_absolute", "integral_squared"]
     known += ["integral_time_absolute", *features.FEATURES, "magnitude", "phase", "user", *_registered]
     raise ProblemError("unknown kind of criterion", where=where, fix=f"known: {', '.join(known)}")
+
+
+def _least_squares(
+    target: Target, rows: Rows, chosen: Rows | slice, options: dict[str, Any], where: str
+) -> Residuals:
+    whiten = options.pop("whiten", "sigma")
+    if whiten not in ("sigma", "repeats"):
+        raise ProblemError(f"unknown whiten '{whiten}'", where=where, fix="known: sigma, repeats")
+    if whiten == "repeats":
+        return _whitened(target, rows, where)
+    noise = target.noise
+    if "sigma" in options:
+        noise = NoiseLevel(_positive(options.pop("sigma"), "sigma", where) ** 2)
+    weight, measured = 1.0 / noise.of_mean(target.count[rows]), target.mean[rows]
+    return lambda p: weight * (p[..., chosen] - measured)
 
 
 def whitened(spec: CriterionSpec) -> bool:
