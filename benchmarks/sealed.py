@@ -133,7 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--campaign", type=Path, default=Path("campaigns/sealed"))
     parser.add_argument("--out", type=Path, default=Path("sealed"), help="for NAME.json")
     parser.add_argument("--page", type=Path, help="Markdown page to write")
-    parser.add_argument("--workers", type=int, help="cases at the same time; one a processor by default")
+    parser.add_argument("--workers", type=int, help="cases at the same time; one per processor by default")
     given = parser.parse_args(arguments)
 
     def work() -> Sequence[str]:

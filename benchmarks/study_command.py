@@ -43,7 +43,7 @@ def ended(work: Callable[[], Sequence[str]], *, resumes: bool = False) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("interrupted" + "; the same command goes on" * resumes, file=sys.stderr)
+        print("interrupted" + "; the same command continues" * resumes, file=sys.stderr)
         return 130
     for line in failures:
         print(line, file=sys.stderr)

@@ -195,7 +195,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--count", type=int, default=200, help="cases in the grid")
     parser.add_argument("--first", type=int, help="only the first so many of them")
     parser.add_argument("--seed", type=int, help="default: drawn, and kept with the labels")
-    parser.add_argument("--workers", type=int, help="cases at the same time; one a processor by default")
+    parser.add_argument("--workers", type=int, help="cases at the same time; one per processor by default")
     parser.add_argument("--page", type=Path, help="Markdown page to write")
     parser.add_argument("--notes", type=Path, help="Markdown sections to put on the page as they are")
     parser.add_argument("--command", default="make blind", help="what the page says it was made by")

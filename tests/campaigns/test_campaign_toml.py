@@ -171,7 +171,7 @@ WRONG: dict[str, tuple[str, str, str]] = {
     "bounds_reversed": (
         "upper = 10",
         "upper = 0.01",
-        "campaign.toml [parameters.d_S]: lower 0.1 is not below upper 0.01; swap them, or set free = false to hold it",
+        "campaign.toml [parameters.d_S]: lower 0.1 is not below upper 0.01; swap them, or set free = false to keep it constant",
     ),
     "bound_is_nan": (
         "upper = 10",
@@ -211,7 +211,7 @@ WRONG: dict[str, tuple[str, str, str]] = {
     "map_of_nothing": (
         "map = { tau =",
         "map = { tua =",
-        "campaign.toml [models.fixed_shaft] map: 'tua' is no signal, setting or parameter; did you mean 'tau'?",
+        "campaign.toml [models.fixed_shaft] map: 'tua' is not a signal, setting or parameter; did you mean 'tau'?",
     ),
     "map_to_number": (
         'map = { tau = "tau_sensor" }',

@@ -49,7 +49,7 @@ def test_a_parameter_without_effect_is_an_error(folder: Path, fmuid: Command) ->
     code, out, _ = fmuid("check", folder)
     assert code == 1
     assert (
-        "error: [stages.all], parameter 'spare': moves no measured output; fix it, or add an experiment that excites it"
+        "error: [stages.all], parameter 'spare': does not affect any measured output; fix it, or add an experiment that excites it"
         in out
     )
     assert out.endswith("1 error\n")
@@ -105,7 +105,7 @@ def test_what_the_recording_lacks(folder: Path, measurements: Measurements, fmui
 
 WRONG = {
     "no_fmu_file": ("Oscillator.fmu", "Oscilator.fmu", "{fmu}: no such file; build it (make fmus, or fmuid build) or correct [models.oscillator] fmu"),
-    "no_fmu": ('fmu = "{fmu}"', 'fmu = "measurements.h5"', "{folder}/measurements.h5: is no readable FMU (File is not a zip file); check the file"),
+    "no_fmu": ('fmu = "{fmu}"', 'fmu = "measurements.h5"', "{folder}/measurements.h5: is not a readable FMU (File is not a zip file); check the file"),
     "no_output": ('position = "x"', 'position = "xx"', "experiment 'step', signal 'position': Oscillator.fmu has no variable 'xx'; did you mean 'x'?"),
     "no_parameter": ("[parameters.d]", "[parameters.damping]", "[parameters.damping]: Oscillator.fmu has no variable 'damping'; known: m, d, c, gain, spare, mode"),
     "near_parameter": ("[parameters.d]", "[parameters.D]", "[parameters.D]: Oscillator.fmu has no variable 'D'; did you mean 'd'?"),

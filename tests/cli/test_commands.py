@@ -138,8 +138,8 @@ def test_every_command_has_help_out_json_and_quiet(name: str, fmuid: Command) ->
         (["simulate", "no.fmu", "--set", "d_S"], "--set: 'd_S' is not NAME=VALUE; write it as in --set d_S=2.66"),
         (["simulate", "no.fmu", "--set", "d_S=big"], "--set: 'big' of 'd_S' is not a number; write a number"),
         (["simulate", "no.fmu", "--set", "d_S=nan"], "--set: 'd_S' is nan; write a finite number"),
-        (["simulate", "no.fmu", "-e", "step"], "--experiment goes with a campaign; leave it out for an FMU"),
-        (["simulate", "bench", "--stop", "1"], "--input, --stop, --step and --output go with an FMU; leave them out for a campaign"),
+        (["simulate", "no.fmu", "-e", "step"], "--experiment applies to campaigns only; leave it out for an FMU"),
+        (["simulate", "bench", "--stop", "1"], "--input, --stop, --step and --output apply to FMUs only; leave them out for a campaign"),
         (["import", "no.csv", "--setup", "a", "--input", "u"], "no.csv: no such file; check the path"),
         (["export", "no.h5"], "no.h5: no such file; check the path"),
         (["init", "no.csv", "--fmu", "no.fmu"], "no.fmu: cannot be read (No such file or directory); check the path"),
@@ -364,7 +364,7 @@ def test_import_and_export(folder: Path, measurements: Measurements, fmuid: Comm
         ("time,u [N],x", [], "run.csv: column 'x' has no unit; write it in the header as \"x [N.m]\", or give --unit x=N.m (1 for none)"),
         ("time,u [N],x [m]", ["--input", "v"], "run.csv: no column 'v' (input); known: u, x"),
         ("time,u [N],x [m]", ["--unit", "y=m"], "run.csv: no column 'y' (unit); known: u, x"),
-        ("time [N],u [N],x [m]", [], "run.csv: time is in 'N', which is no unit of time ('N' cannot be converted to 's'); correct its unit"),
+        ("time [N],u [N],x [m]", [], "run.csv: time is in 'N', which is not a unit of time ('N' cannot be converted to 's'); correct its unit"),
         ("time,u [N],x [Nwt]", [], "run.csv: column 'x': unit 'Nwt' is unknown; write it as in 'N.m' or 'kg.m2/s'"),
         ("time,u [N],x [m]", ["--signal", "u", "--signal", "y"], "run.csv: has no signal 'y'; known: u, x"),
         ("time,u [N],x [m]", ["--resample", "10", "--align", "u"], "--resample and --align are two time bases; leave one out"),
@@ -374,10 +374,10 @@ def test_import_and_export(folder: Path, measurements: Measurements, fmuid: Comm
         ("time,u [N],x [m]", ["--method", "hold"], "--method without a time base; give --resample RATE or --align SIGNAL too"),
         ("time,u [N],x [m]", ["--align", "X"], "run.csv: has no signal 'X'; did you mean 'x'?"),
         ("x [m],u [N],time", [], "run.csv: the first column is 'x'; it must be 'time', in s"),
-        ("time,u [N],u [m]", [], "run.csv: column 'u' is there twice; rename one of the two"),
+        ("time,u [N],u [m]", [], "run.csv: column 'u' appears twice; rename one of the two"),
         ("time,u [N],", [], "run.csv: column 3 has no name; name every column"),
-        ("time;u [N];x [m]", [], "run.csv line 2: has 1 cells, the header has 3; write one cell a column"),
-        ("time,u [N]", [], "run.csv line 2: has 3 cells, the header has 2; write one cell a column"),
+        ("time;u [N];x [m]", [], "run.csv line 2: has 1 cells, the header has 3; write one cell per column"),
+        ("time,u [N]", [], "run.csv line 2: has 3 cells, the header has 2; write one cell per column"),
     ],
 )  # fmt: skip
 def test_import_refuses(
@@ -420,7 +420,7 @@ def test_import_other_csv(tmp_path: Path, fmuid: Command, monkeypatch: pytest.Mo
     assert {n: s.unit for n, s in run.signals.items()} == {"tau": "N.m", "x y": "rad", "lossTable[1,2]": "1"}
     np.testing.assert_array_equal(run.signals["x y"].values, [np.nan, 5.0])
     assert fmuid("import", "run.csv", *arguments)[2] == (
-        "fmuid: measurements.h5: is there already; give --append to add to it, or another --out\n"
+        "fmuid: measurements.h5: already exists; give --append to add to it, or another --out\n"
     )
 
 
@@ -443,7 +443,7 @@ def test_import_matlab(tmp_path: Path, fmuid: Command, monkeypatch: pytest.Monke
     ("content", "line"),
     [
         (None, "run.mat: no such file; check the path"),
-        (b"no matlab" * 30, "run.mat: is no readable MATLAB file; save it with: save -v7"),
+        (b"no matlab" * 30, "run.mat: is not a readable MATLAB file; save it with: save -v7"),
         ({"x": np.arange(3.0)}, "run.mat: has no vector 'time' or 't'; save one, in s; known: x"),
         ({"t": np.arange(3.0), "x": 1.0}, "run.mat: has no vector as long as 't' (3); save the signals, N by 1"),
     ],

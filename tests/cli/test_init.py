@@ -67,7 +67,7 @@ def test_init_makes_a_campaign_that_runs(
     found = Result.from_json("found").parameters
     assert found == pytest.approx({"m": 1.2, "d": 0.8, "c": 90.0}, rel=0.02)
     assert fmuid("init", "step.csv", "--fmu", oscillator, "--out", "drive")[2] == (
-        "fmuid: drive/campaign.toml: is there already; name another folder with --out\n"
+        "fmuid: drive/campaign.toml: already exists; name another folder with --out\n"
     )
 
 
@@ -111,7 +111,7 @@ def test_init_sees_when_the_inputs_act(
     lines = out.splitlines()
     if at_once:
         assert any(
-            re.match(r"inputs are linear between their samples: held, .* \d\S* times worse", s) for s in lines
+            re.match(r"inputs are linear between their samples; if held, .* \d\S* times worse", s) for s in lines
         )
     else:
         assert "inputs are held between their samples" in lines
@@ -127,19 +127,20 @@ def test_init_says_what_it_holds_and_why(
     time = np.arange(0, 2, 0.005)
     savemat("run.mat", {n: v for n, v in recorded(5 * np.sin(4 * time), time, at_once=False).items() if n != "i"})
     _, out, _ = fmuid("init", "run.mat", "--fmu", winding, "--unit", "speed=rpm")
-    held = dict(line.rsplit(": ", 1) for line in out.splitlines() if line.startswith("held"))
+    fixed = [line.removeprefix("fixed: ").removesuffix(")") for line in out.splitlines() if "fixed: " in line]
+    by_reason = dict(line.split(" (", 1)[::-1] for line in fixed)
     free = next(line for line in out.splitlines() if line.startswith("free")).removeprefix("free parameters: ")
     # The speed is k u / (J R s + k^2): R and J are known as a product only.
     assert len(free.split(", ")) == 2
-    known = "held, what it does, the free ones do together: whichever of them is known should be held instead"
-    assert set(free.split(", ")) | {held.pop(known)} == {"R", "k", "J"}
-    assert held == {
-        "held, moves no measured output": "spare",
-        "held, starts at 0, so that no bounds can be guessed": "d",
+    redundant = by_reason.pop("redundant with the free parameters; if you know one of those, fix it instead")
+    assert set(free.split(", ")) | {redundant} == {"R", "k", "J"}
+    assert by_reason == {
+        "does not affect any measured output": "spare",
+        "starts at 0, so no bounds can be guessed": "d",
     }
     text = Path("campaign/campaign.toml").read_text()
     assert '# [parameters."d"] # Friction\n# start = 0.0\n# unit = "N.m.s/rad"\n\n' in text
-    assert text.index("# Held: moves no measured output.") < text.index('# [parameters."spare"]')
+    assert text.index("# Fixed: does not affect any measured output.") < text.index('# [parameters."spare"]')
 
 
 @pytest.mark.parametrize("option", ["--unit", "--sigma"])

@@ -10,7 +10,7 @@ from fmuid.core.errors import FmuidError
     ("raised", "resumes", "code", "said"),
     [
         (KeyboardInterrupt(), False, 130, "interrupted\n"),
-        (KeyboardInterrupt(), True, 130, "interrupted; the same command goes on\n"),
+        (KeyboardInterrupt(), True, 130, "interrupted; the same command continues\n"),
         (FmuidError("is empty", where="cases", fix="fill it"), True, 2, "error: cases: is empty; fill it\n"),
     ],
 )

@@ -178,7 +178,7 @@ def test_what_goes_wrong_in_a_component_is_said_of_it(drive):
 @pytest.mark.parametrize(
     ("task", "parameters", "message"),
     [
-        ({"inputs": {"plant.i": SPEED}}, {}, "'plant.i' is no input of the system but has causality local"),
+        ({"inputs": {"plant.i": SPEED}}, {}, "'plant.i' is not an input of the system but has causality local"),
         ({"inputs": {"controller.w_rex": SPEED}}, {}, "no variable 'controller.w_rex'; did you mean 'controller.w_ref'"),
         ({}, {"plant.mgrr": 1.0}, "no variable 'plant.mgrr'; did you mean 'plant.mgr'"),
         ({}, {"controller.w": 1.0}, "'controller.w' follows 'plant.w_motor': its start value cannot be set"),

@@ -200,7 +200,7 @@ def test_simulate_on_the_command_line(ssp, drive, tmp_path, capsys, monkeypatch)
         assert run([*arguments, *wrong]) == 2
         assert message in capsys.readouterr().err
     assert run(["simulate", str(drive["whole"]), "--master", "step=1"]) == 2
-    assert "--master goes with an .ssp file" in capsys.readouterr().err
+    assert "--master applies to .ssp files only" in capsys.readouterr().err
 
 
 AB = connections(connection("a.y", "b.u"))
@@ -288,7 +288,7 @@ def test_files_that_are_no_ssp(tmp_path, gains):
     with zipfile.ZipFile(tmp_path / "empty.ssp", "w") as archive:
         archive.writestr("folder/SystemStructure.ssd", "")
     with pytest.raises(
-        FmuError, match=r"empty.ssp: has no SystemStructure.ssd; it is no SSP file, or packed in a folder"
+        FmuError, match=r"empty.ssp: has no SystemStructure.ssd; it is not an SSP file, or packed in a folder"
     ):
         load_system(tmp_path / "empty.ssp")
     with zipfile.ZipFile(tmp_path / "broken.ssp", "w") as archive:

@@ -233,7 +233,7 @@ VALID = {
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"format": "other"}, "is no diagnosis"),
+        ({"format": "other"}, "is not a diagnosis"),
         ({"verdict": None}, "no verdict"),
         ({"experiments": ["slow"]}, "'experiments' has no hashes"),
         ({"nominal": {}}, "no parameter values in 'nominal'"),

@@ -213,7 +213,7 @@ CASES = [
         ("Files", "an import over a file that is there", csv(GOOD), "import run.csv --setup a --input u --out bench/measurements.h5"),
         ("Files", "a run whose name is taken", write("step.csv", "time,u [N]\n0,1\n1,2\n"), "import step.csv --setup a --input u --out bench/measurements.h5 --append"),
         ("Files", "a campaign started where one is", write("run.csv", "time,u,x\n" + GOOD), "init run.csv --fmu Oscillator.fmu --out bench"),
-        ("Files", "a file that is no campaign", nothing, "check Oscillator.fmu"),
+        ("Files", "a file that is not a campaign", nothing, "check Oscillator.fmu"),
         ("Files", "a run folder that is a file", write("taken", ""), "identify bench --out taken"),
         ("Files", "a run folder that another process writes into", taken, "identify bench"),
         ("Files", "a diagnosis into such a folder", lambda: (toml("[settings]", '[effects]\ncatalogue = "effects.toml"\n[settings]')(), taken()), "diagnose bench --out runs/bench"),

@@ -194,7 +194,7 @@ def test_a_disk_that_gets_full_is_one_line_and_loses_nothing(tmp_path, step):
 
 def test_an_interrupted_run_is_never_overwritten(tmp_path, msd):
     stopped = identify(msd(), solver="bobyqa", out=tmp_path, observer=Interrupt(6))
-    with pytest.raises(HistoryError, match="holds an interrupted run; go on with --resume"):
+    with pytest.raises(HistoryError, match="contains an interrupted run; continue with --resume"):
         identify(msd(), solver="bobyqa", out=tmp_path)
     assert Result.from_json(tmp_path) == stopped
     done = identify(msd(), solver="bobyqa", out=tmp_path, resume=True)

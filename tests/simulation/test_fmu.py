@@ -244,7 +244,7 @@ def test_an_archive_that_climbs_out_is_refused(build, tmp_path, name):
 
 def test_files_that_are_no_fmu(tmp_path, build):
     (tmp_path / "text.fmu").write_text("no archive")
-    with pytest.raises(FmuError, match="is no readable FMU"):
+    with pytest.raises(FmuError, match="is not a readable FMU"):
         Fmu(tmp_path / "text.fmu")
     with pytest.raises(FmuError, match="No such file"):
         load_fmu(tmp_path / "missing.fmu")

@@ -157,12 +157,12 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None) -
     file = path / FILE_NAME if path.is_dir() else path
     if file.is_file() and file.suffix != ".toml":
         fix = "name a folder with a campaign.toml, or make one with: fmuid init"
-        raise CampaignError("is no campaign", where=path, fix=fix)
+        raise CampaignError("is not a campaign", where=path, fix=fix)
     document = convert(read_toml(file), _Document, str(file))
     head = convert(document.campaign, _CampaignTable, f"{file} [campaign]")
     if head.name and (head.name in (".", "..") or "/" in head.name or "\\" in head.name):  # runs/NAME is written
         where = f"{file} [campaign] name"
-        raise CampaignError(f"'{head.name}' is no name of a folder", where=where, fix="leave out / and ..")
+        raise CampaignError(f"'{head.name}' is not a valid folder name", where=where, fix="leave out / and ..")
     folder = file.parent
     if measurements is not None:
         recorded = read_measurements(Path(measurements))
@@ -185,7 +185,7 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None) -
     for n in document.stages:
         if n in ("", ".", "..") or "/" in n or not n.isprintable():  # groups and files are called so
             fix = "use letters, digits, spaces, . - _"
-            raise CampaignError(f"'{n}' is no name of a stage", where=f"{file} [stages]", fix=fix)
+            raise CampaignError(f"'{n}' is not a valid stage name", where=f"{file} [stages]", fix=fix)
     stages = {
         n: _stage(n, t, measurements=recorded, roles=roles, parameters=parameters, where=f"{file} [stages.{n}]")
         for n, t in document.stages.items()
@@ -299,7 +299,9 @@ def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
     table = convert(raw, _ModelTable, where)
     coupling = coupling_of(table, folder, where)
     if table.interface and (coupling is not None or table.fmu.endswith(".ssp")):
-        raise CampaignError("interface goes with one FMU", where=where, fix="leave it out for coupled ones")
+        raise CampaignError(
+            "interface applies to a single FMU only", where=where, fix="leave it out for coupled ones"
+        )
     return ModelSpec(
         setup=setup,
         fmu=folder / (table.fmu or "+".join(table.fmus)),
@@ -323,7 +325,7 @@ def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
         raise CampaignError(
             f"lower {table.lower:g} is not below upper {table.upper:g}",
             where=where,
-            fix="swap them, or set free = false to hold it",
+            fix="swap them, or set free = false to keep it constant",
         )
     if not table.lower <= table.start <= table.upper:
         raise CampaignError(
@@ -439,7 +441,7 @@ def _check_models(
         for name in model.map:
             if name not in known:
                 raise CampaignError(
-                    f"'{name}' is no signal, setting or parameter",
+                    f"'{name}' is not a signal, setting or parameter",
                     where=f"{file} [models.{setup}] map",
                     fix=suggestion(name, known),
                 )

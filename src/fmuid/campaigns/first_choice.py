@@ -25,10 +25,10 @@ _LEAST_EFFECT = 1e-4  # of the largest
 _SAME = 1e-3  # of an output's range, between the FMU's solver and fmuid's
 _CLEARLY = 0.1  # share of the squared error left that makes one reading of the inputs better than the other
 
-NO_EFFECT = "moves no measured output"
-EXPLAINED = "what it does, the free ones do together: whichever of them is known should be held instead"
-ONE_TOO_MANY = f"no more than {_MAX_FREE} to start with"
-FROM_ZERO = "starts at 0, so that no bounds can be guessed"
+NO_EFFECT = "does not affect any measured output"
+EXPLAINED = "redundant with the free parameters; if you know one of those, fix it instead"
+ONE_TOO_MANY = f"start with no more than {_MAX_FREE} free parameters"
+FROM_ZERO = "starts at 0, so no bounds can be guessed"
 NOT_TRIED = "not tried"
 
 

@@ -90,7 +90,7 @@ def new_campaign(
     target, catalogue = folder / FILE_NAME, folder / CATALOGUE_NAME
     for file in (target, catalogue):
         if file.exists():
-            raise CampaignError("is there already", where=file, fix="name another folder with --out")
+            raise CampaignError("already exists", where=file, fix="name another folder with --out")
     model = load_model(fmu)
     ports = {n: v for n, v in model.variables.items() if v.causality in ("input", "output")}
     notes: list[tuple[str, str]] = []
@@ -244,14 +244,13 @@ def _for_identification(runs: Mapping[str, Experiment]) -> list[Experiment]:
 def _choice_lines(choice: FirstChoice, driven: bool) -> list[str]:
     lines = ["inputs are held between their samples"] if driven else []
     if choice.interpolation == "linear":
-        lines = [
-            f"inputs are linear between their samples: held, they explain the runs {choice.gain:.2g} times worse"
-        ]
+        worse = f"if held, they explain the runs {choice.gain:.2g} times worse"
+        lines = [f"inputs are linear between their samples; {worse}"]
     lines.append(f"free parameters: {', '.join(v.name for v in choice.free)}")
     for reason, variables in choice.held.items():
         names = [v.name for v in variables]
         more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
-        lines.append(f"held, {reason}: {', '.join(names[:_MAX_NAMES])}{more}")
+        lines.append(f"fixed: {', '.join(names[:_MAX_NAMES])}{more} ({reason})")
     return lines
 
 
@@ -302,9 +301,9 @@ def _toml(
     for variable in choice.free:
         lines += _parameter_lines(variable)
     if choice.held:
-        lines += ["# Held at the FMU's start value; take the # away to identify it too.", ""]
+        lines += ["# Fixed at the FMU's start value; uncomment to identify it too.", ""]
     for reason, variables in choice.held.items():
-        lines += [f"# Held: {reason}.", ""]
+        lines += [f"# Fixed: {reason}.", ""]
         for variable in variables:
             lines += [f"# {line}" if line else "" for line in _parameter_lines(variable)]
     lines += [
@@ -316,7 +315,7 @@ def _toml(
         "# One stage: every free parameter, all runs for identification, least squares on every output.",
         "[stages.all]",
         "budget = { evaluations = 500 }",
-        *([f"# {away}: each segment starts anew.", 'segments = "auto"'] if away is not None else []),
+        *([f"# {away}: each segment starts afresh.", 'segments = "auto"'] if away is not None else []),
         "",
         "# For `fmuid diagnose`: what the model may lack. The free parameters are refitted with every effect.",
         "[effects]",

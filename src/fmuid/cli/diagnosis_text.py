@@ -30,7 +30,7 @@ def print_validation(found: DiagnosisValidation, answer: Mapping[str, Any], prin
     if not named:
         printer.say("corrected: nothing, for the diagnosis names no effect; both are the nominal model refitted")
     elif answer["verdict"]["kind"] == "ambiguous":
-        printer.say(f"corrected: with the first of {', '.join(named)}, which could not be told apart")
+        printer.say(f"corrected: with the first of {', '.join(named)}, which could not be distinguished")
     else:
         printer.say(f"corrected: with {' and '.join(named)}")
     if found.used is None:

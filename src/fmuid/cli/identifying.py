@@ -34,7 +34,7 @@ def identify(
     solver: Annotated[str | None, typer.Option(help="Use this solver in every stage.")] = None,
     evaluations: Annotated[int | None, typer.Option(min=1, help="Largest number of evaluations a stage.")] = None,
     seconds: Annotated[float | None, typer.Option(min=0.0, help="Longest time a stage, s.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run that --out holds.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out.")] = False,
     workers: Workers = None,
     dask: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Simulate on the Dask cluster of this scheduler.")
@@ -164,10 +164,10 @@ def diagnose(
     workers: Workers = None,
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,
-    seed: Annotated[int, typer.Option(help="Of the null distribution and the bootstrap.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the null distribution and the bootstrap.")] = 0,
     calibrate: Annotated[
         int,
-        typer.Option(min=0, help="Diagnose so many plants simulated from the fitted model and its noise first."),
+        typer.Option(min=0, help="First diagnose this many plants simulated from the fitted model and its noise."),
     ] = 0,
     json: Json = None,
     quiet: Quiet = False,

@@ -107,7 +107,7 @@ def import_(
 
     printer = Printer(quiet, json)
     if out.exists() and not append:
-        raise FmuidError("is there already", where=out, fix="give --append to add to it, or another --out")
+        raise FmuidError("already exists", where=out, fix="give --append to add to it, or another --out")
     old = read_measurements(out) if append and out.exists() else Measurements({}, title=title)
     experiments = dict(old.experiments)
     base = _time_base(resample, align, method or [])
@@ -115,7 +115,7 @@ def import_(
     spans = {file.stem: _span(_of_run(cut or [], file.stem)) for file in files}
     for file in files:
         if file.stem in experiments:
-            raise FmuidError(f"there is a run '{file.stem}' already", where=file, fix="rename the file")
+            raise FmuidError(f"a run '{file.stem}' already exists", where=file, fix="rename the file")
         with printer.working(f"reading {file}"):
             run = read_run(file, signal or (), base, _listed(columns))
         notes += [(str(file), note) for note in run.notes]
@@ -200,7 +200,7 @@ def export(
 
 def init(
     data: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="CSV, MAT, HDF5, Parquet or MF4 files, one a run.")
+        list[Path], typer.Argument(metavar="FILE...", help="CSV, MAT, HDF5, Parquet or MF4 files, one per run.")
     ],
     fmu: Annotated[Path, typer.Option(help="The FMU to identify.")],
     out: Annotated[Path, typer.Option(help="Folder of the new campaign.")] = Path("campaign"),

@@ -67,10 +67,10 @@ def simulate(
     printer = Printer(quiet, json)
     values = numbers(set_ or [], "--set")
     if master and model.suffix != ".ssp":
-        raise FmuidError("--master goes with an .ssp file", fix="write its words into campaign.toml")
+        raise FmuidError("--master applies to .ssp files only", fix="write its words into campaign.toml")
     if model.suffix in (".fmu", ".ssp"):
         if experiment:
-            raise FmuidError("--experiment goes with a campaign", fix="leave it out for an FMU")
+            raise FmuidError("--experiment applies to campaigns only", fix="leave it out for an FMU")
         with printer.working(f"simulating {model}"), supervised(workers, time_limit, memory_limit) as runner:
             table = _simulate_fmu(
                 model, master or [], values, input_, stop, step, output or [], interpolation, runner
@@ -82,7 +82,7 @@ def simulate(
         return
     if input_ or stop or step or output:
         raise FmuidError(
-            "--input, --stop, --step and --output go with an FMU", fix="leave them out for a campaign"
+            "--input, --stop, --step and --output apply to FMUs only", fix="leave them out for a campaign"
         )
     with printer.working("") as shown, supervised(workers, time_limit, memory_limit) as runner:
         found = _simulate_campaign(model, values, experiment or ["*"], out, shown, runner)

@@ -15,7 +15,7 @@ Workers = Annotated[
     int | None,
     typer.Option(
         min=0,
-        help="Worker processes, where a crashing FMU costs one evaluation; one a processor by default. 0: none.",
+        help="Worker processes, where a crashing FMU costs one evaluation; one per processor by default. 0: none.",
     ),
 ]
 TimeLimit = Annotated[float | None, typer.Option(min=0.0, help="Longest time a simulation, s; 300.")]

@@ -56,7 +56,7 @@ def compare_tables(
     """Compare every variable of `reference` (or those in `names`) with `result`.
 
     Errors are taken at the reference's times, between the result's samples by linear interpolation; where a
-    time is there twice (an event), its last row counts.
+    time appears twice (an event), its last row counts.
 
     Parameters
     ----------

@@ -75,7 +75,7 @@ def drift_of(
         cannot be simulated.
     """
     if reference.suffix in (".fmu", ".ssp"):
-        raise FmuidError("is no reference", where=reference, fix="name the FMU first, then the reference")
+        raise FmuidError("is not a reference", where=reference, fix="name the FMU first, then the reference")
     files = sorted(reference.glob("*.csv")) if reference.is_dir() else [reference]
     if not files:
         raise FmuidError("has no CSV files", where=reference, fix="write references with: fmuid simulate")

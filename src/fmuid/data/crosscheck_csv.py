@@ -239,7 +239,7 @@ def _read_header(header: list[str], path: Path) -> tuple[list[str], dict[str, st
         if not name or not name.isprintable():
             raise MeasurementsError(f"column {i + 1} has no name", where=path, fix="name every column")
         if name in seen:
-            raise MeasurementsError(f"column '{name}' is there twice", where=path, fix="rename one of the two")
+            raise MeasurementsError(f"column '{name}' appears twice", where=path, fix="rename one of the two")
         seen.add(name)
     return names, {name: unit for name, unit in cells if unit is not None}
 
@@ -282,7 +282,7 @@ def _in_seconds(time: FloatArray, unit: str, path: Path) -> FloatArray:
         time = conversion(unit, "s")(time)
     except UnitError as error:
         raise MeasurementsError(
-            f"time is in '{unit}', which is no unit of time ({error.what})", where=path, fix="correct its unit"
+            f"time is in '{unit}', which is not a unit of time ({error.what})", where=path, fix="correct its unit"
         ) from None
     bad = np.flatnonzero(~np.isfinite(time))
     if bad.size:
@@ -320,7 +320,7 @@ def _read_numbers(text: str, skip: int, names: list[str], path: Path, delimiter:
             where = f"{path} line {skip + rows.line_num}"
             if len(row) != n:
                 raise MeasurementsError(
-                    f"has {len(row)} cells, the header has {n}", where=where, fix="write one cell a column"
+                    f"has {len(row)} cells, the header has {n}", where=where, fix="write one cell per column"
                 )
             cells.append([_number(c, name, where, decimal_comma) for c, name in zip(row, names, strict=True)])
     except csv.Error as error:

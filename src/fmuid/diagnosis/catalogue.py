@@ -152,7 +152,7 @@ def load_catalogue(path: Path) -> Catalogue:
     file = convert(read_toml(path), _File, str(path))
     if file.format != "fmuid-effects" or file.version != 1:
         raise CampaignError(
-            "is no catalogue of effects, version 1", where=path, fix='write format = "fmuid-effects"'
+            "is not a catalogue of effects, version 1", where=path, fix='write format = "fmuid-effects"'
         )
     ports = {
         name: Port(name, p.input, p.output, p.magnitude, p.unit, p.description) for name, p in file.ports.items()

@@ -16,7 +16,7 @@ def summary(diagnosis: Mapping[str, Any]) -> list[str]:
     """Return the verdict, where the gap lies and how far it shrinks, one line each."""
     lines = [f"{fact.label}: {fact.value}" for fact in facts(diagnosis)]
     for names in diagnosis["alias_classes"]:
-        lines.append(f"Cannot be told apart with these sensors and experiments: {', '.join(names)}")
+        lines.append(f"Cannot be distinguished with these sensors and experiments: {', '.join(names)}")
     following = diagnosis.get("next_experiment")
     if following:
         lines.append(

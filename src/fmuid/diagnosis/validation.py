@@ -83,9 +83,9 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise FmuidError(f"cannot be read ({error.strerror})", where=path, fix="check the path") from None
     except ValueError:
-        raise FmuidError("is no JSON", where=path, fix="name a file that fmuid diagnose wrote") from None
+        raise FmuidError("is not JSON", where=path, fix="name a file that fmuid diagnose wrote") from None
     if not isinstance(answer, dict) or answer.get("format") != "fmuid-diagnosis" or answer.get("version") != 1:
-        raise FmuidError("is no diagnosis, version 1", where=path, fix="name a file that fmuid diagnose wrote")
+        raise FmuidError("is not a diagnosis, version 1", where=path, fix="name a file that fmuid diagnose wrote")
     verdict = answer.get("verdict")
     if not isinstance(verdict, dict) or not {"kind", "effects"} <= verdict.keys():
         raise FmuidError("no verdict", where=path, fix="diagnose again")

@@ -235,7 +235,7 @@ def check_effects(
                 Finding(
                     "error",
                     f"{where}, parameter '{name}'",
-                    "moves no measured output",
+                    "does not affect any measured output",
                     "fix it, or add an experiment that excites it",
                 )
             )

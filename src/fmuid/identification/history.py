@@ -169,7 +169,7 @@ class History:
     Raises
     ------
     HistoryError
-        The folder holds an interrupted run and `resume` is not asked for, or a complete one and it is.
+        The folder contains an interrupted run and `resume` is not asked for, or a complete one and it is.
     """
 
     def __init__(self, folder: Path | None, *, resume: bool = False, begun: bytes = b"") -> None:
@@ -183,8 +183,8 @@ class History:
         remove_unfinished(folder)
         path = folder / JOURNAL
         if path.exists() and not resume and any(s.rows for s in _read_journal(path)[0].stages.values()):
-            fix = "go on with --resume, or remove the folder to start anew"
-            raise HistoryError("holds an interrupted run", where=folder, fix=fix)
+            fix = "continue with --resume, or remove the folder to start over"
+            raise HistoryError("contains an interrupted run", where=folder, fix=fix)
         if resume and path.exists():
             self._run, end = _read_journal(path)
             self._journal = path.open("r+b", buffering=0)
@@ -385,7 +385,7 @@ def _records(path: Path) -> Iterator[tuple[tuple[str, Mapping[str, Any]], int]]:
     """Return the whole records of a journal, each with the position after it."""
     with path.open("rb") as file:
         if file.read(len(_MAGIC)) != _MAGIC:
-            fix = "remove it to start anew, or name another folder"
+            fix = "remove it to start over, or name another folder"
             raise HistoryError("is not a journal of this version of fmuid", where=path, fix=fix)
         while len(head := file.read(_HEAD.size)) == _HEAD.size:
             length, checksum = _HEAD.unpack(head)

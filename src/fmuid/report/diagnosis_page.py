@@ -96,7 +96,7 @@ def _aliases(diagnosis: Mapping[str, Any]) -> str:
     return (
         ""
         if not classes
-        else "Cannot be told apart with these sensors and experiments: " + "; ".join(classes) + "."
+        else "Cannot be distinguished with these sensors and experiments: " + "; ".join(classes) + "."
     )
 
 
@@ -106,7 +106,7 @@ def _floors(diagnosis: Mapping[str, Any]) -> str:
         return ""
     text = "Noise floor: " + ", ".join(f"{name} {value:.3g}" for name, value in floors.items()) + "."
     if not diagnosis["gap"].get("calibrated", True):
-        text += " Uncalibrated: fewer than five repeats of some experiments."
+        text += " Not calibrated: some experiments have fewer than five repeats."
     return text
 
 

@@ -182,7 +182,7 @@ def _estimates_table(
         rows.append(tuple(row))
     caption = (
         "Standard errors and intervals are of the noise, the residuals' colour, and the errors of what the stage "
-        "held at estimates of earlier stages (inherited: their share of the variance). What no stage identified "
+        "fixed at estimates of earlier stages (inherited: their share of the variance). What no stage identified "
         "counts as known. A dash: none can be given; the stage's warnings say why."
     )
     digits = tuple({"standard error": 2, "deviation, %": 2, "inherited, %": 2}.get(name, 5) for name in header)

@@ -335,7 +335,7 @@ class Fmu:
                 raise ProcessSpentError(
                     "can neither be reset nor be instantiated again in one process",
                     where=self.path.name,
-                    fix="simulate it in worker processes (`fmuid.WorkerPool`), which start anew for it",
+                    fix="simulate it in worker processes (`fmuid.WorkerPool`), which start afresh for it",
                 ) from None
             self._used, self._instantiated = False, True
         prepared.plan.instance = self._instance
@@ -443,7 +443,7 @@ def _read_description(path: Path) -> FmuDescription:
         description = read_description(path)
     except _UNREADABLE as error:
         reason = getattr(error, "strerror", None) or error
-        raise FmuError(f"is no readable FMU ({reason})", where=path, fix="check the file") from None
+        raise FmuError(f"is not a readable FMU ({reason})", where=path, fix="check the file") from None
     return description
 
 
@@ -458,7 +458,7 @@ def _check_members(path: Path) -> None:
             climbs = name.startswith("/") or "\\" in name or ":" in name or ".." in PurePosixPath(name).parts
             if climbs or stat.S_ISLNK(member.external_attr >> 16):
                 raise FmuError(
-                    f"holds the file name '{name}', which leads out of it", where=path, fix="do not use it"
+                    f"contains the file name '{name}', which leads out of it", where=path, fix="do not use it"
                 )
 
 
@@ -474,7 +474,7 @@ def _check_version(path: Path) -> None:
                 chunk = file.read(1_000_000)
     if version and version[1][:1] not in b"23":
         words = version[1].decode(errors="replace")
-        raise FmuError(f"is of FMI {words}; 2.0 and 3.0 are supported", where=path, fix="export it anew")
+        raise FmuError(f"is of FMI {words}; 2.0 and 3.0 are supported", where=path, fix="export it again")
     if count > MAX_VARIABLES:
         raise FmuError(f"has more than {MAX_VARIABLES} variables", where=path, fix="export it with fewer")
 

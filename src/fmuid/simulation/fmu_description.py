@@ -92,7 +92,7 @@ def read_description(path: Path) -> FmuDescription:
     Raises
     ------
     ValueError
-        The description is no XML or breaks the standard.
+        The description is not XML or breaks the standard.
     """
     with ZipFile(path) as archive:
         try:

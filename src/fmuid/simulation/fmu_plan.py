@@ -210,7 +210,7 @@ class PreparedTask:
             if self._slot(name) and variables[name].causality != "input":
                 known = [v.name for v in variables.values() if v.causality == "input"]
                 raise FmuError(
-                    f"'{name}' is no input but has causality {variables[name].causality}",
+                    f"'{name}' is not an input but has causality {variables[name].causality}",
                     where=self._where,
                     fix=suggestion(name, known),
                 )
@@ -279,7 +279,7 @@ class PreparedTask:
         for name in [*moved, *task.outputs]:
             if self._slots[name].suffix not in ("Real", "Float64") or self._slots[name].size != 1:
                 raise FmuError(
-                    f"'{name}' is no real scalar: it has no derivatives", where=self._where, fix="leave it out"
+                    f"'{name}' is not a real scalar: it has no derivatives", where=self._where, fix="leave it out"
                 )
         plan.n_directions, plan.n_moved = len(task.along), len(moved)
         plan.moved = self._pointer(np.array([self._slots[n].reference for n in moved], dtype=np.uint32))

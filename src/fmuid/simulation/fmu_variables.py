@@ -124,7 +124,7 @@ def read_variables(
         size = math.prod(v.shape)
         if not 0 <= v.reference < 2**32:
             what = f"variable '{v.name}' has the value reference {v.reference}"
-            raise FmuError(what, where=where, fix="export it anew: FMI has 0 to 4294967295")
+            raise FmuError(what, where=where, fix="export it again: FMI has 0 to 4294967295")
         if len(variables) + size > MAX_VARIABLES:
             what = f"has more than {MAX_VARIABLES} variables, the elements of arrays counted"
             raise FmuError(what, where=where, fix="export it with fewer")

@@ -27,7 +27,7 @@ def read(path: Path) -> Recording:
         )
     time = variables[name]
     if not _is_vector(time) or time.size < 2:
-        raise MeasurementsError(f"'{name}' is no vector of times", where=path, fix="save it N by 1, in s")
+        raise MeasurementsError(f"'{name}' is not a vector of times", where=path, fix="save it N by 1, in s")
     fitting = {n: v for n, v in variables.items() if n != name and _is_vector(v) and v.size == time.size}
     if not fitting:
         raise MeasurementsError(
@@ -46,7 +46,9 @@ def _variables(path: Path) -> dict[str, Any] | None:
     except NotImplementedError:
         return None
     except Exception:  # damaged files make its parser raise anything
-        raise MeasurementsError("is no readable MATLAB file", where=path, fix="save it with: save -v7") from None
+        raise MeasurementsError(
+            "is not a readable MATLAB file", where=path, fix="save it with: save -v7"
+        ) from None
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 

@@ -32,7 +32,7 @@ def read(path: Path) -> Recording:
         raise MeasurementsError("needs asammdf", where=path, fix="pip install 'fmuid[mf4]'")
     with path.open("rb") as file:
         if file.read(3) != b"MDF":
-            raise MeasurementsError("is no MDF file", where=path, fix="check the file")
+            raise MeasurementsError("is not an MDF file", where=path, fix="check the file")
     others: list[str] = []
     with _quiet_ends():
         vectors, trouble = _parsed(path, others)

@@ -45,7 +45,7 @@ def read(path: Path) -> Recording:
     values = columns.pop(time_header)
     kind = table.schema.field(time_header).type
     if values is None:
-        raise MeasurementsError(f"column '{time_header}' holds no times", where=path, fix="write it in s")
+        raise MeasurementsError(f"column '{time_header}' does not contain times", where=path, fix="write it in s")
     dates = pa.types.is_temporal(kind)
     time = values if dates else in_seconds(values, named[time_header][1], path)
     vectors = []

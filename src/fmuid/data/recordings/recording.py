@@ -57,7 +57,7 @@ def by_time_base(vectors: Iterable[Vector], path: Path, notes: Collection[str] =
     Raises
     ------
     MeasurementsError
-        There is none, or a name is there twice.
+        There is none, or a name appears twice.
     """
     groups: list[list[Vector]] = []
     seen: set[str] = set()
@@ -92,7 +92,7 @@ def in_seconds(time: FloatArray, unit: str | None, path: Path) -> FloatArray:
         return conversion(unit or "s", "s")(time)
     except UnitError as error:
         raise MeasurementsError(
-            f"time is in '{unit}', which is no unit of time ({error.what})", where=path, fix="correct its unit"
+            f"time is in '{unit}', which is not a unit of time ({error.what})", where=path, fix="correct its unit"
         ) from None
 
 

@@ -91,7 +91,7 @@ class NloptSolver:
                 self._number(key)
         local = self.options.get("local", "sbplx")
         if local not in _LOCAL:
-            raise ProblemError(f"'{local}' is no local solver", fix=f"local is one of: {', '.join(_LOCAL)}")
+            raise ProblemError(f"'{local}' is not a local solver", fix=f"local is one of: {', '.join(_LOCAL)}")
 
     def _number(self, key: str) -> float:
         return number_of(self.options, key, _OPTIONS[key], solver=self.name)

@@ -106,7 +106,7 @@ def excitation(campaign: Campaign) -> tuple[str, ...]:
         if not any(_varies(v) for v in speeds.values()):
             findings.append(
                 "every run has one constant speed: inertia is not excited, viscous and Coulomb friction"
-                " cannot be told apart within a run"
+                " cannot be distinguished within a run"
             )
     for e in runs:
         for name, signal in e.inputs.items():

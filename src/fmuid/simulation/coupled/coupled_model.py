@@ -313,7 +313,7 @@ class CoupledModel:
     def _driven_by(self, name: str) -> Sequence[tuple[Place, Linear]]:
         if self._known(name).causality != "input":
             raise FmuError(
-                f"'{name}' is no input of the system but has causality {self._variables[name].causality}",
+                f"'{name}' is not an input of the system but has causality {self._variables[name].causality}",
                 where=self.path,
                 fix=suggestion(name, [n for n, v in self._variables.items() if v.causality == "input"]),
             )

@@ -58,12 +58,14 @@ def coupling_of(table: CoupledTable, folder: Path, where: str) -> Coupling | Non
     if not table.fmus and Path(table.fmu).suffix != ".ssp":
         if said or table.main:
             raise CampaignError(
-                f"'{next(iter(said), 'main')}' goes with coupled FMUs", where=where, fix="leave it out for one FMU"
+                f"'{next(iter(said), 'main')}' applies to coupled FMUs only",
+                where=where,
+                fix="leave it out for one FMU",
             )
         return None
     for name in table.fmus:
         if not name or "." in name:
-            raise CampaignError(f"fmus: '{name}' is no name", where=where, fix="use a name without dots")
+            raise CampaignError(f"fmus: '{name}' is not a valid name", where=where, fix="use a name without dots")
     connections = dict(_connections(table.connections, "", f"{where} connections"))
     files = {name: folder / file for name, file in table.fmus.items()}
     return Coupling(_master(said, where), files, connections, table.main)
@@ -119,4 +121,4 @@ def _connections(table: Mapping[str, Any], prefix: str, where: str) -> Iterator[
         elif isinstance(value, dict):
             yield from _connections(value, f"{name}.", where)
         else:
-            raise CampaignError(f"'{name}' is no output", where=where, fix='write "component.output"')
+            raise CampaignError(f"'{name}' is not an output", where=where, fix='write "component.output"')

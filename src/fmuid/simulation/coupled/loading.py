@@ -55,7 +55,7 @@ def load_system(path: str | Path, master: Master | None = None, main: str = "") 
     Raises
     ------
     FmuError
-        It is no readable SSP file, uses what is not supported, or its components do not fit together.
+        It is not a readable SSP file, uses what is not supported, or its components do not fit together.
     """
     file, master = Path(path).resolve(), master or Master()
 
@@ -147,7 +147,7 @@ def _place(where: Path, components: dict[str, Fmu], name: str) -> Place:
     component, dot, variable = name.partition(".")
     if not dot:
         raise FmuError(
-            f"'{name}' is no variable of a component",
+            f"'{name}' is not a variable of a component",
             where=where,
             fix=f"write it as component.variable; {suggestion(name, components)}",
         )

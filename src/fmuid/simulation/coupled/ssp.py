@@ -62,7 +62,7 @@ def read_system(path: Path, folder: Path) -> SystemDescription:
         )
     system = root.find(f"{SSD}System")
     if system is None:
-        raise FmuError(f"{DESCRIPTION} has no System", where=path, fix="export it anew")
+        raise FmuError(f"{DESCRIPTION} has no System", where=path, fix="export it again")
     reader = _Reader(path, folder)
     reader.system(system, "", 0)
     if not reader.components:
@@ -141,7 +141,7 @@ class _Reader:
             if kind != variable.causality:
                 raise self._refused(
                     f"connector '{place}' is of kind {kind}, its variable of causality {variable.causality}",
-                    "export the system anew",
+                    "export the system again",
                 )
             self.kinds[_Node(name, place.variable, False)] = kind, variable.unit or _unit(connector)
         for values in bindings(element, self.path, self.folder):
@@ -286,7 +286,7 @@ class _Reader:
         value = element.get(name)
         if not value:
             kind = element.tag.rpartition("}")[2]
-            raise self._refused(f"a {kind} has no '{name}'", "export the system anew")
+            raise self._refused(f"a {kind} has no '{name}'", "export the system again")
         return value
 
     def _refused(self, what: str, fix: str) -> FmuError:

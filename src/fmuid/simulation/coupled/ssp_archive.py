@@ -49,9 +49,9 @@ def parse(path: Path, file: Path, name: str) -> Element:
     try:
         return ElementTree.parse(file).getroot()
     except OSError:
-        raise FmuError(f"has no {name}", where=path, fix="it is no SSP file, or packed in a folder") from None
+        raise FmuError(f"has no {name}", where=path, fix="it is not an SSP file, or packed in a folder") from None
     except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise FmuError(f"{name} is no XML ({error})", where=path, fix="export it anew") from None
+        raise FmuError(f"{name} is not XML ({error})", where=path, fix="export it again") from None
 
 
 def number(element: Element, attribute: str, path: Path, default: float = 0.0) -> float:

@@ -76,7 +76,7 @@ def bindings(element: Element, path: Path, folder: Path) -> Iterator[dict[str, V
             name = f"{prefix}{parameter.get('name')}"
             typed = next(iter(parameter), None)
             if typed is None:
-                raise FmuError(f"parameter '{name}' has no value", where=path, fix="export the system anew")
+                raise FmuError(f"parameter '{name}' has no value", where=path, fix="export the system again")
             kind = typed.tag.removeprefix(SSV)
             unit = (typed.get("unit") or "").removeprefix("[").removesuffix("]")  # as SysML tools write it
             found[name] = Value(name, kind, typed.get("value", ""), unit or None)
@@ -133,5 +133,5 @@ def _content(
         inline = element if holder is None else element.find(holder)
         root = None if inline is None else inline.find(tag)
     if root is None or root.tag != tag:
-        raise FmuError(f"{what} has no {tag.rpartition('}')[2]}", where=path, fix="export the system anew")
+        raise FmuError(f"{what} has no {tag.rpartition('}')[2]}", where=path, fix="export the system again")
     return root
