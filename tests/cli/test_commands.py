@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.core.experiments import Measurements
 from fmuid.core.folder_lock import claim
 from fmuid.data.crosscheck_csv import Table, read_csv, write_csv
@@ -43,6 +44,32 @@ FMUID = [sys.executable, "-c", "from fmuid.cli import main; main()"]
 # ---- the program itself
 
 
+def test_code_in_a_campaign_needs_the_word_of_the_user(
+    folder: Path, fmuid: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(folder))
+    (folder / "own_criteria.py").write_text(
+        "from pathlib import Path\nPath('was_run').touch()\ndef f(t, p, m): return (p - m) / 1e-4\n"
+    )
+    text = (folder / "campaign.toml").read_text()
+    criterion = '{ signal = "position", kind = "user", options = { function = "own_criteria:f" } }'
+    (folder / "campaign.toml").write_text(text.replace("[stages.all]", f"[stages.all]\ncriteria = [{criterion}]"))
+    for command in ("check", "identify"):
+        code, _, err = fmuid(command, "bench")
+        assert (code, err.count("\n")) == (2, 1)
+        assert "calls 'own_criteria:f', code that the campaign chose" in err
+    for command in ("simulate", "export"):  # they call nothing
+        assert (
+            fmuid(command, "bench" if command == "simulate" else "bench/measurements.h5", "--out", "out")[0] == 0
+        )
+    assert not Path("was_run").exists()
+    assert fmuid("identify", "bench", "--trust", "--out", "run", "--no-report", "--workers", "0")[0] == 0
+    assert Path("was_run").exists()
+    assert Result.from_json("run").parameters["m"] == pytest.approx(1.2, rel=5e-3)
+    assert fmuid("report", "run")[0] == 2
+    assert load_campaign("bench", trust=True).trusted
+
+
 @pytest.mark.parametrize("after", [0.05, 0.1, 0.2, 0.4, 0.8, 1.6])
 def test_ctrl_c_while_modules_are_loaded_is_one_line(folder: Path, after: float) -> None:
     script = "import sys; from fmuid.cli import main; print(flush=True); main()"
@@ -55,6 +82,25 @@ def test_ctrl_c_while_modules_are_loaded_is_one_line(folder: Path, after: float)
     run.send_signal(signal.SIGINT)
     _, err = run.communicate(timeout=600)
     assert (run.returncode, err) == (130, "fmuid: interrupted\n") or run.returncode == 0
+
+
+@pytest.mark.parametrize("call", ["fmuid.identify('bench', workers=2)", "fmuid.diagnose('made')"])
+def test_a_script_without_a_main_guard_is_told_in_one_line(
+    folder: Path, oscillator: Path, fmuid: Command, call: str
+) -> None:
+    """Each worker imports the script; none of them does its work again or prints a traceback of its own."""
+    Path("run.csv").write_text(
+        "time,u,x\n" + "".join(f"{k / 100},{k % 20 // 10},{k % 7 / 1e4}\n" for k in range(101))
+    )
+    assert fmuid("init", "run.csv", "--fmu", oscillator, "--out", "made")[0] == 0
+    Path("script.py").write_text(f"import fmuid\n{call}\n")
+    done = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) < 60  # of this script alone
+    assert done.stderr.splitlines()[-1] == (
+        "fmuid.core.errors.FmuidError: worker pool: worker processes do not start; "
+        'keep the script in a file, its work under `if __name__ == "__main__":`'
+    )
 
 
 def test_output_that_cannot_be_written_is_one_line(folder: Path) -> None:

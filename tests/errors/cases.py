@@ -260,6 +260,8 @@ CASES = [
         ("campaign.toml", "a constraint on a criterion that is none", stage('constraints = [{ criterion = "speed", max = 1.0 }]'), CHECK),
         ("campaign.toml", "a front of one objective", stage('pareto = { objectives = ["*position*"] }'), CHECK),
         ("campaign.toml", "a criterion that is none", stage('criteria = [{ signal = "position", kind = "least_square" }]'), CHECK),
+        ("campaign.toml", "code that the campaign chose", stage('criteria = [{ signal = "position", kind = "user", options = { function = "os:system" } }]'), CHECK),
+        ("campaign.toml", "a function that is not there", stage('criteria = [{ signal = "position", kind = "user", options = { function = "nowhere:f" } }]'), "check bench --trust"),
         ("campaign.toml", "a criterion on a signal that is none", stage('criteria = [{ signal = "force" }]'), CHECK),
         ("campaign.toml", "a budget of nothing", toml("evaluations = 100", "evaluations = 0"), CHECK),
         ("campaign.toml", "a budget that is no table", toml("budget = { evaluations = 100 }", "budget = 100"), CHECK),

@@ -136,7 +136,7 @@ class _Document(Table):
     published: dict[str, Any] = {}
 
 
-def load_campaign(path: str | Path, *, measurements: str | Path | None = None) -> Campaign:
+def load_campaign(path: str | Path, *, measurements: str | Path | None = None, trust: bool = False) -> Campaign:
     """Read and check a campaign: its `campaign.toml` and the measurement file that it names.
 
     Parameters
@@ -145,6 +145,8 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None) -
         The campaign's folder, or the TOML file itself.
     measurements
         A measurement file instead of the one that it names.
+    trust
+        Whether functions that it names (criteria of kind ``user``) may be imported and called later on.
 
     Raises
     ------
@@ -216,6 +218,7 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None) -
         published=frozen_mapping(document.published),
         filters=frozen_mapping(filters),
         outliers=outliers,
+        trusted=trust,
     )
 
 

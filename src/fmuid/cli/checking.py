@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fmuid.cli.output import CampaignPath, Json, Printer, Quiet
+from fmuid.cli.output import CampaignPath, Json, Printer, Quiet, Trust
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ def check(
     workers: Workers = None,
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,
+    trust: Trust = False,
     json: Json = None,
     quiet: Quiet = False,
 ) -> int:
@@ -34,7 +35,7 @@ def check(
     from fmuid.identification.check import check_effects, check_signals, load_models, match_models
     from fmuid.identification.identify import check_stages
 
-    loaded = load_campaign(campaign)
+    loaded = load_campaign(campaign, trust=trust)
     models = load_models(loaded)
     findings = match_models(loaded, models) + check_signals(loaded)
     if not any(f.level == "error" for f in findings):

@@ -14,7 +14,7 @@ import typer
 
 from fmuid.cli.diagnosis_text import print_diagnosis, print_validation
 from fmuid.cli.interruption import INTERRUPTED
-from fmuid.cli.output import CampaignPath, Json, Printer, Quiet
+from fmuid.cli.output import CampaignPath, Json, Printer, Quiet, Trust
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, in_bytes, supervised
 from fmuid.core.errors import FmuidError
 
@@ -43,6 +43,7 @@ def identify(
     memory_limit: MemoryLimit = None,
     seed: Annotated[int, typer.Option(help="Of random starts and solvers.")] = 0,
     with_report: Annotated[bool, typer.Option("--report/--no-report", help="Write the report too.")] = True,
+    trust: Trust = False,
     json: Json = None,
     quiet: Quiet = False,
 ) -> int:
@@ -61,14 +62,15 @@ def identify(
     from fmuid.simulation.pool.remote import dask_executor
     from fmuid.simulation.pool.workers import available_processors
 
-    loaded = load_campaign(campaign)
+    loaded = load_campaign(campaign, trust=trust)
     folder = out or Path("runs") / loaded.name
     stop = StopRules(evaluations, seconds) if evaluations or seconds else None
     printer = Printer(quiet, json)
     limits: dict[str, Any] = {"time_limit": time_limit, "memory_limit": in_bytes(memory_limit)}
-    asked = {"--stage": stage, "--solver": solver, "--evaluations": evaluations, "--seconds": seconds}
+    asked: dict[str, Any] = {"--stage": stage, "--solver": solver, "--evaluations": evaluations}
+    asked |= {"--seconds": seconds, "--seed": seed, "--trust": trust}
     with (
-        _told_how_to_go_on(folder, _again("identify", campaign, folder, asked | {"--seed": seed}), printer),
+        _told_how_to_go_on(folder, _again("identify", campaign, folder, asked), printer),
         claim(folder),
         dask_executor(dask) if dask else nullcontext() as executor,
     ):
@@ -169,6 +171,7 @@ def diagnose(
         int,
         typer.Option(min=0, help="First diagnose this many plants simulated from the fitted model and its noise."),
     ] = 0,
+    trust: Trust = False,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -182,7 +185,7 @@ def diagnose(
     from fmuid.diagnosis_pipeline import FILE_NAME, answer_of
     from fmuid.diagnosis_pipeline import diagnose as run
 
-    loaded = load_campaign(campaign, measurements=measurements)
+    loaded = load_campaign(campaign, measurements=measurements, trust=trust)
     folder = out or Path("runs") / f"{loaded.name}-diagnosis"
     printer = Printer(quiet, json)
     with printer.working("") as shown:
@@ -212,6 +215,7 @@ def report(
     workers: Workers = None,
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,
+    trust: Trust = False,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -227,7 +231,7 @@ def report(
         raise FmuidError(f"no format '{unknown[0]}'", where="--format", fix="known: png, svg, pdf")
     printer = Printer(quiet, json)
     with printer.working("") as shown, supervised(workers, time_limit, memory_limit) as runner:
-        page = write_report(run, out, formats=formats, runner=runner, progress=shown)
+        page = write_report(run, out, formats=formats, trust=trust, runner=runner, progress=shown)
     printer.say(str(page))
     printer.write({"run": run, "report": page})
 
@@ -264,7 +268,7 @@ def _again(command: str, campaign: Path, folder: Path, options: Mapping[str, Any
     words = ["fmuid", command, str(campaign), "--out", str(folder)]
     for name, value in options.items():
         for one in value if isinstance(value, list) else [value]:
-            words += [] if not one else [name, str(one)]
+            words += [] if not one else [name] if one is True else [name, str(one)]
     return shlex.join([*words, "--resume"])
 
 

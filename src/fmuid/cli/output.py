@@ -16,6 +16,9 @@ from fmuid.core.errors import FmuidError
 
 Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Trust = Annotated[
+    bool, typer.Option("--trust", help="Call functions that the campaign names: they are its author's code.")
+]
 CampaignPath = Annotated[
     Path, typer.Argument(metavar="CAMPAIGN", help="A folder with a campaign.toml, or the file.")
 ]

@@ -261,6 +261,8 @@ class Campaign:
         through before they are compared, by signal.
     outliers
         Samples of the recording that are no measurements; `measurements` has them as missing.
+    trusted
+        Whether functions that it names may be imported and called: they are code, wherever they lie.
     """
 
     name: str
@@ -277,3 +279,4 @@ class Campaign:
     published: Mapping[str, Any] = field(default_factory=dict)
     filters: Mapping[str, float] = field(default_factory=dict)
     outliers: tuple[Outliers, ...] = ()
+    trusted: bool = False

@@ -77,6 +77,7 @@ def identify(
     seed: int = 0,
     with_uncertainty: bool = True,
     analyses: AnalysisSpec | None = None,
+    trust: bool = False,
 ) -> Result:
     """Estimate the free parameters of a campaign, stage by stage, or of a single problem.
 
@@ -112,6 +113,8 @@ def identify(
         Whether each stage ends with its uncertainty analysis.
     analyses
         What every stage ends with, whatever the campaign asks for.
+    trust
+        Whether functions that the campaign names may be called, if `what` is a path; see `load_campaign`.
 
     Returns
     -------
@@ -125,7 +128,7 @@ def identify(
         interrupted run and `resume` is not asked for.
     """
     begin = clock.perf_counter()
-    campaign = _campaign(what) if not isinstance(what, Problem) else None
+    campaign = _campaign(what, trust) if not isinstance(what, Problem) else None
     folder = None if out is None else Path(out)
     if isinstance(what, Problem):
         plan: list[StageSpec | Problem] = [what]
@@ -440,12 +443,12 @@ def _posed(
     return _Posed(problem, step.solver, step.solver_options, stop, step.analyses)
 
 
-def _campaign(what: Campaign | str | Path) -> Campaign:
+def _campaign(what: Campaign | str | Path, trust: bool) -> Campaign:
     if isinstance(what, Campaign):
         return what
     from fmuid.campaigns.campaign_toml import load_campaign
 
-    return load_campaign(what)
+    return load_campaign(what, trust=trust)
 
 
 def _models(campaign: Campaign) -> Mapping[str, Simulator]:

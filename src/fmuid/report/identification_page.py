@@ -35,6 +35,7 @@ def write_report(
     campaign: Campaign | None = None,
     simulators: Mapping[str, Simulator] | None = None,
     formats: tuple[Format, ...] = ("png",),
+    trust: bool = False,
     runner: Runner = in_process,
     progress: Callable[[float, str], None] = lambda *_: None,
 ) -> Path:
@@ -50,6 +51,8 @@ def write_report(
         The campaign and its models by setup; read from where the result says by default.
     formats
         File formats of the figures: png, svg, pdf.
+    trust
+        Whether functions that the campaign names may be called, if it is read here; see `load_campaign`.
     runner
         What simulates; in this process by default.
     progress
@@ -66,7 +69,7 @@ def write_report(
     if campaign is None and result.source:
         from fmuid.campaigns.campaign_toml import load_campaign
 
-        campaign = load_campaign(result.source)
+        campaign = load_campaign(result.source, trust=trust)
     if campaign is not None and simulators is None:
         from fmuid.identification.check import load_models
 

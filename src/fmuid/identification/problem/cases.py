@@ -11,7 +11,7 @@ import numpy as np
 
 from fmu_build.suggest import suggestion
 from fmuid.core.campaign import Campaign, CriterionSpec, Interpolation, ModelSpec, ParameterSpec
-from fmuid.core.errors import FmuError, MeasurementsError, ProblemError
+from fmuid.core.errors import CampaignError, FmuError, MeasurementsError, ProblemError
 from fmuid.core.experiments import Experiment
 from fmuid.core.formulas import Expression, parse
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
@@ -181,6 +181,11 @@ def from_campaign(
     Repeats with the same time axis, inputs and settings share a case; a repeat whose inputs were recorded
     with their own noise is simulated on its own, and every run if they are to be `apart`. Of a case that `until`
     names, samples from that time (s) on count as missing.
+
+    Raises
+    ------
+    CampaignError
+        A criterion calls a function that the campaign names, and the campaign is not trusted.
     """
     groups: list[list[Experiment]] = []
     for experiment in experiments:
@@ -192,6 +197,12 @@ def from_campaign(
             groups.append([experiment])
     measured = sorted({name for e in experiments for name in e.outputs})
     for spec in criteria:
+        if "function" in spec.options and not campaign.trusted:
+            raise CampaignError(
+                f"criterion on '{spec.signal}' calls '{spec.options['function']}', code that the campaign chose",
+                where=campaign.folder,
+                fix="read it first; then run it with --trust, from Python with trust=True",
+            )
         if spec.signal not in measured:
             raise ProblemError(
                 f"criterion on '{spec.signal}', which no experiment of the stage measures",

@@ -297,6 +297,6 @@ def _load(path: Any, where: str) -> User:
     module, _, name = path.partition(":")
     try:
         function: User = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError) as error:
+    except Exception as error:  # a module may raise anything
         raise ProblemError(f"cannot load '{path}' ({error})", where=where, fix=fix) from None
     return function

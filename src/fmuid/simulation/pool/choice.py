@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from fmuid.core.errors import FmuidError
+from fmuid.simulation.pool.worker_supervision import leave_if_starting
 from fmuid.simulation.pool.workers import WorkerPool
 from fmuid.simulation.runners import Runner, in_process
 
@@ -29,6 +30,7 @@ def runner_on(
     FmuidError
         A limit without workers.
     """
+    leave_if_starting()
     asked = {"time_limit": time_limit, "memory_limit": memory_limit}
     limits: dict[str, Any] = {name: limit for name, limit in asked.items() if limit is not None}
     if executor is not None:

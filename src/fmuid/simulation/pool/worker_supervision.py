@@ -47,6 +47,15 @@ _LACKING_HINT = {"where": "worker pool", "fix": "free open files, processes or m
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
+def leave_if_starting() -> None:
+    """End this process if it is a worker that begins: it imports the main script, whose work is not the worker's.
+
+    The script lacks ``if __name__ == "__main__":``, which the process that started the worker then says.
+    """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        os._exit(1)
+
+
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
     """Have processes that start now do linear algebra in one thread: the workers share the processors already."""
@@ -280,7 +289,7 @@ class Supervisor:
         self._dismiss(worker)
         if head is None:
             if self._failed_starts >= _MAX_FAILED_STARTS:
-                raise FmuidError("worker processes do not start", **_START_HINT)
+                raise FmuidError("worker processes do not start", **_START_HINT) from None
             return
         if (worker.done or in_reset) and not head.retried and worker.killed != "time":
             head.retried = True
@@ -344,7 +353,8 @@ class Supervisor:
             ours.close()
             lacking = isinstance(error, OSError) and not isinstance(error, ConnectionError)
             hint = _LACKING_HINT if lacking else _START_HINT
-            raise FmuidError(f"worker processes cannot be started ({error})", **hint) from None
+            reason = "" if isinstance(error, EOFError | ConnectionError) else f" ({error})"  # it has left
+            raise FmuidError(f"worker processes do not start{reason}", **hint) from None
         finally:
             theirs.close()
         self._team.append(Worker(process, ours, folder))

@@ -22,7 +22,7 @@ from typing import Any, ParamSpec, TypeVar
 from fmuid.core.errors import FmuidError
 from fmuid.simulation.pool import worker_process
 from fmuid.simulation.pool.parcels import Parcel, name_of, pickled
-from fmuid.simulation.pool.worker_supervision import Call, Limits, Supervisor
+from fmuid.simulation.pool.worker_supervision import Call, Limits, Supervisor, leave_if_starting
 from fmuid.simulation.runners import Job, Outcome, outcome_of
 from fmuid.simulation.simulator import Simulator, Task
 
@@ -69,6 +69,7 @@ class WorkerPool(Executor):
         recycle_after: int | None = None,
         recycle_growth: int = 256 * 2**20,
     ) -> None:
+        leave_if_starting()
         self.workers = workers if workers is not None else available_processors()
         if self.workers < 1:
             raise FmuidError(f"{workers} workers", where="worker pool", fix="ask for one or more")
