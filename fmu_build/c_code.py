@@ -17,7 +17,9 @@ import casadi as ca
 
 _LARGEST_TREE = 40  # operations of a statement
 _LARGEST_PIECE = 400  # operations of a piece of straight code
-_SHORT = 1000  # up to so many operations a function stays one piece of straight code
+_TINY = 150  # up to so many operations a function stays one piece of straight code ...
+_SHORT = 1000  # ... and up to so many if loops would not make it much shorter
+_MOST_RESULTS = 3  # in the statement of a value; more are copies of it
 _FEWEST = 6  # statements that become a loop
 
 Node = int
@@ -121,6 +123,10 @@ class _Statement:
     kept: bool = False  # in w, for other pieces
 
 
+def _cost(statement: _Statement) -> int:
+    return statement.operations + len(statement.results)
+
+
 def _constant(value: float) -> str:
     if math.isnan(value):
         return "NAN"
@@ -170,6 +176,7 @@ class _Writer:
             for node in given:
                 used[node] += 1
         statements: list[_Statement] = []
+        copies: list[_Statement] = []
         trees: dict[Node, tuple[str, list[Leaf], int]] = {}
 
         def tree(node: Node) -> tuple[str, list[Leaf], int]:
@@ -193,22 +200,30 @@ class _Writer:
                     size = 1 + sum(b[2] for b in below)
                 shape = _TEMPLATES[op].format(*(b[0] for b in below))
                 leaves = [at for b in below for at in b[1]]
+                own = results.get(node, [])
                 if used[node] == 1 and not is_result:
                     trees[node] = (shape, leaves, size)
+                elif len(own) <= _MOST_RESULTS:
+                    statements.append(_Statement(node, shape, leaves, size, own))
                 else:
-                    statements.append(_Statement(node, shape, leaves, size, results.get(node, [])))
+                    statements.append(_Statement(node, shape, leaves, size))
+                    copies += [_Statement(-1, "{}", [(-1, node)], 0, [result]) for result in own]
             elif is_result:
                 shape, leaves, size = tree(node)
-                statements.append(_Statement(node, shape, leaves, size, results[node]))
-        return statements
+                copies += [_Statement(-1, shape, leaves, size, [result]) for result in results[node]]
+        for number, copy in enumerate(copies):
+            copy.node = len(operations) + number
+        return [*statements, *copies]
 
     def write(self) -> str:
         statements = self._statements
-        total = sum(s.operations + len(s.results) for s in statements)
-        if total <= _SHORT:
-            return self._signature(self._piece(statements, set()))
-        pieces = self._pieces(statements)
-        return self._in_pieces(pieces)
+        total = sum(map(_cost, statements))
+        if total > _TINY:
+            pieces = self._pieces(statements)
+            written = sum(_cost(p[0]) if isinstance(p, tuple) else sum(map(_cost, p)) for p in pieces)
+            if total > _SHORT or 4 * written < total:
+                return self._in_pieces(pieces)
+        return self._signature(self._piece(statements, set()))
 
     def _signature(self, body: str) -> str:
         unused = "".join(f" (void){n};" for n in ("arg", "res", "iw", "w", "mem"))

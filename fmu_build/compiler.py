@@ -12,7 +12,7 @@ from fmu_build.aliases import Aliases, eliminate
 from fmu_build.equations import Assertion, Equations, collect
 from fmu_build.flat_model import FlatModel
 from fmu_build.front.flatten import load
-from fmu_build.graph import SX, Graph, key
+from fmu_build.graph import SX, Graph, Substitution, key
 from fmu_build.index_reduction import Reduced, reduce
 from fmu_build.interface import Interface, describe
 from fmu_build.model import CompiledModel
@@ -140,10 +140,11 @@ def _generate(
     def continuous(expressions: Sequence[SX]) -> list[SX]:
         return codegen.as_ports(never, expressions)
 
+    of_independent = Substitution()
     dependent: list[SX] = []
-    for _, value in scope.parameters.dependent:
-        known = dict(zip(map(key, ports.d), dependent, strict=False))
-        dependent += codegen.as_ports(known, [value])
+    for symbol, (_, value) in zip(ports.d, scope.parameters.dependent, strict=True):
+        dependent.append(of_independent(value))
+        of_independent.define(symbol, dependent[-1])
     asserts = [rewrite(a.condition) for a in equations.asserts]
     shown = {v.location.index for v in interface.variables if v.causality == "output" and v.location.vector == "v"}
     outputs = [i in shown for i in range(len(interface.evaluated))]

@@ -86,6 +86,8 @@ class _Describer:
         ):
             for i, symbol in enumerate(symbols):
                 self.place[key(symbol)] = Location(vector, i)  # type: ignore[arg-type]
+        states_and_inputs = (*(s.symbol for s in self.states), *self.inputs)
+        self.known = {key(s): (i, s.name()) for i, s in enumerate(states_and_inputs)}
         self.rates = [solution.expression(s.derivative) for s in self.states]
         self.evaluated: list[SX] = []
         for i, rate in enumerate(self.rates):
@@ -96,7 +98,8 @@ class _Describer:
         variables = [self._variable(d) for d in self.scope.declarations.scalars.values()]
         variables += self._unnamed_states()
         names = {v.location.index: v.name for v in reversed(variables) if self._is_state(v)}
-        variables += [self._derivative(i, names[i], variables) for i in range(len(self.states))]
+        units = {v.name: v.unit for v in variables}
+        variables += [self._derivative(i, names[i], units[names[i]]) for i in range(len(self.states))]
         return Interface(
             tuple(variables),
             self._units(variables),
@@ -221,8 +224,7 @@ class _Describer:
                 out.append(Variable(name, "Real", place, "local", "continuous", initial, value, unit=unit))
         return out
 
-    def _derivative(self, index: int, name: str, variables: list[Variable]) -> Variable:
-        unit = next(v.unit for v in variables if v.name == name)
+    def _derivative(self, index: int, name: str, unit: str | None) -> Variable:
         return Variable(
             f"der({name})", "Real", Location("dx", index), "local", "continuous", "calculated",
             unit=_per_second(unit), derivative_of=name, **self._dependencies(self.rates[index]),
@@ -254,10 +256,10 @@ class _Describer:
                 return "constant"
             return "fixed" if all(map(self.scope.is_parameter, graph.symbols(factor))) else "dependent"
 
-        known = [s for s in (*(s.symbol for s in self.states), *self.inputs) if key(s) in symbols]
+        known = sorted(self.known[k] + (k,) for k in symbols if k in self.known)
         return {
-            "depends_on": tuple(s.name() for s in known),
-            "dependency_kinds": tuple(kind(key(s)) for s in known),
+            "depends_on": tuple(name for _, name, _ in known),
+            "dependency_kinds": tuple(kind(k) for _, _, k in known),
         }
 
     def _nominal(self, symbol: SX) -> float:

@@ -48,9 +48,9 @@ def code(n: int) -> list[str]:
 
 
 def test_code_does_not_grow_with_the_model():
-    small, large = code(100), code(200)
-    assert max(map(len, large)) < 40_000
-    assert sum(map(len, large)) < 1.05 * sum(map(len, small))
+    small, large = code(50), code(100)
+    assert max(map(len, large)) < 10_000
+    assert sum(map(len, large)) < sum(map(len, small))
 
 
 def test_factorisation_grows_linearly():
@@ -60,7 +60,7 @@ def test_factorisation_grows_linearly():
         found = plan([rows[start[j] : start[j + 1]] for j in range(pattern.size2())])
         return found.multiplications, len(found.rows)
 
-    small, large = np.array(counts(60)), np.array(counts(120))
+    small, large = np.array(counts(50)), np.array(counts(100))
     assert all(large <= 2.1 * small)
     assert small[0] < 15 * 200  # per state
 
