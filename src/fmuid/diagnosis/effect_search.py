@@ -77,7 +77,7 @@ def search(
         if swapped:
             candidates += swapped
             best = decide.best_of([c for c in candidates if len(c.names) == len(best.names)])
-    return candidates, best
+    return candidates, _pruned(subject, best, candidates)
 
 
 def aliases(
@@ -180,3 +180,22 @@ def _swaps(subject: Subject, best: Fitted, candidates: Sequence[Fitted], scores:
         fresh = [s for s in others if frozenset((*rest.effects, s.effect)) not in tried]
         found += _added(subject, rest, fresh[:_SWAPS])
     return found
+
+
+def _pruned(subject: Subject, best: Fitted, candidates: list[Fitted]) -> Fitted:
+    """Leave out of `best`, one by one, the effects that those found after them have made needless.
+
+    What is first added to a model stands for much that is missing; once the rest is there, it may explain nothing.
+    """
+    while len(best.names) > 1 and best.effects == best.names:
+        simpler = [without(subject, best, name) for name in best.names]
+        enough = [
+            s
+            for s in simpler
+            if s is not None and (s.gap <= decide.GAP_THAT_MATTERS or not decide.worth_adding(s, best))
+        ]
+        if not enough:
+            break
+        best = decide.best_of(enough)
+        candidates.append(best)
+    return best

@@ -22,7 +22,7 @@ Tangents = Callable[[Mapping[str, float], Sequence[str]], Mapping[str, Sequence[
 
 _WORTH = 4  # exact columns cost three runs and a third of one each, differences one each
 _ENOUGH = 0.5  # fall of the cost, in squared standard deviations, that is worth another iteration
-_PATIENCE = 5  # trial points in a row that are no better
+_PATIENCE = 10  # trial points in a row that are no better: each is four times as near
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,11 @@ def refit(
         if isinstance(outcome, SimulationError):
             failure = outcome
         else:
-            found.append(_search(campaign, x, max_iterations, tolerance))
+            end = _search(campaign, x, max_iterations, tolerance)
+            if tangents is not None:  # where exact slopes end (a kink) those of a plausible step may go on
+                further = _search(campaign, end[1], max_iterations, tolerance, exact=False)
+                end = further if further[0] < end[0] - max(_ENOUGH, tolerance * end[0]) else end
+            found.append(end)
     if not found:
         raise failure
     cost, x, converged = min(found, key=lambda end: end[0])
@@ -120,7 +124,7 @@ def refit(
 
 
 def _search(
-    campaign: _Campaign, start: FloatArray, max_iterations: int, tolerance: float
+    campaign: _Campaign, start: FloatArray, max_iterations: int, tolerance: float, *, exact: bool = True
 ) -> tuple[float, FloatArray, bool]:
     """Return the cost and the point that a search from `start` ends at, and whether by its own tolerance."""
     best, cost, iterations, vain = start, campaign.cost(start), 0, 0
@@ -148,7 +152,7 @@ def _search(
             raise _ExhaustedError
         iterations += 1
         x = campaign.clipped(x)
-        return np.asarray(campaign.stacked(campaign.jacobian(x)) * campaign.steps)
+        return np.asarray(campaign.stacked(campaign.jacobian(x, exact=exact)) * campaign.steps)
 
     if not len(start):
         return cost, start, True
