@@ -28,7 +28,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed blind bench coverage docs clean
+.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed blind bench coverage fuzz kills docs clean
 all: identify
 
 setup: $(READY)
@@ -121,6 +121,13 @@ test: lint
 
 test-all: lint
 	$(BIN)/pytest $(ABREAST)
+
+# 10,000 damaged files of each kind, and 200 kills of a run, some of them in its last 50 ms: an hour.
+fuzz: $(DEVELOPER)
+	FMUID_FUZZ=10000 $(BIN)/pytest tests/errors/test_fuzz.py
+
+kills: $(DEVELOPER)
+	FMUID_KILLS=200 $(BIN)/pytest tests/simulation/test_survival.py -k killed
 
 # Every peer has an environment of its own; one that cannot be set up is listed as missing.
 PEERS := aixcalibuha modestpy

@@ -95,12 +95,12 @@ def archive(*members: tuple[str, str]) -> Callable[[], object]:
     return make
 
 
-def description(variables: str, version: str = "2.0") -> Callable[[], object]:
+def description(variables: str, version: str = "2.0", more: str = "") -> Callable[[], object]:
     """An FMU that nobody can run, with these variables."""
     identity = "instantiationToken" if version == "3.0" else "guid"
     text = (
         f'<fmiModelDescription fmiVersion="{version}" modelName="M" {identity}="1"><CoSimulation modelIdentifier="M"/>'
-        f"<ModelVariables>{variables}</ModelVariables><ModelStructure/></fmiModelDescription>"
+        f"{more}<ModelVariables>{variables}</ModelVariables><ModelStructure/></fmiModelDescription>"
     )
     return archive(("modelDescription.xml", text))
 
@@ -338,6 +338,7 @@ CASES = [
         ("FMUs", "FMI 1.0", archive(("modelDescription.xml", DESCRIPTION.format("1.0"))), CHECK),
         ("FMUs", "an archive that climbs out of its folder", archive(("../../.bashrc", "true")), CHECK),
         ("FMUs", "a value reference outside of FMI's", description('<ScalarVariable name="x" valueReference="4294967296"><Real/></ScalarVariable>'), CHECK),
+        ("FMUs", "an experiment that takes no time", description("", more='<DefaultExperiment stopTime="1e 6"/>'), CHECK),
         ("FMUs", "more variables than a model has", description('<ScalarVariable name="x" valueReference="1"/>' * 300_000), CHECK),
         ("FMUs", "an array of more elements than memory holds", description('<Float64 name="x" valueReference="1"><Dimension start="1000000000"/></Float64>', "3.0"), CHECK),
         ("FMUs", "an archive that would fill the disk", bomb, CHECK),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -119,3 +120,35 @@ def test_killed_at_ten_random_moments_it_ends_as_an_unbroken_run(build, tmp_path
     # As many evaluations as without a kill: none was made twice.
     rows = [[len(s.rows) for s in read_history(f / "run").values()] for f in (folder, unbroken)]
     assert rows[0] == rows[1]
+
+
+@pytest.mark.slow
+def test_killed_at_any_moment_of_a_run_nothing_is_lost(build, tmp_path):
+    """`make kills` does so 200 times; every third kill is aimed at the last 50 ms, when the result is written."""
+    fmu, moments = build(2), random.Random(21)
+    unbroken = campaign(fmu, tmp_path / "unbroken", evaluations=12)
+    begin = time.monotonic()
+    assert subprocess.run(command(unbroken, "--workers", "0"), timeout=100, check=False).returncode == 0
+    whole, late, resumed = time.monotonic() - begin, 0, 0
+    for k in range(int(os.environ.get("FMUID_KILLS", "9"))):
+        folder = campaign(fmu, tmp_path / f"broken{k}", evaluations=12)
+        process = subprocess.Popen(command(folder, "--workers", "0"))
+        if k % 3:
+            time.sleep(moments.uniform(0.2, 1.0) * whole)
+        else:
+            while process.poll() is None and not (folder / "run" / "history.h5").exists():
+                time.sleep(0.0002)  # it is what is written first at the end
+            time.sleep(moments.uniform(0.0, 0.05))
+            late += process.poll() is None
+        process.kill()
+        process.wait()
+        if (folder / "run" / JOURNAL).exists():
+            resumed += 1
+            again = subprocess.run(command(folder, "--workers", "0", "--resume"), timeout=100, check=False)
+            assert again.returncode == 0
+        elif not (folder / "run" / "result.json").exists():  # it had not begun
+            assert subprocess.run(command(folder, "--workers", "0"), timeout=100, check=False).returncode == 0
+        assert found(folder) == found(unbroken), k
+        shutil.rmtree(folder)
+    assert late > 0
+    assert resumed > 0

@@ -1,0 +1,3 @@
+from tests.cli.conftest import measurements, oscillator
+
+__all__ = ["measurements", "oscillator"]
