@@ -24,6 +24,7 @@ from fmuid.core.campaign import (
     ModelSpec,
     ParameterSpec,
     ParetoSpec,
+    Prior,
     StageSpec,
 )
 from fmuid.core.errors import CampaignError, MeasurementsError, ProblemError
@@ -63,9 +64,15 @@ class _ParameterTable(Table):
     unit: str | None = None
     scale: Literal["linear", "log"] = "linear"
     free: bool = True
-    per: Literal["campaign", "experiment"] = "campaign"
+    per: Literal["campaign", "experiment", "machine"] = "campaign"
     truth: float | None = None
     description: str = ""
+    prior: dict[str, Any] | None = None
+
+
+class _PriorTable(Table):
+    mean: float
+    sd: float
 
 
 class _CriterionTable(Table):
@@ -95,6 +102,7 @@ class _StageTable(Table):
     constraints: list[dict[str, Any]] = []
     profiles: bool = False
     monte_carlo: int = 0
+    posterior: int = 0
     pareto: dict[str, Any] | None = None
     segments: float | str | None = None
     observer: bool | dict[str, dict[str, float]] = False
@@ -346,7 +354,15 @@ def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
         raise CampaignError("scale is log without lower", where=where, fix="give lower > 0")
     if table.truth is not None:
         finite("truth", table.truth, where)
-    return ParameterSpec(name=name, **msgspec.structs.asdict(table))
+    given = msgspec.structs.asdict(table)
+    if table.prior is not None:
+        prior = convert(table.prior, _PriorTable, f"{where} prior")
+        if not (math.isfinite(prior.mean) and math.isfinite(prior.sd) and prior.sd > 0):
+            raise CampaignError(
+                f"prior has mean {prior.mean:g} and sd {prior.sd:g}", where=where, fix="write sd > 0"
+            )
+        given["prior"] = Prior(prior.mean, prior.sd)
+    return ParameterSpec(name=name, **given)
 
 
 @dataclass(frozen=True, slots=True)
@@ -488,6 +504,9 @@ def _stage(
     if not 0 <= table.monte_carlo <= MAX_DRAWS:
         fix = f"write a number of draws up to {MAX_DRAWS}"
         raise CampaignError(f"monte_carlo is {table.monte_carlo}", where=where, fix=fix)
+    if not 0 <= table.posterior <= MAX_DRAWS:
+        fix = f"write a number of draws up to {MAX_DRAWS}"
+        raise CampaignError(f"posterior is {table.posterior}", where=where, fix=fix)
     for key in ("evaluations", "seconds"):
         limit = getattr(budget, key)
         if limit is not None and not limit > 0:
@@ -511,6 +530,7 @@ def _stage(
         analyses=AnalysisSpec(
             profiles=table.profiles,
             monte_carlo=table.monte_carlo,
+            posterior=table.posterior,
             pareto=None if pareto is None else ParetoSpec(tuple(pareto.objectives), pareto.points),
         ),
         segments=_segments(table.segments, where),

@@ -83,6 +83,12 @@ def import_(
             metavar="CONDITION", help='Leave out the samples of outputs where it holds: "abs(tau) > 40" (repeat).'
         ),
     ] = None,
+    machine: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[RUN:]NAME", help="Which unit was measured, in all runs or those that RUN names (repeat)."
+        ),
+    ] = None,
     repeats: Annotated[bool, typer.Option("--repeats", help="Runs with the same inputs are repeats.")] = False,
     append: Annotated[bool, typer.Option("--append", help="Add the runs to the file at --out.")] = False,
     title: Annotated[str, typer.Option(help="Title of the measurement file.")] = "",
@@ -135,6 +141,8 @@ def import_(
                 settings=numbers(_of_run(setting or [], file.stem), "--setting"),
                 resampled=run.resampled,
             )
+            if machines := _of_run(machine or [], file.stem):
+                experiments[file.stem] = replace(experiments[file.stem], machine=machines[-1])
         except FmuidError as error:
             if error.where != file.stem:
                 raise

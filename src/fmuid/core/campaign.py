@@ -60,6 +60,14 @@ class ModelSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class Prior:
+    """What is known of a parameter beforehand: a normal distribution of its value, in the parameter's unit."""
+
+    mean: float
+    sd: float
+
+
+@dataclass(frozen=True, slots=True)
 class ParameterSpec:
     """A parameter of the campaign.
 
@@ -76,11 +84,13 @@ class ParameterSpec:
     free
         False: held, unless a stage frees it.
     per
-        One value for the campaign, or one for each experiment.
+        One value for the campaign, or one for each experiment or machine.
     truth
         The rig's own value where it is known; for reports only.
     description
         For reports.
+    prior
+        What is known of it beforehand; counts as one more residual, (value - mean) / sd.
     """
 
     name: str
@@ -90,9 +100,10 @@ class ParameterSpec:
     unit: str | None = None
     scale: Literal["linear", "log"] = "linear"
     free: bool = True
-    per: Literal["campaign", "experiment"] = "campaign"
+    per: Literal["campaign", "experiment", "machine"] = "campaign"
     truth: float | None = None
     description: str = ""
+    prior: Prior | None = None
 
     def __post_init__(self) -> None:
         for name in ("start", "lower", "upper"):  # NumPy's numbers are no JSON
@@ -158,12 +169,15 @@ class AnalysisSpec:
         Number of draws of the parameters from their distribution, for the criteria over it; 0 for none.
     pareto
         The front of trade-offs, or None.
+    posterior
+        Number of samples of the posterior; 0 for none.
     """
 
     uncertainty: bool = True
     profiles: bool = False
     monte_carlo: int = 0
     pareto: ParetoSpec | None = None
+    posterior: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,6 +65,8 @@ class Experiment:
         Id of the first run with the same inputs, settings and times; None for a run of its own.
     description
         For reports.
+    machine
+        Which unit was measured.
     """
 
     id: str
@@ -75,6 +77,7 @@ class Experiment:
     setting_units: Mapping[str, str] = field(default_factory=dict)
     repeat_of: str | None = None
     description: str = ""
+    machine: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", read_only(self.time))

@@ -236,6 +236,7 @@ def _read_experiment(experiments: Any, experiment_id: str, path: Path) -> Experi
         settings=settings,
         setting_units=units,
         repeat_of=hdf5.text(group, "repeat_of", _Error, where, default="") or None,
+        machine=hdf5.text(group, "machine", _Error, where, default=""),
         description=hdf5.text(group, "description", _Error, where, default=""),
     )
 
@@ -276,6 +277,8 @@ def _read_settings(group: Any, where: str) -> tuple[Mapping[str, float], Mapping
 
 def _write_experiment(group: Any, experiment: Experiment) -> None:
     group.attrs["setup"] = experiment.setup
+    if experiment.machine:
+        group.attrs["machine"] = experiment.machine
     if experiment.repeat_of:
         group.attrs["repeat_of"] = experiment.repeat_of
     if experiment.description:

@@ -19,6 +19,7 @@ from fmuid.identification.solvers.nlopt_solver import NloptSolver
 from fmuid.identification.solvers.pareto import Front, trace
 from fmuid.identification.uncertainty.confidence import Uncertainty, uncertainty_of, with_held, without_intervals
 from fmuid.identification.uncertainty.inherited import Held
+from fmuid.identification.uncertainty.posterior import Posterior, posterior_of
 from fmuid.identification.uncertainty.profiles import Profile, profile_of
 from fmuid.identification.uncertainty.propagation import CriterionSpread, criteria_spread
 
@@ -35,6 +36,7 @@ class Findings:
     uncertainty: Uncertainty | None = None
     profiles: tuple[Profile, ...] = ()
     spread: tuple[CriterionSpread, ...] = ()
+    posterior: Posterior | None = None
     front: Front | None = None
     warnings: list[str] = field(default_factory=list)
 
@@ -75,6 +77,7 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | Non
     if found.uncertainty is not None:
         _profile(found, found.uncertainty, spec, search, evaluate)
         _spread(found, found.uncertainty, spec, search, (held, evaluate_held or evaluate))
+        _sample(found, found.uncertainty, spec, search)
     if spec.pareto is not None:
         found.front = _front(search, spec.pareto, best, record)
         if found.front.beats_chosen:
@@ -94,6 +97,16 @@ def _profile(
         with _noted(found, f"no profile of {name}"):
             profile = profile_of(search.problem, estimate, name, evaluate=evaluate, floor=search.noise_floor)
             found.profiles += (profile,)
+
+
+def _sample(found: Findings, estimate: Uncertainty, spec: AnalysisSpec, search: Search) -> None:
+    """Add samples of the posterior."""
+    if not spec.posterior:
+        return
+    with _noted(found, "no posterior"):
+        found.posterior = posterior_of(search.problem, estimate, spec.posterior, seed=search.seed)
+        if not found.posterior.reliable:
+            found.warnings.append("the posterior's chain is short for its memory: ask for more samples")
 
 
 def _spread(

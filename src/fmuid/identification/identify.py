@@ -27,6 +27,7 @@ from fmuid.identification.result import FILE, CriterionValue, Estimate, Result, 
 from fmuid.identification.solvers import Outcome, Search, Solver, Status, StopRules, StopSearch, make
 from fmuid.identification.solvers.least_squares import TrustRegion
 from fmuid.identification.solvers.pareto import Objectives
+from fmuid.identification.uncertainty.between_machines import MachineSpread, machine_spread
 from fmuid.identification.uncertainty.confidence import Uncertainty
 from fmuid.identification.uncertainty.earlier_stages import Known
 from fmuid.simulation.pool.choice import runner_on
@@ -397,6 +398,8 @@ def _result(
         profiles=findings.profiles,
         spread=findings.spread,
         front=findings.front,
+        posterior=findings.posterior,
+        machines=_machines(estimates, problem.space.free),
     )
 
 
@@ -406,6 +409,22 @@ def _misfit(
     if best is None or outcome is _INTERRUPTED:
         return ()
     return misfit(problem, first if first is not None and first.ok else None, best)
+
+
+def _machines(estimates: Sequence[Estimate], free: Sequence[ParameterSpec]) -> tuple[MachineSpread, ...]:
+    """Return what the machines' own parameters say of all machines."""
+    groups: dict[str, dict[str, Estimate]] = {}
+    by_name = {e.name: e for e in estimates}
+    for spec in free:
+        name, separator, machine = spec.name.partition(SEPARATOR)
+        if spec.per == "machine" and separator:
+            groups.setdefault(name, {})[machine] = by_name[spec.name]
+    found = []
+    for name, own in groups.items():
+        errors = [e.standard_error for e in own.values() if e.standard_error]
+        if len(own) > 1 and len(errors) == len(own):
+            found.append(machine_spread(name, list(own), [e.value for e in own.values()], errors))
+    return tuple(found)
 
 
 def _warnings(search: Search, estimates: Sequence[Estimate], found: Uncertainty | None) -> tuple[str, ...]:

@@ -21,7 +21,9 @@ from fmuid.identification.history import FILE as HISTORY
 from fmuid.identification.history import JOURNAL, StageHistory, read_run
 from fmuid.identification.solvers.pareto import Front
 from fmuid.identification.solvers.search import Start, Status
+from fmuid.identification.uncertainty.between_machines import MachineSpread
 from fmuid.identification.uncertainty.confidence import Uncertainty
+from fmuid.identification.uncertainty.posterior import Posterior
 from fmuid.identification.uncertainty.profiles import Profile
 from fmuid.identification.uncertainty.propagation import CriterionSpread
 
@@ -99,15 +101,22 @@ class StageResult:
     profiles: tuple[Profile, ...] = ()
     spread: tuple[CriterionSpread, ...] = ()
     front: Front | None = None
+    posterior: Posterior | None = None
+    machines: tuple[MachineSpread, ...] = ()
 
     def __getitem__(self, name: str) -> Estimate:
         return _find(self.estimates, name)
 
     def __str__(self) -> str:
         """Return the stage as text: one line on how it went, a table, warnings."""
-        front = [] if self.front is None else [str(self.front)]
+        further = [*map(str, self.machines), *([] if self.front is None else [str(self.front)])]
         return "\n".join(
-            [self.summary, text_table(_cells(self.estimates)), *front, *(f"! {w}" for w in self.warnings)]
+            [
+                self.summary,
+                text_table(_cells(self.estimates)),
+                *further,
+                *(f"! {w}" for w in self.warnings),
+            ]
         )
 
     def _repr_html_(self) -> str:

@@ -106,6 +106,7 @@ class Case:
     experiments: tuple[str, ...] = ()
     setup: str = ""
     lead: int = 0
+    machine: str = ""
     _reached: dict[tuple[str, ...], tuple[_Set, ...]] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -118,8 +119,9 @@ class Case:
         shared = {n: v for n, v in values.items() if SEPARATOR not in n}
         if len(shared) == len(values):
             return shared
-        suffix = f"{SEPARATOR}{self.id}"
-        return shared | {n.removesuffix(suffix): v for n, v in values.items() if n.endswith(suffix)}
+        for suffix in (f"{SEPARATOR}{self.machine}", f"{SEPARATOR}{self.id}"):
+            shared |= {n.removesuffix(suffix): v for n, v in values.items() if n.endswith(suffix)}
+        return shared
 
     def start_values(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return what is set on the model, by variable, in the model's units."""
@@ -262,6 +264,7 @@ def _same_simulation(a: Experiment, b: Experiment) -> bool:
     return (
         a.origin == b.origin
         and a.setup == b.setup
+        and a.machine == b.machine
         and dict(a.settings) == dict(b.settings)
         and np.array_equal(a.time, b.time)
         and a.inputs.keys() == b.inputs.keys()
@@ -364,6 +367,7 @@ def _case(
         tuple(e.id for e in group),
         first.setup,
         lead,
+        first.machine,
     )
 
 

@@ -76,6 +76,12 @@ class Problem:
         self.labels = tuple(f"{case.id}: {criterion.label}" for case, criterion in self.criteria)
         self.root_weights = np.sqrt([criterion.weight for _, criterion in self.criteria])
         self._predictor: Predictor[tuple[int, tuple[float, ...]]] = Predictor(_REMEMBERED)
+        if self.space.priors and self.combination.kind != "weighted_sum":
+            raise ProblemError(
+                f"a prior is a residual, and {self.combination.kind} is no sum of them",
+                where=name,
+                fix='leave the priors out, or use combine = "weighted_sum"',
+            )
         self._check_reach()
 
     @classmethod
@@ -95,7 +101,9 @@ class Problem:
         cases = case_building.from_campaign(campaign, experiments, stage.criteria, simulators, apart=apart)
         values = dict(best or {}) | dict(stage.start)
         specs = campaign.parameters.values()
-        space = expanded(specs, stage.free, values, stage.tie, [case.id for case in cases])
+        space = expanded(
+            specs, stage.free, values, stage.tie, [case.id for case in cases], [c.machine for c in cases]
+        )
         here = space.tried(space.start)[0]
         accuracy = SolverAccuracy()
         if stage.segments is None and not stage.observer:  # these keep predictions close to what was measured
@@ -226,7 +234,8 @@ class Problem:
         if not np.isfinite(criteria).all():
             label = self.labels[int(np.argmin(np.isfinite(criteria)))]
             return self._failed(x, values, f"{label}: the prediction does not show it", seconds)
-        residuals = np.concatenate([w * r for w, r in zip(self.root_weights, vectors, strict=True)])
+        prior = np.array([(values[self.space.names[i]] - p.mean) / p.sd for i, p in self.space.priors])
+        residuals = np.concatenate([*(w * r for w, r in zip(self.root_weights, vectors, strict=True)), prior])
         return Evaluation(
             x=x,
             parameters=values,
@@ -256,7 +265,7 @@ class Problem:
     def sees(self, name: str) -> bool:
         """Return whether a parameter reaches a model, a sensor or a tie of this problem."""
         plain, _, run = name.partition(SEPARATOR)
-        return plain in self._used and (not run or any(case.id == run for case in self.cases))
+        return plain in self._used and (not run or any(run in (case.id, case.machine) for case in self.cases))
 
     @cached_property
     def _used(self) -> frozenset[str]:
@@ -279,4 +288,4 @@ class Problem:
 
 def _space(specs: Sequence[ParameterSpec], cases: Sequence[Case]) -> SearchSpace:
     free = [spec.name for spec in specs if spec.free]
-    return expanded(specs, free, {}, {}, [case.id for case in cases])
+    return expanded(specs, free, {}, {}, [case.id for case in cases], [case.machine for case in cases])

@@ -100,7 +100,11 @@ class ExactDerivatives:
                     break
             else:
                 slope = problem.space.slope(x)[first:, None]
-                jacobian = np.empty((problem.slices[-1].stop, len(slope)))
+                count = problem.slices[-1].stop
+                jacobian = np.zeros((count + len(problem.space.priors), len(slope)))
+                for row, (i, prior) in enumerate(problem.space.priors, count):
+                    if i >= first:
+                        jacobian[row, i - first] = slope[i - first, 0] / prior.sd
                 for rows, weight, block in zip(problem.slices, problem.root_weights, blocks, strict=True):
                     jacobian[rows] = (weight * slope * block).T
                 self._keep((x.tobytes(), first), jacobian)

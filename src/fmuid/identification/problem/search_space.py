@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.core.campaign import ParameterSpec
+from fmuid.core.campaign import ParameterSpec, Prior
 from fmuid.core.errors import ProblemError
 from fmuid.core.formulas import Expression, parse
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
@@ -166,6 +166,11 @@ class SearchSpace:
         free = np.minimum(np.maximum(self._model(x), self._limits[0]), self._limits[1]).tolist()
         return dict(self.fixed) | {s.name: v for s, v in zip(self.free, free, strict=True)}
 
+    @property
+    def priors(self) -> tuple[tuple[int, Prior], ...]:
+        """The free parameters of which something is known beforehand: number and prior."""
+        return tuple((i, spec.prior) for i, spec in enumerate(self.free) if spec.prior is not None)
+
     def slope(self, x: FloatArray) -> FloatArray:
         """Return d model / d search, (n,), at `x`."""
         return np.where(self._log, self._model(x), self._unit)
@@ -197,6 +202,7 @@ def expanded(
     best: Mapping[str, float],
     ties: Mapping[str, str],
     experiments: Iterable[str],
+    machines: Iterable[str] = (),
 ) -> SearchSpace:
     """Build the search space of a stage.
 
@@ -210,11 +216,11 @@ def expanded(
         Best values so far, by (expanded) name.
     ties
         Follower -> expression text. What follows a per-experiment parameter has to be one too.
-    experiments
-        Ids of the stage's experiments.
+    experiments, machines
+        Ids of the stage's experiments, and names of the machines that they were made with.
     """
     by_name = {spec.name: spec for spec in specs}
-    experiments = tuple(experiments)
+    owners = {"campaign": (), "experiment": tuple(experiments), "machine": tuple(dict.fromkeys(machines))}
     free = tuple(dict.fromkeys(free))
     for name in (*free, *ties):
         if name not in by_name:
@@ -223,7 +229,7 @@ def expanded(
     fixed: dict[str, float] = {}
     least: dict[str, float] = {}  # a stage may have left a parameter at next to nothing
     for spec in by_name.values():
-        own = [f"{spec.name}{SEPARATOR}{e}" for e in experiments] if spec.per == "experiment" else []
+        own = [f"{spec.name}{SEPARATOR}{e}" for e in owners[spec.per]]
         if spec.name in ties:
             continue
         fixed[spec.name] = best.get(spec.name, spec.start)
@@ -235,7 +241,7 @@ def expanded(
         else:
             fixed |= {n: best[n] for n in own if n in best}
     parsed = {name: parse(text, where=f"tie of '{name}'") for name, text in ties.items()}
-    parsed |= _of_single_runs(by_name, parsed, experiments)
+    parsed |= _of_owners(by_name, parsed, owners)
     for leader in {n for e in parsed.values() for n in e.names} - parsed.keys() - {s.name for s in free_specs}:
         if SEPARATOR in leader:  # held, and so far the same in every run
             fixed.setdefault(leader, fixed[leader.split(SEPARATOR)[0]])
@@ -244,23 +250,24 @@ def expanded(
     return SearchSpace(tuple(free_specs), fixed, parsed, least)
 
 
-def _of_single_runs(
-    specs: Mapping[str, ParameterSpec], ties: Mapping[str, Expression], experiments: Iterable[str]
+def _of_owners(
+    specs: Mapping[str, ParameterSpec], ties: Mapping[str, Expression], owners: Mapping[str, tuple[str, ...]]
 ) -> dict[str, Expression]:
-    """Return the ties of followers that each run has its own of, run by run."""
-    single = {name for name, spec in specs.items() if spec.per == "experiment"}
+    """Return the ties of followers that each run, or each machine, has its own of."""
     found: dict[str, Expression] = {}
     for name, expression in ties.items():
-        leaders = expression.names & single
-        if leaders and name not in single:
-            leader = min(leaders)
-            raise ProblemError(
-                f"'{name}' is tied to '{leader}', which each run has its own of",
-                fix=f"write per = \"experiment\" for '{name}' too",
-            )
-        for run in experiments if name in single else ():
-            own = {leader: f"{leader}{SEPARATOR}{run}" for leader in leaders}
-            found[f"{name}{SEPARATOR}{run}"] = expression.renamed(own)
+        per = specs[name].per
+        for leader in sorted(expression.names):
+            if (kind := specs[leader].per if leader in specs else "campaign") not in ("campaign", per):
+                run = "run" if kind == "experiment" else kind
+                raise ProblemError(
+                    f"'{name}' is tied to '{leader}', which each {run} has its own of",
+                    fix=f"write per = \"{kind}\" for '{name}' too",
+                )
+        leaders = {n for n in expression.names if n in specs and specs[n].per != "campaign"}
+        for owner in owners[per]:
+            own = {leader: f"{leader}{SEPARATOR}{owner}" for leader in leaders}
+            found[f"{name}{SEPARATOR}{owner}"] = expression.renamed(own)
     return found
 
 

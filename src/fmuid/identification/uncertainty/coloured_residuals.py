@@ -73,8 +73,9 @@ def score_covariance(
         record.residuals[criterion.rows], record.jacobian[criterion.rows] = r, jr
         record.there[criterion.rows] = 1.0
         by_case.setdefault(case.id, []).append(record)
+    prior = j[len(j) - len(problem.space.priors) :]  # of unit variance by what they are
     meat, whiteness = coloured_covariance(by_case, n)
-    return features + meat, whiteness
+    return features + prior.T @ prior + meat, whiteness
 
 
 def coloured_covariance(

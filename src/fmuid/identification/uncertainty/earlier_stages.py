@@ -46,7 +46,7 @@ class Known:
         for name in names:  # a tied one may have left its own bounds
             spec, value = specs[name.split(SEPARATOR)[0]], space.fixed[name]
             low, high = min(spec.lower, value), max(spec.upper, value)
-            free.append(replace(spec, name=name, start=value, lower=low, upper=high, scale="linear"))
+            free.append(replace(spec, name=name, start=value, lower=low, upper=high, scale="linear", prior=None))
         fixed = {n: v for n, v in space.fixed.items() if n not in names}
         joint = problem.over(replace(space, free=(*space.free, *free), fixed=fixed))
         slope = joint.space.slope(joint.space.start)[len(space) :]

@@ -1,0 +1,81 @@
+"""What differs from machine to machine: parameters that every unit has its own of, and the next unit's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+LEVEL = 0.95
+_DIFFERENT = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class MachineSpread:
+    """One parameter over several machines: a random-effects summary (DerSimonian and Laird, 1986).
+
+    Parameters
+    ----------
+    name
+        The parameter.
+    machines
+        The machines' names.
+    mean, spread
+        Over all machines of that kind, and the standard deviation between them beyond what the estimates' own
+        errors explain.
+    p_value
+        Of Cochran's test that all machines have the same value.
+    next_machine
+        95 % prediction interval of the next machine's value (Higgins and others, 2009); None from two machines.
+    """
+
+    name: str
+    machines: tuple[str, ...]
+    mean: float
+    spread: float
+    p_value: float
+    next_machine: tuple[float, float] | None
+
+    @property
+    def differs(self) -> bool:
+        """Whether machines differ beyond the uncertainty of their estimates."""
+        return self.p_value < _DIFFERENT
+
+    def __str__(self) -> str:
+        """Return the summary in one line."""
+        verdict = (
+            "differs between machines" if self.differs else "is the same on all machines within its uncertainty"
+        )
+        text = f"{self.name} {verdict} (p = {self.p_value:.2g}): mean {self.mean:.4g}, spread {self.spread:.2g}"
+        if self.next_machine is None:
+            return text
+        return f"{text}; the next machine's, 95 %: {self.next_machine[0]:.4g} .. {self.next_machine[1]:.4g}"
+
+
+def machine_spread(
+    name: str, machines: Sequence[str], values: Sequence[float], errors: Sequence[float]
+) -> MachineSpread:
+    """Return what the estimates of one parameter on several machines say of all of them.
+
+    Parameters
+    ----------
+    name
+        The parameter.
+    machines, values, errors
+        (k,) names, estimates and standard errors; at least two.
+    """
+    from scipy.stats import chi2, t
+
+    y, variance = np.array(values), np.square(errors)
+    k, w = len(y), 1.0 / variance
+    fixed = float(w @ y / w.sum())
+    q = float(w @ (y - fixed) ** 2)
+    between = max(0.0, (q - (k - 1)) / float(w.sum() - (w @ w) / w.sum()))
+    w = 1.0 / (variance + between)
+    mean, error = float(w @ y / w.sum()), float(1.0 / w.sum())
+    interval = None
+    if k > 2:
+        half = float(t.ppf(0.5 + 0.5 * LEVEL, k - 2) * np.sqrt(between + error))
+        interval = (mean - half, mean + half)
+    return MachineSpread(name, tuple(machines), mean, float(np.sqrt(between)), float(chi2.sf(q, k - 1)), interval)
