@@ -171,7 +171,7 @@ def test_check_warns_of_a_communication_step_that_is_too_long(drive, tmp_path):
         ("", "[models.bench]: has no 'fmu'"),
         ('fmu = "a.fmu"\nstep = 1e-3', "'step' applies to coupled FMUs only; leave it out for one FMU"),
         ('fmu = "a.ssp"\nconnections = { "a.u" = "b.y" }', "has connections of one file; name several FMUs in 'fmus'"),
-        ('fmus = { "a.b" = "a.fmu" }', "fmus: 'a.b' is no name; use a name without dots"),
+        ('fmus = { "a.b" = "a.fmu" }', "fmus: 'a.b' is not a valid name; use a name without dots"),
         ('fmu = "a.ssp"\nstep = 0', "'step' is 0; write a positive number"),
         ('fmu = "a.ssp"\nalgorithm = "jacobian"', "'algorithm' is 'jacobian'; did you mean 'jacobi'?"),
         ('fmu = "a.ssp"\nextrapolation = { a = "cubic" }', "'extrapolation' is 'cubic'; known: constant, linear"),

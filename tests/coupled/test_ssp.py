@@ -226,7 +226,7 @@ AB = connections(connection("a.y", "b.u"))
         (bindings(inline({"a.k": '<ssv:String value="x"/>'})), "parameter 'a.k' for 'a.k' is the String 'x', not one number"),
         (bindings('<ssd:ParameterBinding source="resources/none.ssv"/>'), "a parameter binding of 'root' has the source 'resources/none.ssv', which is not there"),
         (bindings('<ssd:ParameterBinding source="../../secret.ssv"/>'), "'../../secret.ssv', which is not a file of the archive"),
-        (bindings('<ssd:ParameterBinding source="resources/gain.fmu"/>'), "a parameter binding of 'root' is no XML"),
+        (bindings('<ssd:ParameterBinding source="resources/gain.fmu"/>'), "a parameter binding of 'root' is not XML"),
         (bindings('<ssd:ParameterBinding sourceBase="component" source="x.ssv"/>'), "a parameter binding of 'root' is inside a component"),
         (bindings("<ssd:ParameterBinding/>"), "a parameter binding of 'root' has no ParameterSet"),
     ],
@@ -293,7 +293,7 @@ def test_files_that_are_no_ssp(tmp_path, gains):
         load_system(tmp_path / "empty.ssp")
     with zipfile.ZipFile(tmp_path / "broken.ssp", "w") as archive:
         archive.writestr("SystemStructure.ssd", "<ssd:System>")
-    with pytest.raises(FmuError, match=r"SystemStructure.ssd is no XML \(unbound prefix"):
+    with pytest.raises(FmuError, match=r"SystemStructure.ssd is not XML \(unbound prefix"):
         load_system(tmp_path / "broken.ssp")
     with pytest.raises(FmuError, match=r"is of version 'Draft20170606', not of SSP 1.0 or 2.0"):
         load_system(gains(AB, version="Draft20170606"))
@@ -313,7 +313,7 @@ def test_entities_do_not_expand_without_end(gains, tmp_path):
     laughs = "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 12))
     with zipfile.ZipFile(tmp_path / "laughs.ssp", "w") as archive:
         archive.writestr("SystemStructure.ssd", f'<!DOCTYPE x [<!ENTITY a0 "ha">{laughs}]><x>&a11;</x>')
-    with pytest.raises(FmuError, match=r"SystemStructure.ssd is no XML"):
+    with pytest.raises(FmuError, match=r"SystemStructure.ssd is not XML"):
         load_system(tmp_path / "laughs.ssp")
 
 

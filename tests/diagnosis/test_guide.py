@@ -174,7 +174,7 @@ def test_noise_that_was_not_measured_is_said(trolley, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "Note: Runs were not repeated" in said
     assert "air_drag" in said.splitlines()[0]
-    assert "Uncalibrated" in (tmp_path / "index.html").read_text()
+    assert "Not calibrated" in (tmp_path / "index.html").read_text()
     # Plants to calibrate on would have no noise.
     assert run(["diagnose", str(trolley), "--out", str(tmp_path), "--workers", "0", "--calibrate", "2"]) == 2
     assert "calibrate: runs were not repeated" in capsys.readouterr().err

@@ -132,7 +132,7 @@ def test_input_slopes_are_handed_to_an_fmu_that_interpolates(build):
         ({}, {"mode": 1.5}, "'mode' takes whole numbers only"),
         ({}, {"d": np.nan}, "'d' cannot be set to nan"),
         ({"outputs": ("tau",)}, {}, "no variable 'tau'"),
-        ({"inputs": {"m": U}}, {}, "'m' is no input"),
+        ({"inputs": {"m": U}}, {}, "'m' is not an input"),
         ({"inputs": {"u": U[1:]}}, {}, "input 'u' must have 501 finite samples"),
         ({"inputs": {"u": U * np.nan}}, {}, "input 'u' must have 501 finite samples"),
         ({"inputs": {"flip": U / 3}}, {}, "'flip' takes whole numbers only"),
