@@ -257,7 +257,7 @@ class _Writer:
                 size = 0
             size += cost
             text = self._loop(piece) if is_loop else self._piece(piece, nodes)
-            bodies[-1].append(text if len(bodies[-1]) == 0 and is_loop else f"  {{\n{text}  }}\n")
+            bodies[-1].append(f"  {{\n{text}  }}\n")
         parts = [
             f"static void {self.name}_{i}(const double** arg, double** res, double* w) {{\n"
             f"  (void)arg; (void)res; (void)w;\n{''.join(body)}}}\n\n"
