@@ -28,7 +28,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed blind bench coverage fuzz kills docs clean
+.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed blind bench coverage fuzz kills standard-library docs clean
 all: identify
 
 setup: $(READY)
@@ -140,6 +140,15 @@ build/peers/%/.ready: benchmarks/peers/%.txt
 bench: $(DEVELOPER) $(FMUS) $(PENDULUM) $(FORCE_FEEDBACK)/measurements.h5
 	-$(MAKE) --keep-going $(PEERS:%=build/peers/%/.ready)
 	$(BIN)/python benchmarks/bench.py
+
+# The Modelica Standard Library's examples against its reference results. ROOT: the folder that has its Modelica folder;
+# REFERENCE: a folder of the Modelica Association's reference results. Goes on where it was interrupted.
+standard-library: $(DEVELOPER)
+	@test -d "$(ROOT)/Modelica" || { echo "ROOT=$(ROOT): no Modelica folder in it"; exit 2; }
+	@test -d "$(REFERENCE)/Modelica" || { echo "REFERENCE=$(REFERENCE): no reference results in it"; exit 2; }
+	@mkdir -p build
+	$(BIN)/python benchmarks/standard_library.py $(ROOT) $(REFERENCE) --results build/standard_library.json \
+	  --page docs/standard_library.md
 
 # Pages in build/site; a warning is an error.
 docs: $(READY)

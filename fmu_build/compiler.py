@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 from fmu_build import algebra, algorithms, codegen, events, start, unit_check
 from fmu_build.aliases import Aliases, eliminate
@@ -19,6 +20,7 @@ from fmu_build.model import CompiledModel
 from fmu_build.point import Point
 from fmu_build.scope import ModelScope
 from fmu_build.sorting import Solution, solve
+from fmu_build.syntax import Assign, Call, Literal, Part, Reference, WhenStatement, references
 
 
 def compile_modelica(file: Path, class_name: str, roots: Sequence[Path] = ()) -> CompiledModel:
@@ -44,10 +46,18 @@ def compile_modelica(file: Path, class_name: str, roots: Sequence[Path] = ()) ->
 def compile_flat(flat: FlatModel) -> CompiledModel:
     """Translate a flattened class (see `compile_modelica`)."""
     structural: set[str] = set()
+    promoted: set[str] = set()
     while True:
         scope = ModelScope(flat, Graph(), structural)
         try:
             return _translate(flat, scope)
+        except _Unsolved as error:
+            # Parameters that the initial equations determine along with the states become constant states.
+            if not error.names - promoted:
+                raise
+            promoted |= error.names
+            for name in sorted(error.names):
+                flat = _as_state(flat, name)
         except algebra.UnknownSizeError as error:
             # Parameters that turn out to decide a size become constants of the translation.
             found = [scope.declarations.by_symbol.get(k) for k in scope.graph.symbols(error.value)]
@@ -84,10 +94,56 @@ def _translate(flat: FlatModel, scope: ModelScope) -> CompiledModel:
     return _generate(flat, scope, equations, reduced, solution, happenings, conditions, interface, xs, rewrite)
 
 
+class _Unsolved(Exception):  # noqa: N818  (not an error)
+    """Parameters with fixed = false that no initial equation gives a value from parameters alone."""
+
+    def __init__(self, names: set[str]) -> None:
+        super().__init__(names)
+        self.names = names
+
+
+def _as_state(flat: FlatModel, name: str) -> FlatModel:
+    """Return the model with a parameter as a variable that does not change.
+
+    What time and parameters decide is a discrete variable, which keeps its value from the start.
+    """
+    for equation in flat.initial_equations:
+        given = (
+            isinstance(equation.left, Reference) and equation.left.name == name and not equation.left.subscripts
+        )
+        if given and all(_is_known(flat, r) for r in references(equation.right)):
+            assert isinstance(equation.left, Reference)
+            variable = replace(flat.variables[name], variability="discrete", fixed=None, binding=None)
+            start = WhenStatement(
+                equation.at,
+                ((Call(equation.at, "initial", ()), (Assign(equation.at, equation.left, equation.right),)),),
+            )
+            return replace(
+                flat,
+                variables=MappingProxyType({**flat.variables, name: variable}),
+                initial_equations=tuple(e for e in flat.initial_equations if e is not equation),
+                whens=(*flat.whens, start),
+            )
+    variable = replace(flat.variables[name], variability="continuous", fixed=None, binding=None)
+    changed = replace(flat, variables=MappingProxyType({**flat.variables, name: variable}))
+    rate = Call(variable.at, "der", (Reference(variable.at, (Part(name),)),))
+    return changed.with_equation(rate, Literal(variable.at, 0.0))
+
+
+def _is_known(flat: FlatModel, reference: Reference) -> bool:
+    variable = flat.variables.get(reference.name)
+    return reference.name == "time" or (variable is not None and variable.variability in ("constant", "parameter"))
+
+
 def _initial_parameters(scope: ModelScope, equations: Equations) -> start.Explicit:
     """Use up the initial equations of parameters with fixed=false and of discrete variables."""
     explicit = start.split_initial(scope, equations.initial)
     equations.initial = explicit.rest
+    open_ = [d for d in scope.parameters.from_initial if key(algebra.sx(d.symbol)) not in explicit.parameters]
+    wanted = {key(algebra.sx(d.symbol)) for d in open_ if d.type == "Real"}
+    used = {k for e in equations.initial for k in scope.graph.symbols(e.residual)}
+    if wanted & used:
+        raise _Unsolved({d.variable.name for d in open_ if key(algebra.sx(d.symbol)) in wanted & used})
     for declared in scope.parameters.from_initial:
         value = explicit.parameters.get(key(algebra.sx(declared.symbol)))
         if value is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 
@@ -73,10 +73,13 @@ def collect(
         earlier = SX(0.0)
         assigned: list[tuple[SX, list[tuple[SX, SX]]]] = []
         for branch in chain:
-            if branch.asserts:
-                raise scope.flat.error("assert in a when-clause is not supported", branch.asserts[0].at)
             fires = ca.logic_and(scope.fires(branch.conditions), ca.logic_not(earlier))
             earlier = ca.logic_or(earlier, fires)
+            for one in branch.asserts:  # what is violated at an event is known from then on
+                held = scope.hold(f"assertion {len(scope.held) + 1}", SX(0.0), SX(0.0))
+                violated = if_else(fires, ca.logic_not(one.condition), held.previous)
+                scope.held[-1] = replace(held, value=violated)
+                equations.asserts.append(replace(one, condition=ca.logic_not(held.symbol)))
             assigned.append((fires, list(branch.assign)))
             if branch.terminate:
                 terminate = ca.logic_or(terminate, fires)

@@ -8,6 +8,7 @@ What depends on a condition that is only known at run time is executed on both b
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from itertools import product
 from typing import Any, Protocol
 
@@ -41,7 +42,7 @@ from fmu_build.syntax import (
 from fmu_build.tables import EXTERNAL
 
 _MAX_ROUNDS = 100_000  # of a while loop with a condition known at translation
-_MAX_UNKNOWN_ROUNDS = 200  # of one whose condition is not
+_MAX_UNKNOWN_ROUNDS = 100  # of one whose condition is not
 _DONE, _LEFT = "(returned)", "(left the loop)"
 
 
@@ -315,35 +316,35 @@ class Body:
                 self._loop(rest, statements)
 
     def _while(self, statement: WhileStatement) -> None:
+        """Follow the path on which the loop goes on, and merge the states at which it may have ended.
+
+        On that path a counter keeps its number, so that a bound on it ends the loop.
+        """
         outer = self._frame.variables.get(_LEFT, False)
         self._frame.variables[_LEFT] = False
-        unknown = 0
-        for _ in range(_MAX_ROUNDS):
-            stopped = self._stopped()
-            if not isinstance(stopped, SX) and stopped:
-                break
-            condition = self._evaluate.scalar(statement.condition)
-            if not isinstance(condition, SX):
-                if not condition:
+        ends: list[tuple[SX, dict[str, Value]]] = []
+        with ExitStack() as path:
+            for _ in range(_MAX_ROUNDS):
+                stopped = self._stopped()
+                if not isinstance(stopped, SX) and stopped:
                     break
+                condition = self._evaluate.scalar(statement.condition)
+                if not isinstance(condition, SX) and not condition:
+                    break
+                if isinstance(condition, SX) or isinstance(stopped, SX):
+                    goes_on = algebra.sx(algebra.AND(condition, algebra.NOT(stopped)))
+                    ends.append((goes_on, dict(self._frame.variables)))
+                    if len(ends) > _MAX_UNKNOWN_ROUNDS:
+                        raise _endless(goes_on, statement.at)  # if parameters alone decide, they become constants
+                    path.enter_context(self._evaluate.guard(goes_on))
+                    self._frame.variables[_LEFT] = False
+                    if isinstance(self._frame.variables.get(_DONE), SX):
+                        self._frame.variables[_DONE] = False
                 self.run(statement.body)
-                continue
-            unknown += 1
-            if unknown > _MAX_UNKNOWN_ROUNDS:
-                raise self._library.error(
-                    "a while loop whose condition is not known at translation",
-                    statement.at,
-                    "bound it by a counter as well, or write a for loop with an if inside",
-                )
-            before = dict(self._frame.variables)
-            with self._evaluate.guard(condition):
-                self.run(statement.body)
-            after = self._frame.variables
-            # once the condition is false the loop is left for good
-            before[_LEFT] = True
-            self._frame.variables = self._chosen(ca.logic_not(condition), before, after)
-        else:
-            raise self._library.error("a while loop that does not end", statement.at)
+            else:
+                raise self._library.error("a while loop that does not end", statement.at)
+        for goes_on, state in reversed(ends):
+            self._frame.variables = self._chosen(goes_on, self._frame.variables, state)
         self._frame.variables[_LEFT] = outer
 
     def _when(self, statement: WhenStatement) -> None:
@@ -407,6 +408,16 @@ class Body:
         if isinstance(old, Array) and not isinstance(value, Array) and isinstance(value, bool | int | float | SX):
             raise self._library.error(f"a scalar is assigned to '{target.name}', which is an array", target.at)
         return value
+
+
+def _endless(condition: SX, at: Place) -> algebra.UnknownSizeError:
+    error = algebra.UnknownSizeError(condition)
+    error.args = (
+        "a while loop whose condition is not known at translation; bound it by a counter as well, "
+        "or write a for loop with an if inside",
+    )
+    error.span = at
+    return error
 
 
 def message_text(evaluate: Evaluator, node: Expression) -> str:

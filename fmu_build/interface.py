@@ -123,7 +123,8 @@ class _Describer:
             "type": declared.type,
             "description": variable.description,
             "unit": variable.unit,
-            "display_unit": variable.display_unit,
+            # FMI wants a display unit that the unit itself is not
+            "display_unit": variable.display_unit if variable.display_unit != variable.unit else None,
             "quantity": variable.quantity,
             "min": number(declared, "min"),
             "max": number(declared, "max"),

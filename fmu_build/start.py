@@ -211,7 +211,9 @@ def _explicit(scope: ModelScope, equation: Equation, out: Explicit) -> bool:
         if declared.kind != "discrete" and not unbound:
             continue
         known = all(scope.is_parameter(k) for k in scope.graph.symbols(other))
-        if not known and (unbound or key(symbol) != key(one)):
+        if not known and unbound:
+            return False
+        if not known and key(symbol) != key(one):
             raise scope.flat.error(
                 f"the initial equation of '{declared.name}' depends on more than parameters", equation.at
             )

@@ -69,6 +69,7 @@ class Mod:
     final: bool = False
     redeclare: tuple[ComponentDef | ClassDef, Instance] | None = None
     below: Mod | None = None
+    weak: bool = False  # of a field, where the record as a whole has a value from further outside
 
     def indexed(self, index: tuple[int, ...]) -> Mod:
         """Return what modifies one element of an array of components."""
@@ -124,6 +125,8 @@ def merge(outer: Mod, inner: Mod, name: str) -> Mod:
             below = merge(outer.below, below, name)
         return replace(outer, below=below, final=outer.final or inner.final)
     subs = dict(inner.subs)
+    if outer.value is not None:  # the value of a record goes over what is said of its fields further inside
+        subs = {n: replace(m, weak=True) for n, m in subs.items()}
     for sub, mod in outer.subs.items():
         subs[sub] = merge(mod, subs[sub], sub) if sub in subs else mod
     own = outer if outer.value is not None else inner
@@ -499,8 +502,9 @@ class World:
         """Say what to do about a name that nothing has."""
         first = name.partition(".")[0]
         top = self.library.top(first)
-        if first == "Modelica" and (top is None or (top.at.file == "Modelica.mo" and not self.library.roots)):
-            return "give the directory of the Modelica Standard Library with --root"
+        if first in self.library.stand_ins:
+            has = "none of the library directories has it" if self.library.roots else "it is not shipped"
+            return f"this needs the Modelica Standard Library, and {has}; give the folder it lies in with --root"
         if top is None:
             roots = [str(r) for r in self.library.roots]
             where = f"none of the library directories has '{first}'" if roots else f"'{first}' is in no library"

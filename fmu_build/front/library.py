@@ -32,6 +32,7 @@ class Library:
         self.roots = [Path(r).resolve() for r in roots]
         self._tops: dict[str, ClassDef | None] = {}
         self._scanned = False
+        self.stand_ins: set[str] = set()  # what is taken from the file of our own
         self.file = file.resolve()
         package = _package_folder(self.file)
         if package is None:
@@ -88,6 +89,7 @@ class Library:
             if self._tops.get(name):
                 return self._tops[name]
         if (_OWN / f"{name}.mo").is_file():
+            self.stand_ins.add(name)
             return self._single(_OWN / f"{name}.mo", name)
         return None
 

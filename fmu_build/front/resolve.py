@@ -241,7 +241,12 @@ class Resolver:
                 raise ModelicaError(f"'{path}' is no variable and cannot have a value", where=value.at)
             for name, sub in instance.slots.items():
                 if isinstance(sub.element, ComponentDef) and not sub.element.final:
-                    sub.mod = merge(sub.mod, field_mod(value, name), name)
+                    own = field_mod(value, name)
+                    if sub.mod.weak:
+                        sub.mod = replace(sub.mod, value=own.value, scope=own.scope, final=own.final)
+                    else:
+                        merged = merge(sub.mod, replace(own, final=False), name)
+                        sub.mod = replace(merged, final=sub.mod.final or own.final)
                     sub.resolved = None
 
     def _inner(self, root: Instance, name: str, component: ComponentDef) -> Item | None:

@@ -84,3 +84,39 @@ def test_derivatives_of_a_table_by_its_entries_and_abscissa():
 def test_tables_that_are_not_supported_are_refused_with_their_line(name, message):
     with pytest.raises(ModelicaError, match=rf"Standard\.mo:\d+: .*{message}"):
         compile_modelica(MODELS, f"Standard.{name}", ROOTS)
+
+
+WITHOUT = """model Drive
+  import SI = Modelica.Units.SI;
+  import Modelica.Constants.pi;
+  import Modelica.Units.Conversions.from_rpm;
+  extends Modelica.Icons.Example;
+  parameter SI.Inertia J = 2;
+  parameter SI.AngularVelocity limit = from_rpm(30);
+  Modelica.Mechanics.Rotational.Interfaces.Flange_a flange;
+  output Real y = Modelica.Math.sin(pi/2);
+equation
+  flange.phi = time;
+end Drive;
+"""
+
+
+def test_units_constants_and_connectors_are_there_without_the_library(tmp_path):
+    file = tmp_path / "Drive.mo"
+    file.write_text(WITHOUT)
+    instance = Instance.of(compile_modelica(file, "Drive"))
+    assert find(instance.model, "flange.phi").unit == "rad"
+    assert instance.get("limit", 0.0, NOTHING) == pytest.approx(np.pi)
+    assert instance.get("y", 0.0, NOTHING) == 1.0
+
+
+def test_what_the_library_alone_has_says_what_root_needs(tmp_path):
+    file = tmp_path / "M.mo"
+    file.write_text("model M\n  Modelica.Blocks.Sources.Sine s;\nend M;\n")
+    with pytest.raises(
+        ModelicaError, match=r"M\.mo:2: .*needs the Modelica Standard Library, and it is not shipped"
+    ):
+        compile_modelica(file, "M")
+    (tmp_path / "elsewhere").mkdir()
+    with pytest.raises(ModelicaError, match=r"M\.mo:2: .*none of the library directories has it; .*--root"):
+        compile_modelica(file, "M", [tmp_path / "elsewhere"])
