@@ -51,9 +51,9 @@ def test_init_makes_a_campaign_that_runs(
         )
     code, out, err = fmuid("init", "step.csv", "sine.csv", "pulse.csv", "--fmu", oscillator, "--out", "drive")
     assert (code, err) == (0, "")
-    assert "step.csv: 'U' is input 'u', taken to be in N, as the FMU's" in out
-    assert "step.csv: 'position_lvdt' is output 'x', in mm" in out
-    assert "step.csv: column 'oil' is not used, no input or output of the FMU fits" in out
+    assert "step.csv and 2 more: 'U' is input 'u', taken to be in N, as the FMU's" in out
+    assert "step.csv and 2 more: 'position_lvdt' is output 'x', in mm" in out
+    assert "step.csv and 2 more: column 'oil' is not used, no input or output of the FMU fits" in out
     assert sorted(p.name for p in Path("drive").iterdir()) == [
         "campaign.toml",
         "effects.toml",

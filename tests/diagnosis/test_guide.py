@@ -169,7 +169,7 @@ def test_an_effect_that_the_campaign_puts_into_the_model_is_no_candidate_and_tha
 
 
 def test_noise_that_was_not_measured_is_said(trolley, tmp_path, capsys):
-    record(trolley, repeats=1, drag=0.3)
+    record(trolley, repeats=1, drag=0.9)
     assert run(["diagnose", str(trolley), "--out", str(tmp_path), "--workers", "0"]) == 0
     said = capsys.readouterr().out
     assert "Note: Runs were not repeated" in said

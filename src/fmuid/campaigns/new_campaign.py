@@ -236,9 +236,12 @@ def _by_model_exchange(model: Fmu | CoupledModel) -> Fmu | None:
 
 
 def _for_identification(runs: Mapping[str, Experiment]) -> list[Experiment]:
-    """Return all runs but the last one, without repeats."""
+    """Return all runs but the last one, without repeats.
+
+    Of fewer than three none is kept back: a diagnosis leaves one out in turn and needs another to learn from.
+    """
     firsts = [run for run in runs.values() if run.repeat_of is None]
-    return firsts[:-1] or firsts
+    return firsts[:-1] if len(firsts) > 2 else firsts
 
 
 def _choice_lines(choice: FirstChoice, driven: bool) -> list[str]:
