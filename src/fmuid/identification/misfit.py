@@ -51,6 +51,10 @@ def misfit(problem: Problem, first: Evaluation | None, best: Evaluation) -> tupl
     first, best
         Its evaluations at the start, if that could be simulated, and at the estimate.
     """
+    # A resumed run does not remember the predictions of every point.
+    best = best if best.predictions else problem.evaluate(best.x)
+    if first is not None and not first.predictions:
+        first = problem.evaluate(first.x)
     found = []
     times = _times_noise(problem, best)
     for signal in dict.fromkeys(c.signal for case in problem.cases for c in case.channels):
