@@ -224,7 +224,7 @@ AB = connections(connection("a.y", "b.u"))
         (connectors(connector("u", "input"), connector("y", "output")) + connections(connection("u", "y")), "'y' passes 'u' on"),
         (bindings(inline({"a.kk": real(1)})), "none of the parameters bound to 'the system' exists; did you mean 'a.k'"),
         (bindings(inline({"a.k": '<ssv:String value="x"/>'})), "parameter 'a.k' for 'a.k' is the String 'x', not one number"),
-        (bindings('<ssd:ParameterBinding source="resources/none.ssv"/>'), "a parameter binding of 'root' has the source 'resources/none.ssv', which is not there"),
+        (bindings('<ssd:ParameterBinding source="resources/none.ssv"/>'), "a parameter binding of 'root' has the source 'resources/none.ssv', which is missing"),
         (bindings('<ssd:ParameterBinding source="../../secret.ssv"/>'), "'../../secret.ssv', which is not a file of the archive"),
         (bindings('<ssd:ParameterBinding source="resources/gain.fmu"/>'), "a parameter binding of 'root' is not XML"),
         (bindings('<ssd:ParameterBinding sourceBase="component" source="x.ssv"/>'), "a parameter binding of 'root' is inside a component"),
@@ -243,7 +243,7 @@ def test_what_a_system_may_not_say(gains, system, message):
     ("items", "message"),
     [
         ([], "gains.ssp: has no component; export it with its FMUs"),
-        ([component("a", "none.fmu")], "component 'a' has the source 'resources/none.fmu', which is not there"),
+        ([component("a", "none.fmu")], "component 'a' has the source 'resources/none.fmu', which is missing"),
         ([component("a", "../../../etc/passwd")], "which is not a file of the archive"),
         ([component("a", "%2e%2e/%2e%2e/x.fmu")], "which is not a file of the archive"),
         ([component("a", "", source="/etc/passwd")], "'/etc/passwd', which is not a file of the archive"),

@@ -48,7 +48,7 @@ def read_toml(file: Path) -> dict[str, Any]:
         raise CampaignError(f"is not TOML: {what}", where=where, fix="correct the line") from None
     for text in _texts(tables):
         if "\0" in text:
-            raise CampaignError(f"{text!r:.80} holds a null character", where=file, fix="remove it")
+            raise CampaignError(f"{text!r:.80} contains a null character", where=file, fix="remove it")
     return tables
 
 

@@ -148,7 +148,7 @@ def check_signal(signal: Signal, n_samples: int, where: str) -> None:
     values = signal.values
     if signal.causality not in _CAUSALITIES:
         hint = did_you_mean(str(signal.causality), _CAUSALITIES)
-        raise _Error(f"causality is '{signal.causality}'", where=where, fix=hint or "it is 'input' or 'output'")
+        raise _Error(f"causality is '{signal.causality}'", where=where, fix=hint or "write 'input' or 'output'")
     if values.shape != (n_samples,):
         raise _Error(
             f"has shape {values.shape} but time has {n_samples} samples",

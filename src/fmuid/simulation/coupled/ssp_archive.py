@@ -34,7 +34,7 @@ def inside(path: Path, folder: Path, source: str | None, what: str) -> Path:
             fix="pack the file into resources/ and name it by that path",
         )
     if not file.is_file():
-        raise FmuError(f"{what} has the source '{source}', which is not there", where=path, fix="pack the file")
+        raise FmuError(f"{what} has the source '{source}', which is missing", where=path, fix="pack the file")
     return file
 
 
