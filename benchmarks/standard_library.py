@@ -46,7 +46,7 @@ def read(file: Path) -> dict[str, np.ndarray]:
         rows = csv.reader(stream)
         names = [name.strip() for name in next(rows)]
         table = np.array([[float(x) for x in row] for row in rows if row])
-    return {name: table[:, k] for k, name in enumerate(names)}
+    return {"time": table[:, 0]} | {name: table[:, k] for k, name in enumerate(names) if k}
 
 
 def outside(t: np.ndarray, y: np.ndarray, reference_t: np.ndarray, reference_y: np.ndarray) -> float:
