@@ -17,6 +17,7 @@ from fmuid.diagnosis import calibration
 from fmuid.diagnosis.calibration import Calibration
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.effect_search import Say
+from fmuid.diagnosis.made_catalogue import with_catalogue
 from fmuid.diagnosis.subject import Subject, carrier, subject_of
 from fmuid.diagnosis.verdict import Verdict
 from fmuid.simulation.runners import in_process
@@ -48,7 +49,7 @@ def diagnose(
     Parameters
     ----------
     campaign
-        A campaign with an ``[effects]`` table, or its folder.
+        A campaign, or its folder. Without an ``[effects]`` table the catalogue is made from its models.
     out
         Folder for ``diagnosis.json`` and the report ``index.html``; nothing is written without it.
     experiments
@@ -76,7 +77,7 @@ def diagnose(
     Raises
     ------
     CampaignError
-        The campaign has no ``[effects]`` table, or is to be calibrated on without repeated runs.
+        The catalogue does not fit the campaign, or it is to be calibrated on without repeated runs.
     SimulationError
         The nominal model cannot be simulated at its start values, or no plant to calibrate on can.
     """
@@ -95,6 +96,7 @@ def diagnose(
     ):
         if say is not None:
             say("noise floor", 0.0)
+        campaign = with_catalogue(campaign, load_model, runner=runner)
         subject = subject_of(campaign, load_model, runner=runner, experiments=experiments)
         telling: dict[str, Any] = {} if say is None else {"say": say}
         key = calibration.key_of(_files(campaign, subject), subject)

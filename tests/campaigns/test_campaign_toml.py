@@ -151,12 +151,12 @@ WRONG: dict[str, tuple[str, str, str]] = {
     "no_fmu": (
         'fmu = "FixedShaft.fmu"\n',
         "",
-        'campaign.toml [models.fixed_shaft]: has no \'fmu\'; write fmu = "file", or fmus = { name = "file", ... }',
+        'campaign.toml [models.fixed_shaft]: has no \'fmu\'; write fmu = "file", source = "file.mo", or fmus = { name = "file", ... }',
     ),
     "fmu_empty": (
         'fmu = "FixedShaft.fmu"',
         'fmu = ""',
-        'campaign.toml [models.fixed_shaft]: has no \'fmu\'; write fmu = "file", or fmus = { name = "file", ... }',
+        'campaign.toml [models.fixed_shaft]: has no \'fmu\'; write fmu = "file", source = "file.mo", or fmus = { name = "file", ... }',
     ),
     "fmu_is_list": (
         'fmu = "FixedShaft.fmu"',

@@ -203,7 +203,6 @@ def test_calibrating_on_plants_of_one_s_own_is_kept_and_used(trolley, tmp_path, 
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ("", "no effects to look for"),
         ('[effects]\ncatalogue = "nowhere.toml"\n', "nowhere.toml"),
         ('[effects]\ncatalogue = "effects.toml"\nnominal = ["m", "D"]\n', "unknown parameter 'D'"),
         ('[effects]\ncatalogue = "effects.toml"\ntie = { "drg" = "d" }\n', "no FMU has 'drg'"),

@@ -21,6 +21,7 @@ from fmuid.core.campaign import (
     Campaign,
     CriterionSpec,
     EffectsSpec,
+    ModelSource,
     ModelSpec,
     ParameterSpec,
     ParetoSpec,
@@ -36,6 +37,7 @@ from fmuid.data.filtering import LowPass, derivative
 from fmuid.data.measurements import read_measurements
 from fmuid.data.noise.outliers import without_outliers
 from fmuid.simulation.coupled.coupling_table import CoupledTable, coupling_of
+from fmuid.simulation.model_source import built_model
 
 FILE_NAME = "campaign.toml"
 MAX_STARTS, MAX_DRAWS, MAX_POINTS = 1000, 100_000, 1000  # of a solver, of Monte Carlo, on a front
@@ -55,6 +57,8 @@ class _ModelTable(CoupledTable):
     initial: dict[str, Any] = {}
     interpolation: Literal["hold", "linear", "preceding"] = "hold"
     interface: Literal["co-simulation", "model exchange"] | None = None
+    source: str = ""
+    class_: str = msgspec.field(name="class", default="")
 
 
 class _ParameterTable(Table):
@@ -308,6 +312,9 @@ def _effects(
 
 def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
     table = convert(raw, _ModelTable, where)
+    source = _source(table, folder, where)
+    if source is not None and not table.fmu:
+        table.fmu = str(built_model(source))
     coupling = coupling_of(table, folder, where)
     if table.interface and (coupling is not None or table.fmu.endswith(".ssp")):
         raise CampaignError(
@@ -321,7 +328,20 @@ def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
         interpolation=table.interpolation,
         coupling=coupling,
         interface=table.interface,
+        source=source,
     )
+
+
+def _source(table: _ModelTable, folder: Path, where: str) -> ModelSource | None:
+    """Return the Modelica source that a model's table names; the class is called like the file by default."""
+    if not table.source:
+        if table.class_:
+            raise CampaignError("names a class without its source", where=where, fix='write source = "file.mo"')
+        return None
+    if table.fmus or table.fmu.endswith(".ssp"):
+        raise CampaignError("source goes with one FMU", where=where, fix="leave it out for coupled ones")
+    file = folder / table.source
+    return ModelSource(file, table.class_ or file.stem)
 
 
 def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:

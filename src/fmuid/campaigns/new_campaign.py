@@ -16,7 +16,7 @@ from fmuid.campaigns.campaign_toml import FILE_NAME, load_campaign
 from fmuid.campaigns.first_choice import FirstChoice, first_choice, runs_away, solver_error
 from fmuid.campaigns.signal_catalogue import FILE_NAME as CATALOGUE_NAME
 from fmuid.campaigns.signal_catalogue import signal_catalogue
-from fmuid.core.campaign import Interface
+from fmuid.core.campaign import Interface, ModelSource
 from fmuid.core.errors import CampaignError, FmuidError, MeasurementsError, UnitError
 from fmuid.core.experiments import Experiment, Measurements
 from fmuid.core.files import write_atomically
@@ -51,6 +51,7 @@ def new_campaign(
     fmu: Path,
     folder: Path,
     *,
+    source: ModelSource | None = None,
     signals: Collection[str] = (),
     base: TimeBase | None = None,
     units: Mapping[str, str] | None = None,
@@ -69,6 +70,8 @@ def new_campaign(
     ----------
     files, fmu, folder
         What there is, and where the campaign goes.
+    source
+        The FMU's Modelica source: named in its place, and no catalogue is written, since the model makes its own.
     signals
         Of the files, the signals to use; all by default.
     base
@@ -135,9 +138,11 @@ def new_campaign(
     if away is not None:
         guesses.append(f"runs are cut into segments: simulated open loop the model runs away ({away})")
     write_measurements(Measurements(runs), folder / "measurements.h5")
-    write_atomically(catalogue, signal_catalogue(runs.values(), mapping, ports))
+    if source is None:
+        write_atomically(catalogue, signal_catalogue(runs.values(), mapping, ports))
     write_atomically(
-        target, _toml(folder, fmu, runs=runs, mapping=mapping, choice=choice, interface=interface, away=away)
+        target,
+        _toml(folder, source or fmu, runs=runs, mapping=mapping, choice=choice, interface=interface, away=away),
     )
     load_campaign(folder)
     return NewCampaign(folder, tuple(dict.fromkeys(guesses)))
@@ -272,7 +277,7 @@ def _lines(table: Table, matched: Mapping[str, str], ports: Mapping[str, Variabl
 
 def _toml(
     folder: Path,
-    fmu: Path,
+    model: Path | ModelSource,
     *,
     runs: Mapping[str, Experiment],
     mapping: Mapping[str, str],
@@ -280,10 +285,14 @@ def _toml(
     interface: Interface | None,
     away: Growth | None,
 ) -> str:
-    setup = fmu.stem
+    setup = next(iter(runs.values())).setup
     identification = [run.id for run in _for_identification(runs)]
     validation = [r.id for r in runs.values() if r.repeat_of is None and r.id not in identification]
-    path = Path(os.path.relpath(fmu.resolve(), folder.resolve())).as_posix()
+    file = model.file if isinstance(model, ModelSource) else model
+    path = Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
+    named = [f"fmu = {toml_text(path)}"]
+    if isinstance(model, ModelSource):
+        named = [f"source = {toml_text(path)}", f"class = {toml_text(model.class_name)}"]
     renamed = ", ".join(f"{toml_text(k)} = {toml_text(v)}" for k, v in mapping.items())
     lines = [
         "# A campaign: which model, which parameters, which runs. See docs/formats.md.",
@@ -293,7 +302,7 @@ def _toml(
         "",
         "# The model of each setup. `map` names the FMU's variable for a signal, setting or parameter.",
         f"[models.{toml_text(setup)}]",
-        f"fmu = {toml_text(path)}",
+        *named,
         f"map = {{ {renamed} }}" if renamed else "map = {}",
         "# Inputs between their samples: hold, linear, or preceding (a sample acts from the one before it on).",
         f"interpolation = {toml_text(choice.interpolation)}",
@@ -320,10 +329,13 @@ def _toml(
         "budget = { evaluations = 500 }",
         *([f"# {away}: each segment starts afresh.", 'segments = "auto"'] if away is not None else []),
         "",
-        "# For `fmuid diagnose`: what the model may lack. The free parameters are refitted with every effect.",
-        "[effects]",
-        f"catalogue = {toml_text(CATALOGUE_NAME)}",
     ]
+    if not isinstance(model, ModelSource):
+        lines += [
+            "# For `fmuid diagnose`: what the model may lack. The free parameters are refitted with every effect.",
+            "[effects]",
+            f"catalogue = {toml_text(CATALOGUE_NAME)}",
+        ]
     return "\n".join(lines) + "\n"
 
 

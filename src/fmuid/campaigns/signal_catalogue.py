@@ -34,7 +34,12 @@ _WORDS = {
 }
 
 
-def signal_catalogue(runs: Iterable[Experiment], mapping: Mapping[str, str], model: Mapping[str, Variable]) -> str:
+def signal_catalogue(
+    runs: Iterable[Experiment],
+    mapping: Mapping[str, str],
+    model: Mapping[str, Variable],
+    ids: str = "{signal}_{law}",
+) -> str:
     """Return the text of a catalogue with the effects of every signal that is not zero throughout.
 
     Inputs: gain, offset, first-order lag, dead time; outputs: gain, offset, lag. Trials are 2 and 10 % of scale,
@@ -48,6 +53,8 @@ def signal_catalogue(runs: Iterable[Experiment], mapping: Mapping[str, str], mod
         Signal -> variable of the FMU, where the names differ.
     model
         The FMU's variables.
+    ids
+        How effects are called.
 
     Raises
     ------
@@ -87,7 +94,8 @@ def signal_catalogue(runs: Iterable[Experiment], mapping: Mapping[str, str], mod
         }
         for (kind, prop), (description, source) in _WORDS.items():
             if kind == causality:
-                effects += _effect(own, prop, description.format(own), source, sizes[prop])
+                name = ids.format(signal=own, law=prop)
+                effects += _effect(name, own, prop, description.format(own), source, sizes[prop])
     note = ["# ---- regimes: variables of the model; a gap is looked at along them, and over time ----", ""]
     return "\n".join([_HEAD, *ports, *note, *regimes, *effects])
 
@@ -100,8 +108,8 @@ class _Sizes(NamedTuple):
     unit: str
 
 
-def _effect(signal: str, prop: str, description: str, source: str, sizes: _Sizes) -> list[str]:
-    name, table = toml_text(f"{signal}.{prop}"), f"[effects.{toml_text(f'{signal}_{prop}')}"
+def _effect(id: str, signal: str, prop: str, description: str, source: str, sizes: _Sizes) -> list[str]:
+    name, table = toml_text(f"{signal}.{prop}"), f"[effects.{toml_text(id)}"
     neutral, lower, upper, step = (f"{x:.4g}" for x in sizes.limits)
     return [
         f"{table}]",

@@ -11,7 +11,7 @@ from contextlib import suppress
 import typer
 
 from fmu_build.errors import UserError
-from fmuid.cli import building, checking, comparing, importing, simulating
+from fmuid.cli import building, cataloguing, checking, comparing, importing, simulating
 from fmuid.cli import identifying as identification
 from fmuid.cli.interruption import INTERRUPTED
 
@@ -31,6 +31,7 @@ app.command("check")(checking.check)
 app.command("simulate")(simulating.simulate)
 app.command("identify")(identification.identify)
 app.command("validate")(identification.validate)
+app.command("effects")(cataloguing.effects)
 app.command("diagnose")(identification.diagnose)
 app.command("compare")(comparing.compare)
 app.command("import")(importing.import_)

@@ -12,6 +12,7 @@ from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 from fmuid.core.errors import FmuidError
 
 if TYPE_CHECKING:
+    from fmuid.core.campaign import ModelSource
     from fmuid.data.recordings.resampling import TimeBase
 
 
@@ -210,7 +211,11 @@ def init(
     data: Annotated[
         list[Path], typer.Argument(metavar="FILE...", help="CSV, MAT, HDF5, Parquet or MF4 files, one per run.")
     ],
-    fmu: Annotated[Path, typer.Option(help="The FMU to identify.")],
+    fmu: Annotated[Path | None, typer.Option(help="The FMU to identify.")] = None,
+    model: Annotated[Path | None, typer.Option(help="Or the Modelica file of the model to identify.")] = None,
+    class_name: Annotated[
+        str | None, typer.Option("--class", help="Its class; by default called like the file.")
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder of the new campaign.")] = Path("campaign"),
     signal: Signals = None,
     resample: Resample = None,
@@ -225,19 +230,23 @@ def init(
     quiet: Quiet = False,
     json: Json = None,
 ) -> None:
-    """Start a campaign from recorded runs and an FMU: signals and parameters are guessed by name and unit.
+    """Start a campaign from recorded runs and an FMU or a Modelica model.
+
+    Signals and parameters are guessed by name and unit.
 
     Example: fmuid init step.csv prbs.csv --fmu Drive.fmu --out campaigns/drive
     """
     from fmuid.campaigns.new_campaign import new_campaign
 
     printer = Printer(quiet, json)
-    shown = printer.working(f"trying the parameters of {fmu.name}")
+    given, source = _model(fmu, model, class_name)
+    shown = printer.working(f"trying the parameters of {given.name}")
     with shown as progress, supervised(workers, time_limit, memory_limit) as runner:
         made = new_campaign(
             data,
-            fmu,
+            given,
             out,
+            source=source,
             signals=signal or (),
             base=_time_base(resample, align, method or []),
             units=pairs(unit or [], "--unit"),
@@ -249,7 +258,12 @@ def init(
     for line in made.guesses:
         printer.say(line)
     printer.say(f"{out / 'campaign.toml'}: look it through, then run: fmuid check {out}; fmuid identify {out}")
-    printer.say(f"{out / 'effects.toml'}: what may be wrong with the signals, for: fmuid diagnose {out}")
+    if source is None:
+        printer.say(f"{out / 'effects.toml'}: what may be wrong with the signals, for: fmuid diagnose {out}")
+    else:
+        printer.say(
+            f"what the model may lack: fmuid effects {out}; which of it the runs show: fmuid diagnose {out}"
+        )
     printer.write({"out": out, "guesses": made.guesses})
 
 
@@ -285,6 +299,23 @@ def _span(texts: list[str]) -> tuple[float, float]:
                 f"'{text}' is no time span", where="--cut", fix="write it as in --cut 0.5..10 or --cut 0.5.."
             )
     return span
+
+
+def _model(fmu: Path | None, model: Path | None, class_name: str | None) -> tuple[Path, ModelSource | None]:
+    """Return the FMU, built if the model is given as source, and that source."""
+    if (fmu is None) == (model is None):
+        what = "neither an FMU nor a model" if fmu is None else "an FMU and a model"
+        raise FmuidError(what, fix="give --fmu FILE.fmu or --model FILE.mo")
+    if model is None:
+        if class_name is not None:
+            raise FmuidError("a class without its file", where="--class", fix="give --model FILE.mo")
+        assert fmu is not None
+        return fmu, None
+    from fmuid.core.campaign import ModelSource
+    from fmuid.simulation.model_source import built_model
+
+    source = ModelSource(model, class_name or model.stem)
+    return built_model(source), source
 
 
 def _time_base(rate: float | None, align: str | None, methods: list[str]) -> TimeBase | None:

@@ -18,6 +18,14 @@ Interface = Literal["co-simulation", "model exchange"]
 
 
 @dataclass(frozen=True, slots=True)
+class ModelSource:
+    """Modelica source of a model: the file that has the class, and its qualified name."""
+
+    file: Path
+    class_name: str
+
+
+@dataclass(frozen=True, slots=True)
 class ModelSpec:
     """Which FMU stands for a setup, and how its variables are named.
 
@@ -31,7 +39,7 @@ class ModelSpec:
     fmuid's, to its tolerance); None for co-simulation where the FMU has it.
 
     Several FMUs may stand for it: those that `coupling` connects, `fmu` being what errors name; or those of an
-    SSP file.
+    SSP file. `source` is the Modelica source, where the campaign says it.
     """
 
     setup: str
@@ -41,6 +49,7 @@ class ModelSpec:
     interpolation: Sampling = "hold"
     coupling: Coupling | None = None
     interface: Interface | None = None
+    source: ModelSource | None = None
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -12,6 +12,12 @@ from fmuid.core.errors import FmuidError
 _UNFINISHED = ".fmuid-unfinished"
 
 
+def user_cache() -> Path:
+    """Return the folder in which results that can be made again are kept for this user."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "fmuid"
+
+
 def make_folder(folder: Path) -> None:
     """Make a folder, with those above it, unless it is there.
 

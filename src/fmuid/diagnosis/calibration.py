@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -23,7 +22,7 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from fmuid.core.errors import SimulationError
-from fmuid.core.files import write_atomically
+from fmuid.core.files import user_cache, write_atomically
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.transform import from_real_spectrum, real_spectrum
 from fmuid.diagnosis.catalogue import Effect
@@ -250,13 +249,13 @@ def shipped() -> Calibration:
 
 def kept(key: str) -> Calibration | None:
     """Return the calibration that was kept under `key` in the user's cache, if there is one."""
-    file = _cache() / f"calibration-{key}.json"
+    file = user_cache() / f"calibration-{key}.json"
     return _read(file.read_text(), "of this model, noise and set-up") if file.is_file() else None
 
 
 def keep(key: str, calibration: Calibration) -> None:
     """Keep a calibration in the user's cache."""
-    write_atomically(_cache() / f"calibration-{key}.json", json.dumps(calibration.to_dict(), indent=1) + "\n")
+    write_atomically(user_cache() / f"calibration-{key}.json", json.dumps(calibration.to_dict(), indent=1) + "\n")
 
 
 def key_of(paths: Sequence[Path], subject: Subject) -> str:
@@ -267,11 +266,6 @@ def key_of(paths: Sequence[Path], subject: Subject) -> str:
     runs = [(r.id, r.setup, r.channels, r.n_repeats, len(r.time)) for r in subject.observed.runs]
     digest.update(repr((runs, [u.name for u in subject.nominal])).encode())
     return digest.hexdigest()[:16]
-
-
-def _cache() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "fmuid"
 
 
 def _read(text: str, source: str) -> Calibration:

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
+from fmu_build.instrument import Acts
 from fmu_build.suggest import suggestion
 from fmuid.core.errors import CampaignError
 from fmuid.core.toml_tables import Table, convert, read_toml
@@ -39,6 +40,9 @@ class Effect:
         Values at which the effect is off; for a shape, which matters only while it is on, where to start.
     shapes
         Which of the parameters are shapes.
+    acts, expression
+        How it acts at a port of the model's source, and the Modelica expression that is added there; empty if the
+        model has the effect already (see `fmu_build.instrument`).
     trials
         Plausible values to score it by: two or three magnitudes, shapes where they matter.
     two_sided
@@ -57,6 +61,8 @@ class Effect:
     two_sided: bool = False
     units: Mapping[str, str] = field(default_factory=dict)
     shapes: frozenset[str] = frozenset()
+    acts: Acts = "flow"
+    expression: str = ""
 
     def scaled(self, trial: Mapping[str, float], factor: float) -> dict[str, float]:
         """Return the values of a trial whose sizes are scaled from neutral by `factor`, within bounds."""
@@ -106,6 +112,8 @@ class _Effect(Table):
     parameters: dict[str, _Parameter]
     source: str = ""
     two_sided: bool = False
+    acts: Acts = "flow"
+    expression: str = ""
 
 
 class _Port(Table):
@@ -114,6 +122,7 @@ class _Port(Table):
     magnitude: float = 1.0
     input: str | None = None
     output: str | None = None
+    added: bool = False
 
 
 class _Regime(Table):
@@ -155,7 +164,8 @@ def load_catalogue(path: Path) -> Catalogue:
             "is not a catalogue of effects, version 1", where=path, fix='write format = "fmuid-effects"'
         )
     ports = {
-        name: Port(name, p.input, p.output, p.magnitude, p.unit, p.description) for name, p in file.ports.items()
+        name: Port(name, p.input, p.output, p.magnitude, p.unit, p.description, p.added)
+        for name, p in file.ports.items()
     }
     effects = {name: _effect(name, e, ports, f"{path} [effects.{name}]") for name, e in file.effects.items()}
     _refuse_shared(effects, path)
@@ -217,4 +227,6 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
         two_sided=raw.two_sided,
         units={key: p.unit for key, p in raw.parameters.items()},
         shapes=frozenset(key for key, p in raw.parameters.items() if p.neutral is None),
+        acts=raw.acts,
+        expression=raw.expression,
     )

@@ -40,6 +40,8 @@ class Port:
         The model's input that is zero by default, or the measured output.
     magnitude
         A plausible disturbance in `unit`; responses are taken at it.
+    added
+        Whether `input` is to be added to the model's source, as a flow at the port of this name.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Port:
     magnitude: float
     unit: str = ""
     description: str = ""
+    added: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -51,7 +51,9 @@ def coupling_of(table: CoupledTable, folder: Path, where: str) -> Coupling | Non
     """
     if bool(table.fmu) == bool(table.fmus):
         what = "names both 'fmu' and 'fmus'" if table.fmu else "has no 'fmu'"
-        raise CampaignError(what, where=where, fix='write fmu = "file", or fmus = { name = "file", ... }')
+        raise CampaignError(
+            what, where=where, fix='write fmu = "file", source = "file.mo", or fmus = { name = "file", ... }'
+        )
     said = _said(table)
     if table.connections and not table.fmus:
         raise CampaignError("has connections of one file", where=where, fix="name several FMUs in 'fmus'")

@@ -1,0 +1,187 @@
+"""Terms added to a flat model at its ports, all off at the neutral values of their parameters."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal as Choice
+from typing import cast
+
+from fmu_build.errors import ModelicaError
+from fmu_build.flat_model import ADDED, Equation, FlatModel, Variable, number, variable
+from fmu_build.front.parser import expression as parse_expression
+from fmu_build.model_ports import Port, find_ports, flat_name
+from fmu_build.suggest import suggestion
+from fmu_build.syntax import Binary, Expression, Part, Reference, Unary, references, transform
+
+Acts = Choice["flow", "potential", "signal"]
+
+
+@dataclass(frozen=True)
+class Term:
+    """A Modelica expression that acts at a port.
+
+    Attributes
+    ----------
+    port
+        Name of the port.
+    acts
+        ``flow``: a flow out of a node, or from a branch's second node through it to the first; ``potential``: a
+        drop of the potential at a branch's first connector; ``signal``: takes the signal's place.
+    expression
+        Of the port's quantities, `parameters`, ``time`` and any variable of the model by its full name.
+    where
+        What an error names.
+    """
+
+    port: str
+    acts: Acts
+    expression: str
+    where: str = ""
+
+
+@dataclass(frozen=True)
+class Added:
+    """A parameter or an input that terms use: name, neutral value and unit."""
+
+    name: str
+    value: float = 0.0
+    unit: str = ""
+    description: str = ""
+    input: bool = False
+
+
+def instrument(flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -> FlatModel:
+    """Return the model with terms at its ports and the parameters and inputs that they use.
+
+    Where every term is zero (or the signal itself), results are bit for bit those of the plain model.
+
+    Raises
+    ------
+    ModelicaError
+        A term names a port or a variable that is not there, or is no Modelica expression.
+    """
+    ports = {port.name: port for port in find_ports(flat)}
+    for one in added:
+        flat = flat.with_variable(
+            Variable(
+                one.name, ADDED, variability="continuous" if one.input else "parameter",
+                direction="input" if one.input else None, causality="input" if one.input else None,
+                start=number(one.value) if one.input else None, binding=None if one.input else number(one.value),
+                unit=one.unit or None, description=one.description,
+            )
+        )  # fmt: skip
+    at: dict[tuple[str, Acts], list[Term]] = defaultdict(list)
+    for term in terms:
+        if term.port not in ports:
+            raise ModelicaError(
+                f"the model has no port '{term.port}'", where=term.where, fix=suggestion(term.port, ports)
+            )
+        at[term.port, term.acts].append(term)
+    # Equations keep their numbers: those of a connection are replaced one by one.
+    for (name, acts), own in at.items():
+        port = ports[name]
+        if acts == "flow":
+            flat = _with_flow(flat, port, own)
+        elif acts == "potential":
+            flat = _with_drop(flat, port, own)
+        else:
+            flat = _with_signal(flat, port, own)
+    return flat
+
+
+def _total(flat: FlatModel, terms: Sequence[Term], quantities: Mapping[str, Expression]) -> Expression:
+    parts = [_expression(flat, term, quantities) for term in terms]
+    total = parts[0]
+    for part in parts[1:]:
+        total = Binary(ADDED, "+", total, part)
+    return total
+
+
+def _expression(flat: FlatModel, term: Term, quantities: Mapping[str, Expression]) -> Expression:
+    """Parse a term and put in what its names stand for."""
+
+    def resolve(node: Expression) -> Expression:
+        if not isinstance(node, Reference):
+            return node
+        name = flat_name(node)
+        if name in quantities:
+            return quantities[name]
+        if name in flat.variables:
+            return Reference(ADDED, (Part(name),))
+        if name.rpartition("[")[0] in flat.variables:
+            return variable(name)
+        if name == "time":
+            return node
+        known = [*quantities, *flat.variables]
+        raise ModelicaError(f"'{name}' is unknown at port '{term.port}'", where=term.where,
+                            fix=suggestion(name, known))  # fmt: skip
+
+    return cast(Expression, transform(parse_expression(term.expression, term.where or "(expression)"), resolve))
+
+
+def _with_flow(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
+    if port.kind == "signal":
+        raise ModelicaError(f"'{port.name}' is a signal and has no flow", where=terms[0].where)
+    total = _total(flat, terms, port.quantities)
+    signs = (1,) if port.kind == "node" else (-1, 1)
+    for connector, sign in zip(port.connectors, signs, strict=True):
+        i = next(i for i, e in flat.flow_balances() if connector in e.origin.connectors)
+        flat = flat.with_term(i, total if sign > 0 else Unary(ADDED, "-", total))
+    return flat
+
+
+def _with_drop(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
+    """Part the first connector of a branch from its node, and connect the two by a drop of the potential."""
+    if port.kind != "branch":
+        raise ModelicaError(f"'{port.name}' is no branch, so no potential drops there", where=terms[0].where)
+    inner, other = (flat.connectors[c].potentials[0] for c in port.connectors)
+    mine = [(i, e) for i, e in flat.equalities() if inner in [flat_name(r) for r in references((e.left, e.right))]]
+    if not mine:
+        raise ModelicaError(f"nothing is connected to '{port.connectors[0]}'", where=terms[0].where)
+    first, equation = next(((i, e) for i, e in mine if inner in _ends(e)), mine[0])
+    node = _partner(equation, inner)
+    quantities = {**port.quantities, "p": Binary(ADDED, "-", variable(other), node), "position": node}
+    drop = Binary(ADDED, "-", node, _total(flat, terms, quantities))
+    changed: dict[int, tuple[Equation, ...]] = {first: (replace(equation, left=variable(inner), right=drop),)}
+
+    def outside(side: Expression) -> Expression:
+        return node if isinstance(side, Reference) and flat_name(side) == inner else side
+
+    for i, e in mine:
+        if i == first:
+            continue
+        left, right = (transform(side, outside) for side in (e.left, e.right))
+        changed[i] = (replace(e, left=left, right=right),)
+    return flat.with_equations(changed)
+
+
+def _ends(equation: Equation) -> list[str]:
+    """Return the potentials that an equality joins, also with a drop between them."""
+    right = equation.right.left if isinstance(equation.right, Binary) else equation.right
+    return [flat_name(side) for side in (equation.left, right) if isinstance(side, Reference)]
+
+
+def _partner(equation: Equation, inner: str) -> Expression:
+    """Return what an equality, also one with a drop at its other end, says the potential `inner` is."""
+    left, right = equation.left, equation.right
+    if isinstance(left, Reference) and flat_name(left) == inner:
+        return right
+    if isinstance(right, Binary):  # left = inner - drop
+        return Binary(ADDED, "+", left, right.right)
+    return left
+
+
+def _with_signal(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
+    """Put laws into a causal connection, each after the one before."""
+    (name,) = port.connectors
+    i, equation = next(
+        (i, e)
+        for i, e in flat.equalities()
+        if name in [flat_name(side) for side in (e.left, e.right) if isinstance(side, Reference)]
+    )
+    value: Expression = port.quantities["p"]
+    for term in terms:
+        value = _expression(flat, term, {**port.quantities, "p": value})
+    return flat.with_equations({i: (replace(equation, left=variable(name), right=value),)})

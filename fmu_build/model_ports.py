@@ -1,0 +1,345 @@
+"""Where something may be missing in a model: nodes, branches, internal signals and parameters of a flat model.
+
+A physical connector has one potential and one flow, whose units tell the domain. A *node* is what shares one
+potential: a flow can be added to its balance. A *branch* is a component between two nodes: a flow can be taken
+from one and given to the other, or a difference added to the potential at its first connector. A *signal* is a
+causal connection inside the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Literal as Choice
+
+from fmu_build.flat_model import Connector, Equation, FlatModel, Variable, number, variable
+from fmu_build.syntax import Binary, Call, Expression, Literal, Reference, references, walk
+from fmu_build.unit_strings import parse_unit
+
+Kind = Choice["node", "branch", "signal"]
+Domain = Choice["rotational", "translational", "electrical", "thermal", "fluid", "signal"]
+
+_DOMAINS: tuple[tuple[Domain, str, tuple[str, ...]], ...] = (
+    ("rotational", "rad", ("N.m",)),
+    ("translational", "m", ("N",)),
+    ("electrical", "V", ("A",)),
+    ("thermal", "K", ("W",)),
+    ("fluid", "Pa", ("m3/s", "kg/s")),
+    ("fluid", "m", ("m3/s", "kg/s")),
+)
+MECHANICAL = ("rotational", "translational")
+
+
+@dataclass(frozen=True)
+class Port:
+    """A place where a law may act.
+
+    Attributes
+    ----------
+    name
+        The user's component, or the connector where that says more.
+    kind, domain
+        What it is, and of which physics.
+    connectors
+        A node: the connector whose flow balance is added to. A branch: its two connectors. A signal: the connector
+        that receives it.
+    units
+        Of the potential (or signal) and of the flow.
+    quantities
+        What laws may use, by name: ``p`` (potential; of a branch its difference, second less first connector),
+        ``rate`` (its derivative), ``acceleration``, ``through`` (flow into a branch's first connector), ``load``
+        (flow through a compliant neighbour). What would have to be differentiated anew is not there.
+    probes
+        Variables whose course in a nominal simulation tells sizes: those of potential, rate, acceleration and
+        flows, where the model has them.
+    compliant
+        A branch that leaves its two potentials free of each other.
+    same
+        Other names of the same place: connectors of the same rigid node.
+    """
+
+    name: str
+    kind: Kind
+    domain: Domain
+    connectors: tuple[str, ...]
+    units: tuple[str, str]
+    quantities: Mapping[str, Expression] = field(repr=False)
+    probes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    compliant: bool = False
+    same: tuple[str, ...] = ()
+
+
+def find_ports(flat: FlatModel) -> tuple[Port, ...]:
+    """Return the nodes, branches and internal signals of a flat model, in the order of its declarations."""
+    return _Finder(flat).ports()
+
+
+def held_parameters(flat: FlatModel) -> tuple[Variable, ...]:
+    """Return the real scalar parameters that a rig may have otherwise than the model says, with a plain number.
+
+    Those that shape the model (final, evaluated, sizes and conditions) are left out.
+    """
+    return tuple(
+        v
+        for v in flat.variables.values()
+        if v.type == "Real" and v.variability == "parameter" and not v.shape
+        and not (v.final or v.evaluate or v.protected) and v.name not in flat.structural
+        and constant(v.binding) not in (None, 0.0)
+    )  # fmt: skip
+
+
+def constant(e: Expression | None) -> float | None:
+    """Return the value of a literal, also with a sign; None of anything else."""
+    if isinstance(e, Literal) and isinstance(e.value, int | float) and not isinstance(e.value, bool):
+        return float(e.value)
+    operator, operand = getattr(e, "operator", None), getattr(e, "operand", None)
+    inner = constant(operand) if operator in ("-", "+") else None
+    return None if inner is None else -inner if operator == "-" else inner
+
+
+def domain_of(potential: str | None, flow: str | None) -> Domain | None:
+    """Return the domain that a potential and a flow of these units belong to, None if none does."""
+    p, f = _dimension(potential), _dimension(flow)
+    for domain, one, others in _DOMAINS:
+        if p is not None and p == _dimension(one) and f in [_dimension(other) for other in others]:
+            return domain
+    return None
+
+
+def _dimension(unit: str | None) -> tuple[int, ...] | None:
+    parsed = parse_unit(unit) if unit else None
+    return None if parsed is None else parsed[2]
+
+
+def flat_name(reference: Reference) -> str:
+    """Return the name of the flat variable, or of the element of one, that a reference stands for."""
+    parts = []
+    for part in reference.parts:
+        inside = [str(s.value) if isinstance(s, Literal) else "?" for s in part.subscripts]
+        parts.append(f"{part.name}[{','.join(inside)}]" if inside else part.name)
+    return ".".join(parts)
+
+
+class _Classes:
+    """Names that equations set equal."""
+
+    def __init__(self) -> None:
+        self._parent: dict[str, str] = {}
+
+    def find(self, name: str) -> str:
+        while (up := self._parent.setdefault(name, name)) != name:
+            self._parent[name] = name = self._parent[up]
+        return name
+
+    def join(self, a: str, b: str) -> None:
+        self._parent[self.find(b)] = self.find(a)
+
+
+class _Finder:
+    def __init__(self, flat: FlatModel) -> None:
+        self.flat = flat
+        self.classes = _Classes()
+        self.derived: dict[str, str] = {}  # class of a variable -> a variable that is its derivative ("" if none)
+        fixed: list[str] = []
+        for left, right in self._equalities():
+            if isinstance(left, Reference) and isinstance(right, Reference):
+                self.classes.join(flat_name(left), flat_name(right))
+            elif isinstance(left, Reference) and constant(right) is not None:
+                fixed.append(flat_name(left))
+        self.fixed = {self.classes.find(name) for name in fixed}
+        for equation in flat.equations:
+            for node in walk((equation.left, equation.right)):
+                if isinstance(node, Call) and node.function == "der" and isinstance(node.arguments[0], Reference):
+                    self.derived.setdefault(self.classes.find(flat_name(node.arguments[0])), "")
+        for left, right in self._equalities():
+            if isinstance(left, Call) and left.function == "der":
+                left, right = right, left
+            if isinstance(right, Call) and right.function == "der" and isinstance(left, Reference):
+                inner = right.arguments[0]
+                if isinstance(inner, Reference):
+                    name = self.classes.find(flat_name(inner))
+                    self.derived[name] = self.derived[name] or flat_name(left)
+        self.physical = {
+            c.path: found for c in flat.connectors.values() if (found := self._physics(c)) is not None
+        }
+        self.balances: dict[str, int] = {}
+        for i, equation in flat.flow_balances():
+            for path in equation.origin.connectors:
+                self.balances.setdefault(path, i)
+
+    def _equalities(self) -> Iterator[tuple[Expression, Expression]]:
+        for equation in self.flat.equations:
+            yield equation.left, equation.right
+            yield equation.right, equation.left
+        for v in self.flat.variables.values():
+            if v.binding is not None and v.variability == "continuous":
+                yield variable(v.name), v.binding
+
+    def _physics(self, c: Connector) -> tuple[Domain, str, str] | None:
+        """Return domain, potential and flow of a connector that has one of each."""
+        if len(c.potentials) != 1 or len(c.flows) != 1:
+            return None
+        units = [self._unit(name) for name in (c.potentials[0], c.flows[0])]
+        domain = domain_of(*units)
+        return None if domain is None else (domain, c.potentials[0], c.flows[0])
+
+    def _unit(self, name: str) -> str | None:
+        found = self.flat.variables.get(name) or self.flat.variables.get(name.rpartition("[")[0])
+        return found.unit if found is not None else None
+
+    def ports(self) -> tuple[Port, ...]:
+        branches = list(self._branches())
+        return (*self._nodes(branches), *branches, *self._signals())
+
+    def _rates(self, potential: str) -> dict[str, Expression]:
+        """Return rate and acceleration of a potential, where the model differentiates it anyway."""
+        own = self.classes.find(potential)
+        if own not in self.derived:
+            return {}
+        speed = self.derived[own]
+        if not speed:
+            return {"rate": Call(variable(potential).at, "der", (variable(potential),))}
+        found: dict[str, Expression] = {"rate": variable(speed)}
+        if self.classes.find(speed) in self.derived:
+            found["acceleration"] = Call(variable(speed).at, "der", (variable(speed),))
+        return found
+
+    def _nodes(self, branches: list[Port]) -> Iterator[Port]:
+        groups: dict[str, list[str]] = {}
+        for path, (_, potential, _) in self.physical.items():
+            if path in self.balances and self.classes.find(potential) not in self.fixed:
+                groups.setdefault(self.classes.find(potential), []).append(path)
+        shown = {self.classes.find(v.name) for v in self.flat.variables.values() if v.causality == "output"}
+        for group in groups.values():
+            # A flow that is read somewhere in a rigid node tells its ends apart.
+            read = any(self.classes.find(self.physical[path][2]) in shown for path in group)
+            first = dict.fromkeys(self.balances[path] for path in group)
+            parts = [[p for p in group if self.balances[p] == b] for b in first] if read else [group]
+            for part in parts:
+                yield self._node(part, group, branches)
+
+    def _node(self, part: list[str], group: list[str], branches: list[Port]) -> Port:
+        chosen = next((p for p in part if self._stores(p)), part[0])
+        component = self.flat.connectors[chosen].component
+        own = [p for p in self.physical if self.flat.connectors[p].component == component]
+        name = component if component and set(own) <= set(part) else chosen
+        domain, potential, _ = self.physical[chosen]
+        quantities: dict[str, Expression] = {"p": variable(potential), **self._rates(potential)}
+        joined = set(group)
+        neighbour = next((b for b in branches if b.compliant and joined & set(b.connectors)), None)
+        if neighbour is not None:
+            quantities["load"] = neighbour.quantities["through"]
+        flows = tuple(self.physical[p][2] for p in group)
+        return Port(
+            name, "node", domain, (chosen,), self._units(chosen), quantities,
+            self._probes(potential, flows), same=tuple(p for p in part if p != chosen),
+        )  # fmt: skip
+
+    def _units(self, path: str) -> tuple[str, str]:
+        _, potential, flow = self.physical[path]
+        return self._unit(potential) or "", self._unit(flow) or ""
+
+    def _probes(self, potential: str, flows: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+        speed = self.derived.get(self.classes.find(potential), "")
+        probes = {"p": (potential,), "flow": flows}
+        return probes | ({"rate": (speed,)} if speed else {})
+
+    def _stores(self, path: str) -> bool:
+        """Return whether the component of a connector differentiates something of its potential itself."""
+        component = self.flat.connectors[path].component
+        own = self.classes.find(self.physical[path][1])
+        near = {own, self.classes.find(self.derived.get(own) or own)}
+        inside = [
+            node
+            for _, e in self.flat.equations_of(component)
+            for node in walk((e.left, e.right))
+            if isinstance(node, Call) and node.function == "der" and isinstance(node.arguments[0], Reference)
+        ]
+        found = {self.classes.find(flat_name(n.arguments[0])) for n in inside}  # type: ignore[arg-type]
+        return bool(component) and near <= found
+
+    def _branches(self) -> Iterator[Port]:
+        of: dict[str, list[str]] = {}
+        for path in self.physical:
+            component = self.flat.connectors[path].component
+            if component and path in self.balances:
+                of.setdefault(component, []).append(path)
+        for component, paths in of.items():
+            if len(paths) != 2 or self.physical[paths[0]][0] != self.physical[paths[1]][0]:
+                continue
+            first, second = paths
+            domain, a, flow = self.physical[first]
+            b = self.physical[second][1]
+            if self.classes.find(a) == self.classes.find(b):
+                continue
+            quantities: dict[str, Expression] = {
+                "p": _difference(variable(b), variable(a)),
+                "through": variable(flow),
+            }
+            ends = self._rates(a), self._rates(b)
+            if all("rate" in end for end in ends):
+                quantities["rate"] = _difference(ends[1]["rate"], ends[0]["rate"])
+            elif any("rate" in end for end in ends) and domain in MECHANICAL:
+                rates = [
+                    end.get("rate", number(0.0) if self.classes.find(p) in self.fixed else None)
+                    for end, p in zip(ends, (a, b), strict=True)
+                ]
+                if rates[0] is not None and rates[1] is not None:
+                    quantities["rate"] = _difference(rates[1], rates[0])
+            yield Port(
+                component, "branch", domain, (first, second), self._units(first), quantities,
+                {"p": (a, b), "flow": (flow, self.physical[second][2])}
+                | ({"rate": tuple(self.derived.get(self.classes.find(p), "") for p in (a, b))}
+                   if all(self.derived.get(self.classes.find(p)) for p in (a, b)) else {}),
+                compliant=self._compliant(component, (a, b)),
+            )  # fmt: skip
+
+    def _compliant(self, component: str, potentials: tuple[str, str]) -> bool:
+        """Return whether no equation of a component binds its potentials alone."""
+        known = set(potentials)
+        waiting = [e for _, e in self.flat.equations_of(component)]
+        waiting += [
+            Equation(variable(v.name), v.binding, waiting[0].origin, v.at)
+            for v in self.flat.variables.values()
+            if waiting and v.component == component and v.binding is not None and v.variability == "continuous"
+        ]
+        progress = True
+        while progress:
+            progress = False
+            for equation in list(waiting):
+                unknown, flows = set(), False
+                for reference in references((equation.left, equation.right)):
+                    name = flat_name(reference)
+                    declared = self.flat.variables.get(name)
+                    if declared is None or declared.variability != "continuous" or name in known:
+                        continue
+                    flows |= declared.flow
+                    unknown.add(name)
+                if flows or len(unknown) > 1:
+                    continue
+                if not unknown:
+                    return False
+                known |= unknown
+                waiting.remove(equation)
+                progress = True
+        return True
+
+    def _signals(self) -> Iterator[Port]:
+        taken = set()
+        for _, equation in self.flat.equalities():
+            if not isinstance(equation.left, Reference) or not isinstance(equation.right, Reference):
+                continue
+            for end, other in ((equation.right, equation.left), (equation.left, equation.right)):
+                name = flat_name(end)
+                v = self.flat.variables.get(name)
+                inner = v is not None and v.direction == "input" and v.causality is None and v.type == "Real"
+                if inner and not v.shape and name not in taken:  # type: ignore[union-attr]
+                    taken.add(name)
+                    unit = self._unit(name) or self._unit(flat_name(other)) or "1"
+                    quantities: dict[str, Expression] = {"p": other}
+                    yield Port(name, "signal", "signal", (name,), (unit, unit), quantities, {"p": (name,)})
+                    break
+
+
+def _difference(a: Expression, b: Expression) -> Expression:
+    return Binary(a.at, "-", a, b)

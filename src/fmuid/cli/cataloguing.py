@@ -1,0 +1,82 @@
+"""`fmuid effects`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fmuid.cli.output import Json, Printer, Quiet
+from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
+from fmuid.core.errors import CampaignError
+
+if TYPE_CHECKING:
+    from fmuid.simulation.runners import Runner
+
+
+def effects(
+    what: Annotated[Path, typer.Argument(metavar="CAMPAIGN|MODEL.mo", help="A campaign, or a Modelica file.")],
+    class_name: Annotated[
+        str | None, typer.Argument(metavar="[CLASS]", help="Class in the file; by default called like it.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the catalogue of a campaign's effects here.")] = None,
+    workers: Workers = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """List where something may be missing in a model, and the laws that are looked for there.
+
+    Of a campaign, also write the catalogue, to edit it: its sizes come from the recorded runs. `fmuid diagnose`
+    makes the same one itself.
+
+    Example: fmuid effects campaigns/drive --out campaigns/drive/effects.toml
+    """
+    printer = Printer(quiet, json)
+    if what.suffix == ".mo":
+        if out is not None:
+            raise CampaignError(
+                "sizes of effects come from recorded runs, and a model has none",
+                where="--out",
+                fix="name a campaign, made with: fmuid init LOG... --model MODEL.mo",
+            )
+        found = _of_model(what, class_name)
+    else:
+        with printer.working("simulating the runs"), supervised(workers, time_limit, memory_limit) as runner:
+            text, found = _of_campaign(what, runner)
+        if out is not None:
+            from fmuid.core.files import write_atomically
+
+            write_atomically(out, text)
+    width = max((len(name) for name in found), default=0)
+    for name, laws in found.items():
+        printer.say(f"{name:<{width}}  {', '.join(laws)}")
+    if out is not None:
+        printer.say(f'{out}: to use it, write in campaign.toml: [effects] catalogue = "{out.name}"')
+    printer.write({"ports": {name: list(laws) for name, laws in found.items()}, "out": out})
+
+
+def _of_model(file: Path, class_name: str | None) -> dict[str, list[str]]:
+    from fmu_build.model_ports import held_parameters
+    from fmuid.core.campaign import ModelSource
+    from fmuid.diagnosis.made_catalogue import possible_laws
+    from fmuid.simulation.model_source import flat_model
+
+    flat = flat_model(ModelSource(file, class_name or file.stem))
+    return possible_laws(flat) | {v.name: ["value"] for v in held_parameters(flat)}
+
+
+def _of_campaign(folder: Path, runner: Runner) -> tuple[str, dict[str, list[str]]]:
+    import tomllib
+
+    from fmuid.campaigns.campaign_toml import load_campaign
+    from fmuid.diagnosis.made_catalogue import made_catalogue
+    from fmuid.simulation.coupled.loading import load_model
+
+    text = made_catalogue(load_campaign(folder), load_model, runner=runner)
+    found: dict[str, list[str]] = {}
+    for name, effect in tomllib.loads(text)["effects"].items():
+        found.setdefault(effect["port"], []).append(name.partition("@")[0])
+    return text, found

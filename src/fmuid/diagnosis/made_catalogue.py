@@ -1,0 +1,425 @@
+"""A catalogue that the model makes itself: laws of physics at the ports of its source, sized by simulation."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from fmu_build.flat_model import FlatModel
+from fmu_build.instrument import Acts, Added, Term
+from fmu_build.model_ports import Port, find_ports, held_parameters
+from fmu_build.suggest import suggestion
+from fmuid.campaigns.signal_catalogue import signal_catalogue
+from fmuid.core.campaign import Campaign, EffectsSpec, ModelSource, ModelSpec
+from fmuid.core.errors import CampaignError
+from fmuid.core.files import user_cache, write_atomically
+from fmuid.core.formulas import parse
+from fmuid.core.immutable import FloatArray
+from fmuid.core.toml_tables import Table, convert, toml_text
+from fmuid.diagnosis.catalogue import Catalogue, load_catalogue
+from fmuid.diagnosis.extended_model import CampaignModel
+from fmuid.identification.problem.cases import from_campaign
+from fmuid.simulation.model_source import built_model, built_with_terms, flat_model
+from fmuid.simulation.runners import Runner, in_process
+from fmuid.simulation.simulator import Simulator
+
+SHARES = (0.01, 0.05, 0.2)  # of what flows: the sizes that a law is tried at
+_MAGNITUDE = 0.01  # of what flows: the disturbance at which a port's response is taken
+_OFF = (1.05, 1.2)  # of a held value, and as much below
+_HEAD = """\
+# What the model may lack, for `fmuid diagnose`: laws at the ports of its source, its signals and held parameters.
+# `expression` is Modelica and is added to the model at the port; every variable of the model may occur in it.
+# A law of your own is one more entry. Sizes are shares of what flows and moves in the nominal simulation.
+"""
+
+
+class _LawParameter(Table):
+    least: str
+    most: str
+    off: str | None = None
+    start: str | None = None
+    scale: str | None = None
+    unit: str = ""
+
+
+class _Law(Table):
+    words: str
+    origin: str
+    source: str
+    domains: list[str]
+    on: list[str]
+    acts: Acts
+    expression: str
+    parameters: dict[str, _LawParameter]
+    two_sided: bool = False
+    compliant: bool = False
+    trials: list[dict[str, str]] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A port with the sizes (P, V, F, ...) of its nominal simulation."""
+
+    port: Port
+    sizes: Mapping[str, float]
+
+
+@cache
+def laws() -> Mapping[str, _Law]:
+    """Return the library of laws by name."""
+    text = files("fmuid.diagnosis").joinpath("laws.toml").read_text()
+    return {name: convert(raw, _Law, f"laws.toml [{name}]") for name, raw in tomllib.loads(text).items()}
+
+
+def fitting(place: Place) -> Iterator[tuple[str, _Law]]:
+    """Yield the laws that may act at a port: of its domain and kind, and with quantities and sizes that it has."""
+    port = place.port
+    given = {*port.quantities, "time", *(("position",) if port.kind == "branch" else ())}
+    for name, law in laws().items():
+        if port.domain not in law.domains or port.kind not in law.on or (law.compliant and not port.compliant):
+            continue
+        own = _names(law.expression) - law.parameters.keys()
+        sized = {
+            n for p in law.parameters.values() for t in (p.scale, p.most, p.start) if t for n in parse(t).names
+        }
+        if own - set(place.sizes) <= given and sized <= set(place.sizes):
+            yield name, law
+
+
+def _names(modelica: str) -> set[str]:
+    """Return the names of variables in a Modelica expression."""
+    found = re.findall(r"(?<!\w)([A-Za-z_]\w*)\s*(\(?)", modelica)
+    return {name for name, called in found if not called} - {"if", "then", "else"}
+
+
+def catalogue_text(places: Sequence[Place], held: Mapping[str, tuple[float, str]], signals: str) -> str:
+    """Return the text of a catalogue.
+
+    Parameters
+    ----------
+    places
+        Ports with their sizes.
+    held
+        Value and unit of held parameters, by name.
+    signals
+        The catalogue of the campaign's signals, or only the head of one.
+    """
+    lines: list[str] = []
+    for place in places:
+        found = list(fitting(place))
+        if not found:
+            continue
+        lines += _port_lines(place)
+        for name, law in found:
+            lines += _effect_lines(name, law, place)
+    for name, (value, unit) in held.items():
+        lines += _held_lines(name, value, unit)
+    _, _, rest = signals.partition("format = ")
+    return f"{_HEAD}format = {rest}\n" + "\n".join([*lines, ""])
+
+
+def _port_lines(place: Place) -> list[str]:
+    port, sizes = place.port, place.sizes
+    name, (potential, flow) = toml_text(port.name), port.units
+    also = f", also {', '.join(port.same[:4])}" if port.same else ""
+    lines = [f"[ports.{name}]", f"description = {toml_text(f'{port.kind} {port.name} ({port.domain}{also})')}"]
+    if port.kind != "signal":
+        lines += [f"input = {toml_text(f'{port.name}.added_flow')}", "added = true"]
+        lines += [f"magnitude = {_MAGNITUDE * sizes['F']:.3g}"]
+    lines += [f"unit = {toml_text(flow)}", ""]
+    regimes = {}
+    if port.kind == "node" and port.probes.get("rate"):
+        regimes["speed"] = (port.probes["rate"][0], "speed", f"{potential}/s")
+    if port.kind == "node":
+        regimes["position" if "rate" in port.probes else "potential"] = (
+            port.probes["p"][0], "angle" if port.domain == "rotational" else "value", potential,
+        )  # fmt: skip
+    if port.kind == "branch" and port.compliant:
+        regimes["flow"] = (port.probes["flow"][0], "value", flow)
+    for what, (variable, kind, unit) in regimes.items():
+        lines += [f"[regimes.{toml_text(f'{port.name} {what}')}]", f"variable = {toml_text(variable)}"]
+        lines += [f"kind = {toml_text(kind)}", f"unit = {toml_text(unit)}", ""]
+    return lines
+
+
+def _effect_lines(name: str, law: _Law, place: Place) -> list[str]:
+    port, sizes = place.port, place.sizes
+    base = f"{port.name}.{name}"
+    own = {key: base if key == "size" else f"{base}_{key}" for key in law.parameters}
+
+    def value(text: str) -> float:
+        return parse(text, where=f"laws.toml [{name}]")(sizes)
+
+    expression = _put_in(law.expression, {**own, **{s: f"{v:.3g}" for s, v in sizes.items()}})
+    if law.trials is None:
+        trials = [
+            {own[k]: value(p.off or "0") + share * value(p.scale) for k, p in law.parameters.items() if p.scale}
+            for share in SHARES
+        ]
+    else:
+        trials = [{own[k]: value(v) for k, v in trial.items()} for trial in law.trials]
+    units = {"p": port.units[0], "f": port.units[1]}
+    table = f"[effects.{toml_text(f'{name}@{port.name}')}"
+    lines = [
+        f"{table}]",
+        f"description = {toml_text(f'{port.name}: {law.words}')}",
+        f"source = {toml_text(f'{law.origin}. {law.source}')}",
+        f"port = {toml_text(port.name)}",
+        f"acts = {toml_text(law.acts)}",
+        f"expression = {toml_text(expression)}",
+        *(["two_sided = true"] if law.two_sided else []),
+        f"trials = [{', '.join(_inline(t) for t in trials)}]",
+        f"{table}.parameters]",
+    ]
+    for key, p in law.parameters.items():
+        least, most = value(p.least), value(p.most)
+        kind = "neutral" if p.off is not None else "start"
+        first = value(p.off if p.off is not None else p.start or "0")
+        step = 2e-3 * value(p.scale) if p.scale else 0.02 * first
+        numbers = {kind: first, "lower": least, "upper": most, "step": step}
+        inside = ", ".join(f"{k} = {v:.6g}" for k, v in numbers.items())
+        lines.append(f"{toml_text(own[key])} = {{ {inside}, unit = {toml_text(p.unit.format(**units))} }}")
+    return [*lines, ""]
+
+
+def _put_in(expression: str, names: Mapping[str, str]) -> str:
+    return re.sub(r"(?<!\w)[A-Za-z_]\w*", lambda m: names.get(m.group(), m.group()), expression)
+
+
+def _inline(values: Mapping[str, float]) -> str:
+    return "{ " + ", ".join(f"{toml_text(n)} = {v:.4g}" for n, v in values.items()) + " }"
+
+
+def _held_lines(name: str, value: float, unit: str) -> list[str]:
+    key, table = toml_text(name), f"[effects.{toml_text(f'value@{name}')}"
+    low, high = sorted((value / 5, value * 5))
+    trials = ", ".join(_inline({name: factor * value}) for factor in _OFF)
+    return [
+        f"[ports.{key}]",
+        f"description = {toml_text(f'Value of {name}')}",
+        f"unit = {toml_text(unit)}",
+        "",
+        f"{table}]",
+        f"description = {toml_text(f'{name} is off')}",
+        'source = "A value taken from a data sheet, a drawing or another unit"',
+        f"port = {key}",
+        "two_sided = true",
+        f"trials = [{trials}]",
+        f"{table}.parameters]",
+        f"{key} = {{ neutral = {value!r}, lower = {low!r}, upper = {high!r}, step = {2e-3 * abs(value):.4g}, "
+        f"unit = {toml_text(unit)} }}",
+        "",
+    ]
+
+
+def sized(
+    ports: Sequence[Port], time: Sequence[FloatArray], courses: Sequence[Mapping[str, FloatArray]]
+) -> list[Place]:
+    """Return the ports with sizes from the courses of their variables, one mapping for each run.
+
+    A port where nothing moves or flows is left out: nothing there would show.
+    """
+    duration = max(float(t[-1] - t[0]) for t in time)
+    by_name = {port.name: port for port in ports}
+    found = []
+    for port in by_name.values():
+        p, flow, rate = [], [], []
+        for t, course in zip(time, courses, strict=True):
+            own = [course[n] for n in port.probes["p"] if n in course]
+            if len(own) != len(port.probes["p"]):
+                continue
+            potential = own[1] - own[0] if port.kind == "branch" else own[0]
+            p.append(potential)
+            flow += [np.abs(course[n]).max() for n in port.probes.get("flow", ()) if n in course]
+            speeds = [course[n] for n in port.probes.get("rate", ()) if n in course]
+            if speeds and len(speeds) == len(port.probes["rate"]):
+                rate.append(np.abs(speeds[1] - speeds[0] if port.kind == "branch" else speeds[0]).max())
+            else:
+                rate.append(np.abs(np.gradient(potential, t)).max())
+        if not p:
+            continue
+        sizes = {
+            "P": max(float(np.ptp(x)) for x in p),
+            "M": max(float(np.abs(x).max()) for x in p),
+            "Z": float(p[0][0]),
+            "V": float(max(rate, default=0.0)),
+            "F": float(max(flow, default=0.0)),
+            "T": duration,
+        }
+        if "load" in port.quantities:
+            load = port.quantities["load"]
+            near = [b for b in ports if b.kind == "branch" and b.quantities.get("through") == load]
+            names = [n for b in near for n in b.probes["flow"][:1]]
+            sizes["L"] = max((float(np.abs(c[n]).max()) for c in courses for n in names if n in c), default=0.0)
+        own_sizes = {k: v for k, v in sizes.items() if v > 0.0 or k == "Z"}
+        if "P" in own_sizes and (port.kind == "signal" or "F" in own_sizes):
+            found.append(Place(port, own_sizes))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Setup:
+    model: ModelSpec
+    source: ModelSource
+    flat: FlatModel
+
+
+def with_catalogue(
+    campaign: Campaign,
+    load: Callable[[ModelSpec], Simulator],
+    *,
+    runner: Runner = in_process,
+) -> Campaign:
+    """Return the campaign with a catalogue of effects, and models built that carry them.
+
+    A campaign that names none gets one made from its models' source, or of signals and held parameters where
+    there is none. Effects with an `expression` are added to the source of the models.
+
+    Raises
+    ------
+    CampaignError
+        A catalogue adds effects to models of which the campaign does not name the source.
+    ModelicaError, BuildError
+        A model cannot be built with the effects.
+    """
+    spec = campaign.effects
+    setups = _sources(campaign)
+    if spec is not None:
+        text = spec.catalogue.read_text() if spec.catalogue.is_file() else ""
+        catalogue = load_catalogue(spec.catalogue)
+        if not any(e.expression for e in catalogue.effects.values()):
+            return campaign
+        if not setups:
+            raise CampaignError(
+                "adds effects to the source of a model, but the campaign names none",
+                where=spec.catalogue,
+                fix='give [models.<setup>] source = "Model.mo"',
+            )
+    else:
+        text = made_catalogue(campaign, load, runner=runner)
+        free = tuple(p.name for p in campaign.parameters.values() if p.free)
+        unseen = tuple(n for n in campaign.measurements.experiments if n not in campaign.validation)
+        file = user_cache() / "catalogues" / f"{_digest(text)}.toml"
+        write_atomically(file, text)
+        spec = EffectsSpec(file, free, {}, unseen)
+        catalogue = load_catalogue(file)
+    carriers, models = {}, dict(campaign.models)
+    for name, setup in setups.items():
+        plain = built_model(setup.source)
+        carriers[plain.stem] = _carrier(setup, catalogue).stem
+        models[name] = replace(setup.model, fmu=plain)
+    if carriers:
+        text = _with_models(text, carriers)
+        file = user_cache() / "catalogues" / f"{_digest(text)}.toml"
+        write_atomically(file, text)
+        spec = replace(spec, catalogue=file)
+    return replace(campaign, effects=spec, models=models)
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _with_models(text: str, carriers: Mapping[str, str]) -> str:
+    if "models" in tomllib.loads(text):
+        return text
+    return "\n".join([text, "[models]", *(f"{toml_text(k)} = {toml_text(v)}" for k, v in carriers.items()), ""])
+
+
+def _sources(campaign: Campaign) -> dict[str, _Setup]:
+    used = {e.setup for e in campaign.measurements}
+    return {
+        name: _Setup(model, model.source, flat_model(model.source))
+        for name, model in campaign.models.items()
+        if name in used and model.source is not None
+    }
+
+
+def _carrier(setup: _Setup, catalogue: Catalogue) -> Path:
+    """Build the model with those effects and inputs of a catalogue that act at its ports."""
+    known = {port.name for port in find_ports(setup.flat)}
+    unknown = [e for e in catalogue.effects.values() if e.expression and e.port not in known]
+    if len(unknown) == sum(1 for e in catalogue.effects.values() if e.expression) and unknown:
+        raise CampaignError(
+            f"the model has no port '{unknown[0].port}'",
+            where=f"[effects.{unknown[0].id!r}]",
+            fix=suggestion(unknown[0].port, known),
+        )
+    terms, added = [], []
+    for effect in catalogue.effects.values():
+        if effect.expression and effect.port in known:
+            terms.append(Term(effect.port, effect.acts, effect.expression, f"[effects.{effect.id!r}] expression"))
+            added += [
+                Added(u.name, effect.neutral[u.name], effect.units.get(u.name, ""), effect.description)
+                for u in effect.unknowns
+                if u.name not in setup.flat.variables
+            ]
+    for port in catalogue.ports.values():
+        if port.added and port.input and port.name in known:
+            terms.append(Term(port.name, "flow", port.input, f"[ports.{port.name!r}] input"))
+            added.append(Added(port.input, 0.0, port.unit, port.description, input=True))
+    return built_with_terms(setup.source, setup.flat, terms, added)
+
+
+def made_catalogue(
+    campaign: Campaign, load: Callable[[ModelSpec], Simulator], *, runner: Runner = in_process
+) -> str:
+    """Return the text of the catalogue of a campaign's models, sized by their nominal simulation."""
+    setups = _sources(campaign)
+    chosen = [e for e in campaign.measurements if e.id not in campaign.validation]
+    parts, held, signals = [], {}, ""
+    fixed = {p.name: p.start for p in campaign.parameters.values()}
+    nominal = {
+        m.variable(p.name) for p in campaign.parameters.values() if p.free for m in campaign.models.values()
+    }
+    for name in dict.fromkeys(e.setup for e in chosen):
+        model = campaign.models[name]
+        runs = [e for e in chosen if e.setup == name]
+        simulator = load(model)
+        if not signals:
+            signals = signal_catalogue(runs, model.map, simulator.variables, ids="{law}@{signal}")
+        cases = from_campaign(campaign, runs, (), {name: simulator})
+        simulated = CampaignModel(cases, runner, fixed)
+        if name in setups:
+            ports = find_ports(setups[name].flat)
+            probes = [p for port in ports for group in port.probes.values() for p in group]
+            wanted = [n for n in dict.fromkeys(probes) if n in simulator.variables]
+            found = simulated.trajectories({}, wanted)
+            courses = [dict(zip(wanted, rows, strict=True)) for rows in found]
+            parts += sized(ports, [c.time for c in cases], courses)
+            values = {v.name: v.unit or "1" for v in held_parameters(setups[name].flat)}
+        else:
+            values = {n: v.unit or "1" for n, v in simulator.variables.items() if v.causality == "parameter"}
+        for parameter, unit in values.items():
+            value = _held_value(parameter, simulated, fixed)
+            if parameter not in nominal and value and parameter not in held:
+                held[parameter] = (value, unit)
+    unique = {place.port.name: place for place in reversed(parts)}
+    return catalogue_text([p for p in parts if unique[p.port.name] is p], held, signals)
+
+
+def _held_value(name: str, model: CampaignModel, fixed: Mapping[str, float]) -> float | None:
+    """Return the value that every run has for a parameter of the model; None if they differ."""
+    found = set()
+    for case in model.cases:
+        variable = case.simulator.variables.get(name)
+        start = case.task.start_values.get(name, variable.start if variable is not None else None)
+        given = model.start_values(case, fixed).get(name, start)
+        found.add(given)
+    (value,) = found if len(found) == 1 else (None,)
+    return None if value is None else float(value)
+
+
+def possible_laws(flat: FlatModel) -> dict[str, list[str]]:
+    """Return the names of the laws that may act at each port of a model, whatever its sizes are."""
+    sizes = dict.fromkeys("PMZVFTL", 1.0)
+    found = {port.name: [name for name, _ in fitting(Place(port, sizes))] for port in find_ports(flat)}
+    return {name: names for name, names in found.items() if names}

@@ -1,0 +1,183 @@
+"""A catalogue that the model makes itself: ports, laws, terms that are off bit for bit, sizes from the runs."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmu_build import compile_flat, load
+from fmu_build.errors import ModelicaError
+from fmu_build.instrument import Added, Term, instrument
+from fmu_build.model_ports import domain_of, find_ports, held_parameters
+from fmuid.cli.app import run
+from fmuid.core.campaign import ModelSource
+from fmuid.diagnosis.catalogue import load_catalogue
+from fmuid.diagnosis.made_catalogue import Place, catalogue_text, laws, possible_laws
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.model_source import built_model, built_with_terms
+from fmuid.simulation.simulator import Task
+
+RIGS = Path(__file__).parents[1] / "fmu_build" / "models" / "Rigs.mo"
+HEAD = 'format = "fmuid-effects"\nversion = 1\n'
+NAMES = ("TwoMass", "Circuit", "Block", "Tanks")
+
+
+def flat(name):
+    return load(RIGS, f"Rigs.{name}")
+
+
+def everything(model, folder):
+    """Every law at every port, as terms and the parameters that they use."""
+    sizes = dict.fromkeys("PMZVFTL", 1.0)
+    file = folder / "effects.toml"
+    file.write_text(catalogue_text([Place(port, sizes) for port in find_ports(model)], {}, HEAD))
+    catalogue = load_catalogue(file)
+    terms = [Term(e.port, e.acts, e.expression, e.id) for e in catalogue.effects.values()]
+    added = [Added(u.name, e.neutral[u.name]) for e in catalogue.effects.values() for u in e.unknowns]
+    for port in catalogue.ports.values():
+        if port.input is not None:
+            terms.append(Term(port.name, "flow", port.input))
+            added.append(Added(port.input, input=True))
+    return terms, added
+
+
+def test_the_ports_of_a_drive_are_found_and_named_after_its_components():
+    ports = {port.name: port for port in find_ports(flat("TwoMass"))}
+    assert {name: port.kind for name, port in ports.items()} == {
+        "rotor": "node",
+        "load": "node",
+        "shaft": "branch",
+    }
+    assert set(ports["rotor"].same) == {"motor.shaft", "rotor.b", "shaft.a"}
+    assert ports["shaft"].compliant
+    assert {v.name for v in held_parameters(flat("TwoMass"))} == {"rotor.J", "load.J", "shaft.c", "shaft.d"}
+
+
+def test_a_gear_is_no_compliant_branch_and_a_measured_flow_tells_the_ends_of_a_node_apart():
+    ports = {port.name: port for port in find_ports(flat("Geared"))}
+    assert not ports["gear"].compliant
+    assert "backlash" not in possible_laws(flat("Geared"))["gear"]
+    # The torque into the table is read: its free end is another place than its connection to the gear.
+    assert not any({"gear.b", "table.b"} <= {*p.connectors, *p.same} for p in ports.values())
+
+
+def test_laws_follow_the_domain():
+    assert domain_of("rad", "N.m") == "rotational"
+    assert domain_of("K", "W") == "thermal"
+    assert domain_of("m", "N") == "translational"
+    assert domain_of("m", "m3/s") == "fluid"
+    assert domain_of("V", None) is None
+    assert possible_laws(flat("Circuit"))["capacitor"] == ["leakage", "resistance"]
+    assert {"loss", "radiation"} <= set(possible_laws(flat("Block"))["body"])
+    assert "outflow" in possible_laws(flat("Tanks"))["upper"]
+
+
+def test_every_law_says_where_it_comes_from():
+    for name, law in laws().items():
+        assert all((law.words, law.origin, law.source)), name
+        assert law.trials is not None or any(p.scale for p in law.parameters.values()), name
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_all_off_the_equations_are_bit_for_bit_the_plain_ones(name, tmp_path):
+    model = flat(name)
+    plain, changed = compile_flat(model), compile_flat(instrument(model, *everything(model, tmp_path)))
+    assert (changed.n_x, changed.n_y, changed.has_events) == (plain.n_x, plain.n_y, plain.has_events)
+    random = np.random.default_rng(1)
+    for _ in range(10):
+        x, u = random.normal(size=plain.n_x), random.normal(size=plain.n_u)
+        results = []
+        for one in (plain, changed):
+            p = {v.location.index: v.start for v in one.variables if v.location.vector == "p"}
+            inputs = np.append(u, np.zeros(one.n_u - plain.n_u))
+            point = [0.3, x, inputs, [float(p[i]) for i in range(one.n_p)], [], [], [], [], []]
+            results.append([np.array(part) for part in one.functions["jacobian"](*point)])
+        for a, b in zip(*results, strict=True):
+            assert np.array_equal(a, b)
+
+
+def test_a_term_acts_where_it_is_put():
+    model = flat("TwoMass")
+    changed = compile_flat(instrument(model, [Term("load", "flow", "drag*rate")], [Added("drag", 0.1)]))
+    states = {v.location.index: v.name for v in changed.variables if v.location.vector == "x"}
+    p = {v.location.index: v.start for v in changed.variables if v.location.vector == "p"}
+    at = list(states.values()).index("load.w")
+    index = list(states)[at]
+    x = np.zeros(changed.n_x)
+    x[index] = 2.0
+    x[next(i for i, n in states.items() if n == "rotor.w")] = 2.0  # the shaft turns along
+    dx = changed.functions["derivatives"](
+        0, x, np.zeros(changed.n_u), [float(p[i]) for i in range(changed.n_p)], [], [], [], [], []
+    )
+    assert np.array(dx).ravel()[index] == pytest.approx(-0.1 * 2.0 / 5e-3)
+
+
+@pytest.mark.parametrize(
+    ("term", "message"),
+    [
+        (Term("rotr", "flow", "0"), "no port 'rotr'; did you mean 'rotor'"),
+        (Term("rotor", "flow", "2*speed"), "'speed' is unknown at port 'rotor'"),
+        (Term("rotor", "potential", "0"), "no branch"),
+    ],
+)
+def test_a_wrong_term_is_refused(term, message):
+    with pytest.raises(ModelicaError, match=message):
+        instrument(flat("TwoMass"), [term], [])
+
+
+def test_outputs_of_the_fmu_are_bit_for_bit_the_plain_ones(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    source = ModelSource(RIGS, "Rigs.TwoMass")
+    model = flat("TwoMass")
+    file = built_with_terms(source, model, *everything(model, tmp_path))
+    assert built_with_terms(source, model, *everything(model, tmp_path)) == file
+    time = np.linspace(0.0, 2.0, 201)
+    task = Task(time, {"tau": 0.3 * np.sign(np.sin(3 * time))}, ("w_motor", "w_load"))
+    plain, changed = (load_fmu(f).simulate(task, {}) for f in (built_model(source), file))
+    assert np.array_equal(plain, changed)
+
+
+def drive_log(file, *, coulomb):
+    """The two-mass drive by explicit Runge-Kutta steps of its own, with dry friction at the load."""
+    step, every, stop = 1e-4, 50, 3.0
+
+    def slope(x, u):
+        shaft = 50 * (x[0] - x[1]) + 0.01 * (x[2] - x[3])
+        return np.array([x[2], x[3], (u - shaft) / 2e-3, (shaft - coulomb * np.tanh(x[3] / 0.1)) / 5e-3])
+
+    x, rows, random = np.zeros(4), [], np.random.default_rng(int(file.stem[-1]))
+    for k in range(int(stop / step)):
+        u = 0.1 * np.sign(np.sin(4 * step * (k // every) * every))
+        if k % every == 0:
+            rows.append([k * step, u, *(x[2:] + 0.02 * random.normal(size=2))])
+        a = slope(x, u)
+        b = slope(x + 0.5 * step * a, u)
+        x = x + step * slope(x + 0.5 * step * b, u)
+    np.savetxt(file, rows, delimiter=",", header="time,tau,w_motor,w_load", comments="", fmt="%.9g")
+
+
+def test_a_campaign_from_a_model_lists_its_effects_without_a_line_edited(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    for k in (1, 2):
+        drive_log(tmp_path / f"run{k}.csv", coulomb=0.02)
+    folder = tmp_path / "drive"
+    logs = [str(tmp_path / f"run{k}.csv") for k in (1, 2)]
+    model = ["--model", str(RIGS), "--class", "Rigs.TwoMass"]
+    assert run(["init", *logs, *model, "--out", str(folder), "--workers", "0"]) == 0
+    table = tomllib.loads((folder / "campaign.toml").read_text())
+    assert table["models"]["TwoMass"]["class"] == "Rigs.TwoMass"
+    assert "effects" not in table
+    out, answer = folder / "effects.toml", tmp_path / "answer.json"
+    assert run(["effects", str(folder), "--out", str(out), "--json", str(answer), "--workers", "0"]) == 0
+    ports = json.loads(answer.read_text())["ports"]
+    assert "coulomb" in ports["load"]
+    assert "delay" in ports["tau"]
+    effect = load_catalogue(out).effects["coulomb@load"]
+    sizes = [trial["load.coulomb"] for trial in effect.trials]
+    assert sizes[1] == pytest.approx(5 * sizes[0], rel=0.02)
+    assert sizes[2] == pytest.approx(20 * sizes[0], rel=0.02)
+    assert 0.02 < sizes[2] < 0.2  # of a torque of 0.1 N.m that resonates
