@@ -15,6 +15,7 @@ from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.runs import RepeatedRuns
+from fmuid.diagnosis.made_catalogue import with_catalogue
 from fmuid.diagnosis.observed import Observed, gap
 from fmuid.diagnosis.subject import model_of
 from fmuid.identification.problem.cases import experiments_of
@@ -130,6 +131,7 @@ def validate_diagnosis(
     from fmuid.simulation.coupled.loading import load_model
 
     chosen, used = _chosen(answer, campaign, experiments)
+    campaign = with_catalogue(campaign, load_model, runner=runner)
     model, catalogue, known, _ = model_of(campaign, load_model, chosen, runner=runner)
     points = [answer["nominal"]["parameters"], answer["model"]["parameters"]]
     known |= {*campaign.parameters, *(u.name for e in catalogue.effects.values() for u in e.unknowns)}
