@@ -140,7 +140,7 @@ def identify(
         specs = dict(campaign.parameters)
         simulators = simulators or _models(campaign)
 
-    def posed(step: StageSpec | Problem, best: Mapping[str, float], runner: Runner) -> _Posed:
+    def posed(step: StageSpec | Problem, best: Mapping[str, float], runner: Runner | None) -> _Posed:
         found = _posed(step, campaign, simulators or {}, best, runner)
         if solver is not None:
             found = replace(found, solver=solver, options={})
@@ -153,7 +153,7 @@ def identify(
         )
 
     for step in plan:  # what cannot be posed or solved is said before anything is written
-        _check(posed(step, {}, in_process))
+        _check(posed(step, {}, None))
     results: list[StageResult] = []
     best: dict[str, float] = {}
     known = Known()
@@ -200,7 +200,7 @@ def check_stages(campaign: Campaign, simulators: Mapping[str, Simulator]) -> Non
         A stage cannot be posed, or not be solved as it is asked to be.
     """
     for stage in campaign.stages.values():
-        _check(_posed(stage, campaign, simulators, {}, in_process))
+        _check(_posed(stage, campaign, simulators, {}, None))
 
 
 def _check(asked: _Posed) -> None:
@@ -450,14 +450,17 @@ def _posed(
     campaign: Campaign | None,
     simulators: Mapping[str, Simulator],
     best: Mapping[str, float],
-    runner: Runner,
+    runner: Runner | None,
 ) -> _Posed:
+    """Return a stage, ready to be solved; without a runner nothing is simulated for that."""
     if isinstance(step, Problem):
-        if runner is not in_process:
+        if runner is not None and runner is not in_process:
             step.runner = runner
         return _Posed(step)
     assert campaign is not None
-    problem = Problem.of_stage(campaign, step, simulators, best=best, runner=runner)
+    problem = Problem.of_stage(
+        campaign, step, simulators, best=best, runner=runner or in_process, settled=runner is not None
+    )
     stop = StopRules(step.max_evaluations, step.max_seconds)
     return _Posed(problem, step.solver, step.solver_options, stop, step.analyses)
 

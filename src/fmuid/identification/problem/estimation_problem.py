@@ -93,8 +93,12 @@ class Problem:
         *,
         best: Mapping[str, float] | None = None,
         runner: Runner = in_process,
+        settled: bool = True,
     ) -> Problem:
-        """Return the problem that a stage of a campaign poses, started from the `best` values so far."""
+        """Return the problem that a stage of a campaign poses, started from the `best` values so far.
+
+        Unless it is to be `settled`, nothing is simulated, and models keep their own tolerances.
+        """
         where = f"stage '{stage.name}'"
         experiments = case_building.experiments_of(campaign, stage.experiments, where=where)
         apart = stage.segments is not None or bool(stage.observer)
@@ -106,7 +110,8 @@ class Problem:
         )
         here = space.tried(space.start)[0]
         accuracy = SolverAccuracy()
-        if stage.segments is None and not stage.observer:  # these keep predictions close to what was measured
+        # Segments and observers keep predictions close to what was measured.
+        if settled and stage.segments is None and not stage.observer:
             accuracy = solver_accuracy(cases, here, [case.start_values(here) for case in cases], runner)
         if accuracy.until:
             cases = case_building.from_campaign(
