@@ -332,7 +332,6 @@ CASES = [
         ("Units", "a unit that is none", csv(GOOD, "time,u [Nwt],x [m]"), IMPORT),
         ("Units", "a signal in a unit of something else", attribute("experiments/step/signals/position", "unit", "N.m"), CHECK),
         ("Units", "a parameter in a unit of something else", toml('unit = "kg"', 'unit = "N"'), CHECK),
-        ("Units", "turns a minute that may be radians", csv("0,0\n1,1\n", "time,turns [1/min]"), "simulate Turning.fmu --input run.csv"),
         ("Units", "hertz for rad/s", csv("0,0\n1,1\n", "time,turns [Hz]"), "simulate Turning.fmu --input run.csv"),
         ("FMUs", "an FMU that is not there", toml("Oscillator.fmu", "Oscilator.fmu"), CHECK),
         ("FMUs", "a file that is no archive", write("Oscillator.fmu", "MZ"), CHECK),

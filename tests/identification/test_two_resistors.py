@@ -95,7 +95,7 @@ def test_what_a_stage_is_asked_in_its_table_is_answered(folder):
     ("line", "message"),
     [
         ("monte_carlo = -1", "monte_carlo is -1; write a number of draws"),
-        ("pareto = { points = 1 }", "pareto points is 1; write 2 or more"),
+        ("pareto = { points = 1 }", "pareto points is 1; write 2 to 1000"),
         ("pareto = { point = 3 }", "unknown key 'point'; did you mean 'points'?"),
     ],
 )
