@@ -19,8 +19,9 @@ def test_a_swap_mends_a_first_pick_that_was_wrong(monkeypatch):
     assert found.diagnosis.verdict.kind == "effect"
     assert set(found.diagnosis.verdict.effects) == {"first", "second"}
     assert found.diagnosis.model == pytest.approx({"k": 1.0, "first": 1.0, "second": 1.0}, abs=0.01)
-    # Without swaps the mixture stays, and something with it.
+    # Without swaps and without leaving out what has become needless, the mixture stays, and something with it.
     monkeypatch.setattr("fmuid.diagnosis.effect_search._swaps", lambda *_: [])
+    monkeypatch.setattr("fmuid.diagnosis.effect_search._pruned", lambda _, best, __: best)
     assert "mixture" in diagnose_subject(subject).diagnosis.verdict.effects
 
 

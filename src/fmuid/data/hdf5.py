@@ -176,7 +176,7 @@ def text(holder: Any, name: str, error: Error, where: str, *, default: str | Non
         value = value.decode("utf-8", "replace")
     if not isinstance(value, str):
         raise error(f"attribute '{name}' is not a string", where=where, fix="write it as a string")
-    if not value.isprintable():
+    if not value.replace("\n", " ").isprintable():
         raise error(f"attribute '{name}' has unprintable characters", where=where, fix="write it as plain text")
     return value
 

@@ -198,13 +198,14 @@ def check_effects(
         where = f"[stages.{stage.name}]"
         try:
             problem = Problem.of_stage(campaign, stage, simulators, runner=runner)
+            # First where a worker would say that a model crashes: growth is looked at in this process.
+            found = sensitivity_of(problem)
             if stage.segments is None and not stage.observer:
                 longest = {case.setup: case for case in sorted(problem.cases, key=lambda case: np.ptp(case.time))}
                 for case in longest.values():
                     growth = growth_of(case, problem.space.to_model(problem.space.start))
                     if growth is not None and growth.runs_away:
                         findings.append(_runs_away(f"{where}, experiment '{case.id}'", growth))
-            found = sensitivity_of(problem)
         except SimulationError as error:
             findings.append(
                 Finding(

@@ -167,7 +167,9 @@ def _cases(
 ) -> tuple[Case, ...]:
     """Return the cases of runs, in segments or with an observer as the last stage of their setup says."""
     stages = {
-        campaign.measurements[e].setup: stage for stage in campaign.stages.values() for e in stage.experiments
+        run.setup: stage
+        for stage in campaign.stages.values()
+        for run in experiments_of(campaign, stage.experiments, where=f"stage '{stage.name}'")
     }
     cases: list[Case] = []
     for setup, stage in stages.items():

@@ -74,7 +74,7 @@ class Fmu:
         self._file = self.path.resolve()  # the working folder may change, in workers too
         self._asked = interface
         self._description = _read_description(self.path)
-        self.version = int(self._description.version.split(".")[0])
+        self.version = _major_version(self._description.version, self.path)
         self.interface = self._choose(interface)
         self._described = self._offered()[self.interface]
         self._variables, self._slots = read_variables(self._description, self.version, self.path)
@@ -427,6 +427,15 @@ def load_fmu(path: str | Path, interface: Interface | None = None) -> Fmu:
 
 MAX_EXTRACTED = 4e9  # bytes
 _NOT_RUN = ("sources/", "documentation/")
+
+
+def _major_version(text: str, path: Path) -> int:
+    major = text.split(".")[0]
+    if not (major.isascii() and major.isdecimal()):
+        raise FmuError(f"is of FMI version '{text}'", where=path, fix="use an FMU of FMI 2.0 or 3.0")
+    return int(major)
+
+
 _UNREADABLE = (OSError, zipfile.BadZipFile, zlib.error, RuntimeError, ValueError)
 _VERSION = re.compile(rb"""fmiVersion\s*=\s*["']([^"']*)""")
 

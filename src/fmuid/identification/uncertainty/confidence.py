@@ -237,6 +237,7 @@ def _noise(problem: Problem) -> tuple[FloatArray, float]:
             degrees = min(degrees, criterion.degrees if criterion.scatter is not None else 0.0)
             part = part if criterion.scatter is None else weight * criterion.scatter
         parts.append(part)
+    parts.append(np.ones(len(problem.space.priors)))  # of unit variance by what they are
     return np.concatenate(parts), degrees
 
 
