@@ -18,6 +18,7 @@ from typing import Any
 from benchmarks.study_command import ended
 from fmuid.core.errors import FmuidError
 from fmuid.core.files import write_atomically
+from fmuid.diagnosis.summary import named, probability
 from fmuid.simulation.pool.workers import WorkerPool
 
 _COLUMNS = (
@@ -107,23 +108,23 @@ def page(results: Mapping[str, Mapping[str, Any]], command: str) -> str:
 
 def _row(name: str, answer: Mapping[str, Any]) -> list[str]:
     verdict, gap = answer["verdict"], answer["gap"]
-    kind, named = verdict["kind"], verdict["effects"]
-    probability = {e["id"]: e["probability"] for e in answer["effects"]}
-    likely = named or [{"complete": "none"}.get(kind, "unknown")]
-    sure = ", ".join(f"{probability.get(n, 0.0):.2f}" for n in likely)
     closure, interval = "", ""
-    entry = next((e.get("closure") for e in answer["effects"] if named and e["id"] == named[0]), None)
+    entry = next((a["closure"] for a in answer["answers"] if named(verdict) and a.get("closure")), None)
     if entry:
         closure, interval = f"{entry['held_out']:.2f}", "{:.2f} … {:.2f}".format(*entry["interval"])
     gaps = [f"{gap[k]:.2f}" for k in ("nominal_refit", "corrected")]
-    return [name, verdict_in_words(answer), sure, verdict["port"] or "", *gaps, closure, interval]
+    sure = f"{probability(answer):.2f}"
+    return [name, verdict_in_words(answer), sure, ", ".join(verdict["ports"]), *gaps, closure, interval]
 
 
 def verdict_in_words(answer: Mapping[str, Any]) -> str:
     """Return the verdict of a diagnosis in a few words."""
-    kind, named = answer["verdict"]["kind"], answer["verdict"]["effects"]
-    joined = {"effect": " and ", "ambiguous": " or "}.get(kind, ", ").join(named)
-    return joined if kind == "effect" else f"{kind}: {joined}" if named else kind
+    verdict = answer["verdict"]
+    joined = " and ".join(verdict["effects"])
+    if verdict["one_of"]:
+        either = " or ".join(" and ".join(names) for names in verdict["one_of"])
+        joined = f"{joined} and ({either})" if joined else either
+    return joined if verdict["kind"] == "effect" else f"{verdict['kind']}: {joined}" if joined else verdict["kind"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

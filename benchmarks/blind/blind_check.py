@@ -123,12 +123,13 @@ class Check:
     def _closures(self, answers: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
         """Measure on held-out runs what every answer that names an effect closes."""
         from fmuid.campaigns.campaign_toml import load_campaign
+        from fmuid.diagnosis.summary import named
         from fmuid.diagnosis.validation import closure, validate_diagnosis
 
         closures = {}
         with WorkerPool(self.workers) as pool:
             for name, answer in answers.items():
-                if answer["verdict"]["kind"] not in ("effect", "ambiguous"):
+                if not named(answer["verdict"]):
                     continue
                 kept = self._answer(name, "held_out")
                 if not kept.is_file():

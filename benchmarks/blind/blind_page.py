@@ -49,7 +49,8 @@ _NOTES = f"""\
   whose verdict names effects at several ports that it cannot tell apart.
 - Held-out closure: on runs at other speeds, loads and inputs, beyond the nominal refit; verdicts that are exactly
   right and gaps of at least {LARGE:g} floors. The interval is the one that the diagnosis promised.
-- Calibration error (of the verdict, which is right if all it says is true) and Brier score (of all probabilities)
+- Calibration error (of the verdict, which is right if one of the answers that it leaves open is true) and Brier
+  score (of all probabilities)
   are over all cases, also those whose gap is below the floor.
 - Suggested experiment: made on the case's own actuator and added to its campaign; settled if the second diagnosis
   names the one true effect.

@@ -15,8 +15,11 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
+from fmuid.diagnosis.summary import named, probability
+
 FLOOR = 0.95
 LARGE = 3 * FLOOR
+_NO_EFFECT = (["none"], ["unknown"])
 _BINS = 10  # of the probability, for the calibration error
 
 
@@ -53,15 +56,16 @@ class Scored:
 
     @property
     def named(self) -> frozenset[str]:
-        """Effects that the verdict names: all present, or, if ambiguous, one of them."""
-        return (
-            frozenset(self.answer["verdict"]["effects"]) if self.kind in ("effect", "ambiguous") else frozenset()
-        )
+        """Effects that the verdict names: all present, or, if ambiguous, some of them."""
+        return frozenset(named(self.answer["verdict"]))
 
     @property
     def ranked(self) -> list[tuple[str, float]]:
         """Probabilities, the largest first."""
         pairs = [(str(e["id"]), float(e["probability"])) for e in self.answer["effects"]]
+        pairs += [
+            ("".join(a["effects"]), a["probability"]) for a in self.answer["answers"] if a["effects"] in _NO_EFFECT
+        ]
         return sorted(pairs, key=lambda pair: -pair[1])
 
     @property
@@ -71,9 +75,18 @@ class Scored:
         return self.kind == truth and (truth != "effect" or self.named == self.truth)
 
     @property
+    def holds(self) -> bool:
+        """Whether one of the answers that the verdict leaves open is the truth, or a part of it is named."""
+        verdict = self.answer["verdict"]
+        if self.kind in ("complete", "unknown", "insufficient"):
+            return self.truth == {"unknown" if self.kind == "unknown" else "none"}
+        sets = [{*verdict["effects"], *names} for names in verdict["one_of"] or [[]]]
+        return self.named <= self.truth if self.kind == "partial" else self.truth in sets
+
+    @property
     def alarmed(self) -> bool:
         """Whether the verdict says that the model lacks something."""
-        return self.kind in ("effect", "ambiguous", "unknown")
+        return self.kind not in ("complete", "insufficient")
 
     def top(self, count: int) -> bool:
         """Whether one of the `count` likeliest is true."""
@@ -164,7 +177,7 @@ def figures(cases: Sequence[Scored], ports: Sequence[str]) -> tuple[Figure, ...]
     of = _by_kind(cases)
     sizeable = [c for c in of["one"] if c.label["gap"] >= FLOOR]
     seen, unseen = ([c for c in sizeable if c.label["load_encoder"] is has] for has in (True, False))
-    named = [c for c in unseen if c.named]
+    naming = [c for c in unseen if c.named]
     outside = [c for c in of["outside"] if c.label["gap"] >= FLOOR]
     two = [c for c in of["two"] if c.label["gap"] >= FLOOR]
     both = [c for c in two if min(c.label["gaps"]) >= FLOOR]
@@ -172,7 +185,7 @@ def figures(cases: Sequence[Scored], ports: Sequence[str]) -> tuple[Figure, ...]
     placed = [
         c
         for c in (*sizeable, *outside)
-        if c.label["ports"][0] in ports and not (c.kind == "ambiguous" and c.answer["verdict"]["port"] is None)
+        if c.label["ports"][0] in ports and not (c.kind == "ambiguous" and len(c.answer["verdict"]["ports"]) > 1)
     ]
     closed = [c for c in of["one"] + of["two"] if c.right and c.closure is not None]
     large = np.array([c.closure for c in closed if c.label["gap"] >= LARGE], dtype=float)
@@ -185,7 +198,7 @@ def figures(cases: Sequence[Scored], ports: Sequence[str]) -> tuple[Figure, ...]
         share("top-2, load encoder", [c.top(2) for c in seen], lower=0.97),
         share("top-1, no load encoder", [c.top(1) for c in unseen], lower=0.75),
         share("class coverage, no load encoder", [c.truth <= c.named for c in unseen], lower=0.95),
-        Figure("mean class size, no load encoder", _mean([len(c.named) for c in named]), len(named), upper=2.0),
+        Figure("mean class size, no load encoder", _mean([len(c.named) for c in naming]), len(naming), upper=2.0),
         share("unknown called unknown", [c.kind == "unknown" for c in outside], lower=0.85),
         share("known called unknown", [c.kind == "unknown" for c in known], upper=0.07),
         share("two effects: both", [c.truth <= c.named for c in both], lower=0.75),
@@ -205,18 +218,18 @@ def baseline_figures(cases: Sequence[Scored], name: str) -> tuple[Figure, ...]:
     return verdict_figures(cases, lambda c: frozenset(c.answer["baselines"][name]))
 
 
-def verdict_figures(cases: Sequence[Scored], named: Callable[[Scored], frozenset[str]]) -> tuple[Figure, ...]:
+def verdict_figures(cases: Sequence[Scored], naming: Callable[[Scored], frozenset[str]]) -> tuple[Figure, ...]:
     """Return the figures that follow from the named effects alone (none: no alarm)."""
     of = _by_kind(cases)
     sizeable = [c for c in of["one"] if c.label["gap"] >= FLOOR]
     outside = [c for c in of["outside"] if c.label["gap"] >= FLOOR]
     both = [c for c in of["two"] if min(c.label["gaps"]) >= FLOOR]
     return (
-        share("effect named in complete models", [bool(named(c)) for c in of["none"]]),
-        share("exactly the one effect", [named(c) == c.truth for c in sizeable]),
-        share("the one effect among the named", [c.truth <= named(c) for c in sizeable]),
-        share("both of two effects", [c.truth <= named(c) for c in both]),
-        share("effect named though outside the catalogue", [bool(named(c)) for c in outside]),
+        share("effect named in complete models", [bool(naming(c)) for c in of["none"]]),
+        share("exactly the one effect", [naming(c) == c.truth for c in sizeable]),
+        share("the one effect among the named", [c.truth <= naming(c) for c in sizeable]),
+        share("both of two effects", [c.truth <= naming(c) for c in both]),
+        share("effect named though outside the catalogue", [bool(naming(c)) for c in outside]),
     )
 
 
@@ -224,22 +237,20 @@ def calibration(cases: Sequence[Scored]) -> tuple[float | None, float | None]:
     """Return the expected calibration error of the verdict, and the Brier score over all names.
 
     Calibration error: mean over ten bins of probability of |share right - mean probability|, by cases in the bin
-    (Naeini et al. 2015). Where several effects are named together, their probabilities are added, and the verdict
-    is right if all of them are there; elsewhere it is the likeliest name that counts. Brier score: mean over cases
-    of the squared difference of all probabilities from the truth, one half each where two effects are true
-    (Brier 1950).
+    (Naeini et al. 2015). A verdict is right if one of the answers that it leaves open is the truth; a partial one,
+    if all that it names is there. Brier score: mean over cases
+    of the squared difference of all probabilities from the truth (Brier 1950).
     """
     if not cases:
         return None, None
     sure, hits = [], []
     for case in cases:
-        head = case.named if case.kind == "effect" else {case.ranked[0][0]}
-        sure.append(sum(p for name, p in case.ranked if name in head))
-        hits.append(head <= case.truth)
+        sure.append(probability(case.answer))
+        hits.append(case.holds)
     head_p, hit = np.array(sure), np.array(hits, dtype=float)
     bins = np.minimum((head_p * _BINS).astype(int), _BINS - 1)
     ece = sum(abs(float(np.sum((hit - head_p)[bins == b]))) for b in range(_BINS)) / len(cases)
-    brier = [sum((p - (name in c.truth) / len(c.truth)) ** 2 for name, p in c.ranked) for c in cases]
+    brier = [sum((p - (name in c.truth)) ** 2 for name, p in c.ranked) for c in cases]
     return ece, float(np.mean(brier))
 
 
@@ -285,8 +296,7 @@ def _by_kind(cases: Sequence[Scored]) -> dict[str, list[Scored]]:
 
 def _covered(case: Scored) -> bool:
     """Whether the closure on held-out runs is inside the interval promised for the verdict's effects."""
-    entries = {e["id"]: e["closure"]["interval"] for e in case.answer["effects"] if e.get("closure")}
-    low, high = next(entries[name] for name, _ in case.ranked if name in case.named and name in entries)
+    low, high = next(a["closure"]["interval"] for a in case.answer["answers"] if a.get("closure"))
     return case.closure is not None and bool(low <= case.closure <= high)
 
 

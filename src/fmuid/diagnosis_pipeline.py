@@ -19,6 +19,7 @@ from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.effect_search import Say
 from fmuid.diagnosis.made_catalogue import with_catalogue
 from fmuid.diagnosis.subject import Subject, carrier, subject_of
+from fmuid.diagnosis.summary import sentences
 from fmuid.diagnosis.verdict import Verdict
 from fmuid.simulation.runners import in_process
 
@@ -121,9 +122,9 @@ def _calibrated(subject: Subject, count: int, seed: int, telling: dict[str, Any]
     unmapped = Calibration()
     first = diagnose_subject(subject, seed=seed, calibration=unmapped)
 
-    def weights(plant: Subject) -> tuple[Verdict, dict[str, float]]:
+    def weights(plant: Subject) -> tuple[Verdict, dict[tuple[str, ...], float]]:
         found = diagnose_subject(plant, seed=seed, calibration=unmapped).diagnosis
-        return found.verdict, {c.id: c.probability for c in found.effects}
+        return found.verdict, {a.effects: a.probability for a in found.answers}
 
     trials = calibration.calibrate(
         subject, first.nominal.fit, first.paths, weights, count=count, seed=seed, **telling
@@ -153,6 +154,7 @@ def answer_of(found: Found) -> dict[str, Any]:
     recordings = found.subject.recordings
     answer["experiments"] = [{"id": name, "sha256": digest} for name, digest in recordings.items()]
     answer["nominal"] = {"parameters": found.subject.model.expanded(found.nominal.fit.values)}
+    answer["verdict"]["text"] = " ".join(sentences(answer))
     at_bounds = _at_bounds(found)
     if at_bounds:
         answer["notes"].append(
@@ -167,8 +169,7 @@ def answer_of(found: Found) -> dict[str, Any]:
 
 def _at_bounds(found: Found) -> list[str]:
     """Return the nominal parameters of the model handed out that were stopped by a bound, with their values."""
-    fitted = found.best if found.best is not None and found.diagnosis.verdict.effects else found.nominal
-    values = fitted.fit.values
+    values = found.corrected.fit.values
     return [
         f"{u.name} = {values[u.name]:.4g}"
         for u in found.subject.nominal

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from fmuid.core.errors import SimulationError
 from fmuid.diagnosis.catalogue import Catalogue, Effect
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
@@ -22,11 +23,24 @@ from fmuid.simulation.simulator import Task, Variable
 DT = 5e-3
 N = 400
 SIGMA = 2e-3
-PARAMETERS = {"m": 1.0, "d": 0.8, "Fc": 0.5, "a": 0.0, "tilt": 0.0, "cable": 0.0, "square": 0.0, "grip": 0.0}
+PARAMETERS = {
+    "m": 1.0,
+    "d": 0.8,
+    "Fc": 0.5,
+    "a": 0.0,
+    "tilt": 0.0,
+    "cable": 0.0,
+    "square": 0.0,
+    "grip": 0.0,
+    "hill": 0.0,
+}
 
 
 class Mass:
-    """m der(v) = u - d v - (Fc + bump) s - a |s| - tilt - cable - square v |v| - port, s = tanh(v / 0.02)."""
+    """m der(v) = u - d v - (Fc + bump) s - a |s| - tilt - cable - square v |v| - hill sin 8x - port.
+
+    s = tanh(v / 0.02); Fc is larger by `grip` at some positions.
+    """
 
     variables: ClassVar = {
         **{n: Variable(n, "parameter", "fixed", start=v) for n, v in PARAMETERS.items()},
@@ -36,7 +50,7 @@ class Mass:
 
     def simulate(self, task: Task, parameters: Mapping[str, float]) -> np.ndarray:
         p = {**PARAMETERS, **task.start_values, **parameters}
-        m, d, fc, a, square, grip = (p[n] for n in ("m", "d", "Fc", "a", "square", "grip"))
+        m, d, fc, a, square, grip, hill = (p[n] for n in ("m", "d", "Fc", "a", "square", "grip", "hill"))
         constant = p["tilt"] + p["cable"]
         u = task.inputs["u"].tolist()
         port = task.inputs["port"].tolist() if "port" in task.inputs else [0.0] * len(u)
@@ -49,9 +63,12 @@ class Mass:
                 s = math.tanh(v / 0.02)
                 dry = fc + (grip if 0.1 < x % 0.3 < 0.15 else 0.0)
                 force = u[k] - d * v - dry * s - a * abs(s) - constant - square * v * abs(v) - port[k]
+                force -= hill * math.sin(8.0 * x) if abs(x) < 1e9 else 0.0
                 v += h * force / m
                 x += h * v
             rows.append((x, v))
+        if not np.isfinite(rows).all():
+            raise SimulationError("the mass ran away")
         named = dict(zip(("x", "v"), np.array(rows).T, strict=True))
         return np.array([named[o] for o in task.outputs])
 

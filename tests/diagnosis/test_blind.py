@@ -36,7 +36,8 @@ def scored(
     gaps = [3.0] * len(effects) if gaps is None else gaps
     named = named or []
     head = named or [{"complete": "none"}.get(verdict, "unknown")]
-    given = probability or {n: 1.0 / len(head) for n in head}
+    each = 1.0 / len(head) if verdict == "ambiguous" else 1.0
+    given = probability or dict.fromkeys(head, each)
     label = {
         "case": "c",
         "kind": kind,
@@ -48,18 +49,24 @@ def scored(
         "repeats": 6,
         "load_encoder": encoder,
     }
-    names = {"a", "b", "none", "unknown"}
+    closure = {"train": 1, "held_out": 0.9, "interval": [0.8, 1]}
+    sure = [] if verdict == "ambiguous" else named
+    one_of = [[n] for n in named] if verdict == "ambiguous" else []
+    sets = [[n] for n in named] if verdict == "ambiguous" else [named] if named else []
     answer = {
-        "verdict": {"kind": verdict, "effects": named, "port": port},
+        "verdict": {
+            "kind": verdict,
+            "effects": sure,
+            "one_of": one_of,
+            "port": port,
+            "ports": [] if port is None else [port],
+        },
+        "answers": [
+            {"effects": s, "probability": min(given.get(n, 0.0) for n in s), "closure": closure} for s in sets
+        ]
+        + [{"effects": [n], "probability": given.get(n, 0.0)} for n in ("none", "unknown")],
         "gap": {"nominal_refit": 3.0, "corrected": 0.1},
-        "effects": [
-            {
-                "id": n,
-                "probability": given.get(n, 0.0),
-                "closure": {"train": 1, "held_out": 0.9, "interval": [0.8, 1]},
-            }
-            for n in names
-        ],
+        "effects": [{"id": n, "probability": given.get(n, 0.0), "closure": closure} for n in ("a", "b")],
         "baselines": {"white_noise_bic": ["a"], "hold_out_rmse": [], "score_without_projection": ["b"]},
     }
     return Scored(label, answer, **options)
@@ -252,6 +259,7 @@ def verdicts(outcome: Outcome) -> dict[str, tuple[object, ...]]:
     return {str(c.label["case"]): (*c.label["effects"], "->", c.kind, *sorted(c.named)) for c in outcome.cases}
 
 
+@pytest.mark.slow
 def test_a_complete_actuator_one_effect_and_one_of_no_catalogue_are_told_apart_blind(tmp_path, fmus, effect_fmus):
     """A complete actuator with little noise, mesh friction as large as the noise, friction at one spot of a turn."""
     outcome = blind(tmp_path, 40, 47, 190)

@@ -100,7 +100,7 @@ def test_calibrating_diagnoses_every_plant_and_is_kept_under_its_key(fitted, tmp
 
     def diagnose(made):
         found = diagnose_subject(made, calibration=Calibration()).diagnosis
-        return found.verdict, {c.id: c.probability for c in found.effects}
+        return found.verdict, {a.effects: a.probability for a in found.answers}
 
     trials = calibrate(subject, fit, paths, diagnose, count=4)
     assert len(trials) == 4

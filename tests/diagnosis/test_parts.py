@@ -10,9 +10,18 @@ from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis.candidates import Fitted, fit_effects, score_further
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import HeldOut, advantage, closure, closure_interval, leave_each_out
-from fmuid.diagnosis.decide import names, strained, unexplained
+from fmuid.diagnosis.decide import (
+    names,
+    needed_beside,
+    of_its_law,
+    places,
+    stable,
+    strained,
+    survivors,
+    unexplained,
+)
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.ports import Decoy, fit_decoys, harmonics, hats, quantile_knots
+from fmuid.diagnosis.ports import Decoy, fit_decoys, harmonics, hats, quantile_knots, responses_of
 from fmuid.diagnosis.refit import Refit, Unknown, refit
 from fmuid.diagnosis.regimes import Regime, bases, own_bases, trajectories
 from fmuid.diagnosis.scores import alias_classes, nominal_basis, project_off, score_effects, stack
@@ -193,15 +202,21 @@ def test_basis_functions_are_what_they_are_named():
     assert len(at_rest) == 1
 
 
+def decoys_of(subject, observed, fit, **families):
+    return fit_decoys(
+        responses_of(subject.model, observed, fit, ports=tuple(PORTS.values()), **families), fit, observed
+    )
+
+
 def test_a_free_function_of_position_finds_what_no_effect_explains():
     subject = plant({"grip": 0.4})
     nominal = fit_effects(subject, (), [{}])
     paths = trajectories(subject.model, nominal.fit.values, REGIMES)
     families = {**bases(paths, REGIMES), "position, fine": hats(paths["position"], np.linspace(-1.0, 1.0, 60))}
-    decoys = fit_decoys(subject.model, subject.observed, nominal.fit, ports=tuple(PORTS.values()), bases=families)
+    decoys = decoys_of(subject, subject.observed, nominal.fit, bases=families)
     assert {d.port for d in decoys} == {"friction", "reading"}
     by_name = {d.over: d for d in decoys if d.port == "friction"}
-    assert by_name["position"].fit.cost < nominal.fit.cost
+    assert by_name["position, fine"].held_out.gap < nominal.held_out.gap
     assert closure(nominal.held_out, by_name["speed"].held_out) < 0.3
 
 
@@ -216,7 +231,7 @@ def test_a_sensor_that_also_shows_another_signal_is_found_out():
     nominal = fit_effects(subject, (), [{}])
     paths = trajectories(subject.model, nominal.fit.values, REGIMES)
     families = {"speed": hats(paths["speed"], np.linspace(-2.0, 2.0, 5))}
-    decoys = fit_decoys(subject.model, subject.observed, nominal.fit, ports=tuple(PORTS.values()), bases=families)
+    decoys = decoys_of(subject, subject.observed, nominal.fit, bases=families)
     best = min(decoys, key=lambda d: d.held_out.gap)
     assert (best.port, best.over) == ("reading", "other signals")
     assert closure(nominal.held_out, best.held_out) > 0.8
@@ -267,8 +282,71 @@ def test_an_effect_that_leaves_something_is_named_if_it_closes_half_of_the_gap(h
 @pytest.mark.parametrize(("left", "found"), [(0.1, True), (0.6, True), (0.7, False)])
 def test_a_free_function_that_leaves_much_less_than_the_effect_shows_the_gap_unexplained(left, found):
     best = fitted(("e",), 0.5)
-    decoy = Decoy("port", "speed", best.fit, fitted((), left * best.gap).held_out, np.zeros(3))
+    decoy = Decoy("port", "speed", (), fitted((), left * best.gap).held_out)
     assert unexplained(fitted((), 1.0), best, [decoy], ["other"]) is (decoy if found else None)
+
+
+@pytest.mark.parametrize(
+    ("alone", "beside", "own", "shape"),
+    [
+        (0.5, 0.1, True, True),  # the function does what the law does, and more
+        (0.9, 0.1, True, False),  # a function of something else
+        (0.5, 0.1, False, False),  # somewhere else
+        (0.5, 0.45, True, False),  # not what is left
+    ],
+)
+def test_what_a_law_of_another_shape_leaves_is_no_further_cause(alone, beside, own, shape):
+    best = fitted(("e",), 0.5)
+    first, second = (Decoy("here", "speed", (), fitted((), g).held_out) for g in (alone, beside))
+    assert of_its_law(best, [first], [second], ["here" if own else "there"]) is shape
+
+
+@pytest.mark.parametrize(("beside", "needed"), [(0.05, True), (0.2, False), (0.35, False)])
+def test_an_effect_is_needed_beside_a_free_function_only_if_both_leave_hardly_anything(beside, needed):
+    """Alone the function leaves 0.4 of the gap; an effect that lowers that little only imitates it."""
+    alone, both = (Decoy("p", "speed", (), fitted((), g).held_out) for g in (0.4, beside))
+    assert needed_beside([alone], [both], fitted((), 1.0)) is needed
+
+
+def test_places_are_those_where_free_functions_do_about_as_well_as_anywhere():
+    nominal = fitted((), 1.0)
+    decoys = [
+        Decoy(port, "speed", alike, fitted((), g).held_out)
+        for port, alike, g in [("a", ("rigid",), 0.2), ("b", (), 0.28), ("c", (), 0.4), ("a", (), 0.9)]
+    ]
+    assert places(nominal, decoys) == ("a", "rigid", "b")
+    assert places(nominal, [Decoy("a", "speed", (), fitted((), 0.95).held_out)]) == ()
+
+
+def test_names_that_close_far_less_are_not_listed_beside_the_best():
+    """With little noise to tell them apart by, answers that leave much more of the gap are still none."""
+    subject = plant({}, noise=0.3)
+    nominal = fit_effects(subject, (), [{}])
+    best, near, far = (
+        replace(nominal, effects=(name,), names=(name,), gap=g)
+        for name, g in [("best", 1.0), ("near", 1.6), ("far", 2.5)]
+    )
+    found = survivors(best, [far, near, best], subject.observed)
+    assert [f.names for f in found] == [("best",), ("near",)]
+
+
+def test_an_answer_that_one_experiment_alone_speaks_for_is_not_stable():
+    subject = plant({"square": 0.3})
+    nominal = fit_effects(subject, (), [{}])
+    observed = subject.observed
+    size = [r.size for r in nominal.fit.residuals]
+
+    def of(name, *levels):
+        residuals = tuple(level * np.ones(n) for level, n in zip(levels, size, strict=True))
+        cost = sum(5 * r @ r for r in residuals)
+        return replace(nominal, names=(name,), fit=replace(nominal.fit, residuals=residuals, cost=cost), gap=0.3)
+
+    best, even, odd = of("best", 1, 1, 1, 1, 1), of("even", 2, 2, 2, 2, 2), of("odd", 9, 0.5, 0.5, 0.5, 0.5)
+    assert stable((best,), [best, even], observed) is True
+    assert stable((best,), [best, odd], observed) is False
+    assert stable((best, odd), [best, odd], observed) is True
+    pair = observed.select([r.id for r in observed.runs[:2]])
+    assert stable((best,), [best, odd], pair) is None
 
 
 def test_a_law_of_a_confined_variable_is_sought_at_its_port_alone():
@@ -293,13 +371,12 @@ def test_a_law_of_a_confined_variable_is_sought_at_its_port_alone():
     ]
     observed = Observed(tuple(runs), subject.observed.noise)
     again = fit_effects(replace(subject, observed=observed), (), [{}])
-    ports = tuple(PORTS.values())
-    decoys = fit_decoys(subject.model, observed, again.fit, ports=ports, bases=free, own={"friction": own})
+    decoys = decoys_of(subject, observed, again.fit, bases=free, own={"friction": own})
     at_port = sorted((d for d in decoys if d.port == "friction"), key=lambda d: d.held_out.gap)
     assert at_port[0].over == "drive and turn"
     assert closure(again.held_out, at_port[0].held_out) > 0.7
     assert at_port[1].held_out.gap > 2.0 * at_port[0].held_out.gap
-    without = fit_decoys(subject.model, observed, again.fit, ports=ports, bases=free)
+    without = decoys_of(subject, observed, again.fit, bases=free)
     assert {d.over for d in decoys} - {d.over for d in without} == set(own)
 
 

@@ -9,12 +9,21 @@ from benchmarks import sealed
 from fmuid.core.errors import FmuidError
 
 ANSWER = {
-    "verdict": {"kind": "ambiguous", "effects": ["viscous", "stribeck"], "port": "gear_friction"},
+    "verdict": {
+        "kind": "ambiguous",
+        "effects": [],
+        "one_of": [["viscous"], ["stribeck"]],
+        "ports": ["gear_friction"],
+    },
     "gap": {"nominal_refit": 2.5, "corrected": 0.2},
-    "effects": [
-        {"id": "viscous", "probability": 0.5, "closure": {"train": 0.9, "held_out": 0.9, "interval": [0.8, 0.95]}},
-        {"id": "stribeck", "probability": 0.45},
-        {"id": "none", "probability": 0.05},
+    "answers": [
+        {
+            "effects": ["viscous"],
+            "probability": 0.5,
+            "closure": {"train": 0.9, "held_out": 0.9, "interval": [0.8, 0.95]},
+        },
+        {"effects": ["stribeck"], "probability": 0.45},
+        {"effects": ["none"], "probability": 0.05},
     ],
     "next_experiment": {
         "setup": "free_shaft",
@@ -27,13 +36,13 @@ ANSWER = {
 
 def test_the_page_says_verdict_probability_port_and_closure():
     complete = {
-        "verdict": {"kind": "complete", "effects": [], "port": None},
+        "verdict": {"kind": "complete", "effects": [], "one_of": [], "ports": []},
         "gap": {"nominal_refit": 0.1, "corrected": 0.1},
-        "effects": [{"id": "none", "probability": 0.97}],
+        "answers": [{"effects": ["none"], "probability": 0.97}],
     }
     text = sealed.page({"s01": ANSWER, "s02": complete}, "make sealed")
     assert (
-        "| s01 | ambiguous: viscous or stribeck | 0.50, 0.45 | gear_friction | 2.50 | 0.20 | 0.90 | 0.80 … 0.95 |"
+        "| s01 | ambiguous: viscous or stribeck | 0.95 | gear_friction | 2.50 | 0.20 | 0.90 | 0.80 … 0.95 |"
         in text
     )
     assert "| s02 | complete | 0.97 |  | 0.10 | 0.10 |  |  |" in text

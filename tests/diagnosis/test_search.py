@@ -6,7 +6,6 @@ from plants import plant
 from tones import SIGMA, STRENGTHS, TIME, heard
 
 from fmuid.diagnosis.diagnose import diagnose_subject
-from fmuid.diagnosis.verdict import Verdict
 
 
 def test_a_swap_mends_a_first_pick_that_was_wrong(monkeypatch):
@@ -50,7 +49,7 @@ def test_as_many_effects_are_named_as_are_true(truth, causes):
 def test_a_gap_that_shows_in_no_effect_is_unknown_without_a_port():
     answer = diagnose_subject(heard({"first": {1: 1.0}, "second": {2: 1.0}}, {5: 0.3})).diagnosis
     assert answer.gap.present
-    assert answer.verdict == Verdict("unknown")
+    assert (answer.verdict.kind, answer.verdict.ports) == ("unknown", ())
     assert answer.gap.p_value < 0.01
 
 
@@ -68,3 +67,13 @@ def test_a_sensor_is_proposed_that_tells_apart_what_no_further_run_does():
     assert "Or add a sensor: second reading" in str(found)
     # One that reads no better is none to add.
     assert diagnose_subject(heard({**laws, "other": {1: 1.0, -1: 1e-4}}, {1: 1.0})).diagnosis.added_sensor is None
+
+
+def test_a_known_effect_beside_an_unknown_one_is_a_part_of_the_answer():
+    """A hilly track is no law of speed: the asymmetry is named, and that something is left."""
+    answer = diagnose_subject(plant({"a": 0.1, "hill": 0.05})).diagnosis
+    assert answer.verdict.kind == "partial"
+    assert answer.verdict.effects == ("asymmetry",)
+    assert answer.verdict.rest is not None
+    assert answer.verdict.rest.gap == pytest.approx(answer.gap.corrected)
+    assert "a free function at friction closes most of it" in answer.verdict.rest.where

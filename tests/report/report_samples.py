@@ -128,8 +128,16 @@ def diagnosis():
 
     return {
         "format": "fmuid-diagnosis",
-        "version": 1,
-        "verdict": {"kind": "effect", "effects": ["mesh_loss"], "port": "gear_friction"},
+        "version": 2,
+        "verdict": {
+            "kind": "effect",
+            "effects": ["mesh_loss"],
+            "one_of": [],
+            "port": "gear_friction",
+            "ports": ["gear_friction"],
+            "stable": True,
+            "rest": None,
+        },
         "gap": {
             "present": True,
             "p_value": 0.001,
@@ -152,8 +160,11 @@ def diagnosis():
             effect("viscous", 0.02, 0.2),
             effect("stribeck", 0.01, 0.05),
             effect("hysteresis", 0.01, -0.1, 0.2),
-            effect("none", 0.0),
-            effect("unknown", 0.02),
+        ],
+        "answers": [
+            {"effects": ["mesh_loss"], "probability": 0.94, "closure": effect("mesh_loss", 0.94, 0.93)["closure"]},
+            {"effects": ["unknown"], "probability": 0.05, "closure": None},
+            {"effects": ["none"], "probability": 0.01, "closure": None},
         ],
         "alias_classes": [["mesh_loss"], ["sensor_gain", "saturation"]],
         "model": {"parameters": {"d_S": 2.66, "lossTable[1,2]": 0.93}},

@@ -62,6 +62,7 @@ def draw(lacking, verdict, *candidates):
             subject=subject,
             nominal=SimpleNamespace(fit=nominal),
             best=candidates[0],
+            surviving=candidates,
             candidates=candidates,
             diagnosis=SimpleNamespace(verdict=verdict),
             excess=excess_map(observed, [np.zeros((1, TIME.size))], paths),
@@ -72,7 +73,7 @@ def draw(lacking, verdict, *candidates):
 
 @pytest.fixture(scope="module")
 def pictures():
-    return draw(FRICTION, Verdict("effect", ("viscous",), "torque"), fitted("viscous", 0.9))
+    return draw(FRICTION, Verdict("effect", ("viscous",), (), ("torque",)), fitted("viscous", 0.9))
 
 
 def test_residuals_are_in_units_before_and_after(pictures):
@@ -107,7 +108,9 @@ def test_missing_torque_is_found_with_the_law_over_it_and_what_explains_most_com
 
 
 def test_a_torque_that_changes_sign_with_the_direction_is_shown_for_each_of_them():
-    pictures = draw(0.05 * LOAD * np.sign(SPEED), Verdict("effect", ("mesh",), "torque"), fitted("mesh", 1.0))
+    pictures = draw(
+        0.05 * LOAD * np.sign(SPEED), Verdict("effect", ("mesh",), (), ("torque",)), fitted("mesh", 1.0)
+    )
     missing = pictures.missing[0]
     assert missing.variable.name == "load"
     assert missing.explained > 0.95
@@ -117,8 +120,7 @@ def test_a_torque_that_changes_sign_with_the_direction_is_shown_for_each_of_them
 
 
 def test_every_law_of_an_a_or_b_is_drawn():
-    verdict = Verdict("ambiguous", ("viscous", "drag"), "torque")
-    candidates = fitted("viscous", 0.9), fitted("third", 0.1), fitted("drag", 0.7)
-    (branch,) = draw(FRICTION, verdict, *candidates).missing[0].branches
+    verdict = Verdict("ambiguous", (), (("viscous",), ("drag",)), ("torque",))
+    (branch,) = draw(FRICTION, verdict, fitted("viscous", 0.9), fitted("drag", 0.7)).missing[0].branches
     assert [name for name, _ in branch.laws] == ["viscous", "drag"]
     assert branch.laws[1][1].max() == pytest.approx(0.7 / 0.9 * branch.laws[0][1].max(), rel=1e-3)

@@ -1,10 +1,12 @@
 import copy
+import json
 
 import pytest
 import report_samples as samples
 from report_page import Page
 
-from fmuid.diagnosis.summary import facts, likeliest, summary, verdict_text
+from fmuid.diagnosis.summary import facts, likeliest, sentences, summary, verdict_text
+from fmuid.diagnosis.validation import read_diagnosis
 from fmuid.report import DiagnosisPictures, write_diagnosis_report
 from fmuid.report.diagnosis_figures import effects_figure, effects_table, gap_figure, range_text
 
@@ -19,7 +21,7 @@ def test_a_reader_sees_where_what_and_how_much(tmp_path):
     )
     page = Page(path.read_text())
     for words in (
-        "mesh_loss at gear_friction (94 %)",
+        "Mesh loss is missing at gear_friction (94 %)",
         "friction grows with the load",
         "load_35p5, tau_sensor, load torque 20 … 35.5 N.m (41 %)",
         "9.4 → 6.1 refitted → 0.35 corrected",
@@ -35,8 +37,9 @@ def test_a_reader_sees_where_what_and_how_much(tmp_path):
 
 def test_what_is_not_known_is_left_out(tmp_path):
     diagnosis = samples.diagnosis()
-    diagnosis["verdict"] = {"kind": "complete", "effects": [], "port": None}
-    diagnosis |= {"effects": [{"id": "none", "probability": 1.0}], "where": [], "alias_classes": []}
+    diagnosis["verdict"] = {"kind": "complete", "effects": [], "one_of": [], "port": None, "ports": []}
+    diagnosis |= {"effects": [], "answers": [{"effects": ["none"], "probability": 1.0}]}
+    diagnosis |= {"where": [], "alias_classes": []}
     del diagnosis["next_experiment"]
     path = write_diagnosis_report(diagnosis, tmp_path, campaign="Actuator", pictures=DiagnosisPictures())
     page = Page(path.read_text())
@@ -47,18 +50,38 @@ def test_what_is_not_known_is_left_out(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("kind", "effects", "words"),
+    ("kind", "effects", "one_of", "words"),
     [
-        ("ambiguous", ["a", "b"], "a or b at gear_friction (0 %): these sensors"),
-        ("unknown", [], "Unknown effect at gear_friction (2 %): none"),
-        ("insufficient", [], "Not enough data"),
-        ("effect", ["mesh_loss", "viscous"], "mesh_loss and viscous at gear_friction (96 %)"),
+        ("ambiguous", [], [["a"], ["b"]], "A or b is missing at gear_friction (94 %): these sensors"),
+        (
+            "ambiguous",
+            ["load_friction@gear"],
+            [["delay@speed"], ["lag@speed"]],
+            "Load friction at gear is missing, and either delay at speed or lag at speed (94 %): these sensors",
+        ),
+        ("unknown", [], [], "Unknown effect at gear_friction (5 %): none"),
+        ("insufficient", [], [], "Not enough data"),
+        ("effect", ["mesh_loss", "viscous"], [], "Mesh loss and viscous are missing at gear_friction (94 %)"),
+        ("partial", ["value@rotor.J"], [], "Another value of rotor.J is missing (94 %), and something else"),
     ],
 )
-def test_verdicts_in_words(kind, effects, words):
+def test_verdicts_in_words(kind, effects, one_of, words):
     diagnosis = copy.deepcopy(samples.diagnosis())
-    diagnosis["verdict"] |= {"kind": kind, "effects": effects}
+    diagnosis["verdict"] |= {"kind": kind, "effects": effects, "one_of": one_of}
     assert words in verdict_text(diagnosis)
+
+
+def test_a_verdict_is_said_as_an_engineer_would():
+    diagnosis = copy.deepcopy(samples.diagnosis())
+    diagnosis["verdict"]["rest"] = {"gap": 1.3, "where": "tau_sensor in load_25, speed -1 … 1"}
+    assert sentences(diagnosis) == [
+        "Mesh loss is missing at gear_friction (94 %).",
+        "With it, 0.93 of the gap is gone on runs that were not used (0.85 to 1.01).",
+        "What is left: 1.3 times the noise, most of it tau_sensor in load_25, speed -1 … 1.",
+    ]
+    found = {fact.label: fact for fact in facts(diagnosis | {"verdict": diagnosis["verdict"] | {"stable": False}})}
+    assert found["What is left"].value.startswith("1.3 times the noise")
+    assert found["Stable"].tone == "warn"
 
 
 @pytest.mark.parametrize(
@@ -68,7 +91,7 @@ def test_where_the_data_cannot_tell_it_is_said_what_to_record(present, words):
     diagnosis = copy.deepcopy(samples.diagnosis())
     diagnosis["verdict"] |= {"kind": "insufficient", "effects": []}
     diagnosis["gap"]["present"] = present
-    diagnosis["smallest_seen"] = {}
+    diagnosis["power"] = {}
     (advice,) = [fact.value for fact in facts(diagnosis) if fact.label == "What to do"]
     assert words in advice
 
@@ -79,30 +102,30 @@ def test_where_the_data_cannot_tell_it_is_said_what_to_record(present, words):
 )
 def test_a_gap_too_small_to_matter_is_not_called_none(p_value, words):
     diagnosis = copy.deepcopy(samples.diagnosis())
-    diagnosis["verdict"] |= {"kind": "complete", "effects": [], "port": None}
+    diagnosis["verdict"] |= {"kind": "complete", "effects": [], "port": None, "ports": []}
     diagnosis["gap"] |= {"present": False, "p_value": p_value}
     assert {fact.label: fact.value for fact in facts(diagnosis)}["Is there a gap"].startswith(words)
 
 
 def test_the_smallest_gain_that_would_have_been_seen_is_told_from_none():
     diagnosis = copy.deepcopy(samples.diagnosis())
-    diagnosis["verdict"] |= {"kind": "complete", "effects": [], "port": None}
-    diagnosis["smallest_seen"] = {"sensor_gain": {"tau_sensor.gain": 1.0132}}
+    diagnosis["verdict"] |= {"kind": "complete", "effects": [], "port": None, "ports": []}
+    diagnosis["power"] = {"sensor_gain": {"tau_sensor.gain": 1.0132}}
     assert "Would have been seen, at least this large: sensor_gain (tau_sensor.gain = 1.013)" in summary(diagnosis)
 
 
 def test_a_verdict_that_is_not_likely_is_no_good_news():
     diagnosis = copy.deepcopy(samples.diagnosis())
     assert facts(diagnosis)[0].tone == "good"
-    diagnosis["effects"][0]["probability"] = 0.15
+    diagnosis["answers"][0]["probability"] = 0.15
     assert facts(diagnosis)[0].tone == "warn"
 
 
 def test_of_an_unknown_effect_the_closest_is_named_and_nothing_is_called_corrected(tmp_path):
     diagnosis = copy.deepcopy(samples.diagnosis())
     diagnosis["verdict"] |= {"kind": "unknown", "effects": []}
-    diagnosis["effects"][0]["closure"]["held_out"] = 0.4
-    diagnosis["ports"] = {"gear_friction": 0.62, "torque_sensor": 0.1}
+    diagnosis["answers"][0]["closure"]["held_out"] = 0.4
+    diagnosis["port_closures"] = {"gear_friction": 0.62, "torque_sensor": 0.1}
     found = {fact.label: fact.value for fact in facts(diagnosis)}
     assert found["What comes closest"] == (
         "mesh_loss closes 0.40 (0.85 to 1.01) on held-out data, too little for a name (from 0.5 on); "
@@ -121,29 +144,30 @@ def test_the_gap_is_drawn_effect_by_effect():
     assert [(b.label, b.value) for b in bars[2:4]] == [("with mesh_loss", 2.0), ("corrected", 0.35)]
 
 
-def test_effects_that_were_judged_are_ranked_wherever_they_stand_among_the_probabilities():
+def test_answers_come_first_then_other_effects_that_were_judged():
     diagnosis = copy.deepcopy(samples.diagnosis())
     idle = [{"id": f"idle_{k}", "probability": 0.05} for k in range(20)]
     diagnosis["effects"] = idle + diagnosis["effects"]
-    figure = effects_figure(diagnosis)
-    assert [b.label for b in figure.bars] == ["mesh_loss", "viscous", "stribeck", "hysteresis"]
+    assert [b.label for b in effects_figure(diagnosis).bars] == ["mesh_loss", "viscous", "stribeck", "hysteresis"]
+    assert [row[0] for row in likeliest(diagnosis)[1:]] == [
+        "mesh_loss",
+        "unknown",
+        "none",
+        "viscous",
+        "stribeck",
+        "hysteresis",
+    ]
+    assert [row[0] for row in effects_table(diagnosis).rows][:1] == ["mesh_loss"]
 
 
-def test_of_equally_likely_effects_those_that_close_more_come_first():
-    diagnosis = copy.deepcopy(samples.diagnosis())
-    listed = [row[0] for row in likeliest(diagnosis)[1:]]
-    assert listed == ["mesh_loss", "viscous", "unknown", "stribeck", "hysteresis", "none"]
-    assert [row[0] for row in effects_table(diagnosis).rows] == listed
-
-
-def test_effects_that_only_together_are_the_verdict_share_a_bar():
+def test_effects_that_only_together_are_an_answer_share_a_bar():
     diagnosis = copy.deepcopy(samples.diagnosis())
     diagnosis["verdict"]["effects"] = ["viscous", "mesh_loss"]
+    diagnosis["answers"][0]["effects"] = ["viscous", "mesh_loss"]
     bars = effects_figure(diagnosis).bars
     assert [b.label for b in bars] == ["viscous + mesh_loss", "stribeck", "hysteresis"]
-    assert bars[0].note == "probability 0.96"
-    diagnosis["verdict"]["kind"] = "ambiguous"
-    assert [b.label for b in effects_figure(diagnosis).bars][:2] == ["mesh_loss", "viscous"]
+    assert bars[0].note == "probability 0.94"
+    assert [b.role for b in bars] == ["final", "floor", "floor"]
 
 
 @pytest.mark.parametrize(
@@ -152,3 +176,21 @@ def test_effects_that_only_together_are_the_verdict_share_a_bar():
 )
 def test_ranges_are_short_and_end_at_zero_where_they_mean_it(ends, text):
     assert range_text(*ends) == text
+
+
+def test_a_diagnosis_of_version_1_is_read_as_one_of_version_2(tmp_path):
+    old = {
+        "format": "fmuid-diagnosis",
+        "version": 1,
+        "verdict": {"kind": "ambiguous", "effects": ["a", "b"], "port": None},
+        "nominal": {"parameters": {"J": 1.0}},
+        "model": {"parameters": {"J": 1.1}},
+    }
+    path = tmp_path / "diagnosis.json"
+    path.write_text(json.dumps(old))
+    assert read_diagnosis(path)["verdict"] == {
+        "kind": "ambiguous",
+        "effects": [],
+        "one_of": [["a"], ["b"]],
+        "port": None,
+    }

@@ -79,7 +79,7 @@ def found(folder: Path) -> list[object]:
 def test_an_fmu_that_misbehaves_in_a_region_does_not_stop_the_search(build, tmp_path, kind):
     fmu = build(2, defines=(f"BAD={FAULTS[kind]}",))
     folder = campaign(fmu, tmp_path / "bench", evaluations=12)
-    limits = ["--workers", "2", "--time-limit", "1.5", "--memory-limit", "200"]
+    limits = ["--workers", "2", "--time-limit", "4", "--memory-limit", "200"]
     done = subprocess.run(command(folder, *limits), capture_output=True, text=True, timeout=600, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     near, both = found(folder)

@@ -26,13 +26,14 @@ def print_validation(found: DiagnosisValidation, answer: Mapping[str, Any], prin
     """Print what the corrected model is and which runs judge it, errors by run and signal, then gaps by run."""
     from fmuid.diagnosis.validation import closure
 
-    named = answer["verdict"]["effects"]
-    if not named:
-        printer.say("corrected: nothing, for the diagnosis names no effect; both are the nominal model refitted")
-    elif answer["verdict"]["kind"] == "ambiguous":
-        printer.say(f"corrected: with the first of {', '.join(named)}, which could not be distinguished")
+    verdict = answer["verdict"]
+    if verdict["one_of"]:
+        named = [*verdict["effects"], *verdict["one_of"][0]]
+        printer.say(f"corrected: with {' and '.join(named)}, one of {len(verdict['one_of'])} possible answers")
+    elif verdict["effects"]:
+        printer.say(f"corrected: with {' and '.join(verdict['effects'])}")
     else:
-        printer.say(f"corrected: with {' and '.join(named)}")
+        printer.say("corrected: nothing, for the diagnosis names no effect; both are the nominal model refitted")
     if found.used is None:
         printer.say("the diagnosis does not say which runs it was made from; those below may be among them")
     elif found.used:

@@ -76,16 +76,21 @@ class Calibration:
         """What the probabilities rest on, in a sentence."""
         return f"Probabilities are calibrated on {self.trials} simulated plants {self.source}."
 
-    def apply(self, verdict: Verdict, probability: Mapping[str, float]) -> dict[str, float]:
-        """Return the probabilities with what the verdict says scaled to how often such verdicts are right."""
-        head = says(verdict)
-        weight = sum(probability[name] for name in head)
+    def apply(
+        self, verdict: Verdict, probability: Mapping[tuple[str, ...], float]
+    ) -> dict[tuple[str, ...], float]:
+        """Return the probabilities of answers, with those that the verdict leaves open scaled.
+
+        Together they have how often such verdicts are right.
+        """
+        weight = says(verdict, probability)
         if verdict.kind not in self.curves or not 0.0 < weight < 1.0:
             return dict(probability)
         offset, slope = self.curves[verdict.kind]
         sure = float(np.clip(expit(offset + slope * logit(np.clip(weight, _EDGE, 1 - _EDGE))), _EDGE, 1 - _EDGE))
         inside, outside = sure / weight, (1.0 - sure) / (1.0 - weight)
-        return {name: p * (inside if name in head else outside) for name, p in probability.items()}
+        said = {frozenset(a) for a in verdict.answers}
+        return {name: p * (inside if frozenset(name) in said else outside) for name, p in probability.items()}
 
     def to_dict(self) -> dict[str, Any]:
         """Return its JSON value."""
@@ -93,11 +98,17 @@ class Calibration:
         return {"format": "fmuid-calibration", "version": 1, "trials": self.trials, "curves": curves}
 
 
-def says(verdict: Verdict) -> frozenset[str]:
-    """Return the names among the probabilities that a verdict says are true, or one of which is."""
-    if verdict.effects:
-        return frozenset(verdict.effects)
-    return frozenset({"unknown" if verdict.kind == "unknown" else "none"})
+def says(verdict: Verdict, probability: Mapping[tuple[str, ...], float]) -> float:
+    """Return the probability of the answers that a verdict leaves open, one of which it takes to be true."""
+    said = {frozenset(answer) for answer in verdict.answers}
+    return sum(p for answer, p in probability.items() if frozenset(answer) in said)
+
+
+def is_true(verdict: Verdict, truth: frozenset[str]) -> bool:
+    """Return whether one of a verdict's answers is `truth`; of a partial one, whether it is a part of it."""
+    if verdict.kind == "partial":
+        return set(verdict.effects) <= truth
+    return truth in {frozenset(answer) for answer in verdict.answers}
 
 
 def fit_curves(trials: Sequence[Trial], source: str) -> Calibration:
@@ -278,7 +289,7 @@ def calibrate(
     subject: Subject,
     fit: Refit,
     paths: Mapping[str, tuple[FloatArray, ...]],
-    diagnose: Callable[[Subject], tuple[Verdict, Mapping[str, float]]],
+    diagnose: Callable[[Subject], tuple[Verdict, Mapping[tuple[str, ...], float]]],
     *,
     count: int,
     seed: int = 0,
@@ -289,8 +300,5 @@ def calibrate(
     for k, (plant, truth) in enumerate(simulated_plants(subject, fit, paths, count, seed=seed)):
         say(f"calibrating on simulated plant {k + 1} of {count}", k / count)
         verdict, probability = diagnose(plant)
-        said = says(verdict)
-        right = bool(said & truth) if verdict.kind == "ambiguous" else said <= truth
-        weight = sum(probability[name] for name in said)
-        trials.append(Trial(verdict.kind, weight, right))
+        trials.append(Trial(verdict.kind, says(verdict, probability), is_true(verdict, truth)))
     return trials

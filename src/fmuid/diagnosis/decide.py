@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
+from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import advantage, closure
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import OWN_PAST, Decoy
 from fmuid.diagnosis.refit import Unknown
-from fmuid.diagnosis.scores import stack
+from fmuid.diagnosis.verdict import NONE, UNKNOWN, Kind
 
 # Calibrated on the virtual rig (`make blind`), never on data whose answer is to be found.
 GAP_THAT_MATTERS = 0.25  # floors: smaller gaps are within what sampling and discretisation of a rig leave
@@ -29,23 +30,30 @@ SAME = 4.0  # models whose predictions differ by fewer standard deviations canno
 _BLOCK = 20.0  # samples of model error that carry as much as one of noise
 
 
-def separation(a: Fitted, b: Fitted, observed: Observed) -> float:
+def separation(a: Fitted, b: Fitted, observed: Observed, *, without: int | None = None) -> float:
     """Return by how many standard deviations the data prefer `a` to `b` (negative: `b` to `a`).
 
     The predictions of the two models differ by D sigma; if one of them is true the difference of their costs is
     D^2 with a standard deviation of 2 D. What even the better of the two leaves unexplained counts as noise as
-    well, and is far from white: `_BLOCK` of its samples count as one.
+    well, and is far from white: `_BLOCK` of its samples count as one. With `without`, the data are all but one
+    experiment.
     """
-    ra, rb = stack(a.fit.residuals, observed), stack(b.fit.residuals, observed)
+    ra, rb = (_stacked(f, observed, without) for f in (a, b))
     difference = float(np.linalg.norm(ra - rb))
     if difference == 0.0:
         return 0.0
     left = float(np.mean(observed.repeats)) * min(a.gap, b.gap) ** 2
     spread = 1.0 + _BLOCK * left
+    costs = float(ra @ ra), float(rb @ rb)
     if observed.bounded:  # what is left may be noise as well, and is not even
-        better = ra if a.fit.cost <= b.fit.cost else rb
+        better = ra if costs[0] <= costs[1] else rb
         spread *= max(1.0, float((ra - rb) ** 2 @ better**2) / difference**2)
-    return (b.fit.cost - a.fit.cost) / (2.0 * difference * float(np.sqrt(spread)))
+    return (costs[1] - costs[0]) / (2.0 * difference * float(np.sqrt(spread)))
+
+
+def _stacked(fitted: Fitted, observed: Observed, without: int | None) -> FloatArray:
+    parts = zip(fitted.fit.residuals, observed.repeats, strict=True)
+    return np.concatenate([np.sqrt(n) * r for e, (r, n) in enumerate(parts) if e != without])
 
 
 def best_of(candidates: Sequence[Fitted]) -> Fitted:
@@ -55,16 +63,34 @@ def best_of(candidates: Sequence[Fitted]) -> Fitted:
     return min(close, key=lambda c: float(np.average(c.held_out.loss, weights=c.held_out.size)))
 
 
-def indistinguishable(best: Fitted, candidates: Sequence[Fitted], observed: Observed) -> tuple[Fitted, ...]:
-    """Return the candidates of the same number of effects that the data do not prefer `best` to, itself first."""
-    others = [
-        c
-        for c in candidates
-        if set(c.names) != set(best.names)
-        and len(c.names) == len(best.names)
-        and separation(best, c, observed) < SAME
-    ]
-    return (best, *sorted(others, key=lambda c: c.fit.cost))
+def survivors(best: Fitted, candidates: Sequence[Fitted], observed: Observed) -> tuple[Fitted, ...]:
+    """Return the answers that the data leave open, `best` first: sets of as many effects that fit about as well.
+
+    The data do not prefer `best` to them, and they leave about as much of the gap: what closes far less is no
+    answer, however little the data say.
+    """
+    most = ABOUT_AS_WELL * best.gap + GAP_THAT_MATTERS
+    found = {frozenset(best.names): best}
+    for c in sorted(candidates, key=lambda c: c.fit.cost):
+        if len(c.names) == len(best.names) and c.gap <= most and separation(best, c, observed) < SAME:
+            found.setdefault(frozenset(c.names), c)
+    return tuple(found.values())
+
+
+def stable(surviving: Sequence[Fitted], rivals: Sequence[Fitted], observed: Observed) -> bool | None:
+    """Return whether without any single experiment the data still prefer no rival to the surviving answers.
+
+    That an experiment takes the evidence with it is no contradiction. None with fewer than three experiments.
+    """
+    if len(observed.runs) < 3:
+        return None
+    named = {frozenset(s.names) for s in surviving}
+    others = [r for r in rivals if frozenset(r.names) not in named and len(r.names) <= len(surviving[0].names)]
+    return all(
+        separation(surviving[0], rival, observed, without=e) > -SAME
+        for e in range(len(observed.runs))
+        for rival in others
+    )
 
 
 def worth_adding(before: Fitted, after: Fitted) -> bool:
@@ -131,7 +157,7 @@ def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy], ports: S
     decoys = [d for d in decoys if (d.port in ports if lumped else d.over != OWN_PAST or d.port not in ports)]
     if not decoys or (closure(nominal.held_out, best.held_out) >= CLOSURE_BEYOND_DECOYS and not lumped):
         return None
-    decoy = min(decoys, key=lambda d: float(np.average(d.held_out.loss, weights=d.held_out.size)))
+    decoy = min(decoys, key=lambda d: d.loss)
     if lumped:  # one law of one variable that nobody has named, in place of two that have been
         return decoy if decoy.held_out.gap <= ABOUT_AS_WELL * best.held_out.gap else None
     gained, error = advantage(decoy.held_out, best.held_out)
@@ -140,43 +166,75 @@ def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy], ports: S
     return None
 
 
-def probabilities(
-    nominal: Fitted,
-    candidates: Sequence[Fitted],
-    best: Fitted | None,
-    observed: Observed,
-    *,
-    present: bool,
-    unknown: bool,
-    effect_ids: Sequence[str],
-) -> Mapping[str, float]:
-    """Return the probability of every effect, of ``none`` and of ``unknown``; they sum to 1.
+def needed_beside(alone: Sequence[Decoy], beside: Sequence[Decoy], nominal: Fitted) -> bool:
+    """Return whether effects explain what no free function does, though one explains much of the gap without them.
 
-    Weights fall with the square of the separation from the best candidate; ``unknown`` weighs as much as its
-    closure leaves open.
+    `beside` are free functions fitted beside the effects: the best of them must leave hardly anything, and much
+    less than the best of those `alone`. Else the effects only imitate what the free function is.
     """
-    weight = dict.fromkeys((*effect_ids, "none", "unknown"), 1e-3)
-    if not present:
-        weight["none"] = 1.0
-        shift = max(0.0, nominal.gap / GAP_THAT_MATTERS) ** 2
-        if best is not None:
-            for name in best.names:
-                weight[name] = max(weight[name], 0.15 * shift)
-    elif best is not None:
-        closed = float(np.clip(closure(nominal.held_out, best.held_out), 0.0, 1.0))
-        weight["unknown"] = 0.95 if unknown else max(0.02, _doubt(closed))
-        share = max(1e-3, 0.05 if unknown else closed)
-        for candidate in candidates:
-            if len(candidate.names) != len(best.names):
-                continue
-            same = set(candidate.names) == set(best.names)
-            z = 0.0 if same else max(0.0, separation(best, candidate, observed))
-            for name in candidate.names:
-                weight[name] = max(weight[name], share * float(np.exp(-0.5 * z**2)))
-    else:
-        weight["unknown"] = 1.0
-    total = sum(weight.values())
-    return {name: w / total for name, w in weight.items()}
+    first, second = (min(decoys, key=lambda d: d.loss) for decoys in (alone, beside))
+    gained, error = advantage(second.held_out, first.held_out)
+    return (
+        gained > error
+        and second.held_out.gap < DECOY_MARGIN * first.held_out.gap
+        and closure(nominal.held_out, second.held_out) >= CLOSURE_BEYOND_DECOYS
+    )
+
+
+def of_its_law(best: Fitted, alone: Sequence[Decoy], beside: Sequence[Decoy], ports: Sequence[str]) -> bool:
+    """Return whether what `best` leaves is due to the shape of its own law.
+
+    That is: beside it, a free function at one of its `ports` takes away much of what is left, about as much as
+    any; and that function by itself does about as well as `best`, so that it is of the variable of that law.
+    """
+    if not beside:
+        return False
+    least = min(d.held_out.gap for d in beside)
+    return any(
+        {first.port, *first.alike} & set(ports)
+        and second.held_out.gap <= ABOUT_AS_WELL * least
+        and second.held_out.gap < DECOY_MARGIN * best.held_out.gap
+        and first.held_out.gap <= ABOUT_AS_WELL * best.held_out.gap
+        for first, second in zip(alone, beside, strict=True)
+    )
+
+
+def places(nominal: Fitted, decoys: Sequence[Decoy]) -> tuple[str, ...]:
+    """Return the ports at which free functions close the gap about as well as anywhere, the best first."""
+    left: dict[str, float] = {}
+    for d in sorted(decoys, key=lambda d: d.loss):
+        for port in (d.port, *d.alike):
+            left.setdefault(port, d.held_out.gap)
+    if not left:
+        return ()
+    most = min(ABOUT_AS_WELL * min(left.values()), (1.0 - CLOSURE_THAT_PLACES) * nominal.held_out.gap)
+    return tuple(port for port, gap in left.items() if gap <= most)
+
+
+def weigh(
+    nominal: Fitted, surviving: Sequence[Fitted], observed: Observed, kind: Kind
+) -> dict[tuple[str, ...], float]:
+    """Return the probability of every surviving answer, of `NONE` and of `UNKNOWN`, before they are calibrated.
+
+    Weights fall with the square of the separation from the best answer; `UNKNOWN` weighs as much as its closure
+    leaves open.
+    """
+    closed = float(np.clip(closure(nominal.held_out, surviving[0].held_out), 0.0, 1.0)) if surviving else 0.0
+    match kind:
+        case "complete":
+            none, unknown, named = 1.0, 1e-3, 0.15 * max(0.0, nominal.gap / GAP_THAT_MATTERS) ** 2
+        case "insufficient":
+            none, unknown, named = 0.5, 0.5, 0.05
+        case "unknown":
+            none, unknown, named = 1e-3, 0.95, 0.05
+        case _:
+            none, unknown, named = 1e-3, max(0.02, _doubt(closed)), max(1e-3, closed)
+    weights: dict[tuple[str, ...], float] = {NONE: none, UNKNOWN: unknown}
+    for s in surviving:
+        z = max(0.0, separation(surviving[0], s, observed))
+        weights[s.names] = max(1e-6, named * float(np.exp(-0.5 * z**2)))
+    total = sum(weights.values())
+    return {effects: w / total for effects, w in weights.items()}
 
 
 def _doubt(closed: float) -> float:

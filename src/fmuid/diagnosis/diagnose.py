@@ -8,39 +8,61 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmuid.core.errors import SimulationError
-from fmuid.core.formatting import html_lines, html_table, text_table
+from fmuid.core.formatting import html_lines, html_table, range_text, text_table
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.calibration import Calibration, shipped
 from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, score_further
 from fmuid.diagnosis.cross_validation import closure, closure_interval, in_sample
 from fmuid.diagnosis.effect_search import Say, aliases, finished, search
+from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.localisation import ExcessMap, excess_map
 from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
-from fmuid.diagnosis.null_distribution import Null, draw_noise
+from fmuid.diagnosis.null_distribution import NoiseDraws, Null, draw_noise
 from fmuid.diagnosis.observed import excess, gap
-from fmuid.diagnosis.ports import Decoy, fit_decoys
+from fmuid.diagnosis.ports import Decoy, fit_decoys, responses_of
 from fmuid.diagnosis.power import smallest_seen
 from fmuid.diagnosis.regimes import bases, folded, own_bases, trajectories
 from fmuid.diagnosis.scores import Score, nominal_basis
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.summary import likeliest, summary
-from fmuid.diagnosis.verdict import Candidate, Diagnosis, Gap, Kind, Verdict
+from fmuid.diagnosis.verdict import (
+    NONE,
+    UNKNOWN,
+    Answer,
+    Candidate,
+    Closure,
+    Diagnosis,
+    Gap,
+    Kind,
+    PhysicalGap,
+    Rest,
+    Verdict,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """A diagnosis with what its pictures need."""
+    """A diagnosis with what its pictures need.
+
+    `best` is the model that fits best, named or not; `surviving` are the answers that are named, the best first.
+    """
 
     diagnosis: Diagnosis
     subject: Subject
     nominal: Fitted
     best: Fitted | None
+    surviving: tuple[Fitted, ...]
     candidates: tuple[Fitted, ...]
     scores: tuple[Score, ...]
     decoys: tuple[Decoy, ...]
     excess: ExcessMap
     paths: Mapping[str, tuple[FloatArray, ...]]
+
+    @property
+    def corrected(self) -> Fitted:
+        """The best answer; the nominal model if none is named."""
+        return self.surviving[0] if self.surviving else self.nominal
 
     def __str__(self) -> str:
         """Return verdict, place and size of the gap, and the likeliest effects."""
@@ -54,6 +76,42 @@ class Found:
 
 def _quiet(_: str, __: float) -> None:
     return None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What speaks for a gap.
+
+    Attributes
+    ----------
+    present
+        Whether it is more than noise, and matters.
+    p_value
+        Of the nominal model refitted, under noise alone.
+    null
+        What noise alone would leave.
+    power
+        By effect, its parameters' values from which on it would have been seen.
+    """
+
+    present: bool
+    p_value: float
+    null: Null
+    power: Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judgement:
+    """The verdict, the answers that survive, and the free functions that were held against them."""
+
+    verdict: Verdict
+    surviving: tuple[Fitted, ...] = ()
+    alone: tuple[Decoy, ...] = ()
+
+    @property
+    def named(self) -> tuple[Fitted, ...]:
+        """The surviving answers, if the verdict names any."""
+        return self.surviving if self.verdict.kind in ("effect", "partial", "ambiguous") else ()
 
 
 def diagnose_subject(
@@ -79,224 +137,258 @@ def diagnose_subject(
     """
     model, observed = subject.model, subject.observed
     say("nominal model at its start values", 0.0)
-    (begin,) = model.predict([{u.name: u.start for u in subject.nominal}])
-    if isinstance(begin, SimulationError):
-        raise begin
+    begin = _prediction(subject, {u.name: u.start for u in subject.nominal})
     say("refitting the nominal parameters", 0.02)
     nominal = fit_effects(subject, (), [{}])
     if nominal is None:
         raise SimulationError("the nominal model cannot be refitted", fix="check its start values")
     say("where the gap lies", 0.08)
     paths = trajectories(model, nominal.fit.values, subject.catalogue.regimes)
-    (prediction,) = model.predict([nominal.fit.values])
-    if isinstance(prediction, SimulationError):
-        raise prediction
+    prediction = _prediction(subject, nominal.fit.values)
     energy = excess_map(observed, prediction, folded(paths, subject.catalogue.regimes))
     say("scoring every effect", 0.1)
     scores = score_further(subject, nominal)
-    basis = nominal_basis(nominal.fit, observed)
-    signatures = {s.effect: s.signature for s in scores if s.signature is not None}
     noise = draw_noise(observed, seed=seed)
-    null = noise.null(basis, list(signatures.values()))
-    surplus = excess(nominal.fit.residuals, observed)
+    evidence = _evidence(subject, nominal, scores, noise)
+    candidates, best = search(subject, nominal, scores, noise, say, present=evidence.present)
+    judgement = _judge(subject, nominal, best, candidates, scores, noise, evidence, paths, say)
+    say("deciding", 0.95)
+    verdict = judgement.verdict
+    weights = decide.weigh(nominal, judgement.surviving, observed, verdict.kind)
+    calibrated = shipped() if calibration is None else calibration
+    probability = calibrated.apply(verdict, weights)
+    corrected = judgement.named[0] if judgement.named else nominal
+    ambiguous = verdict.kind == "ambiguous"
+    following = suggest(subject, judgement.surviving) if ambiguous else None
+    beyond = 1.0 if following is None else following.separation_sigma
+    closing = _Closing(subject, nominal, prediction, evidence.null)
+    answers = [
+        Answer(s.names, probability[s.names], closing(s)) for s in judgement.surviving if s.names in probability
+    ]
+    answers += [Answer(name, probability[name]) for name in (NONE, UNKNOWN)]
+    diagnosis = Diagnosis(
+        verdict=verdict,
+        gap=Gap(
+            present=evidence.present,
+            p_value=evidence.p_value,
+            nominal=gap(observed.residuals(begin), observed),
+            nominal_refit=nominal.gap,
+            corrected=corrected.gap,
+            floor_units={c: s for noise in observed.noise.values() for c, s in noise.sigma.items()},
+            calibrated=all(n.calibrated for n in observed.noise.values()),
+        ),
+        where=energy.shares(),
+        answers=tuple(sorted(answers, key=lambda a: -a.probability)),
+        effects=_candidates(subject, candidates, judgement.surviving, scores, probability, closing),
+        alias_classes=aliases(subject, nominal, candidates, scores),
+        model={**model.expanded(corrected.fit.values)},
+        next_experiment=following,
+        added_sensor=sensor_to_add(subject, judgement.surviving, beyond=beyond) if ambiguous else None,
+        port_closures=_port_closures(nominal, judgement.alone),
+        power=evidence.power,
+        notes=(*subject.findings, *((calibrated.note,) if calibrated.trials else ())),
+        outliers=subject.outliers,
+    )
+    return Found(
+        diagnosis,
+        subject,
+        nominal,
+        best,
+        judgement.named,
+        tuple(candidates),
+        tuple(scores),
+        judgement.alone,
+        energy,
+        paths,
+    )
+
+
+def _prediction(subject: Subject, values: Mapping[str, float]) -> Prediction:
+    (outcome,) = subject.model.predict([values])
+    if isinstance(outcome, SimulationError):
+        raise outcome
+    return outcome
+
+
+def _evidence(subject: Subject, nominal: Fitted, scores: Sequence[Score], noise: NoiseDraws) -> Evidence:
+    observed = subject.observed
+    signatures = [s.signature for s in scores if s.signature is not None]
+    null = noise.null(nominal_basis(nominal.fit, observed), signatures)
     by_experiment = max(
         float(np.sqrt(max(0.0, r @ r / r.size - 1.0 / n)))
         for r, n in zip(nominal.fit.residuals, observed.repeats, strict=True)
     )
     matters = nominal.gap > decide.GAP_THAT_MATTERS or by_experiment > 3 * decide.GAP_THAT_MATTERS
     largest = max((s.drop for s in scores), default=0.0)
-    p_value = null.p_value(surplus, largest / decide.SCORE_MARGIN)
-    present = matters and p_value < decide.SIGNIFICANCE
+    p_value = null.p_value(excess(nominal.fit.residuals, observed), largest / decide.SCORE_MARGIN)
     needed = decide.GAP_THAT_MATTERS**2 * sum(
         n * r.size for n, r in zip(observed.repeats, nominal.fit.residuals, strict=True)
     )
     threshold = max(decide.SCORE_MARGIN * null.threshold(), needed)
-    seen = smallest_seen(scores, subject.effects, nominal.fit, observed, threshold=threshold)
-    powerless = len(observed.folds) < 2 or not (present or seen)
-    candidates, best = search(subject, nominal, scores, noise, say, present=present)
-    done = present and best is not None and finished(subject, best, scores, noise)
-    decoys: tuple[Decoy, ...] = ()
-    places = {e.port for e in subject.effects if best is not None and e.id in best.names}
-    doubtful = best is None or not decide.beyond_doubt(nominal, best, finished=done)
-    if (
-        present
-        and best is not None
-        and (decide.strained(best, subject.effects) or len(best.names) > len(places) == 1)
-    ):
-        doubtful = True  # a law beyond its shape, or two where one may do
-    if present and doubtful:
-        say("free functions at every port", 0.75)
-        regimes, ports = subject.catalogue.regimes, subject.catalogue.ports
-        own = {name: own_bases(paths, regimes, name) for name in ports}
-        decoys = fit_decoys(
-            model, observed, nominal.fit, ports=tuple(ports.values()), bases=bases(paths, regimes), own=own
-        )
-    say("deciding", 0.95)
-    return _conclude(
-        subject,
-        begin=begin,
-        nominal=nominal,
-        best=best,
-        candidates=candidates,
-        scores=scores,
-        decoys=decoys,
-        energy=energy,
-        paths=paths,
-        present=present,
-        p_value=p_value,
-        seen=seen,
-        powerless=powerless,
-        done=done,
-        calibration=shipped() if calibration is None else calibration,
-        null=null,
-    )
+    power = smallest_seen(scores, subject.effects, nominal.fit, observed, threshold=threshold)
+    return Evidence(matters and p_value < decide.SIGNIFICANCE, p_value, null, power)
 
 
-def _conclude(
+def _judge(
     subject: Subject,
-    *,
-    begin: Sequence[FloatArray],
     nominal: Fitted,
     best: Fitted | None,
     candidates: Sequence[Fitted],
     scores: Sequence[Score],
-    decoys: Sequence[Decoy],
-    energy: ExcessMap,
+    noise: NoiseDraws,
+    evidence: Evidence,
     paths: Mapping[str, tuple[FloatArray, ...]],
-    present: bool,
-    p_value: float,
-    seen: Mapping[str, Mapping[str, float]],
-    powerless: bool,
-    done: bool,
-    calibration: Calibration,
-    null: Null,
-) -> Found:
+    say: Say,
+) -> Judgement:
+    """Return the verdict: what survives, what free functions say against it, and what it leaves."""
     observed = subject.observed
-    ports = {e.id: e.port for e in subject.effects}
-    named = [ports[n] for n in best.names] if best is not None else []
-    decoy = decide.unexplained(nominal, best or nominal, decoys, named) if present else None
-    alike = decide.indistinguishable(best, candidates, observed) if best is not None else ()
-    unknown = present and (
-        decoy is not None
-        or best is None
-        or decide.strained(best, subject.effects)
-        or not decide.names(nominal, best, finished=done)
+    powerless = len(observed.folds) < 2 or not (evidence.present or evidence.power)
+    surviving = () if best is None else decide.survivors(best, candidates, observed)
+    if powerless or not evidence.present:
+        return Judgement(Verdict("insufficient" if powerless else "complete"), surviving[:1])
+    done = best is not None and finished(subject, best, scores, noise)
+    at = {e.id: e.port for e in subject.effects}
+    named = tuple(dict.fromkeys(at[n] for s in surviving for n in s.names))
+    own = [at[n] for n in best.names] if best is not None else []
+    named_at_all = (
+        best is not None
+        and decide.names(nominal, best, finished=done)
+        and not decide.strained(best, subject.effects)
     )
-    place = _strongest(nominal, best, named, decoys) if unknown else None
-    if powerless:
-        verdict, chosen = Verdict("insufficient"), nominal
-    elif not present:
-        verdict, chosen = Verdict("complete"), nominal
-    elif unknown or best is None:
+    alone: tuple[Decoy, ...] = ()
+    beside: tuple[Decoy, ...] = ()
+    lumped = len(own) > len(set(own)) == 1  # two laws where one may do
+    if best is None or not named_at_all or lumped or not decide.beyond_doubt(nominal, best, finished=done):
+        say("free functions at every port", 0.75)
+        regimes, catalogued = subject.catalogue.regimes, subject.catalogue.ports
+        responses = responses_of(
+            subject.model,
+            observed,
+            nominal.fit,
+            ports=tuple(catalogued.values()),
+            bases=bases(paths, regimes),
+            own={name: own_bases(paths, regimes, name) for name in catalogued},
+        )
+        alone = fit_decoys(responses, nominal.fit, observed)
+        beside = fit_decoys(responses, best.fit, observed) if best is not None and named_at_all else ()
+    decoy = decide.unexplained(nominal, best or nominal, alone, own)
+    imitated = decoy is not None and not (not lumped and beside and decide.needed_beside(alone, beside, nominal))
+    if best is None or not named_at_all or imitated:
         # Without repeats what no effect explains may be slow noise.
         kind: Kind = "insufficient" if observed.bounded else "unknown"
-        verdict, chosen = Verdict(kind, (), place), nominal
-    elif len(alike) > 1:
-        names = tuple(dict.fromkeys(n for c in alike for n in c.names))
-        places = {ports[n] for n in names}
-        verdict, chosen = Verdict("ambiguous", names, places.pop() if len(places) == 1 else None), best
-    else:
-        verdict, chosen = Verdict("effect", best.names, ports[best.names[0]]), best
-    weights = decide.probabilities(
-        nominal,
-        candidates,
-        best,
-        observed,
-        present=present,
-        unknown=unknown,
-        effect_ids=[e.id for e in subject.effects],
-    )
-    probability = calibration.apply(verdict, weights)
-    following = suggest(subject, alike) if verdict.kind == "ambiguous" else None
-    beyond = 1.0 if following is None else following.separation_sigma
-    diagnosis = Diagnosis(
-        verdict=verdict,
-        gap=Gap(
-            present=present,
-            p_value=p_value,
-            nominal=gap(observed.residuals(begin), observed),
-            nominal_refit=nominal.gap,
-            corrected=chosen.gap,
-            floor_units={c: s for noise in observed.noise.values() for c, s in noise.sigma.items()},
-            calibrated=all(n.calibrated for n in observed.noise.values()),
-        ),
-        where=energy.shares(),
-        effects=_candidates(
-            subject,
-            nominal=nominal,
-            best=best,
-            candidates=candidates,
-            scores=scores,
-            probability=probability,
-            null=null,
-        ),
-        alias_classes=aliases(subject, nominal, candidates, scores),
-        model={**subject.model.expanded(chosen.fit.values)},
-        next_experiment=following,
-        added_sensor=sensor_to_add(subject, alike, beyond=beyond) if verdict.kind == "ambiguous" else None,
-        ports=_port_shares(nominal, decoys),
-        smallest_seen=seen,
-        notes=(*subject.findings, *((calibration.note,) if calibration.trials else ())),
-    )
-    return Found(diagnosis, subject, nominal, best, tuple(candidates), tuple(scores), tuple(decoys), energy, paths)
+        return Judgement(Verdict(kind, ports=decide.places(nominal, alone)), surviving, alone)
+    stable = decide.stable(surviving, [nominal, *candidates], observed)
+    rest = None if done else Rest(best.gap, _where_left(subject, best, paths, beside))
+    if decoy is not None or (rest is not None and beside and not decide.of_its_law(best, alone, beside, own)):
+        return Judgement(
+            Verdict("partial", best.names, (), tuple(dict.fromkeys(own)), stable, rest), (best,), alone
+        )
+    if len(surviving) == 1:
+        return Judgement(Verdict("effect", best.names, (), named, stable, rest), surviving, alone)
+    common = set.intersection(*(set(s.names) for s in surviving))
+    one_of = tuple(tuple(n for n in s.names if n not in common) for s in surviving)
+    shared = tuple(n for n in best.names if n in common)
+    return Judgement(Verdict("ambiguous", shared, one_of, named, stable, rest), surviving, alone)
+
+
+def _where_left(
+    subject: Subject, best: Fitted, paths: Mapping[str, tuple[FloatArray, ...]], beside: Sequence[Decoy]
+) -> str:
+    """Return in words where most of what `best` leaves lies, and at which port a free function closes most."""
+    regimes = folded(paths, subject.catalogue.regimes)
+    energy = excess_map(subject.observed, _prediction(subject, best.fit.values), regimes)
+    shares = energy.shares(1)
+    words = ""
+    if shares:
+        words = f"{shares[0].signal} in {shares[0].experiment}"
+        if shares[0].regime is not None:
+            variable, low, high = shares[0].regime
+            words += f", {variable} {range_text(low, high)}"
+    port = min(beside, key=lambda d: d.loss).port if beside else ""
+    return words + (f" (a free function at {port} closes most of it)" if port else "")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Closing:
+    """How far models close the gap that the refitted nominal one leaves."""
+
+    subject: Subject
+    nominal: Fitted
+    prediction: Prediction
+    null: Null
+
+    def __call__(self, fitted: Fitted) -> Closure:
+        nominal = self.nominal
+        return Closure(
+            1.0 - fitted.gap / nominal.gap if nominal.gap > 0 else 0.0,
+            closure(nominal.held_out, fitted.held_out),
+            self._interval(fitted),
+            self._physical(fitted),
+        )
+
+    def _interval(self, fitted: Fitted) -> tuple[float, float]:
+        """Return from where to where the closure on new runs is to be expected.
+
+        Predicting an experiment from the others alone is harder than new runs are for a model that has seen all,
+        and those are harder than the runs it was fitted to: the lower end is of the first, the upper of the last.
+        """
+        noise = self.null.excess
+        low, high = closure_interval(self.nominal.held_out, fitted.held_out, noise=noise)
+        seen = [in_sample(model.fit, self.subject.observed) for model in (self.nominal, fitted)]
+        return low, max(high, closure_interval(seen[0], seen[1], noise=noise)[1])
+
+    def _physical(self, fitted: Fitted) -> dict[str, PhysicalGap]:
+        sums: dict[str, FloatArray] = {}
+        units: dict[str, str] = {}
+        after = _prediction(self.subject, fitted.fit.values)
+        observed = self.subject.observed
+        for case, run, *predictions in zip(
+            self.subject.model.cases, observed.runs, self.prediction, after, strict=True
+        ):
+            for c, channel in enumerate(case.channels):
+                count = float(run.mask[c].sum())
+                sigma = observed.noise[run.setup].of_mean(run.n_repeats)[c]
+                squares = [float(np.sum(((p[c] - run.mean[c]) * run.mask[c]) ** 2)) for p in predictions]
+                own = np.array([count, *squares, count * sigma**2])
+                sums[channel.signal] = sums.get(channel.signal, np.zeros(4)) + own
+                units[channel.signal] = channel.unit or ""
+        return {
+            name: PhysicalGap(units[name], *(float(np.sqrt(x / total[0])) for x in total[1:]))
+            for name, total in sums.items()
+        }
 
 
 def _candidates(
     subject: Subject,
-    *,
-    nominal: Fitted,
-    best: Fitted | None,
     candidates: Sequence[Fitted],
+    surviving: Sequence[Fitted],
     scores: Sequence[Score],
-    probability: Mapping[str, float],
-    null: Null,
+    probability: Mapping[tuple[str, ...], float],
+    closing: _Closing,
 ) -> tuple[Candidate, ...]:
-    # An effect is credited with what it closes alone; those of the verdict with what they close together.
+    # An effect is credited with what it closes alone; those of an answer with what they close together.
     best_with = {fitted.names[0]: fitted for fitted in candidates if len(fitted.effects) == 1}
-    if best is not None:
-        best_with |= dict.fromkeys(best.names, best)
+    for answer in reversed(surviving):
+        best_with |= dict.fromkeys(answer.names, answer)
     drops = {s.effect: s.drop for s in scores}
+    known = {id(fitted): (closing(fitted), estimates(fitted, subject)) for fitted in best_with.values()}
     found = []
-    for name, p in probability.items():
-        fitted_with = best_with.get(name)
-        closing = None
-        parameters = {}
-        if fitted_with is not None:
-            train = 1.0 - fitted_with.gap / nominal.gap if nominal.gap > 0 else 0.0
-            closing = (
-                train,
-                closure(nominal.held_out, fitted_with.held_out),
-                _interval(subject, nominal, fitted_with, null),
-            )
-            own = {u.name for e in subject.effects if e.id == name for u in e.unknowns}
-            parameters = {n: e for n, e in estimates(fitted_with, subject).items() if n in own}
-        found.append(Candidate(name, p, drops.get(name), closing, parameters))
+    for effect in subject.effects:
+        inclusion = sum(p for names, p in probability.items() if effect.id in names)
+        fitted = best_with.get(effect.id)
+        if fitted is None:
+            found.append(Candidate(effect.id, inclusion, drops.get(effect.id)))
+            continue
+        closed, values = known[id(fitted)]
+        parameters = {u.name: values[u.name] for u in effect.unknowns if u.name in values}
+        found.append(Candidate(effect.id, inclusion, drops.get(effect.id), closed, parameters))
     return tuple(sorted(found, key=lambda c: -c.probability))
 
 
-def _interval(subject: Subject, nominal: Fitted, fitted: Fitted, null: Null) -> tuple[float, float]:
-    """Return from where to where the closure on new runs is to be expected.
-
-    Predicting an experiment from the others alone is harder than new runs are for a model that has seen all, and
-    those are harder than the runs it was fitted to: the lower end is of the first, the upper of the last.
-    """
-    low, high = closure_interval(nominal.held_out, fitted.held_out, noise=null.excess)
-    seen = [in_sample(model.fit, subject.observed) for model in (nominal, fitted)]
-    return low, max(high, closure_interval(seen[0], seen[1], noise=null.excess)[1])
-
-
-def _strongest(nominal: Fitted, best: Fitted | None, named: Sequence[str], decoys: Sequence[Decoy]) -> str | None:
-    """Return the port where free functions, or effects, close most of the held-out gap; None if none do."""
-    shares = _port_shares(nominal, decoys)
-    if best is not None and len(set(named)) == 1:
-        shares[named[0]] = max(shares.get(named[0], 0.0), closure(nominal.held_out, best.held_out))
-    port = max(shares, key=lambda p: shares[p], default=None)
-    return port if port is not None and shares[port] >= decide.CLOSURE_THAT_PLACES else None
-
-
-def _port_shares(nominal: Fitted, decoys: Sequence[Decoy]) -> dict[str, float]:
+def _port_closures(nominal: Fitted, decoys: Sequence[Decoy]) -> dict[str, float]:
     """Return by port the largest share of the gap that a free function there closes on held-out experiments."""
     shares: dict[str, float] = {}
     for decoy in decoys:
-        shares[decoy.port] = max(shares.get(decoy.port, 0.0), closure(nominal.held_out, decoy.held_out))
+        for port in (decoy.port, *decoy.alike):
+            shares[port] = max(shares.get(port, 0.0), closure(nominal.held_out, decoy.held_out))
     return shares

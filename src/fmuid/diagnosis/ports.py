@@ -54,26 +54,46 @@ class Port:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Decoy:
-    """A free function at a port, fitted beside the nominal parameters.
+class Response:
+    """What a family of free functions at a port does to the signals.
 
     Attributes
     ----------
     port, over
         Where it acts and what it is a function of.
-    fit
-        The linear fit: nominal parameters and coefficients together.
-    held_out
-        Its losses on experiments left out.
-    coefficients
-        (B,) in units of the port's magnitude.
+    alike
+        Further ports at which the same functions do the same, as far as these sensors see.
+    columns
+        (M_e, B) an experiment: whitened change for each of the B functions, of the port's magnitude.
     """
 
     port: str
     over: str
-    fit: Refit
+    alike: tuple[str, ...]
+    columns: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decoy:
+    """A free function at a port, fitted beside a model's parameters.
+
+    Attributes
+    ----------
+    port, over, alike
+        As in its `Response`.
+    held_out
+        Its losses on experiments left out.
+    """
+
+    port: str
+    over: str
+    alike: tuple[str, ...]
     held_out: HeldOut
-    coefficients: FloatArray
+
+    @property
+    def loss(self) -> float:
+        """Mean loss on experiments left out."""
+        return float(np.average(self.held_out.loss, weights=self.held_out.size))
 
 
 def hats(values: Sequence[FloatArray], knots: FloatArray) -> Basis:
@@ -109,7 +129,7 @@ def quantile_knots(values: Sequence[FloatArray], count: int) -> FloatArray:
     return np.array(kept)
 
 
-def fit_decoys(
+def responses_of(
     model: CampaignModel,
     observed: Observed,
     base: Refit,
@@ -117,16 +137,16 @@ def fit_decoys(
     ports: Sequence[Port],
     bases: Mapping[str, Basis],
     own: Mapping[str, Mapping[str, Basis]] | None = None,
-) -> tuple[Decoy, ...]:
-    """Fit every basis at every port, linearly, beside the nominal parameters of `base`; those of `own` at theirs.
+) -> tuple[Response, ...]:
+    """Return what every basis does at every port, at the parameters of `base`; those of `own` at theirs alone.
 
     Ports whose responses cannot be simulated are left out. A sensor may also misread by what other signals, or its
     own past, are.
     """
-    decoys = _at_sensors(model, observed, base, ports, bases)
+    found = _at_sensors(model, observed, base, ports, bases)
     distinct = _distinct(model, observed, base, ports, bases)
     for port in (p for p in ports if p.input is not None):
-        families = {**(bases if port in distinct else {}), **(own or {}).get(port.name, {})}
+        families = {**(bases if port.name in distinct else {}), **(own or {}).get(port.name, {})}
         drives = [
             {port.input or "": [port.magnitude * b for b in one]} for basis in families.values() for one in basis
         ]
@@ -136,21 +156,21 @@ def fit_decoys(
             part = outcomes[begin : begin + len(basis)]
             begin += len(basis)
             good = [p for p in part if not isinstance(p, SimulationError)]
-            if len(good) < len(part):
-                continue
-            moved = [observed.residuals(p) for p in good]
-            decoys.append(_fit(port, over, base, observed, moved))
-    return tuple(decoys)
+            if len(good) == len(part):
+                moved = [observed.residuals(p) for p in good]
+                columns = tuple(np.stack([m[e] - r for m in moved], axis=1) for e, r in enumerate(base.residuals))
+                found.append(Response(port.name, over, distinct.get(port.name, ()), columns))
+    return tuple(found)
 
 
 def _at_sensors(
     model: CampaignModel, observed: Observed, base: Refit, ports: Sequence[Port], bases: Mapping[str, Basis]
-) -> list[Decoy]:
+) -> list[Response]:
     sensors = {p.output: p for p in ports if p.output is not None}
     (prediction,) = model.predict([base.values])
     if isinstance(prediction, SimulationError):
         return []
-    decoys = []
+    found = []
     for signal, port in sensors.items():
         rows = [r.channels.index(signal) if signal in r.channels else None for r in observed.runs]
         if all(row is None for row in rows):
@@ -162,10 +182,10 @@ def _at_sensors(
                 for m, row, b in zip(misread, rows, one, strict=True):
                     if row is not None:
                         m[row] = port.magnitude * b
-                whitened = observed.whiten(misread)
-                moved.append(tuple(r + w for r, w in zip(base.residuals, whitened, strict=True)))
-            decoys.append(_fit(port, over, base, observed, moved))
-    return decoys
+                moved.append(observed.whiten(misread))
+            columns = tuple(np.stack(parts, axis=1) for parts in zip(*moved, strict=True))
+            found.append(Response(port.name, over, (), columns))
+    return found
 
 
 def _of_signals(
@@ -199,15 +219,16 @@ def _of_signals(
 
 def _distinct(
     model: CampaignModel, observed: Observed, base: Refit, ports: Sequence[Port], bases: Mapping[str, Basis]
-) -> list[Port]:
-    """Return the ports that are inputs, without those that no signal tells from one before them."""
+) -> dict[str, tuple[str, ...]]:
+    """Return the inputs among the ports, each with those after it that no signal tells from it."""
     inputs = [p for p in ports if p.input is not None]
     probe = next(iter(bases.values()), ())[:3]
     if not probe:
-        return []
+        return {}
     drives = [{p.input or "": [p.magnitude * b for b in one]} for p in inputs for one in probe]
     outcomes = model.predict_driven(base.values, drives)
-    chosen: list[tuple[Port, FloatArray]] = []
+    chosen: dict[str, FloatArray] = {}
+    alike: dict[str, tuple[str, ...]] = {}
     for k, port in enumerate(inputs):
         part = outcomes[k * len(probe) : (k + 1) * len(probe)]
         moved = [
@@ -219,28 +240,32 @@ def _distinct(
             continue
         response = np.concatenate(moved)
         length = float(np.linalg.norm(response))
-        if length > 0 and all(abs(response @ other) < _SAME_PORT * length for _, other in chosen):
-            chosen.append((port, response / length))
-    return [port for port, _ in chosen]
+        if length == 0.0:
+            continue
+        same = next((n for n, other in chosen.items() if abs(response @ other) >= _SAME_PORT * length), None)
+        if same is None:
+            chosen[port.name], alike[port.name] = response / length, ()
+        else:
+            alike[same] = (*alike[same], port.name)
+    return alike
 
 
-def _fit(
-    port: Port,
-    over: str,
-    base: Refit,
-    observed: Observed,
-    moved: Sequence[Sequence[FloatArray]],
-) -> Decoy:
-    columns = [np.stack([m[e] - r for m in moved], axis=1) for e, r in enumerate(base.residuals)]
-    jacobian = [np.hstack([j, c]) for j, c in zip(base.jacobian, columns, strict=True)]
+def fit_decoys(responses: Sequence[Response], base: Refit, observed: Observed) -> tuple[Decoy, ...]:
+    """Fit every family of functions, linearly, beside the parameters of `base`."""
+    return tuple(_fit(response, base, observed) for response in responses)
+
+
+def _fit(response: Response, base: Refit, observed: Observed) -> Decoy:
+    jacobian = [np.hstack([j, c]) for j, c in zip(base.jacobian, response.columns, strict=True)]
     weight = np.sqrt(observed.repeats)
-    names = [f"{port.name}.{over}[{k}]" for k in range(len(moved))]
+    count = response.columns[0].shape[1]
+    names = [f"{response.port}.{response.over}[{k}]" for k in range(count)]
     unknowns = base.unknowns + tuple(Unknown(n, 0.0, -np.inf, np.inf, 1.0) for n in names)
     steps = np.array([u.step for u in unknowns])
     a = np.concatenate([w * j for w, j in zip(weight, jacobian, strict=True)]) * steps
     r = np.concatenate([w * x for w, x in zip(weight, base.residuals, strict=True)])
     # A coefficient that no signal shows stays near zero: prior standard deviation of thirty magnitudes.
-    prior = np.concatenate([np.full(len(base.unknowns), 1e-3), np.full(len(moved), 1.0 / 30.0)])
+    prior = np.concatenate([np.full(len(base.unknowns), 1e-3), np.full(count, 1.0 / 30.0)])
     solution = np.linalg.solve(a.T @ a + np.diag(prior**2), -(a.T @ r))
     residuals = tuple(x + j @ (steps * solution) for x, j in zip(base.residuals, jacobian, strict=True))
     values = {
@@ -248,7 +273,7 @@ def _fit(
     }
     cost = float(sum(n * (x @ x) for n, x in zip(observed.repeats, residuals, strict=True)))
     fit = Refit(_unbounded(unknowns), values, residuals, tuple(jacobian), cost, 0, True)
-    return Decoy(port.name, over, fit, leave_each_out(fit, observed), read_only(solution[len(base.unknowns) :]))
+    return Decoy(response.port, response.over, response.alike, leave_each_out(fit, observed))
 
 
 def _unbounded(unknowns: Sequence[Unknown]) -> tuple[Unknown, ...]:

@@ -20,6 +20,7 @@ from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.signal_effects import NEUTRAL
+from fmuid.diagnosis.verdict import LeftOut
 from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
 from fmuid.identification.problem.solver_error import solver_accuracy
 from fmuid.simulation.runners import Runner, in_process
@@ -45,6 +46,7 @@ class Subject:
     recordings: Mapping[str, str] = field(default_factory=dict)
     modelled: Mapping[str, str] = field(default_factory=dict)
     findings: tuple[str, ...] = ()
+    outliers: tuple[LeftOut, ...] = ()
 
 
 def subject_of(
@@ -104,14 +106,12 @@ def subject_of(
     nominal = _nominal(campaign, spec, cases_parameters={n for c in cases for n in c.setting})
     model, findings = solved_well_enough(model, campaign, {u.name: u.start for u in nominal})
     used = {id for case in model.cases for id in case.experiments}
-    findings += tuple(
-        f"Left out of experiment '{o.experiment}', signal '{o.signal}': {o}."
-        for o in campaign.outliers
-        if o.experiment in used
-    )
+    found = [o for o in campaign.outliers if o.experiment in used]
+    findings += tuple(f"Left out of experiment '{o.experiment}', signal '{o.signal}': {o}." for o in found)
+    outliers = tuple(LeftOut(o.experiment, o.signal, len(o.times)) for o in found)
     recordings = {e.id: e.digest for e in chosen}
     observed = Observed.from_runs(model.runs)
-    return Subject(model, observed, nominal, catalogue, effects, recordings, modelled, findings)
+    return Subject(model, observed, nominal, catalogue, effects, recordings, modelled, findings, outliers)
 
 
 def solved_well_enough(

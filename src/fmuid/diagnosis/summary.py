@@ -28,23 +28,23 @@ def summary(diagnosis: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"Or add a sensor: {sensor['description']} ({sensor['separation_sigma']:.3g} standard deviations)"
         )
-    if diagnosis["verdict"]["kind"] == "complete" and diagnosis.get("smallest_seen"):
-        lines.append(f"Would have been seen, at least this large: {_smallest(diagnosis['smallest_seen'])}")
+    if diagnosis["verdict"]["kind"] == "complete" and diagnosis.get("power"):
+        lines.append(f"Would have been seen, at least this large: {_smallest(diagnosis['power'])}")
     return lines + [f"Note: {note}" for note in diagnosis.get("notes", ())]
 
 
 def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     """Return verdict, place and size of the gap: what a reader needs within a minute."""
-    gap, named = diagnosis["gap"], diagnosis["verdict"]["effects"]
-    sure = diagnosis["verdict"]["kind"] in ("complete", "effect") and _probability(diagnosis) > 0.5
+    gap, verdict = diagnosis["gap"], diagnosis["verdict"]
+    sure = verdict["kind"] in ("complete", "effect") and probability(diagnosis) > 0.5
     found = [Fact("Verdict", verdict_text(diagnosis), "good" if sure else "warn")]
-    if diagnosis["verdict"]["kind"] == "insufficient":
+    if verdict["kind"] == "insufficient":
         found.append(Fact("What to do", _more_data(diagnosis)))
     meant = {e["id"]: e.get("description", "") for e in diagnosis["effects"]}
-    if any(meant.get(n) for n in named):
-        names = [f"{n}: " if len(named) > 1 else "" for n in named]
-        words = [n + _lowered(meant[i]) for n, i in zip(names, named, strict=True) if meant.get(i)]
-        found.append(Fact("In words", "; ".join(words)))
+    said = [n for n in named(verdict) if meant.get(n)]
+    if said:
+        names = [f"{in_words(n)}: " if len(said) > 1 else "" for n in said]
+        found.append(Fact("In words", "; ".join(n + _lowered(meant[i]) for n, i in zip(names, said, strict=True))))
     where = sorted(diagnosis["where"], key=lambda w: -w["share"])
     if where and gap["present"]:
         top = where[0]
@@ -52,14 +52,71 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
         found.append(Fact("Where most of it lies", f"{place} ({100 * top['share']:.0f} %)"))
     p_value = "p < 0.001" if gap["p_value"] < 1e-3 else f"p = {gap['p_value']:.2g}"
     found.append(Fact("Is there a gap", f"{_gap_text(gap)} ({p_value})"))
-    corrected = f" → {gap['corrected']:.3g} corrected" if named else ""
+    corrected = f" → {gap['corrected']:.3g} corrected" if said or named(verdict) else ""
     sizes = f"{gap['nominal']:.3g} → {gap['nominal_refit']:.3g} refitted{corrected}"
     found.append(Fact("Gap, in noise floors", sizes))
-    for value, names in _closures(diagnosis, named).items():
-        found.append(Fact(f"Closed on held-out data by {' + '.join(names)}", value))
-    if diagnosis["verdict"]["kind"] == "unknown":
+    for answer in diagnosis["answers"] if named(verdict) else ():
+        if answer.get("closure"):
+            effects = " + ".join(answer["effects"])
+            found.append(Fact(f"Closed on held-out data by {effects}", closure_text(answer["closure"])))
+    if verdict.get("rest"):
+        found.append(Fact("What is left", _rest_text(verdict["rest"])))
+    if verdict.get("stable") is False:
+        found.append(Fact("Stable", "no: without one experiment another answer would be preferred", "warn"))
+    if verdict["kind"] == "unknown":
         found += _closest(diagnosis)
     return tuple(found)
+
+
+def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
+    """Return the verdict in one to three sentences, as an engineer would say it."""
+    verdict = diagnosis["verdict"]
+    said = [f"{verdict_text(diagnosis)}."]
+    best = next((a for a in diagnosis["answers"] if a.get("closure")), None)
+    if named(verdict) and best is not None:
+        closure = best["closure"]
+        low, high = closure["interval"]
+        with_what = "With it" if len(best["effects"]) == 1 else "With them"
+        if verdict["kind"] == "ambiguous":
+            with_what = f"With {_listed(best['effects'], 'and')}"
+        said.append(
+            f"{with_what}, {closure['held_out']:.2f} of the gap is gone on runs that were not used"
+            f" ({low:.2f} to {high:.2f})."
+        )
+    if verdict.get("rest"):
+        said.append(f"What is left: {_rest_text(verdict['rest'])}.")
+    if verdict["kind"] == "insufficient":
+        said.append(f"{_more_data(diagnosis).capitalize()}.")
+    return said
+
+
+def named(verdict: Mapping[str, Any]) -> list[str]:
+    """Return every effect that a verdict names, those that all answers have first."""
+    return list(dict.fromkeys([*verdict["effects"], *(n for names in verdict["one_of"] for n in names)]))
+
+
+def in_words(effect: str) -> str:
+    """Return an effect's id in words: its law, and the port or parameter if the id has it."""
+    law, _, port = effect.partition("@")
+    if law == "value":
+        return f"another value of {port}"
+    return law.replace("_", " ") + (f" at {port}" if port else "")
+
+
+def closure_text(closure: Mapping[str, Any]) -> str:
+    """Return a closure on held-out data with its interval."""
+    low, high = closure.get("interval") or (None, None)
+    interval = "" if low is None or high is None else f" ({low:.2f} to {high:.2f})"
+    return f"{closure['held_out']:.2f}{interval}"
+
+
+def _rest_text(rest: Mapping[str, Any]) -> str:
+    return f"{rest['gap']:.2g} times the noise" + (f", most of it {rest['where']}" if rest["where"] else "")
+
+
+def _listed(names: Sequence[str], last: str) -> str:
+    words = [in_words(n) for n in names]
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
 
 
 def _gap_text(gap: Mapping[str, Any]) -> str:
@@ -74,34 +131,22 @@ def _gap_text(gap: Mapping[str, Any]) -> str:
 
 def _more_data(diagnosis: Mapping[str, Any]) -> str:
     """Return what to record where the data cannot tell: see `powerless` in `diagnose_subject`."""
-    if diagnosis["gap"]["present"] or diagnosis.get("smallest_seen"):
+    if diagnosis["gap"]["present"] or diagnosis.get("power"):
         return "record a run with another input; a single one, even repeated, leaves nothing to judge on"
     return "record runs with other or larger inputs, and more repeats; no effect of a plausible size would be seen"
 
 
-def _closures(diagnosis: Mapping[str, Any], names: Sequence[str]) -> dict[str, list[str]]:
-    """Return what effects close on held-out data, in words; effects that were fitted together share one."""
-    by_id = {e["id"]: e.get("closure", {}) for e in diagnosis["effects"]}
-    closures: dict[str, list[str]] = {}
-    for name in names:
-        closure = by_id.get(name, {})
-        if closure.get("held_out") is not None:
-            low, high = closure.get("interval") or (None, None)
-            interval = "" if low is None or high is None else f" ({low:.2f} to {high:.2f})"
-            closures.setdefault(f"{closure['held_out']:.2f}{interval}", []).append(name)
-    return closures
-
-
 def _closest(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     """Return what comes closest to an explanation where nothing explains it."""
-    judged = [e for e in diagnosis["effects"] if e.get("closure", {}).get("held_out") is not None]
-    closing = sorted(judged, key=lambda e: -e["closure"]["held_out"])
+    judged = [a for a in diagnosis["answers"] if a.get("closure")]
     found = []
-    for value, names in list(_closures(diagnosis, [e["id"] for e in closing]).items())[:1]:
-        too_little = closing[0]["closure"]["held_out"] < CLOSURE_THAT_NAMES
+    if judged:
+        best = max(judged, key=lambda a: a["closure"]["held_out"])
+        too_little = best["closure"]["held_out"] < CLOSURE_THAT_NAMES
         least = f", too little for a name (from {CLOSURE_THAT_NAMES:g} on)" if too_little else ""
-        found.append(f"{' + '.join(names)} closes {value} on held-out data{least}")
-    ports = diagnosis.get("ports") or {}
+        names = " + ".join(best["effects"])
+        found.append(f"{names} closes {closure_text(best['closure'])} on held-out data{least}")
+    ports = diagnosis.get("port_closures") or {}
     if ports:
         port = max(ports, key=lambda name: ports[name])
         found.append(f"a free function at {port} {ports[port]:.2f}")
@@ -111,27 +156,44 @@ def _closest(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
 def verdict_text(diagnosis: Mapping[str, Any]) -> str:
     """Return the verdict as one line, with the probability that what it says is true."""
     verdict = diagnosis["verdict"]
-    names, port = list(verdict["effects"]), verdict["port"]
-    sure = f" ({100 * _probability(diagnosis):.0f} %)"
-    at = f" at {port}" if port else ""
+    effects, ports = list(verdict["effects"]), list(verdict["ports"])
+    sure = f" ({100 * probability(diagnosis):.0f} %)"
+    are = "is" if len(effects) == 1 else "are"
+    missing = f"{_listed(effects, 'and')} {are} missing" if effects else ""
+    # Ids of made catalogues name the port already.
+    at = f" at {', '.join(ports)}" if len(ports) == 1 and not any("@" in n for n in named(verdict)) else ""
     match verdict["kind"]:
         case "complete":
             return f"Complete{sure}: nothing is missing that these experiments could show"
         case "effect":
-            return " and ".join(names) + at + sure
+            return _capital(f"{missing}{at}{sure}")
+        case "partial":
+            return _capital(f"{missing}{at}{sure}, and something else that no effect explains")
         case "ambiguous":
-            return " or ".join(names) + f"{at}{sure}: these sensors and experiments cannot tell them apart"
+            others = [_listed(names, "with") for names in verdict["one_of"]]
+            either = " or ".join(others)
+            either = f"{missing}, and either {either}" if effects else f"{either} is missing"
+            return _capital(f"{either}{at}{sure}: these sensors and experiments cannot tell them apart")
         case "unknown":
+            at = f" at {' or '.join(ports)}" if ports else ""
             return f"Unknown effect{at}{sure}: none of the catalogue explains it"
         case _:
             return "Not enough data to say"
 
 
-def _probability(diagnosis: Mapping[str, Any]) -> float:
-    """Return the probability of what the verdict says."""
-    verdict = diagnosis["verdict"]
-    said = verdict["effects"] or [{"complete": "none"}.get(verdict["kind"], "unknown")]
-    return sum(float(e["probability"]) for e in diagnosis["effects"] if e["id"] in said)
+def probability(diagnosis: Mapping[str, Any]) -> float:
+    """Return the probability of what the verdict says: that one of the answers it leaves open is true."""
+    wanted = {"complete": ["none"], "unknown": ["unknown"]}.get(diagnosis["verdict"]["kind"])
+    special = (["none"], ["unknown"])
+    return sum(
+        float(a["probability"])
+        for a in diagnosis["answers"]
+        if (a["effects"] == wanted if wanted else a["effects"] not in special)
+    )
+
+
+def _capital(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
 
 
 def _lowered(sentence: str) -> str:
@@ -139,16 +201,25 @@ def _lowered(sentence: str) -> str:
 
 
 def likeliest(diagnosis: Mapping[str, Any]) -> list[list[str]]:
-    """Return the table of the likeliest effects, its header first."""
-    header = ["effect", "probability", "closure (held out)", "90 % interval", "parameters"]
-    return [header, *(_row(e) for e in ranked(diagnosis["effects"])[:_ROWS])]
+    """Return the table of the likeliest answers, then of other effects, its header first."""
+    header = ["answer", "probability", "closure (held out)", "90 % interval", "parameters"]
+    by_id = {e["id"]: e for e in diagnosis["effects"]}
+    rows, shown = [], set()
+    for answer in diagnosis["answers"]:
+        own = [by_id[n] for n in answer["effects"] if n in by_id]
+        parameters = {name: p for e in own for name, p in e.get("parameters", {}).items()}
+        rows.append(_row(" + ".join(answer["effects"]), answer, parameters))
+        shown |= set(answer["effects"])
+    others = [e for e in ranked(diagnosis["effects"]) if e["id"] not in shown and e.get("closure")]
+    rows += [_row(e["id"], e, e.get("parameters", {})) for e in others[: max(0, _ROWS - len(rows))]]
+    return [header, *rows]
 
 
 def ranked(effects: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Return the effects, the likeliest first; of equally likely ones those that close most."""
 
     def place(effect: Mapping[str, Any]) -> tuple[float, float]:
-        held_out = effect.get("closure", {}).get("held_out")
+        held_out = (effect.get("closure") or {}).get("held_out")
         return -round(effect["probability"], 3), math.inf if held_out is None else -held_out
 
     return sorted(effects, key=place)
@@ -167,12 +238,12 @@ def _smallest(seen: Mapping[str, Mapping[str, float]]) -> str:
     return "; ".join(f"{e} ({', '.join(f'{n} = {v:.4g}' for n, v in own.items())})" for e, own in seen.items())
 
 
-def _row(effect: Mapping[str, Any]) -> list[str]:
-    closure = effect.get("closure", {})
+def _row(name: str, judged: Mapping[str, Any], estimates: Mapping[str, Any]) -> list[str]:
+    closure = judged.get("closure") or {}
     interval = "{:.2f} to {:.2f}".format(*closure["interval"]) if closure else ""
-    parameters = ", ".join(f"{n} = {_with_error(p)}" for n, p in effect.get("parameters", {}).items())
+    parameters = ", ".join(f"{n} = {_with_error(p)}" for n, p in estimates.items())
     held_out = f"{closure['held_out']:.3f}" if closure else ""
-    return [effect["id"], f"{effect['probability']:.3f}", held_out, interval, parameters]
+    return [name, f"{judged['probability']:.3f}", held_out, interval, parameters]
 
 
 def _with_error(estimate: Mapping[str, Any]) -> str:

@@ -72,7 +72,7 @@ def closure(before: float, after: float) -> float:
 
 
 def read_diagnosis(path: Path) -> dict[str, Any]:
-    """Return the JSON value of a diagnosis.
+    """Return the JSON value of a diagnosis; the verdict of a file of version 1 as version 2 has it.
 
     Raises
     ------
@@ -85,11 +85,21 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
         raise FmuidError(f"cannot be read ({error.strerror})", where=path, fix="check the path") from None
     except ValueError:
         raise FmuidError("is not JSON", where=path, fix="name a file that fmuid diagnose wrote") from None
-    if not isinstance(answer, dict) or answer.get("format") != "fmuid-diagnosis" or answer.get("version") != 1:
-        raise FmuidError("is not a diagnosis, version 1", where=path, fix="name a file that fmuid diagnose wrote")
+    if (
+        not isinstance(answer, dict)
+        or answer.get("format") != "fmuid-diagnosis"
+        or answer.get("version") not in (1, 2)
+    ):
+        raise FmuidError(
+            "is not a diagnosis, version 1 or 2", where=path, fix="name a file that fmuid diagnose wrote"
+        )
     verdict = answer.get("verdict")
     if not isinstance(verdict, dict) or not {"kind", "effects"} <= verdict.keys():
         raise FmuidError("no verdict", where=path, fix="diagnose again")
+    if answer["version"] == 1:  # which names in one list what cannot be told apart
+        apart = [[name] for name in verdict["effects"]] if verdict["kind"] == "ambiguous" else []
+        verdict |= {"one_of": apart, "effects": [] if apart else verdict["effects"]}
+    verdict.setdefault("one_of", [])
     for part in ("nominal", "model"):
         model = answer.get(part)
         values = model.get("parameters") if isinstance(model, dict) else None

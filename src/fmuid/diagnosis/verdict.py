@@ -1,4 +1,4 @@
-"""What a diagnosis says, and its JSON form (format ``fmuid-diagnosis``, version 1)."""
+"""What a diagnosis says, and its JSON form (format ``fmuid-diagnosis``, version 2)."""
 
 from __future__ import annotations
 
@@ -6,16 +6,58 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-Kind = Literal["complete", "effect", "ambiguous", "unknown", "insufficient"]
+Kind = Literal["complete", "effect", "partial", "ambiguous", "unknown", "insufficient"]
+NONE, UNKNOWN = ("none",), ("unknown",)
+"""Answers without an effect: nothing is missing; something is that no effect explains."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """What is left after the verdict: its size in noise floors, and where it lies, in words."""
+
+    gap: float
+    where: str
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The answer: a kind, the effects it names, and the port they act at."""
+    """The conclusion of a diagnosis.
+
+    Attributes
+    ----------
+    kind
+        ``effect`` explains the gap, ``partial`` a part of it.
+    effects
+        What every surviving answer contains.
+    one_of
+        Sets of effects of which one is needed besides; of an ``ambiguous`` verdict only.
+    ports
+        The places that these sensors cannot separate where the gap enters; empty if none is named.
+    stable
+        Whether no single experiment, left out, would give a contradictory verdict; None if that cannot be judged.
+    rest
+        What the effects leave, if that is more than noise.
+    """
 
     kind: Kind
     effects: tuple[str, ...] = ()
-    port: str | None = None
+    one_of: tuple[tuple[str, ...], ...] = ()
+    ports: tuple[str, ...] = ()
+    stable: bool | None = None
+    rest: Rest | None = None
+
+    @property
+    def answers(self) -> tuple[tuple[str, ...], ...]:
+        """The answers that it leaves open, one of which is taken to be true."""
+        match self.kind:
+            case "complete" | "insufficient":
+                return (NONE,)
+            case "unknown":
+                return (UNKNOWN,)
+            case "ambiguous":
+                return tuple((*self.effects, *others) for others in self.one_of)
+            case _:
+                return (self.effects,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,25 +106,84 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True)
+class PhysicalGap:
+    """Root mean square difference of model and measurement, in the signal's unit.
+
+    Attributes
+    ----------
+    before, after
+        With the nominal parameters refitted, and with the effects added.
+    floor
+        What noise alone leaves in the mean of the repeats.
+    """
+
+    unit: str
+    before: float
+    after: float
+    floor: float
+
+
+@dataclass(frozen=True, slots=True)
+class Closure:
+    """Share of the gap that effects close, beyond what refitting the nominal parameters closes.
+
+    Attributes
+    ----------
+    train, held_out
+        On the data that they were fitted to, and on experiments left out.
+    interval
+        The 90 % interval of the latter.
+    physical
+        By signal, the gap before and after, over all runs.
+    """
+
+    train: float
+    held_out: float
+    interval: tuple[float, float]
+    physical: Mapping[str, PhysicalGap] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values."""
+        return {**asdict(self), "interval": list(self.interval)}
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A set of effects that may be all that is missing, or `NONE` or `UNKNOWN`; with its probability."""
+
+    effects: tuple[str, ...]
+    probability: float
+    closure: Closure | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Candidate:
-    """One effect (or several together), ``none`` or ``unknown``.
+    """One effect of the catalogue.
 
     Attributes
     ----------
     probability
-        That it is the answer.
+        That it is in the right answer.
     score
         Fall of the cost that its signature promises, in squared noise units.
     closure
-        Share of the gap that it closes on the data it was fitted to, on experiments left out, and the 90 %
-        bootstrap interval of the latter; beyond what refitting the nominal parameters closes.
+        Of the best model that has it: the verdict's, or the one with it alone.
     """
 
     id: str
     probability: float
     score: float | None = None
-    closure: tuple[float, float, tuple[float, float]] | None = None
+    closure: Closure | None = None
     parameters: Mapping[str, Estimate] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """Samples that were left out: spiked, held or lost."""
+
+    experiment: str
+    signal: str
+    samples: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,29 +208,48 @@ class AddedSensor:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """Everything a diagnosis found."""
+    """Everything a diagnosis found.
+
+    Attributes
+    ----------
+    answers
+        Those that survive, the likeliest first, with `NONE` and `UNKNOWN`: their probabilities sum to 1.
+    effects
+        Every candidate.
+    port_closures
+        By port, the largest share of the gap that a free function there closes on held-out experiments.
+    power
+        By effect, the values of its parameters from which on it would have been seen.
+    """
 
     verdict: Verdict
     gap: Gap
     where: tuple[Share, ...]
+    answers: tuple[Answer, ...]
     effects: tuple[Candidate, ...]
     alias_classes: tuple[tuple[str, ...], ...]
     model: Mapping[str, float]
     next_experiment: NextExperiment | None = None
     added_sensor: AddedSensor | None = None
-    ports: Mapping[str, float] = field(default_factory=dict)
+    port_closures: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    smallest_seen: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    power: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    outliers: tuple[LeftOut, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object that `diagnosis.schema.json` describes."""
+        verdict = self.verdict
         return {
             "format": "fmuid-diagnosis",
-            "version": 1,
+            "version": 2,
             "verdict": {
-                "kind": self.verdict.kind,
-                "effects": list(self.verdict.effects),
-                "port": self.verdict.port,
+                "kind": verdict.kind,
+                "effects": list(verdict.effects),
+                "one_of": [list(effects) for effects in verdict.one_of],
+                "port": verdict.ports[0] if verdict.ports else None,
+                "ports": list(verdict.ports),
+                "stable": verdict.stable,
+                "rest": None if verdict.rest is None else asdict(verdict.rest),
             },
             "gap": {
                 "present": self.gap.present,
@@ -141,14 +261,23 @@ class Diagnosis:
                 "calibrated": self.gap.calibrated,
             },
             "where": [_share(s) for s in self.where],
+            "answers": [
+                {
+                    "effects": list(a.effects),
+                    "probability": a.probability,
+                    "closure": None if a.closure is None else a.closure.to_dict(),
+                }
+                for a in self.answers
+            ],
             "effects": [_candidate(c) for c in self.effects],
             "alias_classes": [list(c) for c in self.alias_classes],
             "model": {"parameters": dict(self.model)},
             "next_experiment": None if self.next_experiment is None else _experiment(self.next_experiment),
             "added_sensor": None if self.added_sensor is None else asdict(self.added_sensor),
-            "ports": dict(self.ports),
+            "port_closures": dict(self.port_closures),
             "notes": list(self.notes),
-            "smallest_seen": {effect: dict(values) for effect, values in self.smallest_seen.items()},
+            "power": {effect: dict(values) for effect, values in self.power.items()},
+            "outliers": [asdict(o) for o in self.outliers],
         }
 
 
@@ -165,8 +294,7 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
     if candidate.score is not None:
         entry["score"] = candidate.score
     if candidate.closure is not None:
-        train, held_out, interval = candidate.closure
-        entry["closure"] = {"train": train, "held_out": held_out, "interval": list(interval)}
+        entry["closure"] = candidate.closure.to_dict()
     if candidate.parameters:
         entry["parameters"] = {
             name: {"value": e.value, "standard_error": e.standard_error}

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
-from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.diagnose import Found
 from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.ports import Basis, Port, hats, quantile_knots, times
@@ -38,7 +37,7 @@ def pictures_of(found: Found) -> DiagnosisPictures:
     SimulationError
         The refitted nominal model cannot be simulated.
     """
-    models = _named(found)
+    models = found.surviving
     nominal, *with_effects = found.subject.model.predict(
         [found.nominal.fit.values, *(m.fit.values for m in models)]
     )
@@ -52,21 +51,6 @@ def pictures_of(found: Found) -> DiagnosisPictures:
     after = next(iter(laws.values()), None)
     missing = _missing(found, nominal, laws)
     return DiagnosisPictures(_residuals(found, nominal, after), _excess(found), missing, _steps(found))
-
-
-def _named(found: Found) -> list[Fitted]:
-    """Return the models that the verdict speaks of, the corrected one first; in an "A or B" the others as well."""
-    verdict = found.diagnosis.verdict
-    if found.best is None or not verdict.effects:
-        return []
-    others = [
-        c
-        for c in found.candidates
-        if verdict.kind == "ambiguous"
-        and set(c.names) <= set(verdict.effects) - set(found.best.names)
-        and len(c.names) == len(found.best.names)
-    ]
-    return [found.best, *others]
 
 
 def _steps(found: Found) -> dict[str, float]:
@@ -121,7 +105,8 @@ def _missing(found: Found, nominal: Prediction, laws: Mapping[str, Prediction]) 
 
     A law is drawn as the free function that moves the nominal model as its effects do.
     """
-    port = found.subject.catalogue.ports.get(found.diagnosis.verdict.port or "")
+    place = found.diagnosis.verdict.ports[:1]
+    port = found.subject.catalogue.ports.get("".join(place))
     if port is None or port.input is None:
         return ()
     quantity = Axis(f"missing at {port.name}", port.unit)

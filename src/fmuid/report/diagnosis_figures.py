@@ -15,7 +15,7 @@ import numpy as np
 
 from fmuid.core.formatting import range_text
 from fmuid.core.immutable import FloatArray
-from fmuid.diagnosis.summary import ranked, regime_text
+from fmuid.diagnosis.summary import named, ranked, regime_text
 from fmuid.report.figures import TIME
 from fmuid.report.plots.figure_data import Axis, Bar, BarFigure, LineFigure, MapFigure, Panel, Role, Series, Table
 from fmuid.report.thinning import kept_samples
@@ -198,21 +198,21 @@ def missing_figure(missing: Sequence[MissingQuantity]) -> LineFigure | None:
 
 
 def effects_figure(diagnosis: Mapping[str, Any], most: int = 12) -> BarFigure | None:
-    """Return the effects ranked by probability, with held-out closure and its interval."""
-    named = tuple(diagnosis["verdict"]["effects"])
-    together = named if diagnosis["verdict"]["kind"] == "effect" else ()  # one model has them all
-    judged = [e for e in diagnosis["effects"] if e.get("closure", {}).get("held_out") is not None]
-    bars: dict[tuple[str, ...], Bar] = {}
-    for effect in sorted(judged, key=lambda e: (-e["probability"], -e["closure"]["held_out"]))[:most]:
-        members = together if effect["id"] in together else (effect["id"],)
-        probability = sum(e["probability"] for e in judged if e["id"] in members)
-        interval = effect["closure"].get("interval")
-        bars[members] = Bar(
-            " + ".join(members),
-            effect["closure"]["held_out"],
-            "final" if effect["id"] in named else "floor",
+    """Return the answers, then the other effects, with held-out closure and its interval."""
+    said = named(diagnosis["verdict"])
+    entries = {" + ".join(a["effects"]): a for a in diagnosis["answers"] if a.get("closure")}
+    shown = {n for a in diagnosis["answers"] for n in a["effects"]}
+    others = (e for e in ranked(diagnosis["effects"]) if e["id"] not in shown and e.get("closure"))
+    entries |= {e["id"]: e for e in others}
+    bars = {}
+    for name, entry in list(entries.items())[:most]:
+        interval = entry["closure"].get("interval")
+        bars[name] = Bar(
+            name,
+            entry["closure"]["held_out"],
+            "final" if said and set(entry.get("effects", ())) <= {*said} and "effects" in entry else "floor",
             None if interval is None else (interval[0], interval[1]),
-            f"probability {probability:.2g}",
+            f"probability {entry['probability']:.2g}",
         )
     if not bars:
         return None
@@ -231,11 +231,11 @@ def effects_figure(diagnosis: Mapping[str, Any], most: int = 12) -> BarFigure | 
 
 def ports_figure(diagnosis: Mapping[str, Any]) -> BarFigure | None:
     """Return what a free function at each port would close, if that was asked."""
-    ports = diagnosis.get("ports") or {}
+    ports = diagnosis.get("port_closures") or {}
     if not ports:
         return None
     bars = tuple(
-        Bar(name, share, "final" if name == diagnosis["verdict"]["port"] else "floor", note=f"{share:.2f}")
+        Bar(name, share, "final" if name in diagnosis["verdict"]["ports"] else "floor", note=f"{share:.2f}")
         for name, share in sorted(ports.items(), key=lambda p: -p[1])
     )
     return BarFigure(
@@ -245,7 +245,7 @@ def ports_figure(diagnosis: Mapping[str, Any]) -> BarFigure | None:
         Axis("closure of the gap on held-out data"),
         ((1.0, "all of the gap"),),
         "A free function of one of speed, angle, load or time acting at each port; an effect may depend on "
-        "several of them. Blue: the verdict's port.",
+        "several of them. Blue: the ports of the verdict.",
         limits=(min(0.0, max(-1.0, *(b.value for b in bars))), 1.25),
     )
 
@@ -257,7 +257,7 @@ def gap_figure(diagnosis: Mapping[str, Any], steps: Mapping[str, float] | None =
         Bar("nominal model", gap["nominal"], "start"),
         Bar("nominal parameters refitted", gap["nominal_refit"], "before"),
     ]
-    if diagnosis["verdict"]["effects"]:
+    if named(diagnosis["verdict"]):
         bars += [Bar(f"with {names}", left, "alternative") for names, left in (steps or {}).items()]
         bars.append(Bar("corrected", gap["corrected"], "final"))
     bars.append(Bar("noise floor", 1.0, "floor"))
@@ -275,7 +275,7 @@ def effects_table(diagnosis: Mapping[str, Any]) -> Table:
     """Return every candidate with probability, score and closures."""
     rows = []
     for effect in ranked(diagnosis["effects"]):
-        closure = effect.get("closure", {})
+        closure = effect.get("closure") or {}
         interval = closure.get("interval") or (None, None)
         parameters = ", ".join(
             f"{name} = {p['value']:.4g}"

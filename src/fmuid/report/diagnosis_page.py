@@ -31,7 +31,7 @@ def write_diagnosis_report(
     Parameters
     ----------
     diagnosis
-        The value of the diagnosis' JSON (``fmuid-diagnosis``, version 1).
+        The value of the diagnosis' JSON (``fmuid-diagnosis``, version 2).
     out
         Folder for ``index.html``, ``figures/`` and ``data/``.
     campaign
