@@ -18,6 +18,7 @@ from fmu_build.model import Experiment
 from fmu_build.syntax import (
     Assert,
     Binary,
+    Call,
     Expression,
     Literal,
     Part,
@@ -287,6 +288,13 @@ class FlatModel:
     def with_equation(self, left: Expression, right: Expression) -> FlatModel:
         """Add the equation ``left = right``."""
         return replace(self, equations=(*self.equations, Equation(left, right, Origin("added"), left.at)))
+
+    def with_state(self, name: str, derivative: Expression, start: Expression) -> FlatModel:
+        """Make a variable a state: its derivative, and its value at the start."""
+        state = variable(name)
+        changed = self.with_equation(Call(ADDED, "der", (state,)), derivative)
+        initial = Equation(state, start, Origin("added"), ADDED)
+        return replace(changed, initial_equations=(*self.initial_equations, initial))
 
     def with_term(self, number: int, term: Expression, side: Choice["left", "right"] = "left") -> FlatModel:
         """Add a term to a side of the equation of that number."""

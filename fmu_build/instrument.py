@@ -13,9 +13,19 @@ from fmu_build.flat_model import ADDED, Equation, FlatModel, Variable, number, v
 from fmu_build.front.parser import expression as parse_expression
 from fmu_build.model_ports import Port, find_ports, flat_name
 from fmu_build.suggest import suggestion
-from fmu_build.syntax import Binary, Expression, Part, Reference, Unary, references, transform
+from fmu_build.syntax import Binary, Call, Expression, Part, Reference, Unary, references, transform
 
-Acts = Choice["flow", "potential", "signal"]
+Acts = Choice["flow", "potential", "signal", "cut"]
+
+
+@dataclass(frozen=True)
+class State:
+    """A state of a term's own: its derivative and its value at the start, as Modelica expressions."""
+
+    name: str
+    derivative: str
+    start: str = "0"
+    unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -28,17 +38,22 @@ class Term:
         Name of the port.
     acts
         ``flow``: a flow out of a node, or from a branch's second node through it to the first; ``potential``: a
-        drop of the potential at a branch's first connector; ``signal``: takes the signal's place.
+        drop of the potential at a branch's first connector; ``signal``: takes the signal's place; ``cut``: parts
+        the first connector from its node, and flows between the two, against their difference ``p``.
     expression
-        Of the port's quantities, `parameters`, ``time`` and any variable of the model by its full name.
+        Of the port's quantities, `states`, parameters, ``time`` and any variable of the model by its full name.
     where
         What an error names.
+    states
+        States of its own. They take part in the choice of steps, so that a model with such a term gives the plain
+        model's results within the tolerance only.
     """
 
     port: str
     acts: Acts
     expression: str
     where: str = ""
+    states: tuple[State, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -55,7 +70,8 @@ class Added:
 def instrument(flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -> FlatModel:
     """Return the model with terms at its ports and the parameters and inputs that they use.
 
-    Where every term is zero (or the signal itself), results are bit for bit those of the plain model.
+    Where every term is zero (or the signal itself) and has no states, results are bit for bit those of the plain
+    model. A ``cut`` makes another model: a rigid connection is none of its special cases.
 
     Raises
     ------
@@ -72,6 +88,8 @@ def instrument(flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -
                 unit=one.unit or None, description=one.description,
             )
         )  # fmt: skip
+    for state in (state for term in terms for state in term.states):
+        flat = flat.with_variable(Variable(state.name, ADDED, unit=state.unit or None))
     at: dict[tuple[str, Acts], list[Term]] = defaultdict(list)
     for term in terms:
         if term.port not in ports:
@@ -86,8 +104,21 @@ def instrument(flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -
             flat = _with_flow(flat, port, own)
         elif acts == "potential":
             flat = _with_drop(flat, port, own)
+        elif acts == "cut":
+            flat = _with_cut(flat, port, own)
         else:
             flat = _with_signal(flat, port, own)
+    return flat
+
+
+def _with_states(flat: FlatModel, terms: Sequence[Term], quantities: Mapping[str, Expression]) -> FlatModel:
+    for term in terms:
+        for state in term.states:
+            derivative, start = (
+                _expression(flat, replace(term, expression=text), quantities)
+                for text in (state.derivative, state.start)
+            )
+            flat = flat.with_state(state.name, derivative, start)
     return flat
 
 
@@ -129,7 +160,7 @@ def _with_flow(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
     for connector, sign in zip(port.connectors, signs, strict=True):
         i = next(i for i, e in flat.flow_balances() if connector in e.origin.connectors)
         flat = flat.with_term(i, total if sign > 0 else Unary(ADDED, "-", total))
-    return flat
+    return _with_states(flat, terms, port.quantities)
 
 
 def _with_drop(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
@@ -137,24 +168,67 @@ def _with_drop(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
     if port.kind != "branch":
         raise ModelicaError(f"'{port.name}' is no branch, so no potential drops there", where=terms[0].where)
     inner, other = (flat.connectors[c].potentials[0] for c in port.connectors)
+    node, changed = _parted(flat, port.connectors[0], terms[0].where)
+    quantities = {**port.quantities, "p": Binary(ADDED, "-", variable(other), node), "position": node}
+    first, equation = next(iter(changed.items()))
+    drop = Binary(ADDED, "-", node, _total(flat, terms, quantities))
+    changed[first] = (replace(equation[0], left=variable(inner), right=drop),)
+    return _with_states(flat.with_equations(changed), terms, quantities)
+
+
+def _with_cut(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
+    """Part a connector from its node, and let a flow pass between the two."""
+    connector = port.connectors[0]
+    if port.kind == "signal":
+        raise ModelicaError(f"'{port.name}' is a signal and cannot be cut", where=terms[0].where)
+    inner, flow = flat.connectors[connector].potentials[0], flat.connectors[connector].flows[0]
+    node, changed = _parted(flat, connector, terms[0].where)
+    rates = [Call(ADDED, "der", (side,)) for side in (variable(inner), node)]
+    quantities = {
+        **port.quantities,
+        "p": Binary(ADDED, "-", variable(inner), node),
+        "rate": Binary(ADDED, "-", rates[0], rates[1]),
+    }
+    passing = f"{terms[0].states[0].name if terms[0].states else port.name}.passing"
+    flat = flat.with_variable(Variable(passing, ADDED, unit=port.units[1] or None))
+    first, equation = next(iter(changed.items()))
+    total = Unary(ADDED, "-", _total(flat, terms, quantities))
+    changed[first] = (replace(equation[0], left=variable(passing), right=total),)
+    i, balance = next((i, e) for i, e in flat.flow_balances() if connector in e.origin.connectors)
+
+    def passed(side: Expression) -> Expression:
+        return variable(passing) if isinstance(side, Reference) and flat_name(side) == flow else side
+
+    left, right = (transform(side, passed) for side in (balance.left, balance.right))
+    through = replace(balance, left=variable(flow), right=variable(passing))
+    changed[i] = (
+        replace(balance, left=left, right=right),
+        replace(through, origin=replace(balance.origin, kind="added")),
+    )
+    return _with_states(flat.with_equations(changed), terms, quantities)
+
+
+def _parted(flat: FlatModel, connector: str, where: str) -> tuple[Expression, dict[int, tuple[Equation, ...]]]:
+    """Return the potential of the node that a connector is parted from, and the equalities that this changes.
+
+    The first of them bound the two; the others held others to the connector, and now hold them to the node.
+    """
+    inner = flat.connectors[connector].potentials[0]
     mine = [(i, e) for i, e in flat.equalities() if inner in [flat_name(r) for r in references((e.left, e.right))]]
     if not mine:
-        raise ModelicaError(f"nothing is connected to '{port.connectors[0]}'", where=terms[0].where)
+        raise ModelicaError(f"nothing is connected to '{connector}'", where=where)
     first, equation = next(((i, e) for i, e in mine if inner in _ends(e)), mine[0])
     node = _partner(equation, inner)
-    quantities = {**port.quantities, "p": Binary(ADDED, "-", variable(other), node), "position": node}
-    drop = Binary(ADDED, "-", node, _total(flat, terms, quantities))
-    changed: dict[int, tuple[Equation, ...]] = {first: (replace(equation, left=variable(inner), right=drop),)}
+    changed: dict[int, tuple[Equation, ...]] = {first: (equation,)}
 
     def outside(side: Expression) -> Expression:
         return node if isinstance(side, Reference) and flat_name(side) == inner else side
 
     for i, e in mine:
-        if i == first:
-            continue
-        left, right = (transform(side, outside) for side in (e.left, e.right))
-        changed[i] = (replace(e, left=left, right=right),)
-    return flat.with_equations(changed)
+        if i != first:
+            left, right = (transform(side, outside) for side in (e.left, e.right))
+            changed[i] = (replace(e, left=left, right=right),)
+    return node, changed
 
 
 def _ends(equation: Equation) -> list[str]:
@@ -183,5 +257,7 @@ def _with_signal(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatMode
     )
     value: Expression = port.quantities["p"]
     for term in terms:
-        value = _expression(flat, term, {**port.quantities, "p": value})
+        quantities = {**port.quantities, "p": value}
+        flat = _with_states(flat, [term], quantities)
+        value = _expression(flat, term, quantities)
     return flat.with_equations({i: (replace(equation, left=variable(name), right=value),)})

@@ -2,21 +2,22 @@
 
 A physical connector has one potential and one flow, whose units tell the domain. A *node* is what shares one
 potential: a flow can be added to its balance. A *branch* is a component between two nodes: a flow can be taken
-from one and given to the other, or a difference added to the potential at its first connector. A *signal* is a
-causal connection inside the model.
+from one and given to the other, or a difference added to the potential at its first connector. A *joint* is a
+rigid connection between what stores: it may be parted. A *signal* is a causal connection inside the model.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal as Choice
 
 from fmu_build.flat_model import Connector, Equation, FlatModel, Variable, number, variable
-from fmu_build.syntax import Binary, Call, Expression, Literal, Reference, references, walk
+from fmu_build.syntax import Binary, Call, Expression, Literal, Reference, Unary, references, walk
 from fmu_build.unit_strings import parse_unit
 
-Kind = Choice["node", "branch", "signal"]
+Kind = Choice["node", "branch", "joint", "signal"]
 Domain = Choice["rotational", "translational", "electrical", "thermal", "fluid", "signal"]
 
 _DOMAINS: tuple[tuple[Domain, str, tuple[str, ...]], ...] = (
@@ -41,8 +42,8 @@ class Port:
     kind, domain
         What it is, and of which physics.
     connectors
-        A node: the connector whose flow balance is added to. A branch: its two connectors. A signal: the connector
-        that receives it.
+        A node: the connector whose flow balance is added to. A branch: its two connectors. A joint: the connector
+        that is parted from its node. A signal: the connector that receives it.
     units
         Of the potential (or signal) and of the flow.
     quantities
@@ -52,8 +53,8 @@ class Port:
     probes
         Variables whose course in a nominal simulation tells sizes: those of potential, rate, acceleration and
         flows, where the model has them.
-    compliant
-        A branch that leaves its two potentials free of each other.
+    compliant, rigid
+        A branch that leaves its two potentials free of each other; one that binds them, with stores at both ends.
     same
         Other names of the same place: connectors of the same rigid node.
     """
@@ -66,6 +67,7 @@ class Port:
     quantities: Mapping[str, Expression] = field(repr=False)
     probes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     compliant: bool = False
+    rigid: bool = False
     same: tuple[str, ...] = ()
 
 
@@ -189,7 +191,7 @@ class _Finder:
 
     def ports(self) -> tuple[Port, ...]:
         branches = list(self._branches())
-        return (*self._nodes(branches), *branches, *self._signals())
+        return (*self._nodes(branches), *branches, *self._joints(branches), *self._signals())
 
     def _rates(self, potential: str) -> dict[str, Expression]:
         """Return rate and acceleration of a potential, where the model differentiates it anyway."""
@@ -225,8 +227,7 @@ class _Finder:
         name = component if component and set(own) <= set(part) else chosen
         domain, potential, _ = self.physical[chosen]
         quantities: dict[str, Expression] = {"p": variable(potential), **self._rates(potential)}
-        joined = set(group)
-        neighbour = next((b for b in branches if b.compliant and joined & set(b.connectors)), None)
+        neighbour = self._compliant_neighbour(group, branches)
         if neighbour is not None:
             quantities["load"] = neighbour.quantities["through"]
         flows = tuple(self.physical[p][2] for p in group)
@@ -234,6 +235,22 @@ class _Finder:
             name, "node", domain, (chosen,), self._units(chosen), quantities,
             self._probes(potential, flows), same=tuple(p for p in part if p != chosen),
         )  # fmt: skip
+
+    def _compliant_neighbour(self, group: list[str], branches: list[Port]) -> Port | None:
+        """Return the compliant branch next to a node, or behind rigid branches (its flow off by their ratio)."""
+        joined = set(group)
+        while True:
+            for branch in branches:
+                if branch.compliant and joined & set(branch.connectors):
+                    return branch
+            binding = [
+                b for b in branches if not b.compliant and joined & set(b.connectors) and b.domain in MECHANICAL
+            ]
+            reached = {self.classes.find(self.physical[c][1]) for b in binding for c in b.connectors}
+            wider = joined | {p for p, (_, v, _) in self.physical.items() if self.classes.find(v) in reached}
+            if wider == joined:
+                return None
+            joined = wider
 
     def _units(self, path: str) -> tuple[str, str]:
         _, potential, flow = self.physical[path]
@@ -286,13 +303,90 @@ class _Finder:
                 ]
                 if rates[0] is not None and rates[1] is not None:
                     quantities["rate"] = _difference(rates[1], rates[0])
+            if "rate" not in quantities and (own := self._relative_rate(component, a, b)) is not None:
+                quantities["rate"] = own
             yield Port(
                 component, "branch", domain, (first, second), self._units(first), quantities,
                 {"p": (a, b), "flow": (flow, self.physical[second][2])}
                 | ({"rate": tuple(self.derived.get(self.classes.find(p), "") for p in (a, b))}
                    if all(self.derived.get(self.classes.find(p)) for p in (a, b)) else {}),
-                compliant=self._compliant(component, (a, b)),
+                compliant=(compliant := self._compliant(component, (a, b))),
+                rigid=not compliant and all(self._reaches_store(path) for path in paths),
             )  # fmt: skip
+
+    def _joints(self, branches: list[Port]) -> Iterator[Port]:
+        """Yield the rigid connections with stores on both sides; a rigid branch stands for those at its ends."""
+        rigid = {b.name for b in branches if b.rigid}
+        for paths in self._sets().values():
+            inside = {path: self.flat.connectors[path].component for path in paths}
+            if any(component in rigid for component in inside.values()):
+                continue
+            for path in paths:
+                others = [p for p in paths if p != path and inside[p] != inside[path]]
+                if self._stores(path) and any(self._reaches_store(p, inward=True) for p in others):
+                    domain, potential, flow = self.physical[path]
+                    probes = self._probes(potential, (flow,))
+                    # All of the quantities but the difference and its rate are of no use at a joint.
+                    quantities = {"p": variable(potential), **self._rates(potential)}
+                    yield Port(path, "joint", domain, (path,), self._units(path), quantities, probes)
+                    break
+
+    @cached_property
+    def _binding(self) -> frozenset[str]:
+        """Components that bind the potentials of their connectors to each other."""
+        of: dict[str, list[str]] = {}
+        for path, (_, potential, _) in self.physical.items():
+            of.setdefault(self.flat.connectors[path].component, []).append(potential)
+        return frozenset(
+            component
+            for component, potentials in of.items()
+            if component and len(potentials) == 2
+            and (self.classes.find(potentials[0]) == self.classes.find(potentials[1])
+                 or not self._compliant(component, (potentials[0], potentials[1])))
+        )  # fmt: skip
+
+    def _sets(self) -> dict[int, list[str]]:
+        """Return the physical connectors of each flow balance."""
+        found: dict[int, list[str]] = {}
+        for path, i in self.balances.items():
+            if path in self.physical and self.flat.connectors[path].component:
+                found.setdefault(i, []).append(path)
+        return found
+
+    def _reaches_store(self, path: str, *, inward: bool = False) -> bool:
+        """Return whether what is rigidly connected to a connector stores: outside its component, or `inward`."""
+        sets, waiting, seen = self._sets(), [(path, inward)], set()
+        while waiting:
+            here, within = waiting.pop()
+            if (here, within) in seen:
+                continue
+            seen.add((here, within))
+            component = self.flat.connectors[here].component
+            if not within:
+                waiting += [(p, True) for p in sets.get(self.balances[here], ()) if p != here]
+            elif self._stores(here):
+                return True
+            elif component in self._binding:
+                own = [p for p in self.physical if self.flat.connectors[p].component == component]
+                waiting += [(p, False) for p in own if p != here and p in self.balances]
+        return False
+
+    def _relative_rate(self, component: str, a: str, b: str) -> Expression | None:
+        """Return the derivative of a component's own difference of potentials, where it takes one."""
+        for left, right in self._equalities():
+            if not (isinstance(left, Reference) and isinstance(right, Binary) and right.operator == "-"):
+                continue
+            sides = (right.left, right.right)
+            names = tuple(flat_name(side) for side in sides if isinstance(side, Reference))
+            own = self.flat.variables.get(flat_name(left))
+            if own is None or own.component != component or self.classes.find(own.name) not in self.derived:
+                continue
+            rate = Call(left.at, "der", (left,))
+            if names == (b, a):
+                return rate
+            if names == (a, b):
+                return Unary(left.at, "-", rate)
+        return None
 
     def _compliant(self, component: str, potentials: tuple[str, str]) -> bool:
         """Return whether no equation of a component binds its potentials alone."""

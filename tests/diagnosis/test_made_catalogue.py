@@ -8,15 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from fmu_build import compile_flat, load
 from fmu_build.errors import ModelicaError
 from fmu_build.instrument import Added, Term, instrument
 from fmu_build.model_ports import domain_of, find_ports, held_parameters
 from fmuid.cli.app import run
-from fmuid.core.campaign import ModelSource
+from fmuid.core.campaign import ModelSource, ModelSpec
 from fmuid.diagnosis.catalogue import load_catalogue
-from fmuid.diagnosis.made_catalogue import Place, catalogue_text, laws, possible_laws
+from fmuid.diagnosis.made_catalogue import SIZES, Place, catalogue_text, laws, possible_laws
+from fmuid.diagnosis.variants import Variants, carrier
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.model_source import built_model, built_with_terms
 from fmuid.simulation.simulator import Task
@@ -30,13 +32,18 @@ def flat(name):
     return load(RIGS, f"Rigs.{name}")
 
 
-def everything(model, folder):
-    """Every law at every port, as terms and the parameters that they use."""
-    sizes = dict.fromkeys("PMZVFTL", 1.0)
+def every_law(model, folder):
+    """The catalogue of every law at every port."""
+    sizes = dict.fromkeys(SIZES, 1.0)
     file = folder / "effects.toml"
     file.write_text(catalogue_text([Place(port, sizes) for port in find_ports(model)], {}, HEAD))
-    catalogue = load_catalogue(file)
-    terms = [Term(e.port, e.acts, e.expression, e.id) for e in catalogue.effects.values()]
+    return load_catalogue(file)
+
+
+def everything(model, folder):
+    """Every law at every port that makes no variant, as terms and the parameters that they use."""
+    catalogue = every_law(model, folder)
+    terms = [Term(e.port, e.acts, e.expression, e.id) for e in catalogue.effects.values() if not e.variant]
     added = [Added(u.name, e.neutral[u.name]) for e in catalogue.effects.values() for u in e.unknowns]
     for port in catalogue.ports.values():
         if port.input is not None:
@@ -72,7 +79,8 @@ def test_laws_follow_the_domain():
     assert domain_of("m", "m3/s") == "fluid"
     assert domain_of("V", None) is None
     assert possible_laws(flat("Circuit"))["capacitor"] == ["leakage", "resistance"]
-    assert {"loss", "radiation"} <= set(possible_laws(flat("Block"))["body"])
+    assert "hysteresis" in possible_laws(flat("TwoMass"))["shaft"]
+    assert {"capacity", "loss", "radiation"} <= set(possible_laws(flat("Block"))["body"])
     assert "outflow" in possible_laws(flat("Tanks"))["upper"]
 
 
@@ -139,6 +147,66 @@ def test_outputs_of_the_fmu_are_bit_for_bit_the_plain_ones(tmp_path, monkeypatch
     task = Task(time, {"tau": 0.3 * np.sign(np.sin(3 * time))}, ("w_motor", "w_load"))
     plain, changed = (load_fmu(f).simulate(task, {}) for f in (built_model(source), file))
     assert np.array_equal(plain, changed)
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def geared(cache, tmp_path_factory):
+    """A geared drive with its variants, and a task for it."""
+    del cache
+    source = ModelSource(RIGS, "Rigs.Geared")
+    catalogue = every_law(flat("Geared"), tmp_path_factory.mktemp("laws"))
+    model = ModelSpec("drive", carrier(source, catalogue), source=source)
+    time = np.linspace(0.0, 2.0, 201)
+    task = Task(time, {"tau": 0.3 * np.sign(np.sin(3 * time))}, ("w_motor", "w_load", "tau_table"))
+    return catalogue, Variants({"drive": model}, catalogue, lambda m: load_fmu(m.fmu)), load_fmu(model.fmu), task
+
+
+def test_laws_with_states_are_built_when_they_are_tried_and_off_they_agree_within_the_tolerance(geared):
+    catalogue, variants, plain, task = geared
+    assert variants.simulator("drive", {}) is None
+    off = {n: v for e in catalogue.effects.values() for n, v in e.neutral.items()}
+    assert variants.simulator("drive", off) is None
+    tried = variants.simulator("drive", {"load.presliding": 0.1})
+    assert tried is variants.simulator("drive", {"shaft.hysteresis": 0.1})  # one model for all of them
+    a, b = plain.simulate(task, {}), tried.simulate(task, {})
+    assert np.abs(a - b).max() < 1e-4 * np.abs(a).max()
+
+
+def test_bristles_hold_against_a_small_torque_and_slide_under_a_larger_one(geared):
+    _, variants, _, task = geared
+    values = {"load.presliding": 0.1, "load.presliding_distance": 1e-3}
+    simulator = variants.simulator("drive", values)
+    time = np.linspace(0.0, 10.0, 501)
+    for torque, speed in ((0.05, 0.0), (0.2, None)):
+        held = Task(time, {"tau": np.full(time.size, torque)}, task.outputs)
+        w = simulator.simulate(held, {**values, "shaft.d": 1.0, "load.viscous": 0.02, "rotor.viscous": 0.02})[1]
+        assert abs(w[-1] - (speed if speed is not None else (torque - 0.1) / 0.04)) < 2e-2
+
+
+def test_an_elasticity_at_a_rigid_connection_is_a_model_of_its_own(geared):
+    _, variants, plain, task = geared
+    compliance, lag = 0.2, 1e-2
+    values = {"gear.compliance": compliance, "gear.compliance_lag": lag}
+    simulator = variants.simulator("drive", values)
+    assert simulator is variants.simulator("drive", {"gear.compliance": 1e-5})
+
+    def slope(_, x):  # angles and speeds of rotor, load and table; a gear of 3, whose driven side gives way
+        twists, rates = (np.array([a - b, b - 3 * c]) for a, b, c in (x[:3], x[3:]))
+        shaft, gear = 50 * twists[0] + 0.01 * rates[0], (twists[1] + lag * rates[1]) / compliance
+        return [*x[3:], (0.1 - shaft) / 2e-3, (shaft - gear) / 5e-3, 3 * gear / 1e-2]
+
+    time = np.linspace(0.0, 1.0, 101)
+    truth = solve_ivp(slope, (0.0, 1.0), np.zeros(6), t_eval=time, rtol=1e-9, atol=1e-9, method="Radau").y[4]
+    step = Task(time, {"tau": np.full(time.size, 0.1)}, task.outputs, tolerance=1e-8)
+    found, rigid = (s.simulate(step, v)[1] for s, v in ((simulator, values), (plain, {})))
+    assert np.abs(found - truth).max() < 0.02 * np.abs(rigid - truth).max()
 
 
 def drive_log(file, *, coulomb):

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from fmu_build.instrument import Acts
+from fmu_build.instrument import Acts, State
 from fmu_build.suggest import suggestion
 from fmuid.core.errors import CampaignError
 from fmuid.core.toml_tables import Table, convert, read_toml
@@ -43,6 +43,8 @@ class Effect:
     acts, expression
         How it acts at a port of the model's source, and the Modelica expression that is added there; empty if the
         model has the effect already (see `fmu_build.instrument`).
+    states
+        States of the expression's own.
     trials
         Plausible values to score it by: two or three magnitudes, shapes where they matter.
     two_sided
@@ -63,6 +65,12 @@ class Effect:
     shapes: frozenset[str] = frozenset()
     acts: Acts = "flow"
     expression: str = ""
+    states: tuple[State, ...] = ()
+
+    @property
+    def variant(self) -> bool:
+        """Whether it makes another model even while it is off, to be built only where it is tried."""
+        return bool(self.states) or self.acts == "cut"
 
     def scaled(self, trial: Mapping[str, float], factor: float) -> dict[str, float]:
         """Return the values of a trial whose sizes are scaled from neutral by `factor`, within bounds."""
@@ -105,6 +113,12 @@ class _Parameter(Table):
     unit: str = ""
 
 
+class _State(Table):
+    derivative: str
+    start: str = "0"
+    unit: str = ""
+
+
 class _Effect(Table):
     description: str
     port: str
@@ -114,6 +128,7 @@ class _Effect(Table):
     two_sided: bool = False
     acts: Acts = "flow"
     expression: str = ""
+    states: dict[str, _State] = msgspec.field(default_factory=dict)
 
 
 class _Port(Table):
@@ -229,4 +244,5 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
         shapes=frozenset(key for key, p in raw.parameters.items() if p.neutral is None),
         acts=raw.acts,
         expression=raw.expression,
+        states=tuple(State(key, s.derivative, s.start, s.unit) for key, s in raw.states.items()),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from fmuid.diagnosis.signal_effects import (
 from fmuid.identification.problem.cases import Case
 from fmuid.simulation.predictor import Predictor
 from fmuid.simulation.runners import Job, Runner, in_process
-from fmuid.simulation.simulator import Task, differentiates, takes_any_times
+from fmuid.simulation.simulator import Simulator, Task, differentiates, takes_any_times
 
 Prediction = tuple[FloatArray, ...]
 """(C, N) predicted signals, one array an experiment."""
@@ -47,12 +47,15 @@ class CampaignModel:
         Parameter values that stay, by name.
     tie
         Model variables that follow an expression of campaign parameters.
+    variant
+        By setup and values, the model with effects that are built in only where they are tried; else None.
     """
 
     cases: tuple[Case, ...]
     runner: Runner = in_process
     fixed: Mapping[str, float] = field(default_factory=dict)
     tie: Mapping[str, Expression] = field(default_factory=dict)
+    variant: Callable[[str, Mapping[str, float]], Simulator | None] = lambda _, __: None
     _predictor: Predictor[_Key] = field(default_factory=Predictor, init=False, repr=False)
     _tasks: dict[object, Task] = field(default_factory=dict, init=False, repr=False)
 
@@ -95,7 +98,8 @@ class CampaignModel:
         jobs = []
         for case in self.cases:
             task = replace(case.task, outputs=tuple(variables))
-            jobs.append((case.simulator, task, self.start_values(case, {**self.fixed, **values})))
+            own = self.start_values(case, {**self.fixed, **values})
+            jobs.append((self._simulator(case, own), task, own))
         outcomes = self.runner(jobs)
         for outcome in outcomes:
             if isinstance(outcome, SimulationError):
@@ -129,9 +133,11 @@ class CampaignModel:
                 for (above, below), width in zip(ends, widths, strict=True)
             ]
             moved = {name for along, _ in own for name in along}
-            if moved and not differentiates(case.simulator, moved):
+            point = self.start_values(case, plain)
+            simulator = self._simulator(case, point)
+            if moved and not differentiates(simulator, moved):
                 return {}
-            jobs.append((case.simulator, self._task_along(k, case, own), self.start_values(case, plain)))
+            jobs.append((simulator, self._task_along(k, case, own), point))
             moves.append(own)
         found: dict[str, list[FloatArray]] = {name: [] for name in names}
         for case, own, outcome in zip(self.cases, moves, self.runner(jobs), strict=True):
@@ -165,6 +171,9 @@ class CampaignModel:
         tied = {name: e(values) for name, e in self.tie.items() if name in case.simulator.variables}
         return {**own, **case.start_values(values), **tied}
 
+    def _simulator(self, case: Case, values: Mapping[str, float]) -> Simulator:
+        return self.variant(case.setup, values) or case.simulator
+
     def _simulate(
         self, wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]]
     ) -> list[Prediction | SimulationError]:
@@ -180,7 +189,7 @@ class CampaignModel:
                 keys.append(_key(k, case, values, disturbed))
                 around.append(disturbed)
                 if keys[-1] not in jobs:
-                    jobs[keys[-1]] = (case.simulator, _task(case.task, disturbed), values)
+                    jobs[keys[-1]] = (self._simulator(case, values), _task(case.task, disturbed), values)
         found = self._predictor(jobs, self.runner)
         outcomes = [found[key] for key in keys]
         results: list[Prediction | SimulationError] = []

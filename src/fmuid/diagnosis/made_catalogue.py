@@ -5,18 +5,17 @@ from __future__ import annotations
 import hashlib
 import re
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
-from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from fmu_build.flat_model import FlatModel
-from fmu_build.instrument import Acts, Added, Term
+from fmu_build.instrument import Acts
 from fmu_build.model_ports import Port, find_ports, held_parameters
-from fmu_build.suggest import suggestion
 from fmuid.campaigns.signal_catalogue import signal_catalogue
 from fmuid.core.campaign import Campaign, EffectsSpec, ModelSource, ModelSpec
 from fmuid.core.errors import CampaignError
@@ -24,13 +23,15 @@ from fmuid.core.files import user_cache, write_atomically
 from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray
 from fmuid.core.toml_tables import Table, convert, toml_text
-from fmuid.diagnosis.catalogue import Catalogue, load_catalogue
+from fmuid.diagnosis.catalogue import load_catalogue
 from fmuid.diagnosis.extended_model import CampaignModel
+from fmuid.diagnosis.variants import carrier
 from fmuid.identification.problem.cases import from_campaign
-from fmuid.simulation.model_source import built_model, built_with_terms, flat_model
+from fmuid.simulation.model_source import built_model, flat_model
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
+SIZES = "PMZVAFTL"
 SHARES = (0.01, 0.05, 0.2)  # of what flows: the sizes that a law is tried at
 _MAGNITUDE = 0.01  # of what flows: the disturbance at which a port's response is taken
 _OFF = (1.05, 1.2)  # of a held value, and as much below
@@ -50,6 +51,11 @@ class _LawParameter(Table):
     unit: str = ""
 
 
+class _LawState(Table):
+    derivative: str
+    start: str = "0"
+
+
 class _Law(Table):
     words: str
     origin: str
@@ -57,11 +63,38 @@ class _Law(Table):
     domains: list[str]
     on: list[str]
     acts: Acts
-    expression: str
+    expression: str | dict[str, str]
     parameters: dict[str, _LawParameter]
+    states: dict[str, _LawState] = msgspec.field(default_factory=dict)
     two_sided: bool = False
     compliant: bool = False
     trials: list[dict[str, str]] | None = None
+
+    def of(self, domain: str) -> str:
+        """Return the expression in a domain."""
+        return self.expression if isinstance(self.expression, str) else self.expression[domain]
+
+    def may_act(self, port: Port) -> bool:
+        """Return whether the law is of a port's domain and kind, and the port has what it uses."""
+        if port.domain not in self.domains or port.kind not in self.on:
+            return False
+        cuts = self.acts == "cut"
+        if (self.compliant and not port.compliant) or (cuts and port.kind == "branch" and not port.rigid):
+            return False
+        given = {*port.quantities, "time", *self.parameters, *self.states, *SIZES}
+        given |= {"rate"} if cuts else {"position"} if port.kind == "branch" else set()
+        used = [self.of(port.domain), *(t for s in self.states.values() for t in (s.derivative, s.start))]
+        return all(_names(text) <= given for text in used)
+
+    def may_be_sized(self, sizes: Collection[str]) -> bool:
+        """Return whether these sizes are all that its numbers are made of."""
+        texts = [t for p in self.parameters.values() for t in (p.scale, p.most, p.start) if t]
+        used = {n for text in texts for n in parse(text).names}
+        own = [self.expression] if isinstance(self.expression, str) else self.expression.values()
+        used |= {
+            n for text in (*own, *(s.derivative for s in self.states.values())) for n in _names(text) & set(SIZES)
+        }
+        return used <= set(sizes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,23 +114,15 @@ def laws() -> Mapping[str, _Law]:
 
 def fitting(place: Place) -> Iterator[tuple[str, _Law]]:
     """Yield the laws that may act at a port: of its domain and kind, and with quantities and sizes that it has."""
-    port = place.port
-    given = {*port.quantities, "time", *(("position",) if port.kind == "branch" else ())}
     for name, law in laws().items():
-        if port.domain not in law.domains or port.kind not in law.on or (law.compliant and not port.compliant):
-            continue
-        own = _names(law.expression) - law.parameters.keys()
-        sized = {
-            n for p in law.parameters.values() for t in (p.scale, p.most, p.start) if t for n in parse(t).names
-        }
-        if own - set(place.sizes) <= given and sized <= set(place.sizes):
+        if law.may_act(place.port) and law.may_be_sized(place.sizes):
             yield name, law
 
 
 def _names(modelica: str) -> set[str]:
     """Return the names of variables in a Modelica expression."""
     found = re.findall(r"(?<!\w)([A-Za-z_]\w*)\s*(\(?)", modelica)
-    return {name for name, called in found if not called} - {"if", "then", "else"}
+    return {name for name, called in found if not called} - {"if", "then", "else", "and", "or", "not"}
 
 
 def catalogue_text(places: Sequence[Place], held: Mapping[str, tuple[float, str]], signals: str) -> str:
@@ -131,7 +156,7 @@ def _port_lines(place: Place) -> list[str]:
     name, (potential, flow) = toml_text(port.name), port.units
     also = f", also {', '.join(port.same[:4])}" if port.same else ""
     lines = [f"[ports.{name}]", f"description = {toml_text(f'{port.kind} {port.name} ({port.domain}{also})')}"]
-    if port.kind != "signal":
+    if port.kind in ("node", "branch"):
         lines += [f"input = {toml_text(f'{port.name}.added_flow')}", "added = true"]
         lines += [f"magnitude = {_MAGNITUDE * sizes['F']:.3g}"]
     lines += [f"unit = {toml_text(flow)}", ""]
@@ -158,7 +183,13 @@ def _effect_lines(name: str, law: _Law, place: Place) -> list[str]:
     def value(text: str) -> float:
         return parse(text, where=f"laws.toml [{name}]")(sizes)
 
-    expression = _put_in(law.expression, {**own, **{s: f"{v:.3g}" for s, v in sizes.items()}})
+    states = {key: f"{base}_{key}" for key in law.states}
+    meant = {**own, **states, **{s: f"{v:.3g}" for s, v in sizes.items()}}
+    expression = _put_in(law.of(port.domain), meant)
+    on = " or ".join(
+        f"abs({own[k]} - {off:.6g}) > 0" if (off := value(p.off)) else f"abs({own[k]}) > 0"
+        for k, p in law.parameters.items() if p.off is not None
+    )  # fmt: skip
     if law.trials is None:
         trials = [
             {own[k]: value(p.off or "0") + share * value(p.scale) for k, p in law.parameters.items() if p.scale}
@@ -179,6 +210,12 @@ def _effect_lines(name: str, law: _Law, place: Place) -> list[str]:
         f"trials = [{', '.join(_inline(t) for t in trials)}]",
         f"{table}.parameters]",
     ]
+    for key, state in law.states.items():
+        # It stands still while the law is off, and then costs no steps.
+        derivative = f"noEvent(if {on} then {_put_in(state.derivative, meant)} else 0)"
+        start = _put_in(state.start, meant)
+        rows = f"derivative = {toml_text(derivative)}, start = {toml_text(start)}"
+        lines.insert(-1, f"states.{toml_text(states[key])} = {{ {rows} }}")
     for key, p in law.parameters.items():
         least, most = value(p.least), value(p.most)
         kind = "neutral" if p.off is not None else "start"
@@ -231,7 +268,7 @@ def sized(
     by_name = {port.name: port for port in ports}
     found = []
     for port in by_name.values():
-        p, flow, rate = [], [], []
+        p, flow, rate, change = [], [], [], []
         for t, course in zip(time, courses, strict=True):
             own = [course[n] for n in port.probes["p"] if n in course]
             if len(own) != len(port.probes["p"]):
@@ -241,9 +278,11 @@ def sized(
             flow += [np.abs(course[n]).max() for n in port.probes.get("flow", ()) if n in course]
             speeds = [course[n] for n in port.probes.get("rate", ()) if n in course]
             if speeds and len(speeds) == len(port.probes["rate"]):
-                rate.append(np.abs(speeds[1] - speeds[0] if port.kind == "branch" else speeds[0]).max())
+                speed = speeds[1] - speeds[0] if port.kind == "branch" else speeds[0]
             else:
-                rate.append(np.abs(np.gradient(potential, t)).max())
+                speed = np.gradient(potential, t)
+            rate.append(np.abs(speed).max())
+            change.append(np.abs(np.gradient(speed, t)).max())
         if not p:
             continue
         sizes = {
@@ -251,6 +290,7 @@ def sized(
             "M": max(float(np.abs(x).max()) for x in p),
             "Z": float(p[0][0]),
             "V": float(max(rate, default=0.0)),
+            "A": float(max(change, default=0.0)),
             "F": float(max(flow, default=0.0)),
             "T": duration,
         }
@@ -314,7 +354,7 @@ def with_catalogue(
     carriers, models = {}, dict(campaign.models)
     for name, setup in setups.items():
         plain = built_model(setup.source)
-        carriers[plain.stem] = _carrier(setup, catalogue).stem
+        carriers[plain.stem] = carrier(setup.source, catalogue).stem
         models[name] = replace(setup.model, fmu=plain)
     if carriers:
         text = _with_models(text, carriers)
@@ -341,32 +381,6 @@ def _sources(campaign: Campaign) -> dict[str, _Setup]:
         for name, model in campaign.models.items()
         if name in used and model.source is not None
     }
-
-
-def _carrier(setup: _Setup, catalogue: Catalogue) -> Path:
-    """Build the model with those effects and inputs of a catalogue that act at its ports."""
-    known = {port.name for port in find_ports(setup.flat)}
-    unknown = [e for e in catalogue.effects.values() if e.expression and e.port not in known]
-    if len(unknown) == sum(1 for e in catalogue.effects.values() if e.expression) and unknown:
-        raise CampaignError(
-            f"the model has no port '{unknown[0].port}'",
-            where=f"[effects.{unknown[0].id!r}]",
-            fix=suggestion(unknown[0].port, known),
-        )
-    terms, added = [], []
-    for effect in catalogue.effects.values():
-        if effect.expression and effect.port in known:
-            terms.append(Term(effect.port, effect.acts, effect.expression, f"[effects.{effect.id!r}] expression"))
-            added += [
-                Added(u.name, effect.neutral[u.name], effect.units.get(u.name, ""), effect.description)
-                for u in effect.unknowns
-                if u.name not in setup.flat.variables
-            ]
-    for port in catalogue.ports.values():
-        if port.added and port.input and port.name in known:
-            terms.append(Term(port.name, "flow", port.input, f"[ports.{port.name!r}] input"))
-            added.append(Added(port.input, 0.0, port.unit, port.description, input=True))
-    return built_with_terms(setup.source, setup.flat, terms, added)
 
 
 def made_catalogue(
@@ -420,6 +434,6 @@ def _held_value(name: str, model: CampaignModel, fixed: Mapping[str, float]) -> 
 
 def possible_laws(flat: FlatModel) -> dict[str, list[str]]:
     """Return the names of the laws that may act at each port of a model, whatever its sizes are."""
-    sizes = dict.fromkeys("PMZVFTL", 1.0)
+    sizes = dict.fromkeys(SIZES, 1.0)
     found = {port.name: [name for name, _ in fitting(Place(port, sizes))] for port in find_ports(flat)}
     return {name: names for name, names in found.items() if names}

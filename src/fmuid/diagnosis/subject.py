@@ -20,6 +20,7 @@ from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.signal_effects import NEUTRAL
+from fmuid.diagnosis.variants import Variants
 from fmuid.diagnosis.verdict import LeftOut
 from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
 from fmuid.identification.problem.solver_error import solver_accuracy
@@ -170,7 +171,8 @@ def model_of(
             own = {u.name for u in effect.unknowns}
             cases = tuple(_without(case, own) for case in cases)
             fixed |= {u.name: effect.neutral[u.name] for u in effect.unknowns if u.name in fixed}
-    return CampaignModel(cases, runner, fixed, tie), catalogue, known, modelled
+    variants = Variants({s: m for s, m in models.items() if m.source is not None}, catalogue, load)
+    return CampaignModel(cases, runner, fixed, tie, variants.simulator), catalogue, known, modelled
 
 
 def _not_nominal(campaign: Campaign, catalogue: Catalogue) -> list[Effect]:

@@ -1,0 +1,111 @@
+"""Models that carry effects: in one those that are nothing while off, in others those that are tried."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+from fmu_build.flat_model import FlatModel
+from fmu_build.instrument import Added, Term
+from fmu_build.model_ports import find_ports
+from fmu_build.suggest import suggestion
+from fmuid.core.campaign import ModelSource, ModelSpec
+from fmuid.core.errors import CampaignError
+from fmuid.diagnosis.catalogue import Catalogue, Effect
+from fmuid.simulation.model_source import built_with_terms, flat_model
+from fmuid.simulation.simulator import Simulator
+
+
+def carrier(source: ModelSource, catalogue: Catalogue) -> Path:
+    """Build the model with those effects and inputs of a catalogue that act at its ports.
+
+    Of effects that make another model of it even while they are off, it has the parameters alone: see `Variants`.
+
+    Raises
+    ------
+    CampaignError
+        The model has none of the ports that effects act at.
+    """
+    flat = flat_model(source)
+    known = {port.name for port in find_ports(flat)}
+    acting = [e for e in catalogue.effects.values() if e.expression]
+    if acting and not any(e.port in known for e in acting):
+        raise CampaignError(
+            f"the model has no port '{acting[0].port}'",
+            where=f"[effects.{acting[0].id!r}]",
+            fix=suggestion(acting[0].port, known),
+        )
+    return _built(source, flat, catalogue, frozenset())
+
+
+def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Collection[str]) -> Path:
+    """Build a model with what a catalogue adds to it; of effects that make variants, with those that are tried."""
+    known = {port.name for port in find_ports(flat)}
+    terms, added = [], []
+    for effect in catalogue.effects.values():
+        if effect.expression and effect.port in known:
+            where = f"[effects.{effect.id!r}] expression"
+            if not effect.variant or effect.id in tried:
+                terms.append(Term(effect.port, effect.acts, effect.expression, where, effect.states))
+            added += [
+                Added(u.name, effect.neutral[u.name], effect.units.get(u.name, ""), effect.description)
+                for u in effect.unknowns
+                if u.name not in flat.variables
+            ]
+    for port in catalogue.ports.values():
+        if port.added and port.input and port.name in known:
+            terms.append(Term(port.name, "flow", port.input, f"[ports.{port.name!r}] input"))
+            added.append(Added(port.input, 0.0, port.unit, port.description, input=True))
+    return built_with_terms(source, flat, terms, added)
+
+
+@dataclass(frozen=True, eq=False)
+class Variants:
+    """Models with effects that have states, or that part a rigid connection: built when one is first tried.
+
+    Effects with states share a model, in which those that are off stand still. Connections that are parted make a
+    model of their own.
+
+    Attributes
+    ----------
+    models
+        By setup, of models with their source; their `fmu` carries the other effects.
+    load
+        Loads a model.
+    """
+
+    models: Mapping[str, ModelSpec]
+    catalogue: Catalogue
+    load: Callable[[ModelSpec], Simulator]
+    _loaded: dict[tuple[str, frozenset[str]], Simulator] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def _effects(self) -> tuple[Effect, ...]:
+        return tuple(e for e in self.catalogue.effects.values() if e.variant)
+
+    def simulator(self, setup: str, values: Mapping[str, float]) -> Simulator | None:
+        """Return the variant of a setup's model that parameter values need; None if they need none.
+
+        Raises
+        ------
+        ModelicaError, BuildError
+            It cannot be built.
+        """
+        on = [e for e in self._effects if _is_on(e, values)]
+        if not on or setup not in self.models:
+            return None
+        with_states = any(e.states for e in on)
+        tried = frozenset(e.id for e in self._effects if e in on or (with_states and e.acts != "cut"))
+        if (setup, tried) not in self._loaded:
+            model = self.models[setup]
+            assert model.source is not None
+            file = _built(model.source, flat_model(model.source), self.catalogue, tried)
+            self._loaded[setup, tried] = self.load(replace(model, fmu=file))
+        return self._loaded[setup, tried]
+
+
+def _is_on(effect: Effect, values: Mapping[str, float]) -> bool:
+    sizes = [u.name for u in effect.unknowns if u.name not in effect.shapes]
+    return any(values.get(name, effect.neutral[name]) != effect.neutral[name] for name in sizes)
