@@ -148,7 +148,10 @@ class _Finder:
                 self.classes.join(flat_name(left), flat_name(right))
             elif isinstance(left, Reference) and constant(right) is not None:
                 fixed.append(flat_name(left))
+        variables = flat.variables.values()
         self.fixed = {self.classes.find(name) for name in fixed}
+        self.fixed |= {self.classes.find(v.name) for v in variables if v.variability in ("constant", "parameter")}
+        self.prescribed = self.fixed | {self.classes.find(v.name) for v in variables if v.causality == "input"}
         for equation in flat.equations:
             for node in walk((equation.left, equation.right)):
                 if isinstance(node, Call) and node.function == "der" and isinstance(node.arguments[0], Reference):
@@ -209,7 +212,7 @@ class _Finder:
     def _nodes(self, branches: list[Port]) -> Iterator[Port]:
         groups: dict[str, list[str]] = {}
         for path, (_, potential, _) in self.physical.items():
-            if path in self.balances and self.classes.find(potential) not in self.fixed:
+            if path in self.balances and self.classes.find(potential) not in self.prescribed:
                 groups.setdefault(self.classes.find(potential), []).append(path)
         shown = {self.classes.find(v.name) for v in self.flat.variables.values() if v.causality == "output"}
         for group in groups.values():
@@ -243,10 +246,9 @@ class _Finder:
             for branch in branches:
                 if branch.compliant and joined & set(branch.connectors):
                     return branch
-            binding = [
-                b for b in branches if not b.compliant and joined & set(b.connectors) and b.domain in MECHANICAL
-            ]
-            reached = {self.classes.find(self.physical[c][1]) for b in binding for c in b.connectors}
+            near = {self.flat.connectors[path].component for path in joined} & self._binding
+            own = [path for path in self.physical if self.flat.connectors[path].component in near]
+            reached = {self.classes.find(self.physical[path][1]) for path in own}
             wider = joined | {p for p, (_, v, _) in self.physical.items() if self.classes.find(v) in reached}
             if wider == joined:
                 return None

@@ -56,7 +56,6 @@ def test_init_makes_a_campaign_that_runs(
     assert "step.csv and 2 more: column 'oil' is not used, no input or output of the FMU fits" in out
     assert sorted(p.name for p in Path("drive").iterdir()) == [
         "campaign.toml",
-        "effects.toml",
         "measurements.h5",
     ]
     campaign = load_campaign("drive")
@@ -182,7 +181,7 @@ def test_init_takes_model_exchange_where_the_solver_inside_is_coarse(
         assert abs(ratio - 1) < error if error else abs(ratio - 1) > 5e-3
 
 
-@pytest.mark.parametrize("truth", ["none", "position_gain", "u_delay"])
+@pytest.mark.parametrize("truth", ["none", "gain@position", "delay@u"])
 def test_what_is_wrong_with_a_signal_is_found_from_log_files_alone(
     truth: str, oscillator: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
 ) -> None:
@@ -191,10 +190,10 @@ def test_what_is_wrong_with_a_signal_is_found_from_log_files_alone(
     time = np.linspace(0.0, 1.0, 201)
     plant = load_fmu(oscillator)
     for name, u in (("step", 5.0 * (time > 0.2)), ("chirp", 5 * np.sin((4 + 12 * time) * time))):
-        acts = np.r_[[u[0]] * 3, u[:-3]] if truth == "u_delay" else u
+        acts = np.r_[[u[0]] * 3, u[:-3]] if truth == "delay@u" else u
         x = plant.simulate(Task(time, {"u": acts}, ("x",)), {"m": 1.02, "d": 0.6, "c": 98.0})[0]
         for k in range(5):
-            position = 1e3 * x * (1.1 if truth == "position_gain" else 1.0) + rng.normal(0, 0.2, time.size)
+            position = 1e3 * x * (1.1 if truth == "gain@position" else 1.0) + rng.normal(0, 0.2, time.size)
             write_csv(Table(time, {"u": u, "position": position}, {"u": "N", "position": "mm"}), f"{name}_{k}.csv")
     files = sorted(tmp_path.glob("*.csv"))
     assert fmuid("init", *files, "--fmu", oscillator, "--unit", "position=mm")[0] == 0
@@ -203,12 +202,12 @@ def test_what_is_wrong_with_a_signal_is_found_from_log_files_alone(
     answer = json.loads(Path("found/diagnosis.json").read_text())
     if truth == "none":
         assert answer["verdict"]["kind"] == "complete", out
-        assert {"position_gain", "u_delay"} <= set(answer["power"])
+        assert {"gain@position", "delay@u"} <= set(answer["power"])
         return
     assert (answer["verdict"]["kind"], answer["verdict"]["effects"]) == ("effect", [truth]), out
     (found,) = [e for e in answer["effects"] if e["id"] == truth]
     (estimate,) = found["parameters"].values()
-    assert estimate["value"] == pytest.approx({"position_gain": 1.1, "u_delay": 0.015}[truth], rel=0.03)
+    assert estimate["value"] == pytest.approx({"gain@position": 1.1, "delay@u": 0.015}[truth], rel=0.03)
 
 
 @pytest.mark.parametrize(

@@ -405,3 +405,21 @@ def test_a_refit_is_at_least_as_good_as_every_start():
     assert both.cost <= min(
         refit(predict, observed, unknown, starts=[s], max_iterations=0).cost for s in ({}, {"w": 6.8})
     )
+
+
+def test_what_is_known_beforehand_of_an_effect_weighs_against_the_data():
+    rng = np.random.default_rng(0)
+    runs = [RepeatedRuns("e", "bench", TIME, ("y",), TIME + 0.1 * rng.standard_normal((5, 1, len(TIME))))]
+    observed = Observed.from_runs(runs)
+
+    def predict(points):
+        return [[(p["k"] * TIME)[None]] for p in points]
+
+    free, *bound = (
+        refit(predict, observed, [Unknown("k", 0.5, -9.0, 9.0, 0.01, sd)]) for sd in (np.inf, 0.2, 1e-4)
+    )
+    (column,) = free.jacobian
+    information = observed.repeats[0] * float(column[:, 0] @ column[:, 0])
+    for fit, sd in zip(bound, (0.2, 1e-4), strict=True):
+        expected = (information * free.values["k"] + 0.5 / sd**2) / (information + 1 / sd**2)
+        assert fit.values["k"] == pytest.approx(expected, rel=1e-3)

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from fmuid.diagnosis.extended_model import CampaignModel
-from fmuid.diagnosis.signal_effects import NEUTRAL, disturbed_input, disturbed_readings, split_signal_parameters
+from fmuid.diagnosis.signal_effects import disturbed_input, disturbed_readings, split_signal_parameters
 from fmuid.identification.problem.cases import measured_case
 from fmuid.simulation.simulator import Task, Variable
 
@@ -137,7 +137,8 @@ def test_signal_parameters_are_told_from_the_model_s():
     )
     assert plain == {"d": 1.0, "gear.gain": 3.0}
     assert disturbed == {"y": {"gain": 1.1}, "u": {"delay": 2e-3}}
-    assert set(NEUTRAL) == {"offset", "gain", "lag", "delay", "saturation"}
+    plain, disturbed = split_signal_parameters({"y.crosstalk[u]": 0.1, "y.crosstalk[x]": 0.2}, {"y", "u"})
+    assert (plain, disturbed) == ({"y.crosstalk[x]": 0.2}, {"y": {"crosstalk[u]": 0.1}})
 
 
 def test_a_delay_of_whole_samples_moves_them_and_needs_no_further_ones():
@@ -159,8 +160,28 @@ def test_a_lag_does_not_depend_on_how_often_the_input_is_sampled(linear):
 
 def test_sensors_that_read_wrongly():
     y = np.stack([TIME, -TIME])
-    read = disturbed_readings(y, ("a", "b"), {"a": {"gain": 2.0, "offset": 0.5}, "b": {"saturation": 0.5}})
+    read = disturbed_readings(
+        y, ("a", "b"), {"a": {"gain": 2.0, "offset": 0.5}, "b": {"saturation": 0.5}}, TIME, {}
+    )
     np.testing.assert_allclose(read[0], 2.0 * TIME + 0.5)
     assert np.abs(read[1]).max() < 0.5
     assert read[1, 1] == pytest.approx(-TIME[1], rel=1e-3)
-    assert disturbed_readings(y, ("a", "b"), {}) is y
+    assert disturbed_readings(y, ("a", "b"), {}, TIME, {}) is y
+
+
+def test_sensors_that_drift_or_read_others():
+    y, u = np.stack([np.sin(TIME), np.cos(TIME)]), {"u": U}
+    effects = {"a": {"drift": 0.2, "crosstalk[u]": 0.1, "crosstalk[b]": -0.3}}
+    read = disturbed_readings(y, ("a", "b"), effects, TIME, u)
+    np.testing.assert_allclose(read[0], y[0] + 0.2 * (TIME - TIME[0]) + 0.1 * U - 0.3 * y[1])
+    np.testing.assert_array_equal(read[1], y[1])
+
+
+def test_inputs_that_saturate_have_a_dead_zone_or_see_each_other():
+    u = np.linspace(-2.0, 2.0, N)
+    hard = disturbed_input(TIME, u, {"compression": 1.0, "hardness": 30.0}, linear=True).values
+    np.testing.assert_allclose(hard, np.clip(u, -1.0, 1.0), atol=0.03)
+    dead = disturbed_input(TIME, u, {"dead_zone": 0.5}, linear=True).values
+    np.testing.assert_allclose(dead, np.sign(u) * np.maximum(np.abs(u) - 0.5, 0.0))
+    both = disturbed_input(TIME, u, {"crosstalk[v]": 0.1}, linear=True, others={"u": u, "v": U}).values
+    np.testing.assert_allclose(both, u + 0.1 * U)

@@ -72,6 +72,8 @@ class _ParameterTable(Table):
     truth: float | None = None
     description: str = ""
     prior: dict[str, Any] | None = None
+    known: bool = False
+    tolerance: float | None = None
 
 
 class _PriorTable(Table):
@@ -374,6 +376,12 @@ def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
         raise CampaignError("scale is log without lower", where=where, fix="give lower > 0")
     if table.truth is not None:
         finite("truth", table.truth, where)
+    if table.tolerance is not None and not (math.isfinite(table.tolerance) and table.tolerance > 0):
+        raise CampaignError(
+            f"tolerance is {table.tolerance:g}", where=where, fix="write tolerance > 0, relative; or known = true"
+        )
+    if table.known and table.tolerance is not None:
+        raise CampaignError("is known, and has a tolerance", where=where, fix="leave one of the two out")
     given = msgspec.structs.asdict(table)
     if table.prior is not None:
         prior = convert(table.prior, _PriorTable, f"{where} prior")

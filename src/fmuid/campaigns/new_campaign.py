@@ -14,8 +14,6 @@ import numpy as np
 from fmu_build.suggest import known_names, suggestion
 from fmuid.campaigns.campaign_toml import FILE_NAME, load_campaign
 from fmuid.campaigns.first_choice import FirstChoice, first_choice, runs_away, solver_error
-from fmuid.campaigns.signal_catalogue import FILE_NAME as CATALOGUE_NAME
-from fmuid.campaigns.signal_catalogue import signal_catalogue
 from fmuid.core.campaign import Interface, ModelSource
 from fmuid.core.errors import CampaignError, FmuidError, MeasurementsError, UnitError
 from fmuid.core.experiments import Experiment, Measurements
@@ -64,14 +62,14 @@ def new_campaign(
 
     Columns become signals by the name or, where that is unique, the unit of the FMU's inputs and outputs.
     Which parameters are free and how inputs act between samples: see `fmuid.campaigns.first_choice`. The last run
-    is kept for validation. Beside it goes a catalogue of the effects that any FMU's signals may have.
+    is kept for validation.
 
     Parameters
     ----------
     files, fmu, folder
         What there is, and where the campaign goes.
     source
-        The FMU's Modelica source: named in its place, and no catalogue is written, since the model makes its own.
+        The FMU's Modelica source, named in its place.
     signals
         Of the files, the signals to use; all by default.
     base
@@ -90,10 +88,9 @@ def new_campaign(
     FmuidError
         A file cannot be read, nothing in it fits the FMU, or there is a campaign already.
     """
-    target, catalogue = folder / FILE_NAME, folder / CATALOGUE_NAME
-    for file in (target, catalogue):
-        if file.exists():
-            raise CampaignError("already exists", where=file, fix="name another folder with --out")
+    target = folder / FILE_NAME
+    if target.exists():
+        raise CampaignError("already exists", where=target, fix="name another folder with --out")
     model = load_model(fmu)
     ports = {n: v for n, v in model.variables.items() if v.causality in ("input", "output")}
     notes: list[tuple[str, str]] = []
@@ -138,8 +135,6 @@ def new_campaign(
     if away is not None:
         guesses.append(f"runs are cut into segments: simulated open loop the model runs away ({away})")
     write_measurements(Measurements(runs), folder / "measurements.h5")
-    if source is None:
-        write_atomically(catalogue, signal_catalogue(runs.values(), mapping, ports))
     write_atomically(
         target,
         _toml(folder, source or fmu, runs=runs, mapping=mapping, choice=choice, interface=interface, away=away),
@@ -330,12 +325,6 @@ def _toml(
         *([f"# {away}: each segment starts afresh.", 'segments = "auto"'] if away is not None else []),
         "",
     ]
-    if not isinstance(model, ModelSource):
-        lines += [
-            "# For `fmuid diagnose`: what the model may lack. The free parameters are refitted with every effect.",
-            "[effects]",
-            f"catalogue = {toml_text(CATALOGUE_NAME)}",
-        ]
     return "\n".join(lines) + "\n"
 
 

@@ -12,11 +12,7 @@ from fmuid.core.toml_tables import toml_text
 from fmuid.core.units import conversion
 from fmuid.simulation.simulator import Variable
 
-FILE_NAME = "effects.toml"
 _HEAD = """\
-# What the model may lack, for `fmuid diagnose`: effects between the FMU and its signals, which change no FMU.
-# Sizes are guesses from ranges and sample times; correct them by what you know. Inputs are named as in the FMU,
-# outputs as in the measurements; all is in the FMU's units. Effects inside the model: docs/tutorials/effect.md.
 format = "fmuid-effects"
 version = 1
 """
@@ -28,22 +24,30 @@ _WORDS = {
         "'{}' acts late",
         "Communication and sampling; about half a sample: `interpolation` in campaign.toml",
     ),
+    ("input", "saturation"): (
+        "'{}' acts less and less as it grows",
+        "Limit of the amplifier, magnetic saturation",
+    ),
+    ("input", "dead_zone"): ("'{}' acts only beyond a threshold", "Overlap of a valve, threshold of an amplifier"),
+    ("input", "crosstalk"): ("'{}' acts with a share of other inputs", "Coupling between channels"),
     ("output", "gain"): ("'{}' is read in a wrong scale", "Calibration of the sensor"),
     ("output", "offset"): ("'{}' is read with a constant added", "Zero of the sensor"),
     ("output", "lag"): ("'{}' is read with a first-order lag", "Filter of the sensor"),
+    ("output", "delay"): ("'{}' is read late", "Communication and sampling"),
+    ("output", "saturation"): ("'{}' is read less and less as it grows", "Range of the sensor"),
+    ("output", "drift"): ("'{}' is read with a zero that drifts over a run", "Warming of the sensor"),
+    ("output", "crosstalk"): (
+        "'{}' is read with a share of other signals",
+        "Coupling between channels, cross-axis sensitivity",
+    ),
 }
+_TWO_SIDED = ("gain", "offset", "drift", "crosstalk")
 
 
-def signal_catalogue(
-    runs: Iterable[Experiment],
-    mapping: Mapping[str, str],
-    model: Mapping[str, Variable],
-    ids: str = "{signal}_{law}",
-) -> str:
+def signal_catalogue(runs: Iterable[Experiment], mapping: Mapping[str, str], model: Mapping[str, Variable]) -> str:
     """Return the text of a catalogue with the effects of every signal that is not zero throughout.
 
-    Inputs: gain, offset, first-order lag, dead time; outputs: gain, offset, lag. Trials are 2 and 10 % of scale,
-    1 and 5 % of the range, one and five sample times.
+    Trials are 2 and 10 % of scale, 1 and 5 % of the range, from one to twenty-five sample times.
 
     Parameters
     ----------
@@ -53,8 +57,6 @@ def signal_catalogue(
         Signal -> variable of the FMU, where the names differ.
     model
         The FMU's variables.
-    ids
-        How effects are called.
 
     Raises
     ------
@@ -63,63 +65,123 @@ def signal_catalogue(
     """
     runs = list(runs)
     step = min(float(np.median(np.diff(run.time))) for run in runs)
+    duration = max(float(run.time[-1] - run.time[0]) for run in runs)
+    signals = _signals(runs, mapping, model)
     ports, regimes, effects = [], [], []
-    for name, causality in dict.fromkeys((n, s.causality) for run in runs for n, s in run.signals.items()):
-        variable = model[mapping.get(name, name)]
-        signals = [run.signals[name] for run in runs if name in run.signals]
-        values = np.concatenate([conversion(s.unit, variable.unit)(s.values) for s in signals])
-        size = float(np.nanmax(values) - np.nanmin(values)) or float(np.nanmax(np.abs(values)))
-        if size == 0.0:
-            continue
-        own, unit = (variable.name if causality == "input" else name), variable.unit or "1"
+    for s in signals.values():
         ports += [
-            f"[ports.{toml_text(own)}]",
-            f"description = {toml_text(variable.description or f'{causality} {own}')}",
+            f"[ports.{toml_text(s.name)}]",
+            f"description = {toml_text(s.variable.description or f'{s.causality} {s.name}')}",
         ]
-        if causality == "output":
-            ports += [f"output = {toml_text(own)}", f"magnitude = {0.01 * size:.2g}"]
+        if s.causality == "output":
+            ports += [f"output = {toml_text(s.name)}", f"magnitude = {0.01 * s.range:.2g}"]
             regimes += [
-                f"[regimes.{toml_text(own)}]",
-                f"variable = {toml_text(variable.name)}",
-                f"unit = {toml_text(unit)}",
+                f"[regimes.{toml_text(s.name)}]",
+                f"variable = {toml_text(s.variable.name)}",
+                f"unit = {toml_text(s.unit)}",
                 "",
             ]
-        ports += [f"unit = {toml_text(unit)}", ""]
-        late = _Sizes((step, 5 * step), (0.0, 0.0, 50 * step, step / 10), "s")
-        sizes = {
-            "gain": _Sizes((1.02, 1.1), (1.0, 0.5, 2.0, 2e-3), "1"),
-            "offset": _Sizes((0.01 * size, 0.05 * size), (0.0, -size, size, 1e-3 * size), unit),
-            "lag": late,
-            "delay": late,
-        }
-        for (kind, prop), (description, source) in _WORDS.items():
-            if kind == causality:
-                name = ids.format(signal=own, law=prop)
-                effects += _effect(name, own, prop, description.format(own), source, sizes[prop])
+        ports += [f"unit = {toml_text(s.unit)}", ""]
+        others = [
+            o for o in signals.values() if o is not s and (s.causality == "output" or o.causality == "input")
+        ]
+        for (kind, law), (description, source) in _WORDS.items():
+            sizes = _sizes(law, s, others, step, duration)
+            if kind == s.causality and sizes:
+                effects += _effect(f"{law}@{s.name}", s.name, law, description.format(s.name), source, sizes)
     note = ["# ---- regimes: variables of the model; a gap is looked at along them, and over time ----", ""]
     return "\n".join([_HEAD, *ports, *note, *regimes, *effects])
 
 
-class _Sizes(NamedTuple):
-    """Of a property of a signal: trial values, then neutral, lower, upper and step, all in `unit`."""
+class _Signal(NamedTuple):
+    """A signal, called as in the FMU if it is an input; its range and largest absolute value in `unit`."""
 
+    name: str
+    causality: str
+    variable: Variable
+    unit: str
+    range: float
+    largest: float
+
+
+def _signals(
+    runs: Iterable[Experiment], mapping: Mapping[str, str], model: Mapping[str, Variable]
+) -> dict[str, _Signal]:
+    runs, found = list(runs), {}
+    for name, causality in dict.fromkeys((n, s.causality) for run in runs for n, s in run.signals.items()):
+        variable = model[mapping.get(name, name)]
+        recorded = [run.signals[name] for run in runs if name in run.signals]
+        values = np.concatenate([conversion(s.unit, variable.unit)(s.values) for s in recorded])
+        largest = float(np.nanmax(np.abs(values)))
+        size = float(np.nanmax(values) - np.nanmin(values)) or largest
+        own = variable.name if causality == "input" else name
+        if size > 0.0:
+            found[own] = _Signal(own, causality, variable, variable.unit or "1", size, largest)
+    return found
+
+
+class _Size(NamedTuple):
+    """Of a parameter: trial values, then neutral, lower, upper and step, all in `unit`; a shape if it starts."""
+
+    name: str
     trials: tuple[float, ...]
     limits: tuple[float, float, float, float]
     unit: str
+    shape: bool = False
 
 
-def _effect(id: str, signal: str, prop: str, description: str, source: str, sizes: _Sizes) -> list[str]:
-    name, table = toml_text(f"{signal}.{prop}"), f"[effects.{toml_text(id)}"
-    neutral, lower, upper, step = (f"{x:.4g}" for x in sizes.limits)
+def _sizes(law: str, s: _Signal, others: Iterable[_Signal], step: float, duration: float) -> list[_Size]:
+    """Return the parameters of a law at a signal."""
+    size, most = s.range, s.largest
+    late = _Size(law, (step, 5 * step, 25 * step), (0.0, 0.0, max(50 * step, 0.1 * duration), step / 10), "s")
+    if law == "crosstalk":
+        shares = [(o.name, size / o.range, f"{s.unit}/({o.unit})") for o in others]
+        return [_Size(f"crosstalk[{n}]", (0.05 * r,), (0.0, -r, r, 1e-3 * r), unit) for n, r, unit in shares]
+    known = {
+        "gain": [_Size(law, (1.02, 1.1), (1.0, 0.5, 2.0, 2e-3), "1")],
+        "offset": [_Size(law, (0.01 * size, 0.05 * size), (0.0, -size, size, 1e-3 * size), s.unit)],
+        "drift": [
+            _Size(
+                law,
+                (0.01 * size / duration, 0.05 * size / duration),
+                (0.0, -size / duration, size / duration, 1e-3 * size / duration),
+                f"{s.unit}/s",
+            )
+        ],
+        "lag": [late],
+        "delay": [late],
+        "saturation": [
+            _Size(
+                "compression", tuple(x / most for x in (0.3, 1.0, 1.5)), (0.0, 0.0, 20 / most, 0.02 / most),
+                f"1/({s.unit})",
+            ),
+            _Size("hardness", (), (4.0, 1.0, 30.0, 0.1), "1", shape=True),
+        ],
+        "dead_zone": [_Size(law, (0.01 * most, 0.05 * most), (0.0, 0.0, most, 1e-3 * most), s.unit)],
+    }  # fmt: skip
+    return known[law]
+
+
+def _effect(id: str, signal: str, law: str, description: str, source: str, sizes: Iterable[_Size]) -> list[str]:
+    table = f"[effects.{toml_text(id)}"
+    rows, trials = [], []
+    for size in sizes:
+        name = toml_text(f"{signal}.{size.name}")
+        first, lower, upper, step = (f"{x:.4g}" for x in size.limits)
+        kind = "start" if size.shape else "neutral"
+        trials += [f"{{ {name} = {x:.4g} }}" for x in size.trials]
+        rows.append(
+            f"{name} = {{ {kind} = {first}, lower = {lower}, upper = {upper}, step = {step}, "
+            f"unit = {toml_text(size.unit)} }}"
+        )
     return [
         f"{table}]",
         f"description = {toml_text(description)}",
         f"source = {toml_text(source)}",
         f"port = {toml_text(signal)}",
-        *(["two_sided = true"] if prop in ("gain", "offset") else []),
-        f"trials = [{', '.join(f'{{ {name} = {x:.4g} }}' for x in sizes.trials)}]",
+        *(["two_sided = true"] if law in _TWO_SIDED else []),
+        f"trials = [{', '.join(trials)}]",
         f"{table}.parameters]",
-        f"{name} = {{ neutral = {neutral}, lower = {lower}, upper = {upper}, step = {step}, "
-        f"unit = {toml_text(sizes.unit)} }}",
+        *rows,
         "",
     ]

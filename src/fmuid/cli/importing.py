@@ -258,12 +258,7 @@ def init(
     for line in made.guesses:
         printer.say(line)
     printer.say(f"{out / 'campaign.toml'}: look it through, then run: fmuid check {out}; fmuid identify {out}")
-    if source is None:
-        printer.say(f"{out / 'effects.toml'}: what may be wrong with the signals, for: fmuid diagnose {out}")
-    else:
-        printer.say(
-            f"what the model may lack: fmuid effects {out}; which of it the runs show: fmuid diagnose {out}"
-        )
+    printer.say(f"what the model may lack: fmuid effects {out}; which of it the runs show: fmuid diagnose {out}")
     printer.write({"out": out, "guesses": made.guesses})
 
 

@@ -100,6 +100,10 @@ class ParameterSpec:
         For reports.
     prior
         What is known of it beforehand; counts as one more residual, (value - mean) / sd.
+    known
+        While it is held, a diagnosis takes its value for right: that it is off is no candidate.
+    tolerance
+        Otherwise how well the held value is known: relative, one standard deviation.
     """
 
     name: str
@@ -113,6 +117,8 @@ class ParameterSpec:
     truth: float | None = None
     description: str = ""
     prior: Prior | None = None
+    known: bool = False
+    tolerance: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("start", "lower", "upper"):  # NumPy's numbers are no JSON

@@ -5,6 +5,7 @@ The file format is described at the top of ``modelica/Drives/effects.toml``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -110,6 +111,7 @@ class _Parameter(Table):
     step: float
     neutral: float | None = None
     start: float | None = None
+    sd: Annotated[float, msgspec.Meta(gt=0)] = math.inf
     unit: str = ""
 
 
@@ -227,7 +229,7 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
             raise CampaignError(
                 f"'{key}' needs a neutral or start value within its bounds, and a step", where=where, fix="add it"
             )
-        unknowns.append(Unknown(key, start, p.lower, p.upper, abs(p.step)))
+        unknowns.append(Unknown(key, start, p.lower, p.upper, abs(p.step), p.sd))
         neutral[key] = start
     if not raw.trials or not np.all([len(t) > 0 for t in raw.trials]):
         raise CampaignError("has no trials", where=where, fix="give plausible values to score it by")

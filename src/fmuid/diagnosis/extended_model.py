@@ -206,7 +206,9 @@ class CampaignModel:
                 if disturbed is not None:
                     shown = disturbed.readings(shown, [c.differentiated for c in case.channels])
                 sensed = case.sensed(shown, {**self.fixed, **plain})
-                rows.append(disturbed_readings(sensed, [c.signal for c in case.channels], signal))
+                inputs = {n: u[case.lead :] for n, u in case.task.inputs.items()}
+                names = [c.signal for c in case.channels]
+                rows.append(disturbed_readings(sensed, names, signal, case.time, inputs))
             results.append(tuple(rows))
         return results
 

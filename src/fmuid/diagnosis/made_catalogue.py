@@ -34,7 +34,8 @@ from fmuid.simulation.simulator import Simulator
 SIZES = "PMZVAFTL"
 SHARES = (0.01, 0.05, 0.2)  # of what flows: the sizes that a law is tried at
 _MAGNITUDE = 0.01  # of what flows: the disturbance at which a port's response is taken
-_OFF = (1.05, 1.2)  # of a held value, and as much below
+_OFF = (1.05, 1.2)  # of a held value
+_TOLERATED = 10.0  # standard deviations that a held value may be off
 _HEAD = """\
 # What the model may lack, for `fmuid diagnose`: laws at the ports of its source, its signals and held parameters.
 # `expression` is Modelica and is added to the model at the port; every variable of the model may occur in it.
@@ -125,7 +126,7 @@ def _names(modelica: str) -> set[str]:
     return {name for name, called in found if not called} - {"if", "then", "else", "and", "or", "not"}
 
 
-def catalogue_text(places: Sequence[Place], held: Mapping[str, tuple[float, str]], signals: str) -> str:
+def catalogue_text(places: Sequence[Place], held: Mapping[str, Held], signals: str) -> str:
     """Return the text of a catalogue.
 
     Parameters
@@ -133,7 +134,7 @@ def catalogue_text(places: Sequence[Place], held: Mapping[str, tuple[float, str]
     places
         Ports with their sizes.
     held
-        Value and unit of held parameters, by name.
+        Held parameters, by name.
     signals
         The catalogue of the campaign's signals, or only the head of one.
     """
@@ -145,8 +146,8 @@ def catalogue_text(places: Sequence[Place], held: Mapping[str, tuple[float, str]
         lines += _port_lines(place)
         for name, law in found:
             lines += _effect_lines(name, law, place)
-    for name, (value, unit) in held.items():
-        lines += _held_lines(name, value, unit)
+    for name, parameter in held.items():
+        lines += _held_lines(name, parameter)
     _, _, rest = signals.partition("format = ")
     return f"{_HEAD}format = {rest}\n" + "\n".join([*lines, ""])
 
@@ -235,14 +236,29 @@ def _inline(values: Mapping[str, float]) -> str:
     return "{ " + ", ".join(f"{toml_text(n)} = {v:.4g}" for n, v in values.items()) + " }"
 
 
-def _held_lines(name: str, value: float, unit: str) -> list[str]:
-    key, table = toml_text(name), f"[effects.{toml_text(f'value@{name}')}"
-    low, high = sorted((value / 5, value * 5))
-    trials = ", ".join(_inline({name: factor * value}) for factor in _OFF)
+@dataclass(frozen=True, slots=True)
+class Held:
+    """A held parameter that may be off: value, unit, and how well it is known (relative standard deviation)."""
+
+    value: float
+    unit: str
+    tolerance: float | None = None
+
+
+def _held_lines(name: str, held: Held) -> list[str]:
+    key, table, value = toml_text(name), f"[effects.{toml_text(f'value@{name}')}", held.value
+    if held.tolerance is None:
+        low, high = sorted((value / 5, value * 5))
+        off, known = [f * value for f in (*_OFF, 2 - _OFF[-1])], ""
+    else:
+        sd = held.tolerance * abs(value)
+        low, high = value - _TOLERATED * sd, value + _TOLERATED * sd
+        off, known = [value + n * sd for n in (1, 3, -3)], f"sd = {sd:.6g}, "
+    trials = ", ".join(_inline({name: v}) for v in off)
     return [
         f"[ports.{key}]",
         f"description = {toml_text(f'Value of {name}')}",
-        f"unit = {toml_text(unit)}",
+        f"unit = {toml_text(held.unit)}",
         "",
         f"{table}]",
         f"description = {toml_text(f'{name} is off')}",
@@ -252,7 +268,7 @@ def _held_lines(name: str, value: float, unit: str) -> list[str]:
         f"trials = [{trials}]",
         f"{table}.parameters]",
         f"{key} = {{ neutral = {value!r}, lower = {low!r}, upper = {high!r}, step = {2e-3 * abs(value):.4g}, "
-        f"unit = {toml_text(unit)} }}",
+        f"{known}unit = {toml_text(held.unit)} }}",
         "",
     ]
 
@@ -389,7 +405,9 @@ def made_catalogue(
     """Return the text of the catalogue of a campaign's models, sized by their nominal simulation."""
     setups = _sources(campaign)
     chosen = [e for e in campaign.measurements if e.id not in campaign.validation]
-    parts, held, signals = [], {}, ""
+    parts: list[Place] = []
+    held: dict[str, Held] = {}
+    signals = ""
     fixed = {p.name: p.start for p in campaign.parameters.values()}
     nominal = {
         m.variable(p.name) for p in campaign.parameters.values() if p.free for m in campaign.models.values()
@@ -399,7 +417,7 @@ def made_catalogue(
         runs = [e for e in chosen if e.setup == name]
         simulator = load(model)
         if not signals:
-            signals = signal_catalogue(runs, model.map, simulator.variables, ids="{law}@{signal}")
+            signals = signal_catalogue(runs, model.map, simulator.variables)
         cases = from_campaign(campaign, runs, (), {name: simulator})
         simulated = CampaignModel(cases, runner, fixed)
         if name in setups:
@@ -411,11 +429,17 @@ def made_catalogue(
             parts += sized(ports, [c.time for c in cases], courses)
             values = {v.name: v.unit or "1" for v in held_parameters(setups[name].flat)}
         else:
-            values = {n: v.unit or "1" for n, v in simulator.variables.items() if v.causality == "parameter"}
+            values = {
+                n: v.unit or "1"
+                for n, v in simulator.variables.items()
+                if v.causality == "parameter" and v.type in ("Real", "Float64")
+            }
+        given = {model.variable(p.name): p for p in campaign.parameters.values()}
         for parameter, unit in values.items():
-            value = _held_value(parameter, simulated, fixed)
-            if parameter not in nominal and value and parameter not in held:
-                held[parameter] = (value, unit)
+            value, spec = _held_value(parameter, simulated, fixed), given.get(parameter)
+            known = parameter in nominal or (spec is not None and spec.known)
+            if not known and value and parameter not in held:
+                held[parameter] = Held(value, unit, None if spec is None else spec.tolerance)
     unique = {place.port.name: place for place in reversed(parts)}
     return catalogue_text([p for p in parts if unique[p.port.name] is p], held, signals)
 

@@ -27,13 +27,17 @@ _PATIENCE = 10  # trial points in a row that are no better: each is four times a
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """A parameter that is searched: bounds, and the step that is small but well above solver noise."""
+    """A parameter that is searched: bounds, and the step that is small but well above solver noise.
+
+    With an `sd`, what is known of it beforehand is a normal distribution around its start.
+    """
 
     name: str
     start: float
     lower: float
     upper: float
     step: float
+    sd: float = np.inf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +53,7 @@ class Refit:
     jacobian
         d residual / d parameter, (M_e, P) an experiment, at the estimate, by finite steps.
     cost
-        Sum over runs of squared whitened residuals of the mean run.
+        Sum over runs of squared whitened residuals of the mean run, and of priors.
     evaluations
         Simulations of the whole campaign that it took.
     converged
@@ -133,7 +137,7 @@ def _search(
         nonlocal best, cost, vain
         x = campaign.clipped(x)
         try:
-            r = campaign.stacked(campaign.parts(x))
+            r = campaign.vector(x)
         except SimulationError:  # the solver then shortens its step
             return np.full(campaign.size, np.nan)
         gained = cost - float(r @ r)
@@ -152,7 +156,8 @@ def _search(
             raise _ExhaustedError
         iterations += 1
         x = campaign.clipped(x)
-        return np.asarray(campaign.stacked(campaign.jacobian(x, exact=exact)) * campaign.steps)
+        j = np.vstack([campaign.stacked(campaign.jacobian(x, exact=exact)), campaign.prior])
+        return np.asarray(j * campaign.steps)
 
     if not len(start):
         return cost, start, True
@@ -190,7 +195,9 @@ class _Campaign:
         self.upper = np.array([u.upper for u in unknowns])
         self.weight = np.sqrt(observed.repeats)
         self.evaluations = 0
-        self.size = sum(w.size for w in observed.whiteners)
+        self._start = np.array([u.start for u in unknowns])
+        self.prior = np.diag([1.0 / u.sd for u in unknowns])[[np.isfinite(u.sd) for u in unknowns]]
+        self.size = sum(w.size for w in observed.whiteners) + len(self.prior)
         self._known: OrderedDict[bytes, tuple[FloatArray, ...]] = OrderedDict()
 
     def point(self, start: Mapping[str, float]) -> FloatArray:
@@ -224,8 +231,12 @@ class _Campaign:
         return outcome
 
     def cost(self, x: FloatArray) -> float:
-        r = self.stacked(self.parts(x))
+        r = self.vector(x)
         return float(r @ r)
+
+    def vector(self, x: FloatArray) -> FloatArray:
+        """Return the residuals, and what is known beforehand below them."""
+        return np.concatenate([self.stacked(self.parts(x)), self.prior @ (x - self._start)])
 
     def stacked(self, parts: Sequence[FloatArray]) -> FloatArray:
         return np.concatenate([w * p for w, p in zip(self.weight, parts, strict=True)])

@@ -1,7 +1,9 @@
 """Effects between a model and its signals: they wrap any FMU, also one whose inside nobody can edit.
 
 A parameter named ``<signal>.<property>`` disturbs that signal: ``offset``, ``gain`` (neutral 1), ``lag`` (s),
-``delay`` (s) and ``saturation`` (largest absolute value over the unit; 0 for none).
+``delay`` (s), ``drift`` (by second of a run), ``dead_zone`` (half its width), ``saturation`` (largest absolute
+value over the unit; 0 for none), ``compression`` (one over it; how abruptly it is reached says ``hardness``), and
+``crosstalk[<other>]`` (that share of another signal).
 
 Before its first sample a signal is settled: it has always been what that sample says. This holds for the delay and
 the lag of inputs and of outputs alike.
@@ -14,6 +16,7 @@ constant T.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -23,7 +26,11 @@ from numpy.typing import NDArray
 from fmuid.core.immutable import FloatArray
 from fmuid.simulation.simulator import Task
 
-NEUTRAL = {"offset": 0.0, "gain": 1.0, "lag": 0.0, "delay": 0.0, "saturation": 0.0}
+NEUTRAL = {
+    "offset": 0.0, "gain": 1.0, "lag": 0.0, "delay": 0.0, "saturation": 0.0, "drift": 0.0, "dead_zone": 0.0,
+    "compression": 0.0, "hardness": 4.0,
+}  # fmt: skip
+_CROSSTALK = re.compile(r"(?P<signal>.+)\.(?P<property>crosstalk\[(?P<other>.+)\])")
 _APART = 1e-6  # of the shortest step: points that are nearer to each other are one
 
 Effects = Mapping[str, Mapping[str, float]]
@@ -38,12 +45,27 @@ def split_signal_parameters(
     disturbed: dict[str, dict[str, float]] = {}
     for name, value in values.items():
         signal, _, prop = name.rpartition(".")
-        if signal in signals and prop in NEUTRAL:
+        crosstalk = _CROSSTALK.fullmatch(name)
+        if crosstalk is not None and {crosstalk["signal"], crosstalk["other"]} <= set(signals):
+            if value != 0.0:
+                disturbed.setdefault(crosstalk["signal"], {})[crosstalk["property"]] = value
+        elif signal in signals and prop in NEUTRAL:
             if value != NEUTRAL[prop]:
                 disturbed.setdefault(signal, {})[prop] = value
         else:
             plain[name] = value
     return plain, disturbed
+
+
+def signal_parameters(signals: Collection[str]) -> set[str]:
+    """Return the names of all parameters that disturb these signals."""
+    own = {f"{signal}.{prop}" for signal in signals for prop in NEUTRAL}
+    return own | {crosstalk(a, b) for a in signals for b in signals if a != b}
+
+
+def crosstalk(signal: str, other: str) -> str:
+    """Return the name of the parameter that adds a share of another signal."""
+    return f"{signal}.crosstalk[{other}]"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,9 +89,16 @@ class Course:
         return np.asarray(self.values[np.maximum(np.searchsorted(self.edges, middle, "right") - 1, 0)])
 
 
-def disturbed_input(time: FloatArray, u: FloatArray, effect: Mapping[str, float], *, linear: bool) -> Course:
+def disturbed_input(
+    time: FloatArray,
+    u: FloatArray,
+    effect: Mapping[str, float],
+    *,
+    linear: bool,
+    others: Mapping[str, FloatArray] | None = None,
+) -> Course:
     """Return what reaches the model of the (N,) samples `u` of an input: scaled, limited, delayed, lagged."""
-    y = _limited(u * effect.get("gain", 1.0) + effect.get("offset", 0.0), effect)
+    y = _limited(u * effect.get("gain", 1.0) + _added(time, effect, others or {}), effect)
     edges = time
     if effect.get("delay", 0.0) > 0.0:
         edges, y = np.append(time[0], time + effect["delay"]), np.append(y[0], y)
@@ -164,7 +193,9 @@ def disturbed_task(
     """
     linear = task.interpolation == "linear"
     courses = {
-        n: disturbed_input(task.time, u, effects[n], linear=linear) for n, u in task.inputs.items() if n in effects
+        n: disturbed_input(task.time, u, effects[n], linear=linear, others=task.inputs)
+        for n, u in task.inputs.items()
+        if n in effects
     }
     courses |= {n: Course(task.time, u, linear) for n, u in drive.items()}
     late = {
@@ -188,18 +219,39 @@ def disturbed_task(
     return Disturbed(grid, {n: c.on(grid) for n, c in courses.items()}, task.time, breaks, late)
 
 
-def disturbed_readings(y: FloatArray, names: Sequence[str], effects: Effects) -> FloatArray:
-    """Return the (C, N) readings `y` of sensors that saturate, or have a wrong scale or zero."""
+def disturbed_readings(
+    y: FloatArray,
+    names: Sequence[str],
+    effects: Effects,
+    time: FloatArray,
+    inputs: Mapping[str, FloatArray],
+) -> FloatArray:
+    """Return the (C, N) readings `y` of sensors that saturate, drift, see others, have a wrong scale or zero."""
     if not any(name in effects for name in names):
         return y
     out = np.array(y)
+    others = {**inputs, **dict(zip(names, y, strict=True))}
     for row, effect in ((row, effects[name]) for row, name in enumerate(names) if name in effects):
-        out[row] = effect.get("gain", 1.0) * _limited(out[row], effect) + effect.get("offset", 0.0)
+        out[row] = effect.get("gain", 1.0) * _limited(out[row], effect) + _added(time, effect, others)
     return out
 
 
+def _added(time: FloatArray, effect: Mapping[str, float], others: Mapping[str, FloatArray]) -> FloatArray:
+    """Return what an offset, a drift and shares of other signals add."""
+    added = effect.get("offset", 0.0) + effect.get("drift", 0.0) * (time - time[0])
+    for prop, share in effect.items():
+        if prop.startswith("crosstalk[") and (other := prop[len("crosstalk[") : -1]) in others:
+            added = added + share * others[other]
+    return np.asarray(added)
+
+
 def _limited(y: FloatArray, effect: Mapping[str, float]) -> FloatArray:
-    limit = effect.get("saturation", 0.0)
+    limit, width, steep = (effect.get(p, 0.0) for p in ("saturation", "dead_zone", "compression"))
+    if width > 0.0:
+        y = y - np.clip(y, -width, width)
+    if steep > 0.0:
+        hardness = effect.get("hardness", NEUTRAL["hardness"])
+        y = y / (1.0 + np.abs(steep * y) ** hardness) ** (1.0 / hardness)
     return np.asarray(limit * np.tanh(y / limit)) if limit > 0.0 else y
 
 

@@ -19,7 +19,7 @@ from fmuid.diagnosis.catalogue import Catalogue, Effect, load_catalogue
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Unknown
-from fmuid.diagnosis.signal_effects import NEUTRAL
+from fmuid.diagnosis.signal_effects import signal_parameters
 from fmuid.diagnosis.variants import Variants
 from fmuid.diagnosis.verdict import LeftOut
 from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
@@ -85,7 +85,7 @@ def subject_of(
     model, catalogue, known, modelled = model_of(campaign, load, chosen, runner=runner)
     cases = model.cases
     signals = {c.signal for case in cases for c in case.channels} | {n for case in cases for n in case.task.inputs}
-    known |= {f"{signal}.{name}" for signal in signals for name in NEUTRAL}
+    known |= signal_parameters(signals)
     effects = tuple(
         e
         for e in _not_nominal(campaign, catalogue)

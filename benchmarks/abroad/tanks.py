@@ -1,0 +1,56 @@
+"""A pump fills a tank that drains into another; both levels are read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from benchmarks.abroad.plant import Floats, Rig, integrate, steps
+
+_G = 9.81
+
+
+def _simulate(factors: Mapping[str, float], effect: Mapping[str, float], time: Floats, u: Floats) -> Floats:
+    k, s1, s2 = (factors[name] * value for name, value in (("pump", 3e-6), ("first", 8e-6), ("second", 8e-6)))
+    e = {"leak": 0.0, "rim": 0.0, "dead": 0.0, "lag": 0.0, "limit": 0.0, "section": 1.0} | dict(effect)
+    drive = u - np.clip(u, -e["dead"], e["dead"])
+    drive = np.minimum(drive, e["limit"]) if e["limit"] else drive
+
+    def slope(x: Floats, volts: float, _: float) -> list[float]:
+        upper, lower, flow = x
+        pumped = k * (flow if e["lag"] else volts)
+        first, second = (s * np.sqrt(2 * _G * max(h, 0.0)) for s, h in ((s1, upper), (s2, lower)))
+        out = e["leak"] * np.sqrt(2 * _G * max(upper, 0.0))
+        if e["rim"]:
+            out += 1e-3 * max(upper - e["rim"], 0.0)
+        behind = (volts - flow) / e["lag"] if e["lag"] else 0.0
+        return [(pumped - first - out) / 2e-3, (first - second) / (e["section"] * 2e-3), behind]
+
+    return integrate(slope, [0.05, 0.05, drive[0]], time, drive, steps=2)[:2]
+
+
+_TIME = np.arange(0.0, 2400.0, 4.0)
+TANKS = Rig(
+    "tanks",
+    "Tanks",
+    _TIME,
+    {
+        "stairs": steps(_TIME, [3.0, 5.0, 2.0, 6.0, 4.0, 1.0]),
+        "down": steps(_TIME, [6.5, 5.0, 3.5, 2.0, 0.5, 3.0]),
+        "wave": 3.5 + 2.5 * np.sign(np.sin(2 * np.pi * _TIME / 500.0)) * np.abs(np.sin(2 * np.pi * _TIME / 900.0)),
+        "pulses": np.where(_TIME % 400.0 < 200.0, 6.0, 1.5),
+    },
+    {"u": "V", "h_upper": "m", "h_lower": "m"},
+    (5e-4, 5e-4),
+    {
+        "outflow@upper": {"leak": 6e-7},
+        "overflow@upper": {"rim": 0.2},
+        "dead_zone@u": {"dead": 0.4},
+        "lag@u": {"lag": 15.0},
+        "saturation@u": {"limit": 5.5},
+        "value@lower.A": {"section": 1.25},
+    },
+    ("pump", "first", "second"),
+    _simulate,
+)
