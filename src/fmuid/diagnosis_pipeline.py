@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -21,9 +22,11 @@ from fmuid.diagnosis.made_catalogue import with_catalogue
 from fmuid.diagnosis.subject import Subject, carrier, subject_of
 from fmuid.diagnosis.summary import sentences
 from fmuid.diagnosis.verdict import Verdict
+from fmuid.simulation.pool.choice import runner_on
+from fmuid.simulation.recorded import RecordedSimulations
 from fmuid.simulation.runners import in_process
 
-FILE_NAME = "diagnosis.json"
+FILE_NAME, JOURNAL = "diagnosis.json", "diagnosis.journal"
 _BOUNDED = (
     "Runs were not repeated, so their noise was not measured: its bound is what smooth motion cannot be. Slow "
     "noise and drift cannot be told from a slow effect: repeat the runs, or give each signal's sigma."
@@ -35,7 +38,9 @@ def diagnose(
     *,
     out: str | Path | None = None,
     experiments: Sequence[str] = (),
-    workers: int | None = None,
+    resume: bool = False,
+    executor: Executor | None = None,
+    workers: int | None = 0,
     time_limit: float | None = None,
     memory_limit: int | None = None,
     say: Say | None = None,
@@ -52,12 +57,17 @@ def diagnose(
     campaign
         A campaign, or its folder. Without an ``[effects]`` table the catalogue is made from its models.
     out
-        Folder for ``diagnosis.json`` and the report ``index.html``; nothing is written without it.
+        Folder for ``diagnosis.json`` and the report ``index.html``; nothing is written without it. While the
+        diagnosis goes on, every simulation is recorded there. What an interrupted one has left is never replaced.
     experiments
         Ids or globs, instead of the campaign's choice: what ``[effects]`` names, or every run that is not kept for
         validation. Repeats come along.
+    resume
+        Go on with the interrupted diagnosis in `out`: nothing it did is simulated again.
+    executor
+        Any `concurrent.futures` executor to simulate on, such as a Dask client's; results do not depend on it.
     workers
-        Worker processes to simulate in; the number of processors by default, 0 for none.
+        Number of supervised worker processes to simulate in instead; 0 for none, None for one a processor.
     time_limit, memory_limit
         Seconds and resident bytes that one simulation may take in a worker process; those of a `WorkerPool` by
         default.
@@ -79,6 +89,8 @@ def diagnose(
     ------
     CampaignError
         The catalogue does not fit the campaign, or it is to be calibrated on without repeated runs.
+    JournalError
+        `out` contains an interrupted diagnosis and `resume` is not asked for, or a complete one and it is.
     SimulationError
         The nominal model cannot be simulated at its start values, or no plant to calibrate on can.
     """
@@ -89,12 +101,21 @@ def diagnose(
 
         campaign = load_campaign(campaign)
     from fmuid.simulation.coupled.loading import load_model
-    from fmuid.simulation.pool.choice import runner_on
 
+    folder = None if out is None else Path(out)
     with (
-        runner_on(workers, time_limit=time_limit, memory_limit=memory_limit) as runner,
-        nullcontext() if out is None else claim(Path(out)),
+        nullcontext() if folder is None else claim(folder),
+        nullcontext() if folder is None else recorded_in(folder, resume=resume) as recorded,
+        runner_on(
+            workers,
+            executor=executor,
+            time_limit=time_limit,
+            memory_limit=memory_limit,
+            heard=None if recorded is None else recorded.keep,
+        ) as runner,
     ):
+        if recorded is not None:
+            runner = recorded.over(runner)
         if say is not None:
             say("noise floor", 0.0)
         campaign = with_catalogue(campaign, load_model, runner=runner)
@@ -110,12 +131,17 @@ def diagnose(
         if calibrate:
             calibration.keep(key, _calibrated(subject, calibrate, seed, telling))
         found = diagnose_subject(subject, **telling, seed=seed, calibration=calibration.kept(key))
-        if out is not None:
+        if folder is not None:
             if say is not None:
                 say("drawing", 0.97)
-            _write(found, campaign, Path(out), seed)
+            _write(found, campaign, folder, seed)
     # The workers are gone: whoever simulates on does so in this process.
     return replace(found, subject=replace(subject, model=replace(subject.model, runner=in_process)))
+
+
+def recorded_in(folder: Path, *, resume: bool) -> RecordedSimulations:
+    """Return the record of a diagnosis in its folder; the result is written first, and then the record goes."""
+    return RecordedSimulations(folder / JOURNAL, resume=resume, complete=(folder / FILE_NAME).exists())
 
 
 def _calibrated(subject: Subject, count: int, seed: int, telling: dict[str, Any]) -> Calibration:

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from contextlib import nullcontext
 from importlib.resources import files
 from pathlib import Path
 
@@ -251,11 +252,26 @@ def test_a_diagnosis_that_is_none_or_of_another_model_is_refused_in_one_line(
     assert said.count("\n") == 1
 
 
-def test_ctrl_c_ends_a_diagnosis(trolley, tmp_path, capsys, monkeypatch):
+def test_an_interrupted_diagnosis_goes_on_and_is_never_replaced(trolley, tmp_path, capsys, monkeypatch):
     def interrupted(*_arguments, **_options):
         raise KeyboardInterrupt
 
-    record(trolley)
-    monkeypatch.setattr("fmuid.diagnosis_pipeline.diagnose_subject", interrupted)
-    assert run(["diagnose", str(trolley), "--out", str(tmp_path / "out"), "--workers", "1"]) == 130
-    assert not (tmp_path / "out").exists()
+    record(trolley, drag=0.3)
+    command = ["diagnose", str(trolley), "--out", str(tmp_path / "out"), "--workers", "0"]
+    with monkeypatch.context() as stopping:
+        stopping.setattr("fmuid.report.write_diagnosis_report", interrupted)
+        assert run(command) == 130
+    assert f"go on with: fmuid {' '.join(command[:4])} --resume\n" in capsys.readouterr().out
+    before = (tmp_path / "out" / "diagnosis.json").read_text()
+    assert (tmp_path / "out" / "diagnosis.journal").exists()
+    assert run(command) == 2
+    assert "contains an interrupted run; continue with --resume" in capsys.readouterr().err
+
+    # Nothing is simulated a second time.
+    monkeypatch.setattr("fmuid.diagnosis_pipeline.runner_on", lambda *_a, **_o: nullcontext(interrupted))
+    assert run([*command, "--resume"]) == 0
+    assert not (tmp_path / "out" / "diagnosis.journal").exists()
+    assert (tmp_path / "out" / "diagnosis.json").read_text() == before
+    assert (tmp_path / "out" / "index.html").exists()
+    assert run([*command, "--resume"]) == 2
+    assert "the run is complete; leave out --resume" in capsys.readouterr().err

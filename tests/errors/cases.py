@@ -13,7 +13,9 @@ import h5py
 import numpy as np
 from scipy.io import savemat
 
+from fmuid.core.journal import Journal
 from fmuid.identification.history import History, Row, _packed
+from fmuid.simulation.recorded import _MAGIC
 
 CAMPAIGN = Path("bench/campaign.toml")
 MEASUREMENTS = Path("bench/measurements.h5")
@@ -129,6 +131,13 @@ def taken() -> None:
     fcntl.flock(os.open(folder / ".lock", os.O_RDWR), fcntl.LOCK_EX)
 
 
+def interrupted_diagnosis() -> None:
+    folder = Path("runs/bench-diagnosis")
+    journal = Journal(folder / "diagnosis.journal", _MAGIC)
+    journal.append((b"key", (1, 2), bytes(16)))
+    journal.close()
+
+
 def interrupted() -> None:
     """What a run leaves that was killed in its first stage."""
     Path("runs/bench").mkdir(parents=True)
@@ -221,6 +230,7 @@ CASES = [
         ("Files", "a diagnosis into such a folder", lambda: (toml("[settings]", '[effects]\ncatalogue = "effects.toml"\n[settings]')(), taken()), "diagnose bench --out runs/bench"),
         ("Files", "an interrupted run, begun anew", interrupted, "identify bench"),
         ("Files", "an interrupted run of another campaign", interrupted, "identify bench --resume"),
+        ("Files", "an interrupted diagnosis, begun anew", interrupted_diagnosis, "diagnose bench"),
         ("Files", "an FMU into a file", lambda: (modelica("Real x = 1;")(), write("taken", "")()), "build M.mo M --out taken"),
         ("campaign.toml", "text that is no TOML", toml("[settings]", "[settings"), CHECK),
         ("campaign.toml", "a file in another encoding", lambda: CAMPAIGN.write_bytes("# Prüfstand\n".encode("latin-1")), CHECK),

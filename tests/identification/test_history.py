@@ -27,7 +27,8 @@ from fmuid import (
     read_history,
 )
 from fmuid.core.folder_lock import LockedError
-from fmuid.identification.history import JOURNAL, HistoryError, _records
+from fmuid.core.journal import JournalError, records
+from fmuid.identification.history import _MAGIC, JOURNAL, HistoryError
 
 # A run that identifies the mass-spring-damper with a slow model, to be killed from outside.
 SCRIPT = """
@@ -146,7 +147,7 @@ def test_failed_candidates_are_recorded_as_failed(tmp_path, analytic, msd, msd_t
 
 def test_a_journal_cut_anywhere_is_read_up_to_the_cut(tmp_path, msd):
     identify(msd(), solver="bobyqa", out=tmp_path, observer=Interrupt(6))
-    *_, (_, after_rows), (_, _) = _records(tmp_path / JOURNAL)  # the result comes last
+    *_, (_, _, after_rows), _ = records(tmp_path / JOURNAL, _MAGIC)  # the result comes last
     whole = (tmp_path / JOURNAL).read_bytes()[:after_rows]
     rows = len(read_history(tmp_path)["msd"].rows)
     for cut in range(1, 600, 7):
@@ -194,7 +195,7 @@ def test_a_disk_that_gets_full_is_one_line_and_loses_nothing(tmp_path, step):
 
 def test_an_interrupted_run_is_never_overwritten(tmp_path, msd):
     stopped = identify(msd(), solver="bobyqa", out=tmp_path, observer=Interrupt(6))
-    with pytest.raises(HistoryError, match="contains an interrupted run; continue with --resume"):
+    with pytest.raises(JournalError, match="contains an interrupted run; continue with --resume"):
         identify(msd(), solver="bobyqa", out=tmp_path)
     assert Result.from_json(tmp_path) == stopped
     done = identify(msd(), solver="bobyqa", out=tmp_path, resume=True)
@@ -253,7 +254,7 @@ def test_a_criterion_with_other_options_is_another_problem(tmp_path, analytic):
 
 def test_a_complete_run_is_not_resumed_and_a_budget_can_be_raised(tmp_path, msd):
     identify(msd(), solver="bobyqa", out=tmp_path, stop=StopRules(evaluations=9), with_uncertainty=False)
-    with pytest.raises(HistoryError, match="the run is complete"):
+    with pytest.raises(JournalError, match="the run is complete"):
         identify(msd(), solver="bobyqa", out=tmp_path, resume=True)
 
 

@@ -1,4 +1,4 @@
-"""`fmuid identify` as a user runs it: FMUs that misbehave, and a process that is killed, do not change where it ends."""
+"""Commands as a user runs them: FMUs that misbehave, and processes that are killed, do not change where they end."""
 
 from __future__ import annotations
 
@@ -16,7 +16,17 @@ import numpy as np
 import pytest
 from fmus import FAULTS
 
-from fmuid import Experiment, Measurements, Signal, Task, load_fmu, read_history, write_measurements
+from fmuid import (
+    Experiment,
+    Measurements,
+    Signal,
+    Task,
+    diagnosis_pipeline,
+    load_fmu,
+    read_history,
+    write_measurements,
+)
+from fmuid.campaigns.signal_catalogue import signal_catalogue
 from fmuid.identification.history import JOURNAL
 
 TIME = np.arange(301) * 1e-3
@@ -66,6 +76,61 @@ def found(folder: Path) -> list[object]:
     result = json.loads((folder / "run" / "result.json").read_text())
     keep = ("parameters", "cost", "evaluations", "failures", "status", "uncertainty", "criteria", "warnings")
     return [{key: stage[key] for key in keep} for stage in result["stages"]]
+
+
+class Identification:
+    """`fmuid identify`, for the kills: what it is run on, its files, and what must be as in an unbroken run."""
+
+    journal, result = JOURNAL, "result.json"
+    late = ("history.h5",)  # what is written when it ends, in this order
+
+    @staticmethod
+    def campaign(fmu: Path, folder: Path) -> Path:
+        return campaign(fmu, folder, evaluations=12)
+
+    @staticmethod
+    def command(folder: Path, *more: str) -> list[str]:
+        return command(folder, "--workers", "0", *more)
+
+    @staticmethod
+    def found(folder: Path) -> object:
+        return found(folder)
+
+
+class Diagnosis:
+    """`fmuid diagnose`: the force acts in a wrong scale."""
+
+    journal, result = diagnosis_pipeline.JOURNAL, diagnosis_pipeline.FILE_NAME
+    late = ("diagnosis.json", "index.html")
+
+    @staticmethod
+    def campaign(fmu: Path, folder: Path) -> Path:
+        model, random, runs = load_fmu(fmu), np.random.default_rng(3), {}
+        for name, period in (("fast", 9e-3), ("slow", 17e-3), ("slower", 29e-3)):
+            u = np.sin(TIME / period)
+            (y,) = model.simulate(Task(TIME, {"u": 1.2 * u}, ("y",)), {"d": 0.7, "c": 130.0})
+            for k in range(2):
+                noisy = y + 1e-4 * random.standard_normal(y.size)
+                signals = {"u": Signal("u", u, "N", "input"), "y": Signal("y", noisy, "1", "output")}
+                id_ = f"{name}{k or ''}"
+                runs[id_] = Experiment(id_, "bench", TIME, signals, repeat_of=name if k else None)
+        folder.mkdir()
+        write_measurements(Measurements(runs), folder / "measurements.h5")
+        catalogue = signal_catalogue(list(runs.values()), {}, model.variables)
+        (folder / "effects.toml").write_text(catalogue)
+        effects = '[effects]\ncatalogue = "effects.toml"\n'
+        (folder / "campaign.toml").write_text(TOML.format(fmu=fmu, evaluations=12) + effects)
+        return folder
+
+    @staticmethod
+    def command(folder: Path, *more: str) -> list[str]:
+        run = ["diagnose", str(folder), "--out", str(folder / "run"), "--workers", "0", "--quiet", *more]
+        return [sys.executable, "-c", "from fmuid.cli import main; main()", *run]
+
+    @staticmethod
+    def found(folder: Path) -> object:
+        names = {path.name for path in (folder / "run").iterdir()} - {".lock"}
+        return names, (folder / "run" / "diagnosis.json").read_text()
 
 
 @pytest.mark.parametrize(
@@ -123,32 +188,34 @@ def test_killed_at_ten_random_moments_it_ends_as_an_unbroken_run(build, tmp_path
 
 
 @pytest.mark.slow
-def test_killed_at_any_moment_of_a_run_nothing_is_lost(build, tmp_path):
+@pytest.mark.parametrize("kind", [Identification, Diagnosis])
+def test_killed_at_any_moment_of_a_run_nothing_is_lost(build, tmp_path, kind):
     """`make kills` does so 200 times; every third kill is aimed at the last 50 ms, when the result is written."""
     fmu, moments = build(2), random.Random(21)
-    unbroken = campaign(fmu, tmp_path / "unbroken", evaluations=12)
+    unbroken = kind.campaign(fmu, tmp_path / "unbroken")
     begin = time.monotonic()
-    assert subprocess.run(command(unbroken, "--workers", "0"), timeout=600, check=False).returncode == 0
+    assert subprocess.run(kind.command(unbroken), timeout=600, check=False).returncode == 0
     whole, late, resumed = time.monotonic() - begin, 0, 0
-    for k in range(int(os.environ.get("FMUID_KILLS", "9"))):
-        folder = campaign(fmu, tmp_path / f"broken{k}", evaluations=12)
-        process = subprocess.Popen(command(folder, "--workers", "0"))
+    for k in range(int(os.environ.get("FMUID_KILLS", "12")) // 2):
+        folder = kind.campaign(fmu, tmp_path / f"broken{k}")
+        process = subprocess.Popen(kind.command(folder))
         if k % 3:
             time.sleep(moments.uniform(0.2, 1.0) * whole)
         else:
-            while process.poll() is None and not (folder / "run" / "history.h5").exists():
-                time.sleep(0.0002)  # it is what is written first at the end
+            last = kind.late[k // 3 % len(kind.late)]
+            while process.poll() is None and not (folder / "run" / last).exists():
+                time.sleep(0.0002)
             time.sleep(moments.uniform(0.0, 0.05))
             late += process.poll() is None
         process.kill()
         process.wait()
-        if (folder / "run" / JOURNAL).exists():
+        if (folder / "run" / kind.journal).exists():
             resumed += 1
-            again = subprocess.run(command(folder, "--workers", "0", "--resume"), timeout=600, check=False)
+            again = subprocess.run(kind.command(folder, "--resume"), timeout=600, check=False)
             assert again.returncode == 0
-        elif not (folder / "run" / "result.json").exists():  # it had not begun
-            assert subprocess.run(command(folder, "--workers", "0"), timeout=600, check=False).returncode == 0
-        assert found(folder) == found(unbroken), k
+        elif not (folder / "run" / kind.result).exists():  # it had not begun
+            assert subprocess.run(kind.command(folder), timeout=600, check=False).returncode == 0
+        assert kind.found(folder) == kind.found(unbroken), k
         shutil.rmtree(folder)
     assert late > 0
     assert resumed > 0

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from fmuid.simulation.runners import Runner
 
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that fmuid identify wrote.")]
+Dask = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Simulate on the Dask cluster of this scheduler.")
+]
 
 
 def identify(
@@ -36,9 +39,7 @@ def identify(
     seconds: Annotated[float | None, typer.Option(min=0.0, help="Longest time a stage, s.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out.")] = False,
     workers: Workers = None,
-    dask: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Simulate on the Dask cluster of this scheduler.")
-    ] = None,
+    dask: Dask = None,
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,
     seed: Annotated[int, typer.Option(help="Of random starts and solvers.")] = 0,
@@ -56,6 +57,7 @@ def identify(
     """
     from fmuid.campaigns.campaign_toml import load_campaign
     from fmuid.core.folder_lock import claim
+    from fmuid.identification.history import JOURNAL
     from fmuid.identification.identify import identify as run
     from fmuid.identification.solvers import Status, StopRules
     from fmuid.simulation.pool.choice import runner_on
@@ -70,7 +72,8 @@ def identify(
     asked: dict[str, Any] = {"--stage": stage, "--solver": solver, "--evaluations": evaluations}
     asked |= {"--seconds": seconds, "--seed": seed, "--trust": trust}
     with (
-        _told_how_to_go_on(folder, _again("identify", campaign, folder, asked), printer),
+        _told_how_to_look(folder, printer),
+        _told_how_to_go_on(folder / JOURNAL, _again("identify", campaign, folder, asked), printer),
         claim(folder),
         dask_executor(dask) if dask else nullcontext() as executor,
     ):
@@ -163,7 +166,9 @@ def diagnose(
     measurements: Annotated[
         Path | None, typer.Option(help="Diagnose these measurements, not the campaign's own.")
     ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue the diagnosis in --out.")] = False,
     workers: Workers = None,
+    dask: Dask = None,
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,
     seed: Annotated[int, typer.Option(help="Seed of the null distribution and the bootstrap.")] = 0,
@@ -177,22 +182,32 @@ def diagnose(
 ) -> None:
     """Say where model and measurements part, which unmodelled effect causes it, and how far it shrinks with it.
 
-    Exit code 0: there is an answer, be it "complete", "A or B" or "unknown". 130: interrupted.
+    Exit code 0: there is an answer, be it "complete", "A or B" or "unknown". 130: interrupted; `--resume` goes on.
 
     Example: fmuid diagnose campaigns/force_feedback --out runs/diagnosis
     """
     from fmuid.campaigns.campaign_toml import load_campaign
-    from fmuid.diagnosis_pipeline import FILE_NAME, answer_of
+    from fmuid.diagnosis_pipeline import FILE_NAME, JOURNAL, answer_of
     from fmuid.diagnosis_pipeline import diagnose as run
+    from fmuid.simulation.pool.remote import dask_executor
 
     loaded = load_campaign(campaign, measurements=measurements, trust=trust)
     folder = out or Path("runs") / f"{loaded.name}-diagnosis"
     printer = Printer(quiet, json)
-    with printer.working("") as shown:
+    asked: dict[str, Any] = {"--experiment": experiment, "--measurements": measurements, "--seed": seed}
+    asked |= {"--calibrate": calibrate, "--trust": trust}
+    again = _again("diagnose", campaign, folder, asked)
+    with (
+        _told_how_to_go_on(folder / JOURNAL, again, printer),
+        dask_executor(dask) if dask else nullcontext() as executor,
+        printer.working("") as shown,
+    ):
         found = run(
             loaded,
             out=folder,
             experiments=experiment or (),
+            resume=resume,
+            executor=executor,
             workers=workers,
             time_limit=time_limit,
             memory_limit=in_bytes(memory_limit),
@@ -273,8 +288,18 @@ def _again(command: str, campaign: Path, folder: Path, options: Mapping[str, Any
 
 
 @contextmanager
-def _told_how_to_go_on(folder: Path, again: str, printer: Printer) -> Iterator[None]:
-    """Say at the end what an interrupted run left, and how it goes on; nobody waits for figures then."""
+def _told_how_to_go_on(journal: Path, again: str, printer: Printer) -> Iterator[None]:
+    """Say at the end how to go on with what was interrupted."""
+    try:
+        yield
+    finally:
+        if journal.exists() and not isinstance(sys.exception(), FmuidError):
+            printer.say(f"\ngo on with: {again}")
+
+
+@contextmanager
+def _told_how_to_look(folder: Path, printer: Printer) -> Iterator[None]:
+    """Say at the end how to see what an interrupted run left; nobody waits for figures then."""
     from fmuid.identification.history import JOURNAL
     from fmuid.identification.result import FILE
 
@@ -287,7 +312,6 @@ def _told_how_to_go_on(folder: Path, again: str, printer: Printer) -> Iterator[N
         raise
     finally:
         if (folder / JOURNAL).exists() and not isinstance(sys.exception(), FmuidError):
-            printer.say(f"\ngo on with: {again}")
             printer.say(f"or look at what was reached with: {report}")
 
 

@@ -1,12 +1,11 @@
 """Every evaluation of an identification, kept on disk and safe against a kill at any moment.
 
-While a run goes on, each evaluation is one record at the end of ``history.journal``: length, checksum,
-content. A kill can only cut the last record short, and reading stops there. When the run ends (Ctrl-C
-included) its result becomes the journal's last record, the content is written to ``history.h5`` in one atomic
-step, ``result.json`` follows, and if the run is complete the journal goes last. As long as there is a journal, it
-is what counts: whatever moment a run was killed at, its result can be read. An interrupted run is resumed by
-running it again: solvers are deterministic, and what the journal knows is not simulated a second time, so the run
-goes on exactly where it stopped.
+While a run goes on, each evaluation is one record at the end of ``history.journal`` (`fmuid.core.journal`). When
+the run ends (Ctrl-C included) its result becomes the journal's last record, the content is written to
+``history.h5`` in one atomic step, ``result.json`` follows, and if the run is complete the journal goes last. As
+long as there is a journal, it is what counts: whatever moment a run was killed at, its result can be read. An
+interrupted run is resumed by running it again: solvers are deterministic, and what the journal knows is not
+simulated a second time, so the run goes on exactly where it stopped.
 
 ``history.h5``, version 1: root attributes ``format = "fmuid-history"``, ``version``, and a dataset ``result``, the
 bytes of ``result.json``. For each stage a group ``/stages/<name>`` with attributes ``parameters`` (names of the
@@ -29,22 +28,19 @@ and ``iterates/<row>/<case>``, (signals, N): the predictions of each row that im
 
 from __future__ import annotations
 
-import os
-import struct
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO
+from typing import Any
 
-import msgspec
 import numpy as np
 
 from fmuid.core.errors import FmuidError, MeasurementsError
-from fmuid.core.files import make_folder, remove_unfinished, write_atomically
+from fmuid.core.files import make_folder, remove_unfinished
 from fmuid.core.immutable import FloatArray, read_only
+from fmuid.core.journal import Journal, check_resumable, records
 from fmuid.data import hdf5
 from fmuid.data.isolated_reader import read_apart
 from fmuid.identification.problem.estimation_problem import Problem
@@ -53,8 +49,6 @@ from fmuid.identification.problem.evaluation import Evaluation
 JOURNAL, FILE = "history.journal", "history.h5"
 FORMAT, VERSION = "fmuid-history", 1
 _MAGIC = b"fmuid-journal 2\n"
-_HEAD = struct.Struct("<II")  # length and CRC-32 of the content
-_LARGEST_RECORD = 1 << 30
 
 
 class HistoryError(FmuidError):
@@ -168,7 +162,7 @@ class History:
 
     Raises
     ------
-    HistoryError
+    JournalError
         The folder contains an interrupted run and `resume` is not asked for, or a complete one and it is.
     """
 
@@ -176,26 +170,18 @@ class History:
         self.folder = folder
         self._run = RecordedRun()
         self._known: dict[str, dict[bytes, Row]] = {}
-        self._journal: BinaryIO | None = None
+        self._journal: Journal | None = None
         if folder is None:
             return
         make_folder(folder)
         remove_unfinished(folder)
         path = folder / JOURNAL
-        if path.exists() and not resume and any(s.rows for s in _read_journal(path)[0].stages.values()):
-            fix = "continue with --resume, or remove the folder to start over"
-            raise HistoryError("contains an interrupted run", where=folder, fix=fix)
-        if resume and path.exists():
-            self._run, end = _read_journal(path)
-            self._journal = path.open("r+b", buffering=0)
-            self._journal.truncate(end)
-            self._journal.seek(end)
-        elif resume and (folder / FILE).exists():
-            raise HistoryError("the run is complete", where=folder, fix="leave out --resume, or change --out")
-        else:
-            write_atomically(path, _MAGIC)
-            self._journal = path.open("r+b", buffering=0)
-            self._journal.seek(len(_MAGIC))
+        recorded, end = _read_journal(path) if path.exists() else (RecordedRun(), None)
+        worked = any(stage.rows for stage in recorded.stages.values())
+        check_resumable(folder, resume, interrupted=worked, complete=end is None and (folder / FILE).exists())
+        if resume:
+            self._run = recorded
+        self._journal = Journal(path, _MAGIC, end=end if resume else None)
         self._append("run", {"begun": begun})
         self._run.take("run", {"begun": begun})
 
@@ -290,16 +276,11 @@ class History:
 
     def close(self, *, complete: bool) -> None:
         """Close the journal, and remove it if the run is complete and its result is written elsewhere."""
-        if self._journal is None or self.folder is None:
+        if self._journal is None or self._journal.closed:
             return
-        self._journal.close()
-        self._journal = None
-        if complete:
-            try:
-                (self.folder / JOURNAL).unlink()
-            except OSError as error:
-                raise _unwritable(self.folder, error) from None
-        elif self._run.result is None:
+        journal, self._journal = self._journal, None
+        journal.close(remove=complete)
+        if not complete and self._run.result is None:
             self._write()
 
     def _write(self) -> None:
@@ -307,34 +288,8 @@ class History:
             hdf5.write_file(self.folder / FILE, lambda file: _fill(file, self._run))
 
     def _append(self, kind: str, content: Mapping[str, Any]) -> None:
-        if self._journal is None:
-            return
-        data = msgspec.msgpack.encode((kind, content))
-        # Unbuffered: what the kernel has taken survives the death of the process.
-        record = memoryview(_HEAD.pack(len(data), zlib.crc32(data)) + data)
-        begin = self._journal.tell()
-        try:
-            while record:  # a disk that gets full takes a part
-                record = record[os.write(self._journal.fileno(), record) :]
-            if kind != "row":
-                os.fsync(self._journal.fileno())
-        except BaseException as error:
-            with suppress(OSError):  # nothing may follow half a record
-                os.ftruncate(self._journal.fileno(), begin)
-                self._journal.seek(begin)
-            if not isinstance(error, OSError):
-                raise
-            self._journal.close()
-            self._journal = None
-            raise _unwritable(self.folder, error) from None
-
-
-def _unwritable(folder: Path | None, error: OSError) -> HistoryError:
-    return HistoryError(
-        f"cannot be written ({error.strerror or error})",
-        where=None if folder is None else folder / JOURNAL,
-        fix="make room for it; with --resume the run then goes on where it stopped",
-    )
+        if self._journal is not None and not self._journal.closed:
+            self._journal.append((kind, content), lasting=kind != "row")
 
 
 def read_history(path: str | Path) -> Mapping[str, StageHistory]:
@@ -376,23 +331,9 @@ def _read(file: Path) -> RecordedRun:
 def _read_journal(path: Path) -> tuple[RecordedRun, int]:
     """Return what the whole records of a journal say, and the position after them."""
     run, end = RecordedRun(), len(_MAGIC)
-    for (kind, content), end in _records(path):  # noqa: B007 - the last end counts
+    for (kind, content), _, end in records(path, _MAGIC):  # noqa: B007 - the last end counts
         run.take(kind, content)
     return run, end
-
-
-def _records(path: Path) -> Iterator[tuple[tuple[str, Mapping[str, Any]], int]]:
-    """Return the whole records of a journal, each with the position after it."""
-    with path.open("rb") as file:
-        if file.read(len(_MAGIC)) != _MAGIC:
-            fix = "remove it to start over, or name another folder"
-            raise HistoryError("is not a journal of this version of fmuid", where=path, fix=fix)
-        while len(head := file.read(_HEAD.size)) == _HEAD.size:
-            length, checksum = _HEAD.unpack(head)
-            data = file.read(length) if length < _LARGEST_RECORD else b""
-            if len(data) != length or zlib.crc32(data) != checksum:
-                return  # cut short by a kill
-            yield msgspec.msgpack.decode(data), file.tell()
 
 
 def _packed(row: Row) -> dict[str, Any]:

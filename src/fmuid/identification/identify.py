@@ -70,7 +70,7 @@ def identify(
     stop: StopRules | None = None,
     resume: bool = False,
     executor: Executor | None = None,
-    workers: int = 0,
+    workers: int | None = 0,
     time_limit: float | None = None,
     memory_limit: int | None = None,
     observer: Observer | None = None,
@@ -100,7 +100,8 @@ def identify(
     executor
         Any `concurrent.futures` executor to simulate on, such as a Dask client's; results do not depend on it.
     workers
-        Number of supervised worker processes to simulate in instead (`fmuid.simulation.pool.workers`); 0 for none.
+        Number of supervised worker processes to simulate in instead (`fmuid.simulation.pool.workers`); 0 for none,
+        None for one a processor.
     time_limit, memory_limit
         Seconds and resident bytes that one simulation may take in a worker process; those of a `WorkerPool` by
         default.

@@ -14,6 +14,8 @@ Job = tuple[Simulator, Task, Mapping[str, float]]
 Outcome = FloatArray | SimulationError
 Runner = Callable[[Sequence[Job]], list[Outcome]]
 """Simulates jobs and returns their outcomes in the same order; a failed run is its error, never a number."""
+Heard = Callable[[Job, Outcome], None]
+"""Is told of a simulation that has ended."""
 
 
 def simulate(job: Job) -> Outcome:
@@ -36,6 +38,28 @@ def simulated(runner: Runner, simulator: Simulator, task: Task, parameters: Mapp
 def in_process(jobs: Sequence[Job]) -> list[Outcome]:
     """Run `jobs` one after the other, here."""
     return [simulate(job) for job in jobs]
+
+
+def one_by_one(runner: Runner, heard: Heard) -> Runner:
+    """Return a runner that has `runner` do one job after the other and tells `heard` of each."""
+
+    def run(jobs: Sequence[Job]) -> list[Outcome]:
+        tell = told_after(runner, heard)
+        return [outcome for job in jobs for outcome in tell([job])]
+
+    return run
+
+
+def told_after(runner: Runner, heard: Heard) -> Runner:
+    """Return a runner that tells `heard` of every job when `runner` has done all that it was given at once."""
+
+    def run(jobs: Sequence[Job]) -> list[Outcome]:
+        outcomes = runner(jobs)
+        for job, outcome in zip(jobs, outcomes, strict=True):
+            heard(job, outcome)
+        return outcomes
+
+    return run
 
 
 def outcome_of(future: Future[Any]) -> Outcome:

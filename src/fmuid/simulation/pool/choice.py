@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from fmuid.core.errors import FmuidError
 from fmuid.simulation.pool.worker_supervision import leave_if_starting
 from fmuid.simulation.pool.workers import WorkerPool
-from fmuid.simulation.runners import Runner, in_process
+from fmuid.simulation.runners import Heard, Runner, in_process, one_by_one, told_after
 
 
 @contextmanager
@@ -20,10 +21,12 @@ def runner_on(
     executor: Executor | None = None,
     time_limit: float | None = None,
     memory_limit: int | None = None,
+    heard: Heard | None = None,
 ) -> Iterator[Runner]:
     """Yield what simulates: on `executor`, else in so many worker processes (None: one a processor; 0: here).
 
-    `time_limit` (s) and `memory_limit` (bytes) are those of a `WorkerPool` by default.
+    `time_limit` (s) and `memory_limit` (bytes) are those of a `WorkerPool` by default. `heard` is told of every
+    simulation that has ended.
 
     Raises
     ------
@@ -36,11 +39,12 @@ def runner_on(
     if executor is not None:
         from fmuid.simulation.pool.remote import on_executor
 
-        yield on_executor(executor, **limits)
+        runner = on_executor(executor, **limits)
+        yield runner if heard is None else told_after(runner, heard)
     elif workers != 0:
         with WorkerPool(workers, **limits) as pool:
-            yield pool.run
+            yield partial(pool.run, heard=heard)
     elif limits:
         raise FmuidError(f"a {next(iter(limits)).replace('_', ' ')} needs worker processes", fix="use workers = 1")
     else:
-        yield in_process
+        yield in_process if heard is None else one_by_one(in_process, heard)

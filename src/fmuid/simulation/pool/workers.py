@@ -15,7 +15,7 @@ import itertools
 import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, Executor, Future, wait
+from concurrent.futures import FIRST_EXCEPTION, Executor, Future, as_completed, wait
 from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
 
@@ -23,7 +23,7 @@ from fmuid.core.errors import FmuidError
 from fmuid.simulation.pool import worker_process
 from fmuid.simulation.pool.parcels import Parcel, name_of, pickled
 from fmuid.simulation.pool.worker_supervision import Call, Limits, Supervisor, leave_if_starting
-from fmuid.simulation.runners import Job, Outcome, outcome_of
+from fmuid.simulation.runners import Heard, Job, Outcome, outcome_of
 from fmuid.simulation.simulator import Simulator, Task
 
 P = ParamSpec("P")
@@ -84,15 +84,21 @@ class WorkerPool(Executor):
         self._objects: dict[int, tuple[int, Any]] = {}  # id -> number, object (keeps the id its own)
         self._numbers = itertools.count()
 
-    def run(self, jobs: Sequence[Job]) -> list[Outcome]:
+    def run(self, jobs: Sequence[Job], heard: Heard | None = None) -> list[Outcome]:
         """Simulate `jobs` in the workers; outcomes in the jobs' order, a failed one as its `SimulationError`.
+
+        Each is told to `heard` when it has ended, in the order in which they end.
 
         Raises
         ------
         FmuidError
             A job is wrong whatever its parameters' values (an unknown name), or workers cannot be started.
         """
-        return outcomes_of(self._enqueue([self._call(*job) for job in jobs]))
+        futures = self._enqueue([self._call(*job) for job in jobs])
+        if heard is None:
+            return outcomes_of(futures)
+        of = dict(zip(futures, jobs, strict=True))
+        return outcomes_of(futures, lambda future: heard(of[future], outcome_of(future)))
 
     def submit_packed(self, jobs: Sequence[tuple[Parcel, Parcel, Mapping[str, float]]]) -> list[Future[Any]]:
         """Begin to simulate what another process has packed; `outcomes_of` waits for it."""
@@ -143,10 +149,16 @@ class WorkerPool(Executor):
         return [call.future for call in calls]
 
 
-def outcomes_of(futures: Sequence[Future[Any]]) -> list[Outcome]:
+def outcomes_of(
+    futures: Sequence[Future[Any]], heard: Callable[[Future[Any]], None] | None = None
+) -> list[Outcome]:
     """Wait for simulations; what is left of them is cancelled if one raises something else than its failure."""
     try:
-        wait(futures, return_when=FIRST_EXCEPTION)  # woken once, not by every evaluation
+        if heard is None:
+            wait(futures, return_when=FIRST_EXCEPTION)  # woken once, not by every evaluation
+        else:
+            for future in as_completed(futures):
+                heard(future)
         return [outcome_of(future) for future in futures]
     except BaseException:
         for future in futures:

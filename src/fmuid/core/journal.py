@@ -1,0 +1,150 @@
+"""Records at the end of a file, safe against a kill at any moment.
+
+A record is its length, a checksum and its content (MessagePack). A kill can only cut the last one short, and
+reading stops there.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from fmuid.core.errors import FmuidError
+from fmuid.core.files import write_atomically
+
+_HEAD = struct.Struct("<II")  # length and CRC-32 of the content
+_LARGEST = 1 << 30
+
+
+class JournalError(FmuidError):
+    """A journal cannot be read or written, or what it is of cannot be taken up."""
+
+
+class Journal:
+    """A file of records, open for appending.
+
+    Parameters
+    ----------
+    path
+        The file.
+    magic
+        What it begins with: the kind of journal, and its version.
+    end
+        Go on after this position in the file, which `records` tells; what follows it is dropped. None for a new
+        file in place of any other.
+    """
+
+    def __init__(self, path: Path, magic: bytes, *, end: int | None = None) -> None:
+        self.path = path
+        if end is None:
+            write_atomically(path, magic)
+        self._end = len(magic) if end is None else end
+        self._file = path.open("r+b", buffering=0)
+        self._file.truncate(self._end)
+        self._file.seek(self._end)
+
+    @property
+    def closed(self) -> bool:
+        """Whether nothing more can be appended."""
+        return self._file.closed
+
+    def append(self, content: Any, *, lasting: bool = False) -> int:
+        """Append one record and return its position; a `lasting` one survives the end of the machine, too.
+
+        Raises
+        ------
+        JournalError
+            There is no room for it. The journal is then closed, with all that it had before.
+        """
+        data = msgspec.msgpack.encode(content)
+        begin = self._end
+        # Unbuffered: what the kernel has taken survives the death of the process.
+        record = memoryview(_HEAD.pack(len(data), zlib.crc32(data)) + data)
+        try:
+            while record:  # a disk that gets full takes a part
+                record = record[os.write(self._file.fileno(), record) :]
+            if lasting:
+                os.fsync(self._file.fileno())
+        except BaseException as error:
+            with suppress(OSError):  # nothing may follow half a record
+                os.ftruncate(self._file.fileno(), begin)
+                self._file.seek(begin)
+            if not isinstance(error, OSError):
+                raise
+            self._file.close()
+            raise _unwritable(self.path, error) from None
+        self._end += _HEAD.size + len(data)
+        return begin
+
+    def read(self, position: int) -> Any:
+        """Return the record at a position that `append` or `records` gave."""
+        length, _ = _HEAD.unpack(os.pread(self._file.fileno(), _HEAD.size, position))
+        return msgspec.msgpack.decode(os.pread(self._file.fileno(), length, position + _HEAD.size))
+
+    def close(self, *, remove: bool = False) -> None:
+        """Close the file, and remove it if what it is for is done.
+
+        Raises
+        ------
+        JournalError
+            It cannot be removed.
+        """
+        self._file.close()
+        if remove:
+            try:
+                self.path.unlink()
+            except OSError as error:
+                raise _unwritable(self.path, error) from None
+
+
+def records(path: Path, magic: bytes) -> Iterator[tuple[Any, int, int]]:
+    """Return the whole records of a journal, each with its position and the one after it.
+
+    Raises
+    ------
+    JournalError
+        The file is no journal of this kind and version.
+    """
+    with path.open("rb") as file:
+        if file.read(len(magic)) != magic:
+            fix = "remove it to start over, or name another folder"
+            raise JournalError("is not a journal of this version of fmuid", where=path, fix=fix)
+        begin = file.tell()
+        while len(head := file.read(_HEAD.size)) == _HEAD.size:
+            length, checksum = _HEAD.unpack(head)
+            data = file.read(length) if length < _LARGEST else b""
+            if len(data) != length or zlib.crc32(data) != checksum:
+                return  # cut short by a kill
+            end = file.tell()
+            yield msgspec.msgpack.decode(data), begin, end
+            begin = end
+
+
+def check_resumable(folder: Path, resume: bool, *, interrupted: bool, complete: bool) -> None:
+    """Refuse to replace an interrupted run without a word, and to resume one that is complete.
+
+    Raises
+    ------
+    JournalError
+        There is an interrupted run and `resume` is not asked for, or a complete one and it is.
+    """
+    if interrupted and not resume:
+        fix = "continue with --resume, or remove the folder to start over"
+        raise JournalError("contains an interrupted run", where=folder, fix=fix)
+    if resume and complete and not interrupted:
+        raise JournalError("the run is complete", where=folder, fix="leave out --resume, or change --out")
+
+
+def _unwritable(path: Path, error: OSError) -> JournalError:
+    return JournalError(
+        f"cannot be written ({error.strerror or error})",
+        where=path,
+        fix="make room for it; with --resume the run then goes on where it stopped",
+    )

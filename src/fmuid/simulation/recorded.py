@@ -1,0 +1,157 @@
+"""Simulations that are kept on disk, so that what was interrupted goes on without making one of them twice."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from fmuid.core.files import make_folder, remove_unfinished
+from fmuid.core.immutable import FloatArray
+from fmuid.core.journal import Journal, check_resumable, records
+from fmuid.simulation.runners import Job, Outcome, Runner
+from fmuid.simulation.simulator import Simulator, Task
+
+_MAGIC = b"fmuid-simulations 1\n"
+_TASKS = 256  # whose digests are remembered
+Thing = TypeVar("Thing")
+
+
+class RecordedSimulations:
+    """The predictions that were made for one result, each a record of a journal, by what it depends on.
+
+    It depends on the model with the files that it is made of, on the task and on the parameters: interrupted work
+    goes on exactly where it stopped, and a change of one of these is never overlooked. A failed simulation is not
+    kept but tried again. Only positions in the file are held in memory.
+
+    Parameters
+    ----------
+    file
+        The journal.
+    resume
+        Take up what an interrupted run has left there.
+    complete
+        Whether a result is there already.
+
+    Raises
+    ------
+    JournalError
+        The folder contains an interrupted run and `resume` is not asked for, or a complete one and it is.
+    """
+
+    def __init__(self, file: Path, *, resume: bool, complete: bool) -> None:
+        make_folder(file.parent)
+        remove_unfinished(file.parent)
+        there = file.exists()
+        found = list(_positions(file)) if there else []
+        check_resumable(file.parent, resume, interrupted=bool(found), complete=complete and not there)
+        self._places = {key: place for key, place, _ in found}
+        end = found[-1][2] if found else None
+        self._journal = Journal(file, _MAGIC, end=end)
+        self._tasks: _Digests[Task] = _Digests(_of_task, _TASKS)
+        self._models: _Digests[Simulator] = _Digests(_of_model, _TASKS)
+
+    def __enter__(self) -> RecordedSimulations:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not self._journal.closed:
+            self._journal.close(remove=error is None or not self._places)
+
+    def over(self, runner: Runner) -> Runner:
+        """Return a runner that has `runner` simulate what is not recorded."""
+
+        def run(jobs: Sequence[Job]) -> list[Outcome]:
+            outcomes = {k: self._recalled(job) for k, job in enumerate(jobs)}
+            missing = [k for k, outcome in outcomes.items() if outcome is None]
+            found = runner([jobs[k] for k in missing]) if missing else []
+            new = dict(zip(missing, found, strict=True))
+            return [new[k] if outcome is None else outcome for k, outcome in outcomes.items()]
+
+        return run
+
+    def keep(self, job: Job, outcome: Outcome) -> None:
+        """Record the outcome of a job.
+
+        Raises
+        ------
+        JournalError
+            There is no room for it.
+        """
+        if isinstance(outcome, Exception):
+            return
+        prediction = np.ascontiguousarray(outcome, dtype=np.float64)
+        key = self._key(job)
+        self._places[key] = self._journal.append((key, prediction.shape, prediction.tobytes()))
+
+    def _recalled(self, job: Job) -> FloatArray | None:
+        place = self._places.get(self._key(job)) if self._places else None
+        if place is None:
+            return None
+        _, shape, data = self._journal.read(place)
+        return np.frombuffer(data).reshape(shape)
+
+    def _key(self, job: Job) -> bytes:
+        simulator, task, parameters = job
+        digest = hashlib.blake2b(self._models(simulator) + self._tasks(task), digest_size=16)
+        digest.update(_of_values(parameters))
+        return digest.digest()
+
+
+class _Digests(Generic[Thing]):
+    """Digests of the things seen last, which are kept so that their ids stay their own."""
+
+    def __init__(self, digest: Callable[[Thing], bytes], size: int) -> None:
+        self._digest, self._size = digest, size
+        self._known: OrderedDict[int, tuple[Thing, bytes]] = OrderedDict()
+
+    def __call__(self, thing: Thing) -> bytes:
+        if id(thing) not in self._known:
+            self._known[id(thing)] = thing, self._digest(thing)
+            if len(self._known) > self._size:
+                self._known.popitem(last=False)
+        self._known.move_to_end(id(thing))
+        return self._known[id(thing)][1]
+
+
+def _positions(file: Path) -> list[tuple[bytes, int, int]]:
+    """Return the keys of a journal, each with the position of its record and the one after it."""
+    return [(content[0], begin, end) for content, begin, end in records(file, _MAGIC)]
+
+
+def _of_values(values: Mapping[str, float]) -> bytes:
+    return b"".join(name.encode() + b"\0" + struct.pack("<d", values[name]) for name in sorted(values))
+
+
+def _of_task(task: Task) -> bytes:
+    digest = hashlib.blake2b(digest_size=16)
+    digest.update(repr((task.outputs, task.interpolation, task.tolerance, sorted(task.inputs))).encode())
+    digest.update(_of_values(task.start_values))
+    for direction in task.along:
+        digest.update(b"|" + _of_values(direction))
+    arrays: list[Any] = [task.time, *(task.inputs[name] for name in sorted(task.inputs))]
+    if task.feedback is not None:
+        arrays += [task.feedback.measured, task.feedback.gain]
+    for array in arrays:
+        digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
+    return digest.digest()
+
+
+def _of_model(simulator: Simulator) -> bytes:
+    """Return a digest of a model and of its files: a copy with other start values has the same token."""
+    token = getattr(simulator, "token", type(simulator).__qualname__)
+    digest = hashlib.blake2b(repr((token, getattr(simulator, "interface", None))).encode(), digest_size=16)
+    inner = getattr(simulator, "simulator", None)
+    parts = [simulator, *([] if inner is None else [inner]), *getattr(simulator, "components", {}).values()]
+    for path in (getattr(part, "path", None) for part in parts):
+        if path is not None and path.is_file():
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.digest()
