@@ -13,7 +13,6 @@ from fmu_build.flat_model import Algorithm
 from fmu_build.functions import Body
 from fmu_build.graph import SX
 from fmu_build.scope import ModelScope
-from fmu_build.start import declared_start
 from fmu_build.syntax import Assign, AssignMany, Reinit, Terminate, walk
 
 
@@ -121,12 +120,12 @@ def _before(scope: ModelScope, name: str, initial: bool) -> Value:
     def one(symbol: Scalar) -> Scalar:
         declared = scope.declared(algebra.sx(symbol))
         if declared is not None and initial and any(declared is d for d in scope.parameters.from_initial):
-            return declared_start(scope, declared)
+            return scope.start_of(declared)
         if declared is None or declared.kind not in ("continuous", "discrete"):
             raise ValueError(f"'{name}' cannot be assigned")
         if declared.kind == "discrete" and not initial:
             return scope.previous_symbol(algebra.sx(symbol))
-        return declared_start(scope, declared)
+        return scope.start_of(declared)
 
     def each(value: Value) -> Value:
         if isinstance(value, dict):

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
 from fmu_build import algebra, algorithms, codegen, events, start, unit_check
-from fmu_build.aliases import Aliases, eliminate
 from fmu_build.equations import Assertion, Equations, collect
 from fmu_build.flat_model import FlatModel
 from fmu_build.front.flatten import load
 from fmu_build.graph import SX, Graph, Substitution, key
-from fmu_build.index_reduction import Reduced, reduce
-from fmu_build.interface import Interface, describe
+from fmu_build.interface import describe
+from fmu_build.invariants import state_derivatives
 from fmu_build.model import CompiledModel
-from fmu_build.point import Point
 from fmu_build.scope import ModelScope
-from fmu_build.sorting import Solution, solve
 from fmu_build.syntax import Assign, Call, Literal, Part, Reference, WhenStatement, references
+from fmu_build.system import System, solved
 
 
 def compile_modelica(file: Path, class_name: str, roots: Sequence[Path] = ()) -> CompiledModel:
@@ -75,23 +73,12 @@ def _translate(flat: FlatModel, scope: ModelScope) -> CompiledModel:
         equations.initial += algorithms.run(scope, section, initial=True)
     equations.asserts += [Assertion(*found) for found in scope.functions.asserts]
     explicit = _initial_parameters(scope, equations)
-    aliases = eliminate(scope, equations.continuous)
-    point = Point(scope)
-    reduced = reduce(scope, aliases, point.generic)
-    _check_left_limits(scope, aliases, reduced)
-    solution = solve(scope, reduced)
-
-    def rewrite(expression: SX) -> SX:
-        return solution.expression(aliases.substitute(expression))
-
-    happenings = events.collect(scope, equations, explicit, reduced.states, rewrite, aliases.substitute)
-    symbols = [s.symbol for s in reduced.states]
-    xs = [SX.sym(f"start({s.name()})") for s in symbols]
-    conditions = start.initial_conditions(
-        scope, aliases, reduced.states, rewrite, equations.initial, xs, point.at_start
-    )
-    interface = describe(scope, aliases, reduced, solution, happenings, conditions, point)
-    return _generate(flat, scope, equations, reduced, solution, happenings, conditions, interface, xs, rewrite)
+    system = solved(scope, equations)
+    _check_left_limits(system)
+    happenings = events.collect(system, equations, explicit)
+    xs = [SX.sym(f"start({s.symbol.name()})") for s in system.reduced.states]
+    conditions = start.initial_conditions(system, [*equations.initial, *system.reduced.invariants], xs)
+    return _generate(system, equations, happenings, conditions, xs)
 
 
 class _Unsolved(Exception):  # noqa: N818  (not an error)
@@ -155,41 +142,36 @@ def _initial_parameters(scope: ModelScope, equations: Equations) -> start.Explic
     return explicit
 
 
-def _check_left_limits(scope: ModelScope, aliases: Aliases, reduced: Reduced) -> None:
-    states = {key(s.symbol) for s in reduced.states}
-    for symbol in scope.left_limits.values():
-        kept = aliases.substitute(symbol)
-        base = kept if kept.is_symbolic() else -kept
-        declared = scope.declared(symbol)
-        if key(base) not in states and not (declared is not None and declared.kind == "input"):
-            raise scope.flat.error(
-                f"pre({symbol.name()}) of a continuous variable that is not a state",
+def _check_left_limits(system: System) -> None:
+    for variable in system.scope.left_limits.values():
+        symbol, _ = system.representative(variable)
+        declared = system.scope.declared(variable)
+        if not system.is_state(symbol) and not (declared is not None and declared.kind == "input"):
+            raise system.scope.flat.error(
+                f"pre({variable.name()}) of a continuous variable that is not a state",
                 declared.at if declared else None,
             )
 
 
 def _generate(
-    flat: FlatModel,
-    scope: ModelScope,
+    system: System,
     equations: Equations,
-    reduced: Reduced,
-    solution: Solution,
     happenings: events.Events,
     conditions: start.InitialConditions,
-    interface: Interface,
     xs: list[SX],
-    rewrite: Callable[[SX], SX],
 ) -> CompiledModel:
+    scope, flat = system.scope, system.scope.flat
+    interface = describe(system, happenings, conditions)
     ports = codegen.Ports(
         scope.time,
-        [s.symbol for s in reduced.states],
+        [s.symbol for s in system.reduced.states],
         interface.inputs,
         [algebra.sx(d.symbol) for d, _ in scope.parameters.independent],
         [algebra.sx(d.symbol) for d, _ in scope.parameters.dependent],
         [d.symbol for d in happenings.discrete],
         [d.previous for d in happenings.discrete],
         [r.symbol for r in scope.relations],
-        solution.iterates,
+        system.solution.iterates,
     )
     never = {key(scope.init): SX(0.0)}
 
@@ -201,7 +183,7 @@ def _generate(
     for symbol, (_, value) in zip(ports.d, scope.parameters.dependent, strict=True):
         dependent.append(of_independent(value))
         of_independent.define(symbol, dependent[-1])
-    asserts = [rewrite(a.condition) for a in equations.asserts]
+    asserts = [system.rewrite(a.condition) for a in equations.asserts]
     shown = {v.location.index for v in interface.variables if v.causality == "output" and v.location.vector == "v"}
     outputs = [i in shown for i in range(len(interface.evaluated))]
     expressions = codegen.Expressions(
@@ -211,10 +193,10 @@ def _generate(
         y_start=[s.value for s in interface.iterate_starts],
         xs=xs,
         initial=continuous(conditions.residuals),
-        dx=continuous([rewrite(s.derivative) for s in reduced.states]),
+        dx=continuous(state_derivatives(system)),
         v=continuous(interface.evaluated),
-        residuals=continuous(solution.residuals),
-        indicators=continuous([rewrite(r.difference) for r in scope.relations]),
+        residuals=continuous(system.solution.residuals),
+        indicators=continuous([system.rewrite(r.difference) for r in scope.relations]),
         init=scope.init,
         z_new=[d.value for d in happenings.discrete],
         x_new=happenings.states,

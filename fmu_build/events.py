@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -10,10 +10,10 @@ import casadi as ca
 from fmu_build import algebra
 from fmu_build.equations import Branch, Equation, Equations, can_define
 from fmu_build.graph import SX, Substitution, if_else, key
-from fmu_build.index_reduction import State
 from fmu_build.matching import augment, components
 from fmu_build.scope import ModelScope
-from fmu_build.start import Explicit, declared_start
+from fmu_build.start import Explicit
+from fmu_build.system import System
 
 
 @dataclass(frozen=True)
@@ -47,87 +47,93 @@ class Events:
     next_event: SX
 
 
-def collect(
-    scope: ModelScope,
-    equations: Equations,
-    explicit: Explicit,
-    states: list[State],
-    rewrite: Callable[[SX], SX],
-    representative: Callable[[SX], SX],
-) -> Events:
+def collect(system: System, equations: Equations, explicit: Explicit) -> Events:
     """Turn discrete equations, when-clauses and held values into new values of z and x.
 
     Parameters
     ----------
     explicit
         What initial equations give to discrete variables.
-    rewrite
-        Rewrites expressions to what is known at an event.
-    representative
-        Maps a continuous variable to (the signed) variable that its alias group is kept as.
     """
+    scope = system.scope
     values = _definitions(scope, equations.discrete)
-    terminate, reinit = SX(0.0), SX(0.0)
-    new_state = {key(s.symbol): s.symbol for s in states}
+    clauses = _Clauses(system, equations)
     for chain in equations.whens:
-        earlier = SX(0.0)
-        assigned: list[tuple[SX, list[tuple[SX, SX]]]] = []
-        for branch in chain:
-            fires = ca.logic_and(scope.fires(branch.conditions), ca.logic_not(earlier))
-            earlier = ca.logic_or(earlier, fires)
-            for one in branch.asserts:  # what is violated at an event is known from then on
-                held = scope.hold(f"assertion {len(scope.held) + 1}", SX(0.0), SX(0.0))
-                violated = if_else(fires, ca.logic_not(one.condition), held.previous)
-                scope.held[-1] = replace(held, value=violated)
-                equations.asserts.append(replace(one, condition=ca.logic_not(held.symbol)))
-            assigned.append((fires, list(branch.assign)))
-            if branch.terminate:
-                terminate = ca.logic_or(terminate, fires)
-            for variable, value in branch.reinit:
-                _reinit(scope, new_state, representative(variable), value, fires, branch)
-                reinit = ca.logic_or(reinit, fires)
-        for symbol in {key(s): s for _, pairs in assigned for s, _ in pairs}.values():
-            if key(symbol) in values:
-                declared = scope.declared(symbol)
-                raise scope.flat.error(
-                    f"'{symbol.name()}' is defined more than once", declared.at if declared else None
-                )
-            out = scope.previous_symbol(symbol)
-            for fires, pairs in reversed(assigned):
-                for target, value in pairs:
-                    if key(target) == key(symbol):
-                        out = if_else(fires, value, out)
-            values[key(symbol)] = out
+        values |= clauses.chain(chain, values)
     for k, value in explicit.values.items():
         if k in values:
             values[k] = if_else(scope.init, value, values[k])
     discrete = _entries(scope, values, explicit.starts)
-    ordered = _in_order(scope, discrete, rewrite)
+    ordered = _in_order(scope, discrete, system.rewrite)
     after = Substitution({key(d.symbol): d.value for d in ordered})
     next_event = SX(float("inf"))
     for instant in scope.time_events:
-        next_event = ca.fmin(next_event, after(rewrite(instant)))
+        next_event = ca.fmin(next_event, after(system.rewrite(instant)))
     return Events(
         ordered,
-        [rewrite(new_state[key(s.symbol)]) for s in states],
-        rewrite(reinit),
-        rewrite(terminate),
+        [system.rewrite(clauses.states[key(s.symbol)]) for s in system.reduced.states],
+        system.rewrite(clauses.reinit),
+        system.rewrite(clauses.terminate),
         next_event,
     )
 
 
-def _reinit(
-    scope: ModelScope, new_state: dict[int, SX], variable: SX, value: SX, fires: SX, branch: Branch
-) -> None:
-    negative = not variable.is_symbolic()
-    symbol = -variable if negative else variable
-    if key(symbol) not in new_state:
-        raise scope.flat.error(
-            "reinit of a variable that is not a state",
-            branch.at,
-            "give it stateSelect = StateSelect.always",
-        )
-    new_state[key(symbol)] = if_else(fires, -value if negative else value, new_state[key(symbol)])
+class _Clauses:
+    """What the when-clauses met so far do to states and to the simulation."""
+
+    def __init__(self, system: System, equations: Equations) -> None:
+        self._system = system
+        self._scope = system.scope
+        self._asserts = equations.asserts
+        invariants = (system.rewrite(e.residual) for e in system.reduced.invariants)
+        self._tied = {k for value in invariants for k in system.scope.graph.symbols(value)}
+        self.states = {key(s.symbol): s.symbol for s in system.reduced.states}
+        self.terminate, self.reinit = SX(0.0), SX(0.0)
+
+    def chain(self, branches: list[Branch], values: Mapping[int, SX]) -> dict[int, SX]:
+        """Return the new values of the discrete variables that a when-clause assigns."""
+        earlier = SX(0.0)
+        assigned: list[tuple[SX, dict[int, SX]]] = []
+        symbols: dict[int, SX] = {}
+        for branch in branches:
+            fires = ca.logic_and(self._scope.fires(branch.conditions), ca.logic_not(earlier))
+            earlier = ca.logic_or(earlier, fires)
+            self._act(branch, fires)
+            assigned.append((fires, {key(target): value for target, value in branch.assign}))
+            symbols |= {key(target): target for target, _ in branch.assign}
+        out = {}
+        for k, symbol in symbols.items():
+            if k in values:
+                declared = self._scope.declared(symbol)
+                raise self._scope.flat.error(
+                    f"'{symbol.name()}' is defined more than once", declared.at if declared else None
+                )
+            out[k] = self._scope.previous_symbol(symbol)
+            for fires, pairs in reversed(assigned):
+                if k in pairs:
+                    out[k] = if_else(fires, pairs[k], out[k])
+        return out
+
+    def _act(self, branch: Branch, fires: SX) -> None:
+        for one in branch.asserts:  # what is violated at an event is known from then on
+            held = self._scope.hold(f"assertion {len(self._scope.held) + 1}", SX(0.0), SX(0.0))
+            violated = if_else(fires, ca.logic_not(one.condition), held.previous)
+            self._scope.held[-1] = replace(held, value=violated)
+            self._asserts.append(replace(one, condition=ca.logic_not(held.symbol)))
+        if branch.terminate:
+            self.terminate = ca.logic_or(self.terminate, fires)
+        for variable, value in branch.reinit:
+            symbol, sign = self._system.representative(variable)
+            if key(symbol) not in self.states:
+                fix = "give it stateSelect = StateSelect.always"
+                raise self._scope.flat.error("reinit of a variable that is not a state", branch.at, fix)
+            if key(symbol) in self._tied:
+                raise self._scope.flat.error(
+                    f"reinit of '{symbol.name()}', which a constraint ties to other states", branch.at,
+                    "describe the position by coordinates that are free, an angle for example",
+                )  # fmt: skip
+            self.states[key(symbol)] = if_else(fires, sign * value, self.states[key(symbol)])
+            self.reinit = ca.logic_or(self.reinit, fires)
 
 
 def _definitions(scope: ModelScope, equations: list[Equation]) -> dict[int, SX]:
@@ -158,7 +164,7 @@ def _entries(scope: ModelScope, values: dict[int, SX], starts: dict[int, SX]) ->
         symbol = algebra.sx(declared.symbol)
         if key(symbol) not in values:
             raise scope.flat.error(f"nothing determines '{declared.name}'", declared.at)
-        start = starts.get(key(symbol), declared_start(scope, declared))
+        start = starts.get(key(symbol), scope.start_of(declared))
         if declared.literals and not declared.has_start and key(symbol) not in starts:
             start = SX(1.0)
         out.append(Discrete(symbol, scope.previous_symbol(symbol), values[key(symbol)], start))

@@ -2,13 +2,17 @@
 
 C. Pantelides, SIAM J. Sci. Stat. Comput. 9 (1988) 213-231: which equations to differentiate.
 S. E. Mattsson, G. Söderlind, SIAM J. Sci. Comput. 14 (1993) 677-692: which derivatives become algebraic.
+U. M. Ascher, H. Chin, S. Reich, Numer. Math. 67 (1994) 131-149: constraints that remain as invariants.
+
+Where no choice of states would do for all positions (a pendulum in Cartesian coordinates), all of the variables
+that a constraint ties together stay states, and the constraint is an invariant of their motion, which it attracts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -36,11 +40,18 @@ class State:
 
 @dataclass(frozen=True)
 class Reduced:
-    """A system that can be solved for its unknowns, given the states."""
+    """A system that can be solved for its unknowns, given the states.
+
+    Attributes
+    ----------
+    invariants
+        Equations between states that hold at the start, and then stay true because their derivatives do.
+    """
 
     equations: list[Equation]
     unknowns: list[SX]
     states: list[State]
+    invariants: list[Equation]
 
 
 class _System:
@@ -120,7 +131,7 @@ def reduce(scope: ModelScope, aliases: Aliases, point: Callable[[list[SX]], np.n
     Raises
     ------
     ModelicaError
-        If the model is structurally singular, needs derivatives of inputs, or needs dynamic state selection.
+        If the model is structurally singular or needs derivatives of inputs.
     """
     system = _System(scope, aliases)
     _check_structure(system)
@@ -128,13 +139,14 @@ def reduce(scope: ModelScope, aliases: Aliases, point: Callable[[list[SX]], np.n
     equation_of: dict[int, int] = {}  # variable -> equation matched with its highest derivative
     for original in range(n):
         _match(system, original, equation_of)
-    states = _select(system, n, point)
+    states, held = _select(system, n, point)
     state_keys = {key(s.symbol) for s in states}
     unknowns = [s for chain in system.chains for s in chain if key(s) not in state_keys]
-    if len(unknowns) != len(system.equations):
+    equations = [e for i, e in enumerate(system.equations) if i not in held]
+    if len(unknowns) != len(equations):
         raise AssertionError("index reduction lost the balance of equations and unknowns")
-    _check_branches(system, unknowns)
-    return Reduced(system.equations, unknowns, states)
+    _check_branches(system, equations, unknowns)
+    return Reduced(equations, unknowns, states, [system.equations[i] for i in sorted(held)])
 
 
 def _match(system: _System, original: int, equation_of: dict[int, int]) -> None:
@@ -178,7 +190,7 @@ def _check_structure(system: _System) -> None:
         )
 
 
-def _singular(system: _System, equations: list[int], unknowns: list[SX]) -> None:
+def _singular(system: _System, equations: list[int], unknowns: list[SX]) -> NoReturn:
     where = [str(system.equations[e].at) for e in equations]
     raise system.scope.flat.error(
         f"structurally singular: the equations at {_some(list(dict.fromkeys(where)))} "
@@ -192,17 +204,17 @@ def _some(names: list[str], most: int = 6) -> str:
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
-def _check_branches(system: _System, unknowns: list[SX]) -> None:
+def _check_branches(system: _System, equations: list[Equation], unknowns: list[SX]) -> None:
     """Refuse an if-equation with a branch that leaves an unknown without an equation: its index is another one."""
     column = {key(s): i for i, s in enumerate(unknowns)}
 
     def incidence(residual: SX) -> list[int]:
         return sorted(column[k] for k in system.graph.symbols(residual) if k in column)
 
-    choices = {e.choice: e for e in system.equations if len(e.branches) > 1}
+    choices = {e.choice: e for e in equations if len(e.branches) > 1}
     for choice, equation in choices.items():
         for branch in range(len(equation.branches)):
-            rows = [incidence(e.branches[branch] if e.choice == choice else e.residual) for e in system.equations]
+            rows = [incidence(e.branches[branch] if e.choice == choice else e.residual) for e in equations]
             matched: dict[int, int] = {}
             if not all(augment(row, rows.__getitem__, matched, set()) for row in range(len(rows))):
                 raise system.scope.flat.error(
@@ -212,119 +224,175 @@ def _check_branches(system: _System, unknowns: list[SX]) -> None:
                 )
 
 
-def _select(system: _System, n: int, point: Callable[[list[SX]], np.ndarray[Any, Any]]) -> list[State]:
+def _select(
+    system: _System, n: int, point: Callable[[list[SX]], np.ndarray[Any, Any]]
+) -> tuple[list[State], set[int]]:
+    """Choose the states; second, the equations that become invariants."""
     chains = system.chains
     depth = [system.depth(e) for e in range(n)]
     leaves = [system.leaf(e) for e in range(n)]
     lowered = dict.fromkeys(range(len(chains)), 0)  # variable -> number of its dummy derivatives
     columns = [v for v, chain in enumerate(chains) if len(chain) > 1]
+    names = _names(system)
+    invariant: dict[int, int] = {}  # equation -> the level at which its constraint chose no dummy derivative
     for level in range(1, max(depth, default=0) + 1):
-        rows = [e for e in range(n) if depth[e] >= level]
+        rows = [e for e in range(n) if depth[e] >= level and e not in invariant]
         columns = [v for v in columns if len(chains[v]) > level and lowered[v] == level - 1]
-        columns.sort(key=lambda v: (_preference(system, v, level), -v))
-        chosen = _independent(system, [leaves[e] for e in rows], columns, point)
-        if len(chosen) < len(rows):
+        preferences = {v: _preference(system, names, v, level) for v in columns}
+        columns.sort(key=lambda v: (preferences[v], -v))
+        choice = _independent(system, [leaves[e] for e in rows], columns, preferences, point)
+        if choice is None:
             _singular(system, [leaves[e] for e in rows], [chains[v][0] for v in columns])
-        for variable in chosen:
+        invariant |= dict.fromkeys((rows[i] for i in choice.open), level)
+        for variable in choice.columns:
             lowered[variable] += 1
             name = chains[variable][len(chains[variable]) - 1 - level]
-            if _preference(system, variable, level)[0] == _ALWAYS:
+            if preferences[variable][0] == _ALWAYS:
                 declared = system.scope.declared(name)
                 raise system.scope.flat.error(
                     f"'{name.name()}' has stateSelect = always, but constraints leave too few states",
                     declared.at if declared else None,
                 )
-        columns = chosen
+        columns = choice.columns
     states = []
     for variable, chain in enumerate(chains):
         for order in range(len(chain) - 1 - lowered[variable]):
             states.append(State(chain[order], chain[order + 1], chain[0], order))
-    return states
+    held = set()
+    for equation, level in invariant.items():
+        for _ in range(depth[equation] - level + 1):
+            held.add(equation)
+            equation = system.next[equation]
+    return states, held
 
 
-def _preference(system: _System, variable: int, level: int) -> tuple[int, bool, bool]:
+def _names(system: _System) -> dict[int, tuple[int, bool, bool]]:
+    """Preference of variables that are no states of their own, by the derivative they equal (``w = der(phi)``)."""
+    found: dict[int, tuple[int, bool, bool]] = {}
+    for equation in system.equations:
+        pair = system.graph.symbols(equation.residual)
+        derivatives = [k for k in pair if k in system.scope.integral]
+        if len(pair) != 2 or len(derivatives) != 1 or system.graph.stepped(equation.residual):
+            continue
+        gradient = system.graph.gradient(equation.residual)
+        if not all(k in gradient and gradient[k].is_constant() for k in pair):
+            continue
+        (derivative,) = derivatives
+        name = next(k for k in pair if k != derivative)
+        declared = system.scope.declarations.by_symbol.get(name)
+        if declared is not None and name in system.place and len(system.chains[system.place[name][0]]) == 1:
+            found[derivative] = max(preference(declared), found.get(derivative, _UNNAMED))
+    return found
+
+
+def _preference(
+    system: _System, names: dict[int, tuple[int, bool, bool]], variable: int, level: int
+) -> tuple[int, bool, bool]:
     """Preference as a state of the symbol that a dummy derivative at this level would take away."""
     symbol = system.chains[variable][len(system.chains[variable]) - 1 - level]
     declared = system.scope.declared(symbol)
-    return _UNNAMED if declared is None else preference(declared)
+    return names.get(key(symbol), _UNNAMED) if declared is None else preference(declared)
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """Variables whose derivatives become algebraic, and the constraints (by position) that choose none."""
+
+    columns: list[int]
+    open: list[int]
+
+
+Entries = dict[int, dict[int, SX]]
 
 
 def _independent(
-    system: _System, leaves: list[int], columns: list[int], point: Callable[[list[SX]], np.ndarray[Any, Any]]
-) -> list[int]:
-    """Greedy choice of columns with full rank: the first in the list that add to the rank.
+    system: _System,
+    leaves: list[int],
+    columns: list[int],
+    preferences: Mapping[int, tuple[int, bool, bool]],
+    point: Callable[[list[SX]], np.ndarray[Any, Any]],
+) -> _Choice | None:
+    """Choose columns with full rank, in their order, that stay independent while the model moves.
 
     By Griewank's lemma the constraints' Jacobian is that of the differentiated equations by the highest
-    derivatives.
+    derivatives. None if the rank is too small.
     """
-    if not leaves:
-        return []
-    highest = [key(system.chains[v][-1]) for v in columns]
     gradients = [system.graph.gradient(system.equations[e].residual) for e in leaves]
-    entries = [(i, j, g[h]) for i, g in enumerate(gradients) for j, h in enumerate(highest) if h in g]
-    matrix = np.zeros((len(leaves), len(columns)))
-    for (i, j, _), value in zip(entries, point([e for _, _, e in entries]), strict=True):
+    entries: Entries = {
+        i: {v: g[key(system.chains[v][-1])] for v in columns if key(system.chains[v][-1]) in g}
+        for i, g in enumerate(gradients)
+    }
+    chosen = _ranked(entries, columns, point)
+    if len(chosen) < len(leaves):
+        return None
+    fixed, rest = _eliminate(system, entries, chosen)
+    kept = {v for row in rest.values() for v in row if v not in chosen}
+    if not rest or (kept and all(preferences[v][0] > _DEFAULT for v in kept)):
+        return _Choice(chosen, [])  # by itself, or because the modeller says so
+    fixed, rest = _eliminate(system, entries, [v for v in columns if preferences[v][0] < _ALWAYS])
+    return _Choice(fixed, sorted(rest))
+
+
+def _ranked(entries: Entries, columns: list[int], point: Callable[[list[SX]], np.ndarray[Any, Any]]) -> list[int]:
+    """First columns that add to the rank."""
+    place = {v: j for j, v in enumerate(columns)}
+    cells = [(i, place[v], entry) for i, row in entries.items() for v, entry in row.items()]
+    matrix = np.zeros((len(entries), len(columns)))
+    for (i, j, _), value in zip(cells, point([e for _, _, e in cells]), strict=True):
         matrix[i, j] = value
     chosen: list[int] = []
-    basis = np.zeros((len(leaves), 0))
-    for j in range(len(columns)):
+    basis = np.zeros((len(entries), 0))
+    for j, variable in enumerate(columns):
         column = matrix[:, j]
         rest = column - basis @ (basis.T @ column)
         rest -= basis @ (basis.T @ rest)
         if np.linalg.norm(rest) > 1e-9 * max(float(np.linalg.norm(column)), 1e-300):
             basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
-            chosen.append(j)
-    _check_static(system, entries, set(chosen), columns, leaves)
-    return [columns[j] for j in chosen]
+            chosen.append(variable)
+    return chosen
 
 
-def _check_static(
-    system: _System, entries: list[tuple[int, int, SX]], chosen: set[int], columns: list[int], leaves: list[int]
-) -> None:
-    """Refuse a choice that may become singular while the model moves, unless the modeller made it.
+def _eliminate(system: _System, entries: Entries, columns: list[int]) -> tuple[list[int], Entries]:
+    """Eliminate by pivots in some columns that cannot vary: the columns, and what is left of the other rows."""
+    rows = {i: dict(row) for i, row in entries.items()}
+    holders: dict[int, set[int]] = {}
+    for i, row in rows.items():
+        for v in row:
+            holders.setdefault(v, set()).add(i)
+    used: dict[int, None] = {}
 
-    Pivots that cannot vary are eliminated; what is left decides whether the chosen columns stay independent.
-    """
-    matrix: dict[int, dict[int, SX]] = {}
-    for i, j, entry in entries:
-        if j in chosen:
-            matrix.setdefault(i, {})[j] = entry
-    while True:
-        pivot = next(
-            (
-                (i, j)
-                for i, row in matrix.items()
-                for j, entry in sorted(row.items(), key=lambda e: not e[1].is_constant())
-                if not _varies(system, entry)
-            ),
-            None,
-        )
-        if pivot is None:
-            break
-        i, j = pivot
-        row = matrix.pop(i)
-        for other in matrix.values():
-            if j in other:
-                factor = other.pop(j) / row[j]
-                for k, entry in row.items():
-                    if k != j:
-                        other[k] = other.get(k, SX(0.0)) - factor * entry
-    rows = {i for i, row in matrix.items() if row}
-    inside = sorted({columns[j] for i, j, _ in entries if i in rows})
-    kept = [columns[j] for i, j, _ in entries if i in rows and j not in chosen]
-    if not rows or (kept and all(_wanted(system, v) for v in kept)):
-        return
-    raise system.scope.flat.error(
-        f"the constraint between {_some([system.chains[v][0].name() for v in inside])} needs dynamic state "
-        "selection, which is not supported",
-        system.equations[leaves[min(rows)]].at,
-        "give stateSelect = StateSelect.always (or prefer) to the variables that can stay states",
-    )
+    def usable(entry: SX, numbers: bool) -> bool:
+        return entry.is_constant() if numbers else not _varies(system, entry)
+
+    for numbers in (True, False):  # numbers before parameters, which may become zero
+        waiting, found = columns, True
+        while found:
+            found, tried, waiting = False, waiting, []
+            for v in tried:
+                pivots = [i for i in holders.get(v, ()) if usable(rows[i][v], numbers)] if v not in used else []
+                if not pivots:
+                    waiting.append(v)
+                    continue
+                _use(rows, holders, min(pivots, key=lambda i: (len(rows[i]), i)), v)
+                used[v] = None
+                found = True
+    return list(used), {i: row for i, row in rows.items() if row}
 
 
-def _wanted(system: _System, variable: int) -> bool:
-    declared = system.scope.declared(system.chains[variable][0])
-    return declared is not None and preference(declared)[0] > _DEFAULT
+def _use(rows: Entries, holders: dict[int, set[int]], i: int, v: int) -> None:
+    """Eliminate column v by row i."""
+    pivot = rows.pop(i)
+    for k in pivot:
+        holders[k].discard(i)
+    for other in sorted(holders.pop(v)):
+        row = rows[other]
+        factor = row.pop(v) / pivot[v]
+        for k in (k for k in pivot if k != v):
+            row[k] = row.get(k, SX(0.0)) - factor * pivot[k]
+            holders[k].add(other)
+            if row[k].is_constant() and float(row[k]) == 0.0:
+                del row[k]
+                holders[k].discard(other)
 
 
 def _varies(system: _System, entry: SX) -> bool:

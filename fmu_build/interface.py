@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from fmu_build import algebra
-from fmu_build.aliases import Aliases
 from fmu_build.events import Events
 from fmu_build.graph import SX, is_number, key
-from fmu_build.index_reduction import Reduced
 from fmu_build.model import Causality, DependencyKind, Initial, Location, Unit, Variable
-from fmu_build.point import Point
-from fmu_build.scope import ModelScope
-from fmu_build.sorting import Solution
-from fmu_build.start import InitialConditions, Start, declared_start, start_of
+from fmu_build.start import InitialConditions, Start, start_of
+from fmu_build.system import System
 from fmu_build.unit_strings import make_unit
 from fmu_build.variables import Declared
 
@@ -42,36 +38,19 @@ class Interface:
     y_nominal: list[float]
 
 
-def describe(
-    scope: ModelScope,
-    aliases: Aliases,
-    reduced: Reduced,
-    solution: Solution,
-    happenings: Events,
-    conditions: InitialConditions,
-    point: Point,
-) -> Interface:
+def describe(system: System, happenings: Events, conditions: InitialConditions) -> Interface:
     """List every declared scalar and every state derivative with its place in the vectors."""
-    return _Describer(scope, aliases, reduced, solution, happenings, conditions, point).run()
+    return _Describer(system, happenings, conditions).run()
 
 
 class _Describer:
-    def __init__(
-        self,
-        scope: ModelScope,
-        aliases: Aliases,
-        reduced: Reduced,
-        solution: Solution,
-        happenings: Events,
-        conditions: InitialConditions,
-        point: Point,
-    ) -> None:
-        self.scope = scope
-        self.aliases = aliases
-        self.states = reduced.states
-        self.solution = solution
+    def __init__(self, system: System, happenings: Events, conditions: InitialConditions) -> None:
+        self.scope = scope = system.scope
+        self.aliases = system.aliases
+        self.states = system.reduced.states
+        self.solution = solution = system.solution
         self.conditions = conditions
-        self.point = point
+        self.point = system.point
         declared = scope.declarations.scalars.values()
         self.inputs = [algebra.sx(d.symbol) for d in declared if d.kind == "input"]
         self.place: dict[int, Location] = {}
@@ -96,10 +75,10 @@ class _Describer:
 
     def run(self) -> Interface:
         variables = [self._variable(d) for d in self.scope.declarations.scalars.values()]
-        variables += self._unnamed_states()
-        names = {v.location.index: v.name for v in reversed(variables) if self._is_state(v)}
+        names = [self._state_name(i, variables) for i in range(len(self.states))]
+        taken = {v.derivative_of for v in variables}
         units = {v.name: v.unit for v in variables}
-        variables += [self._derivative(i, names[i], units[names[i]]) for i in range(len(self.states))]
+        variables += [self._derivative(i, name, units[name]) for i, name in enumerate(names) if name not in taken]
         return Interface(
             tuple(variables),
             self._units(variables),
@@ -109,11 +88,6 @@ class _Describer:
             [self._nominal(s.symbol) for s in self.states],
             [self._nominal(s) for s in self.solution.iterates],
         )
-
-    def _is_state(self, variable: Variable) -> bool:
-        if variable.location.vector != "x" or variable.location.sign != 1:
-            return False
-        return variable.name == self.states[variable.location.index].symbol.name()
 
     def _variable(self, declared: Declared) -> Variable:
         variable = declared.variable
@@ -141,7 +115,7 @@ class _Describer:
             case "parameter":
                 place = self._parameter(declared)
             case "input":
-                start = declared_start(self.scope, declared)
+                start = self.scope.start_of(declared)
                 place = {
                     "location": self.place[key(algebra.sx(declared.symbol))], "causality": "input",
                     "variability": "continuous" if declared.type == "Real" else "discrete",
@@ -211,19 +185,26 @@ class _Describer:
             return "exact", float(value)
         return "calculated", None
 
-    def _unnamed_states(self) -> list[Variable]:
-        out = []
-        for i, state in enumerate(self.states):
-            if self.scope.declared(state.symbol) is None:
-                initial, value = self._state_start(i)
-                base = self.scope.declared(state.base)
-                unit = base.variable.unit if base else None
-                for _ in range(state.order):
-                    unit = _per_second(unit)
-                place = Location("x", i)
-                name = state.symbol.name()
-                out.append(Variable(name, "Real", place, "local", "continuous", initial, value, unit=unit))
-        return out
+    def _state_name(self, i: int, variables: list[Variable]) -> str:
+        """Name of a state. A derivative is called as a variable that equals it, or else becomes a variable."""
+        state, place = self.states[i], Location("x", i)
+        if self.scope.declared(state.symbol) is not None:
+            return state.symbol.name()
+        initial, value = self._state_start(i)
+        for k, variable in enumerate(variables):
+            if variable.location == place:
+                variables[k] = replace(variable, initial=initial, start=value)
+                return variable.name
+        base = self.scope.declared(state.base)
+        unit, below = base.variable.unit if base else None, state.base.name()
+        for order in range(state.order):
+            unit = _per_second(unit)
+            below = f"der({below})" if order else below
+        name = state.symbol.name()
+        variables.append(
+            Variable(name, "Real", place, "local", "continuous", initial, value, unit=unit, derivative_of=below)
+        )
+        return name
 
     def _derivative(self, index: int, name: str, unit: str | None) -> Variable:
         return Variable(

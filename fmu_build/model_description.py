@@ -44,19 +44,17 @@ def model_description(model: CompiledModel, guid: str, sources: Sequence[str], f
 def states(model: CompiledModel) -> list[Variable]:
     """Return the variable that stands for each continuous state, in the order of the state vector."""
     by_name = {v.name: v for v in model.variables}
-    found: dict[int, Variable] = {}
-    for derivative in derivatives(model):
-        assert derivative.derivative_of is not None
-        found[derivative.location.index] = by_name[derivative.derivative_of]
-    return [found[i] for i in range(model.n_x)]
+    found = [by_name[v.derivative_of] for v in derivatives(model) if v.derivative_of]
+    return sorted(found, key=lambda v: v.location.index)
 
 
 def derivatives(model: CompiledModel) -> list[Variable]:
     """Return the variable that stands for each state derivative, in the order of the state vector."""
+    index = {v.name: v.location.index for v in model.variables if v.location.vector == "x"}
     found: dict[int, Variable] = {}
     for v in model.variables:
-        if v.derivative_of is not None and v.location.vector == "dx":
-            found.setdefault(v.location.index, v)
+        if v.derivative_of in index:
+            found.setdefault(index[v.derivative_of], v)
     if sorted(found) != list(range(model.n_x)):
         missing = sorted(set(range(model.n_x)) - set(found))
         raise BuildError(f"no variable is the derivative of state number {missing}", where=model.class_name)

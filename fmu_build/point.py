@@ -12,7 +12,6 @@ import numpy as np
 from fmu_build import algebra
 from fmu_build.graph import SX, key
 from fmu_build.scope import ModelScope
-from fmu_build.start import declared_start
 
 _OFF = 1e-2  # a generic point lies this far from the start values
 
@@ -63,6 +62,6 @@ class Point:
         declared = self._scope.declared(symbol)
         if declared is None or declared.kind in ("parameter", "constant"):
             return off
-        start = declared_start(self._scope, declared)
+        start = self._scope.start_of(declared)
         value = float(start) if start.is_constant() else self.number(start)
         return value if declared.kind == "discrete" else value + off * max(1.0, abs(value))

@@ -255,6 +255,12 @@ class ModelScope:
         self.held.append(held)
         return held
 
+    def start_of(self, declared: Declared) -> SX:
+        """Start attribute of a variable as an expression of parameters (0 where not given)."""
+        with self.evaluate.no_event():
+            value = self.declarations.attribute(declared, "start", self.evaluate)
+        return algebra.sx(0.0 if value is None else value)
+
     def declared(self, symbol: SX) -> Declared | None:
         """Return the declaration of a symbol."""
         return self.declarations.by_symbol.get(key(symbol))

@@ -13,7 +13,7 @@ from fmu_build.matching import augment, components
 from fmu_build.scope import ModelScope
 
 _MOST_CRAMER = 3
-_MOST_SYMBOLIC = 8  # larger linear remainders are left to the numeric solver, which pivots
+MOST_SYMBOLIC = 8  # larger linear remainders are left to the numeric solver, which pivots
 
 
 @dataclass
@@ -114,7 +114,7 @@ def _solve_rest(
     linear = not any(graph.stepped(r) & set(keys) for r in residuals) and all(
         not graph.symbols(g[k]) & set(keys) for g in gradients for k in keys if k in g
     )
-    if not linear or len(left) > _MOST_SYMBOLIC:
+    if not linear or len(left) > MOST_SYMBOLIC:
         solution.iterates += left
         solution.residuals += [solution.expression(r) for r in residuals]
         return
@@ -127,6 +127,11 @@ def _solve_rest(
         )
     for symbol, value in zip(left, values, strict=True):
         solution.expression.define(symbol, value)
+
+
+def linear_solution(a: list[list[SX]], b: list[SX]) -> list[SX]:
+    """Solve a small linear system."""
+    return _linear(a, b)[1]
 
 
 def _linear(a: list[list[SX]], b: list[SX]) -> tuple[SX | None, list[SX]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,12 +11,10 @@ import numpy as np
 from fmu_build import algebra
 from fmu_build.aliases import Aliases
 from fmu_build.equations import Equation
-from fmu_build.graph import SX, Graph, key
-from fmu_build.index_reduction import State
+from fmu_build.graph import SX, key
 from fmu_build.scope import ModelScope
-from fmu_build.variables import Declared
+from fmu_build.system import System
 
-Evaluate = Callable[[list[SX]], np.ndarray[Any, Any]]
 _CONSISTENT = 1e-9
 
 
@@ -60,27 +57,12 @@ def start_of(scope: ModelScope, aliases: Aliases, symbol: SX) -> Start:
     given = [(d, s) for d, s in group.members if d.has_start]
     first = [m for m in group.members if m[0] is group.representative and m[0].has_start]
     for declared, sign in [*fixed, *first, *given]:
-        value = declared_start(scope, declared)
+        value = scope.start_of(declared)
         return Start(sign * value, bool(fixed), declared.has_start)
     return Start(SX(0.0), False, False)
 
 
-def declared_start(scope: ModelScope, declared: Declared) -> SX:
-    """Start attribute of a variable as an expression of parameters (0 where not given)."""
-    with scope.evaluate.no_event():
-        value = scope.declarations.attribute(declared, "start", scope.evaluate)
-    return algebra.sx(0.0 if value is None else value)
-
-
-def initial_conditions(
-    scope: ModelScope,
-    aliases: Aliases,
-    states: list[State],
-    rewrite: Callable[[SX], SX],
-    equations: list[Equation],
-    start_symbols: list[SX],
-    evaluate: Callable[[list[SX], dict[int, SX]], np.ndarray[Any, Any]],
-) -> InitialConditions:
+def initial_conditions(system: System, equations: list[Equation], start_symbols: list[SX]) -> InitialConditions:
     """Decide what determines each state at the start.
 
     A fixed start value and every initial equation is a condition; states that no condition reaches keep their
@@ -88,14 +70,11 @@ def initial_conditions(
 
     Parameters
     ----------
-    rewrite
-        Rewrites an expression to states and what else is known.
     start_symbols
         Symbols of the start values ``xs``, for the residuals.
-    evaluate
-        Evaluates expressions at the default parameters and given states.
     """
-    flat, graph = scope.flat, scope.graph
+    scope, aliases, states = system.scope, system.aliases, system.reduced.states
+    flat, rewrite, evaluate = scope.flat, system.rewrite, system.point.at_start
     starts = [start_of(scope, aliases, s.symbol) for s in states]
     conditions = [(rewrite(e.residual), e.at) for e in equations]
     own = {key(s.symbol) for s in states}
@@ -104,12 +83,12 @@ def initial_conditions(
         for position, (declared, sign) in enumerate(fixed):
             if position == 0 and k in own:
                 continue
-            value = rewrite(sign * algebra.sx(group.representative.symbol)) - declared_start(scope, declared)
+            value = rewrite(sign * algebra.sx(group.representative.symbol)) - scope.start_of(declared)
             conditions.append((value, declared.at))
     at_start = {key(s.symbol): start.value for s, start in zip(states, starts, strict=True)}
     columns = [i for i, start in enumerate(starts) if not start.fixed]
     columns.sort(key=lambda i: (starts[i].given, -states[i].order, i))
-    free, used = _independent(graph, [c for c, _ in conditions], columns, states, at_start, evaluate)
+    free, used = _independent(system, [c for c, _ in conditions], columns, at_start)
     for row, (residual, span) in enumerate(conditions):
         if row in used:
             continue
@@ -128,23 +107,19 @@ def initial_conditions(
 
 
 def _independent(
-    graph: Graph,
-    conditions: list[SX],
-    columns: list[int],
-    states: list[State],
-    at_start: dict[int, SX],
-    evaluate: Callable[[list[SX], dict[int, SX]], np.ndarray[Any, Any]],
+    system: System, conditions: list[SX], columns: list[int], at_start: dict[int, SX]
 ) -> tuple[set[int], set[int]]:
     """States that conditions determine, and the conditions that do so, by the rank near the start."""
     if not conditions or not columns:
         return set(), set()
-    gradients = [graph.gradient(c) for c in conditions]
+    states = system.reduced.states
+    gradients = [system.scope.graph.gradient(c) for c in conditions]
     wanted = [(i, j, g[key(states[c].symbol)]) for i, g in enumerate(gradients)
               for j, c in enumerate(columns) if key(states[c].symbol) in g]  # fmt: skip
     # A little off the start, where a coefficient may vanish by chance.
     near = {k: v + 1e-3 * math.sin(1.0 + i) for i, (k, v) in enumerate(at_start.items())}
     matrix = np.zeros((len(conditions), len(columns)))
-    for (i, j, _), value in zip(wanted, evaluate([e for _, _, e in wanted], near), strict=True):
+    for (i, j, _), value in zip(wanted, system.point.at_start([e for _, _, e in wanted], near), strict=True):
         matrix[i, j] = value
     scale = np.abs(matrix).max(axis=1)
     matrix = matrix / np.where(scale > 0.0, scale, 1.0)[:, None]

@@ -200,10 +200,11 @@ package Trains "Rotating trains with known solutions"
     Real v_dot;
   end Crank;
 
-  model Cartesian "A pendulum in Cartesian coordinates: needs dynamic state selection"
-    Real x(start = 0.6);
-    Real y(start = -0.8);
-    Real vx, vy, F;
+  model Cartesian "A pendulum in Cartesian coordinates: no two of its variables are states in every position"
+    Real x(start = 0.6, fixed = true);
+    Real y(start = 0.8);
+    Real vx(start = 0, fixed = true);
+    Real vy, F;
   equation
     der(x) = vx;
     der(y) = vy;
@@ -211,4 +212,21 @@ package Trains "Rotating trains with known solutions"
     der(vy) = -F*y - 9.81;
     x^2 + y^2 = 1;
   end Cartesian;
+
+  model Sticks "The same, by its angle"
+    Real phi(start = acos(-0.8), fixed = true);
+    Real w(start = 0, fixed = true) = der(phi);
+    Real x = sin(phi);
+    Real y = -cos(phi);
+    Real vx = der(x);
+    Real vy = der(y);
+    Real F;
+  equation
+    der(vx) = -F*x;
+    der(vy) = -F*y - 9.81;
+  end Sticks;
+
+  model Chosen "The same for small angles, by states that the modeller chose"
+    extends Cartesian(x(stateSelect = StateSelect.always), vx(stateSelect = StateSelect.always), y(start = -0.8));
+  end Chosen;
 end Trains;
