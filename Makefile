@@ -4,6 +4,7 @@ VENV ?= .venv
 EMPS ?= ../shared/data/emps
 GO1 ?= ../shared/data/go1
 SEALED ?= ../shared/data/sealed
+SEALED_ABROAD ?= ../shared/data/sealed_abroad
 # The blind check: cases in the grid, and a folder outside this one for what the diagnosis must not see.
 COUNT ?= 200
 LABELS ?= ../blind-labels
@@ -28,7 +29,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed blind bench coverage fuzz kills standard-library docs clean
+.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed sealed-abroad blind bench coverage fuzz kills standard-library docs clean
 all: identify
 
 setup: $(READY)
@@ -95,6 +96,10 @@ diagnose-go1: $(PENDULUM) campaigns/go1/measurements.h5
 
 sealed: $(FMUS)
 	$(BIN)/python -m benchmarks.sealed $(SEALED) --out sealed --page docs/sealed.md
+
+# Rigs of other kinds, each with a plain Modelica model of its own.
+sealed-abroad: | $(READY)
+	$(BIN)/python -m benchmarks.sealed $(SEALED_ABROAD) --abroad --out sealed --page docs/sealed.md
 
 # Goes on where it was interrupted. FIRST=20: the first twenty cases of the grid. SEED=5: not a drawn one.
 blind: $(FMUS)

@@ -1,7 +1,9 @@
-"""Diagnoses of a folder of campaigns of one form, one JSON file each, and a page about them (`make sealed`).
+"""Diagnoses of a folder of campaigns, one JSON file each, and a page about them.
 
-Case ``NAME`` is the measurement file ``NAME/measurements.h5``; what it is held against is a campaign whose own
-measurements it replaces. A case whose JSON exists is not diagnosed again.
+`make sealed`: case ``NAME`` is the measurement file ``NAME/measurements.h5``; what it is held against is a
+campaign whose own measurements it replaces. `make sealed-abroad`: every case is a campaign of its own, with its
+plain model.
+A case whose JSON exists is not diagnosed again.
 """
 
 from __future__ import annotations
@@ -33,12 +35,16 @@ _COLUMNS = (
 )
 
 
-def diagnose_case(template: Path, measurements: Path, target: Path) -> str:
-    """Diagnose one measurement file by the campaign `template`, write `target`, return the verdict in words."""
+def diagnose_case(template: Path | None, measurements: Path, target: Path) -> str:
+    """Diagnose one measurement file by the campaign `template`, write `target`, return the verdict in words.
+
+    Without a template, by the campaign beside it.
+    """
     from fmuid.campaigns.campaign_toml import load_campaign
     from fmuid.diagnosis_pipeline import answer_of, diagnose
 
-    found = diagnose(load_campaign(template, measurements=measurements), workers=0)
+    campaign = load_campaign(template or measurements.parent, measurements=measurements)
+    found = diagnose(campaign, workers=0)
     answer = answer_of(found)
     write_atomically(target, json.dumps(answer, indent=2, allow_nan=False) + "\n")
     return verdict_in_words(answer)
@@ -46,11 +52,11 @@ def diagnose_case(template: Path, measurements: Path, target: Path) -> str:
 
 def diagnose_folder(
     folder: Path,
-    template: Path,
+    template: Path | None,
     out: Path,
     *,
     workers: int | None = None,
-    diagnose: Callable[[Path, Path, Path], str] = diagnose_case,
+    diagnose: Callable[[Path | None, Path, Path], str] = diagnose_case,
 ) -> list[str]:
     """Diagnose every case of `folder` that has no result in `out` yet; cases run side by side.
 
@@ -80,17 +86,40 @@ def diagnose_folder(
     return failures
 
 
-def page(results: Mapping[str, Mapping[str, Any]], command: str) -> str:
-    """Return the Markdown page about diagnoses by case name."""
+def page(home: Mapping[str, Mapping[str, Any]], abroad: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the Markdown page about diagnoses by case name, of both kinds of campaigns."""
     lines = [
         "# Diagnoses of the sealed campaigns",
         "",
-        "Sixteen campaigns from a foreign rig; the answers were not known when this page was written.",
-        f"Made by `{command}`; the whole of each answer is in `sealed/`.",
+        "Campaigns whose answers are withheld: what the tool says stands.",
         "",
         "Gaps are in noise floors: of the base model with its parameters refitted, and with the verdict's effects",
         "added. The expected closure is that on experiments left out, beyond what refitting closes; *unknown*",
         "and *complete* promise none. [How to read a diagnosis](diagnosis.md).",
+        *_section(
+            "At home",
+            home,
+            "Campaigns from a foreign rig of the actuator's kind. Made by `make sealed`; each whole answer is in"
+            " `sealed/`.",
+        ),
+        *_section(
+            "Abroad",
+            abroad,
+            "Rigs of other kinds, each with a plain Modelica model that the catalogue is made from. Made by"
+            " `make sealed-abroad`; each whole answer is in `sealed/abroad/`.",
+        ),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _section(title: str, results: Mapping[str, Mapping[str, Any]], introduction: str) -> list[str]:
+    if not results:
+        return []
+    lines = [
+        "",
+        f"## {title}",
+        "",
+        introduction,
         "",
         "| " + " | ".join(_COLUMNS) + " |",
         "|" + "---|" * len(_COLUMNS),
@@ -103,7 +132,7 @@ def page(results: Mapping[str, Mapping[str, Any]], command: str) -> str:
             e = answer["next_experiment"]
             sigma = f"{e['separation_sigma']:.3g} standard deviations between {' and '.join(e['between'])}"
             lines.append(f"- {name}: {e['setup']}, {e['description']}: {sigma}")
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def _row(name: str, answer: Mapping[str, Any]) -> list[str]:
@@ -132,16 +161,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.sealed", description=__doc__)
     parser.add_argument("folder", type=Path, help="holds NAME/measurements.h5")
     parser.add_argument("--campaign", type=Path, default=Path("campaigns/sealed"))
-    parser.add_argument("--out", type=Path, default=Path("sealed"), help="for NAME.json")
+    parser.add_argument("--abroad", action="store_true", help="every case is a campaign of its own")
+    parser.add_argument("--out", type=Path, default=Path("sealed"), help="for NAME.json, or abroad/NAME.json")
     parser.add_argument("--page", type=Path, help="Markdown page to write")
     parser.add_argument("--workers", type=int, help="cases at the same time; one per processor by default")
     given = parser.parse_args(arguments)
 
     def work() -> Sequence[str]:
-        failures = diagnose_folder(given.folder, given.campaign, given.out, workers=given.workers)
+        out, template = (given.out / "abroad", None) if given.abroad else (given.out, given.campaign)
+        failures = diagnose_folder(given.folder, template, out, workers=given.workers)
         if given.page is not None:
-            results = {p.stem: json.loads(p.read_text()) for p in sorted(given.out.glob("*.json"))}
-            write_atomically(given.page, page(results, "make sealed"))
+            folders = (given.out, given.out / "abroad")
+            home, abroad = ({p.stem: json.loads(p.read_text()) for p in sorted(f.glob("*.json"))} for f in folders)
+            write_atomically(given.page, page(home, abroad))
         return failures
 
     return ended(work, resumes=True)

@@ -15,14 +15,14 @@ from benchmarks.study_command import ended
 from fmuid.core.files import write_atomically
 
 
-def diagnose_blind(template: Path, measurements: Path, target: Path) -> str:
+def diagnose_blind(template: Path | None, measurements: Path, target: Path) -> str:
     """Diagnose one measurement file by the campaign `template`, with baselines; write it, return the verdict."""
     from benchmarks.blind.baselines import baseline_answers
     from benchmarks.sealed import verdict_in_words
     from fmuid.campaigns.campaign_toml import load_campaign
     from fmuid.diagnosis_pipeline import answer_of, diagnose
 
-    found = diagnose(load_campaign(template, measurements=measurements), workers=0)
+    found = diagnose(load_campaign(template or measurements.parent, measurements=measurements), workers=0)
     baselines = {name: list(effects) for name, effects in baseline_answers(found).items()}
     answer = {**answer_of(found), "baselines": baselines}
     write_atomically(target, json.dumps(answer, indent=1, allow_nan=False) + "\n")

@@ -40,12 +40,13 @@ def test_the_page_says_verdict_probability_port_and_closure():
         "gap": {"nominal_refit": 0.1, "corrected": 0.1},
         "answers": [{"effects": ["none"], "probability": 0.97}],
     }
-    text = sealed.page({"s01": ANSWER, "s02": complete}, "make sealed")
+    text = sealed.page({"s01": ANSWER}, {"s02": complete})
     assert (
         "| s01 | ambiguous: viscous or stribeck | 0.95 | gear_friction | 2.50 | 0.20 | 0.90 | 0.80 … 0.95 |"
         in text
     )
     assert "| s02 | complete | 0.97 |  | 0.10 | 0.10 |  |  |" in text
+    assert text.index("## At home") < text.index("| s01") < text.index("## Abroad") < text.index("| s02")
     assert "- s01: free_shaft, as free_20, with its input times 0.25: 12 standard deviations" in text
 
 

@@ -315,7 +315,7 @@ def _effects(
 def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
     table = convert(raw, _ModelTable, where)
     source = _source(table, folder, where)
-    if source is not None and not table.fmu:
+    if source is not None and not (table.fmu and (folder / table.fmu).is_file()):
         table.fmu = str(built_model(source))
     coupling = coupling_of(table, folder, where)
     if table.interface and (coupling is not None or table.fmu.endswith(".ssp")):
