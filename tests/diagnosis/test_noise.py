@@ -1,5 +1,7 @@
 """The noise floor: whitened noise has unit variance, whatever its colour, and nothing else has."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -90,9 +92,34 @@ def test_a_signal_without_noise_is_refused():
         estimate_noise([RepeatedRuns("run", "bench", TIME, run.channels, values)])
 
 
-def test_repeats_at_other_times_are_refused():
-    with pytest.raises(ProblemError, match="evenly spaced"):
-        RepeatedRuns("run", "bench", TIME**1.1, ("a",), np.zeros((2, 1, len(TIME))))
+def test_a_gap_does_not_depend_on_how_often_it_is_sampled():
+    """Ten times the samples with noise of the same spectral density tell as much, and say the same."""
+    gaps = []
+    for factor in (1, 10):
+        time = DT / factor * np.arange(600 * factor)
+        rng = np.random.default_rng(3)
+        signal = 40.0 * np.sin(20 * time) * np.sin(3 * time) ** 2
+        noise = np.sqrt(factor) * rng.standard_normal((5, 1, time.size))
+        runs = [RepeatedRuns(f"run{k}", "bench", time, ("a",), signal + noise) for k in range(3)]
+        observed = Observed.from_runs(runs)
+        wrong = (signal + 0.4 * np.sin(60 * time))[None]
+        gaps.append(gap(observed.residuals([wrong] * 3), observed))
+    assert gaps[0] > 0.5
+    assert gaps[1] == pytest.approx(gaps[0], rel=0.25)  # noise and bands of an octave; a mean over all: 0.5
+
+
+def test_what_only_the_model_has_belongs_to_the_gap():
+    runs = [repeated(np.random.default_rng(7), 5, f"run{k}") for k in range(4)]
+    observed = Observed.from_runs(runs)
+    wrong = [run.mean + 3.0 * np.sin(500 * TIME) for run in runs]
+    hidden, seen = (o.in_band[0].mean() for o in (observed, replace(observed, predicted=tuple(wrong))))
+    assert hidden < 0.9 * seen
+
+
+def test_runs_of_the_same_conditions_are_left_out_together():
+    runs = [repeated(np.random.default_rng(k), 3, f"run{k}") for k in range(4)]
+    runs = [replace(run, conditions=c) for run, c in zip(runs, ("a", "b", "a", ""), strict=True)]
+    assert Observed.from_runs(runs).groups == (0, 1, 0, 3)
 
 
 def test_false_alarms_are_as_rare_as_promised():
@@ -114,8 +141,8 @@ def test_false_alarms_are_as_rare_as_promised():
 def test_a_gap_as_large_as_the_noise_is_seen():
     rng = np.random.default_rng(7)
     runs = [repeated(rng, 5, f"run{k}") for k in range(4)]
-    observed = Observed.from_runs(runs)
     wrong = np.sin(20 * TIME) * np.array([[4.0], [3.0]]) + 3.0 * np.sin(200 * TIME)
+    observed = replace(Observed.from_runs(runs), predicted=(wrong,) * 4)
     residuals = observed.residuals([wrong] * 4)
     null = draw_noise(observed, draws=200).null(np.zeros((sum(r.size for r in residuals), 0)), [])
     assert null.p_value(excess(residuals, observed)) < 1e-6

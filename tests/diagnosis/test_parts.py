@@ -123,6 +123,7 @@ def test_held_out_losses_are_those_of_fits_to_the_other_experiments():
         _, alone = linear(slopes, keep=others)
         whiten = observed.whiteners[left_out]
         residual = whiten((alone.values["k"] * TIME)[None] - observed.runs[left_out].mean).ravel()
+        residual = residual[observed.in_band[left_out]]
         assert held.loss[left_out] == pytest.approx(np.mean(residual**2) - 1 / 5, rel=1e-3, abs=1e-3)
     assert held.loss[3] > 3 * held.loss[0] > 0
 
@@ -130,10 +131,10 @@ def test_held_out_losses_are_those_of_fits_to_the_other_experiments():
 def test_runs_of_a_complete_model_lose_nothing_when_left_out():
     observed, fit = linear([2.0, 2.0, 2.0, 2.0])
     held = leave_each_out(fit, observed)
-    assert np.abs(held.loss).max() < 0.1
+    assert np.abs(held.loss).max() < 0.15
     assert held.gap < 0.3
     for losses in held.per_run:
-        assert np.abs(losses).max() < 0.5
+        assert np.abs(losses).max() < 0.8  # three times what 33 components scatter by
 
 
 def lost(*loss):

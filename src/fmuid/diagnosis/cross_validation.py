@@ -26,11 +26,12 @@ class HeldOut:
     Attributes
     ----------
     loss
-        (E,) mean squared whitened residual of a single run of the experiment, beyond the noise floor's 1.
+        (E,) mean squared whitened residual of a single run of the experiment, beyond the noise floor's 1, over the
+        components in its signals' bandwidth.
     per_run
         The same for every run on its own, one array an experiment.
     size
-        (E,) number of samples in it.
+        (E,) number of these components.
     """
 
     loss: FloatArray
@@ -63,7 +64,9 @@ def leave_each_out(fit: Refit, observed: Observed) -> HeldOut:
     total, slope = sum(normal), sum(gradient)
     ridge = np.eye(int(inside.sum())) / _PRIOR_STEPS**2
     predicted = []
-    for p, r, h, g in zip(parts, residuals, normal, gradient, strict=True):
+    for p, r, group in zip(parts, residuals, observed.groups, strict=True):
+        out = [k for k, other in enumerate(observed.groups) if other == group]
+        h, g = sum(normal[k] for k in out), sum(gradient[k] for k in out)
         move = np.linalg.solve(total - h + ridge, -(slope - g)) if inside.any() else np.zeros(0)
         predicted.append(r + p @ move)
     return losses(predicted, observed)
@@ -76,15 +79,16 @@ def in_sample(fit: Refit, observed: Observed) -> HeldOut:
 
 def losses(residuals: Sequence[FloatArray], observed: Observed) -> HeldOut:
     """Return the losses of given whitened residuals (of the mean runs), one a fold."""
-    per_run, loss = [], []
-    for r, (e, rows) in zip(residuals, observed.folds, strict=True):
-        run, whiten = observed.runs[e], observed.whiteners[e]
-        deviation = whiten(run.deviations).reshape(run.n_repeats, -1)[:, rows]
+    per_run, loss, size = [], [], []
+    for whole, (e, rows) in zip(residuals, observed.folds, strict=True):
+        run, whiten, band = observed.runs[e], observed.whiteners[e], observed.in_band[e][rows]
+        r = whole[band]
+        deviation = whiten(run.deviations).reshape(run.n_repeats, -1)[:, rows][:, band]
         # residual of run k = residual of the mean - its deviation from the mean
         per_run.append(read_only(np.mean((r - deviation) ** 2, axis=1) - 1.0))
         loss.append(float(np.mean(r**2)) - 1.0 / run.n_repeats)
-    size = np.array([float(r.size) for r in residuals])
-    return HeldOut(read_only(np.array(loss)), tuple(per_run), read_only(size))
+        size.append(float(r.size))
+    return HeldOut(read_only(np.array(loss)), tuple(per_run), read_only(np.array(size)))
 
 
 def closure(before: HeldOut, after: HeldOut) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -135,9 +135,10 @@ def diagnose_subject(
     SimulationError
         The nominal model cannot be simulated at its start values.
     """
-    model, observed = subject.model, subject.observed
     say("nominal model at its start values", 0.0)
     begin = _prediction(subject, {u.name: u.start for u in subject.nominal})
+    subject = replace(subject, observed=replace(subject.observed, predicted=begin))
+    model, observed = subject.model, subject.observed
     say("refitting the nominal parameters", 0.02)
     nominal = fit_effects(subject, (), [{}])
     if nominal is None:
@@ -214,16 +215,14 @@ def _evidence(subject: Subject, nominal: Fitted, scores: Sequence[Score], noise:
     observed = subject.observed
     signatures = [s.signature for s in scores if s.signature is not None]
     null = noise.null(nominal_basis(nominal.fit, observed), signatures)
+    within = [r[band] for r, band in zip(nominal.fit.residuals, observed.in_band, strict=True)]
     by_experiment = max(
-        float(np.sqrt(max(0.0, r @ r / r.size - 1.0 / n)))
-        for r, n in zip(nominal.fit.residuals, observed.repeats, strict=True)
+        float(np.sqrt(max(0.0, r @ r / r.size - 1.0 / n))) for r, n in zip(within, observed.repeats, strict=True)
     )
     matters = nominal.gap > decide.GAP_THAT_MATTERS or by_experiment > 3 * decide.GAP_THAT_MATTERS
     largest = max((s.drop for s in scores), default=0.0)
     p_value = null.p_value(excess(nominal.fit.residuals, observed), largest / decide.SCORE_MARGIN)
-    needed = decide.GAP_THAT_MATTERS**2 * sum(
-        n * r.size for n, r in zip(observed.repeats, nominal.fit.residuals, strict=True)
-    )
+    needed = decide.GAP_THAT_MATTERS**2 * sum(n * r.size for n, r in zip(observed.repeats, within, strict=True))
     threshold = max(decide.SCORE_MARGIN * null.threshold(), needed)
     power = smallest_seen(scores, subject.effects, nominal.fit, observed, threshold=threshold)
     return Evidence(matters and p_value < decide.SIGNIFICANCE, p_value, null, power)
@@ -242,7 +241,7 @@ def _judge(
 ) -> Judgement:
     """Return the verdict: what survives, what free functions say against it, and what it leaves."""
     observed = subject.observed
-    powerless = len(observed.folds) < 2 or not (evidence.present or evidence.power)
+    powerless = len(set(observed.groups)) < 2 or not (evidence.present or evidence.power)
     surviving = () if best is None else decide.survivors(best, candidates, observed)
     if powerless or not evidence.present:
         return Judgement(Verdict("insufficient" if powerless else "complete"), surviving[:1])

@@ -70,6 +70,7 @@ class CampaignModel:
                 tuple(c.signal for c in case.channels),
                 np.stack([c.repeats for c in case.channels], axis=1),
                 np.array([c.noise.sigma if c.noise.source == "given" else np.nan for c in case.channels]),
+                _conditions(case),
             )
             for case in self.cases
         )
@@ -211,6 +212,15 @@ class CampaignModel:
                 rows.append(disturbed_readings(sensed, names, signal, case.time, inputs))
             results.append(tuple(rows))
         return results
+
+
+def _conditions(case: Case) -> str:
+    """Return a digest of what a run is made under: its setup, settings and inputs over time."""
+    digest = hashlib.blake2b(repr((case.setup, sorted(case.task.start_values.items()))).encode())
+    for name, values in sorted(case.task.inputs.items()):
+        digest.update(name.encode() + np.asarray(values).tobytes())
+    digest.update((case.task.time - case.task.time[0]).tobytes())
+    return digest.hexdigest()
 
 
 def _direction(above: Mapping[str, float], below: Mapping[str, float], width: float) -> Direction:

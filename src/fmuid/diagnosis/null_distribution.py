@@ -51,7 +51,10 @@ class Null:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseDraws:
-    """(M, D) draws of the residual that noise alone would leave, of all experiments one after the other."""
+    """(M, D) draws of the residual that noise alone would leave, of all experiments one after the other.
+
+    `weight` is (M,) one over the number of repeats in the signals' bandwidth, 0 beyond.
+    """
 
     noise: FloatArray
     weight: FloatArray
@@ -68,7 +71,7 @@ class NoiseDraws:
         """
         taken = basis.T @ self.noise
         left = self.noise - basis @ taken
-        excess = (self.weight @ left**2 - self.weight.sum()) / len(self.weight)
+        excess = (self.weight @ left**2 - self.weight.sum()) / np.count_nonzero(self.weight)
         drops = np.array([(s @ left) ** 2 for s in signatures]) if signatures else np.zeros((1, left.shape[1]))
         return Null(read_only(excess), read_only(drops.max(axis=0)))
 
@@ -89,9 +92,7 @@ def draw_noise(observed: Observed, *, draws: int = 400, seed: int = 0) -> NoiseD
         else:
             noise[begin : begin + w.size] = rng.standard_normal((w.size, draws))
         begin += w.size
-    weight = np.concatenate(
-        [np.full(w.size, 1.0 / n) for w, n in zip(observed.whiteners, observed.repeats, strict=True)]
-    )
+    weight = np.concatenate([band / n for band, n in zip(observed.in_band, observed.repeats, strict=True)])
     return NoiseDraws(read_only(noise), read_only(weight))
 
 

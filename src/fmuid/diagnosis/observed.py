@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.runs import RepeatedRuns, cut
-from fmuid.data.noise.spectrum import PiecewiseWhitener, SetupNoise, Whitener, estimate_noise, whitener
+from fmuid.data.noise.spectrum import PiecewiseWhitener, SetupNoise, Whitener, bandwidth, estimate_noise, whitener
 
 _FEW = 4  # experiments: with fewer, leaving one out leaves too little to learn from
 _PIECES = 6  # that a run without repeats is then cut into
@@ -28,10 +28,14 @@ class Observed:
         One entry an experiment.
     noise
         Setup -> its noise.
+    predicted
+        (C, N) an experiment that a model predicts; what it has and the measurements lack belongs to the signals'
+        bandwidth, too. Empty if none is known yet.
     """
 
     runs: tuple[RepeatedRuns, ...]
     noise: Mapping[str, SetupNoise]
+    predicted: tuple[FloatArray, ...] = ()
 
     @classmethod
     def from_runs(cls, runs: Sequence[RepeatedRuns]) -> Observed:
@@ -53,7 +57,10 @@ class Observed:
 
     def select(self, ids: Sequence[str]) -> Observed:
         """Return the same noise with only the experiments `ids`."""
-        return Observed(tuple(r for r in self.runs if r.id in ids), self.noise)
+        kept = [k for k, r in enumerate(self.runs) if r.id in ids]
+        return Observed(
+            tuple(self.runs[k] for k in kept), self.noise, tuple(self.predicted[k] for k in kept if self.predicted)
+        )
 
     @cached_property
     def whiteners(self) -> tuple[Whitener | PiecewiseWhitener, ...]:
@@ -70,6 +77,30 @@ class Observed:
             (e, fold)
             for e, w in enumerate(self.whiteners)
             for fold in (w.folds if isinstance(w, PiecewiseWhitener) else (slice(None),))
+        )
+
+    @cached_property
+    def groups(self) -> tuple[int, ...]:
+        """(F,) which folds are left out together: runs with the same input and conditions are one experiment."""
+        first: dict[object, int] = {}
+        pieces = [isinstance(self.whiteners[e], PiecewiseWhitener) for e, _ in self.folds]
+        return tuple(
+            f if cut or not self.runs[e].conditions else first.setdefault(self.runs[e].conditions, f)
+            for f, ((e, _), cut) in enumerate(zip(self.folds, pieces, strict=True))
+        )
+
+    @cached_property
+    def in_band(self) -> tuple[NDArray[np.bool_], ...]:
+        """Which components of each experiment's whitened residual lie in the bandwidth of their signal.
+
+        Gaps are means over these, so that they do not depend on how often a signal was sampled.
+        """
+        limits = [bandwidth(r, r.mean, self.noise[r.setup]) for r in self.runs]
+        for k, (r, y) in enumerate(zip(self.runs, self.predicted, strict=False)):
+            limits[k] = np.maximum(limits[k], bandwidth(r, y, self.noise[r.setup]))
+        return tuple(
+            np.ravel(w.frequencies[None, :] <= limit[:, None])
+            for w, limit in zip(self.whiteners, limits, strict=True)
         )
 
     @cached_property
@@ -95,13 +126,15 @@ def _whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener | PiecewiseWhite
 def gap(residuals: Sequence[FloatArray], observed: Observed) -> float:
     """Return the gap in floors: G = sqrt(max(0, mean whitened residual^2 - 1)), for one run on average.
 
-    The mean of R runs carries 1/R of a run's noise, so this much is what noise alone would leave in it.
+    The mean is over components in the signals' bandwidth. The mean of R runs carries 1/R of a run's noise, so this
+    much is what noise alone would leave in it.
     """
     return float(np.sqrt(max(0.0, excess(residuals, observed))))
 
 
 def excess(residuals: Sequence[FloatArray], observed: Observed) -> float:
     """Return G^2 before it is clipped at zero."""
-    n = np.array([r.size for r in residuals], dtype=float)
-    energy = np.array([float(r @ r) for r in residuals])
+    within = [r[band] for r, band in zip(residuals, observed.in_band, strict=True)]
+    n = np.array([r.size for r in within], dtype=float)
+    energy = np.array([float(r @ r) for r in within])
     return float((energy - n / observed.repeats).sum() / n.sum())

@@ -22,7 +22,7 @@ from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Refit, Unknown
 
 OWN_PAST = "its own past"
-_MEMORY = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)  # s, time constants of a sensor's past
+_PASTS = 6  # time constants of a memory, from a few samples to a part of the longest run
 _SAME_PORT = 0.99  # correlation of responses above which the sensors cannot tell two ports apart
 Basis = tuple[tuple[FloatArray, ...], ...]
 """Basis functions, each with (N,) samples for every experiment."""
@@ -117,6 +117,26 @@ def times(basis: Basis, factor: Sequence[FloatArray]) -> Basis:
     return tuple(tuple(read_only(b * f) for b, f in zip(one, factor, strict=True)) for one in basis)
 
 
+def pasts(values: Sequence[FloatArray], time: Sequence[FloatArray]) -> Basis:
+    """Return a variable behind first-order lags, over its largest absolute value.
+
+    Time constants go, evenly on a logarithmic scale, from three samples to a third of the longest run.
+    """
+    size = max(max(float(np.abs(v).max()) for v in values), 1e-300)
+    shortest = 3.0 * min(float(np.mean(np.diff(t))) for t in time)
+    longest = max(float(t[-1] - t[0]) for t in time) / 3.0
+    found = []
+    for seconds in np.geomspace(shortest, max(longest, 2.0 * shortest), _PASTS):
+        keeps = [float(np.exp(-np.mean(np.diff(t)) / seconds)) for t in time]
+        # Settled before the first sample.
+        slow = [
+            lfilter([1.0 - k], [1.0, -k], v / size, zi=[k * v[0] / size])[0]
+            for k, v in zip(keeps, values, strict=True)
+        ]
+        found.append(tuple(read_only(np.asarray(s)) for s in slow))
+    return tuple(found)
+
+
 def quantile_knots(values: Sequence[FloatArray], count: int) -> FloatArray:
     """Return knots where the data are: quantiles of all experiments together, each of equal weight."""
     resampled = [np.quantile(v, np.linspace(0, 1, 201)) for v in values]
@@ -206,15 +226,8 @@ def _of_signals(
         size = max(float(np.abs(s).max()) for s in series)
         others += [tuple(s / size for s in series)] if size > 0.0 else []
     read = [p[row] if row is not None else np.zeros(p.shape[1]) for p, row in zip(prediction, rows, strict=True)]
-    size = max(max(float(np.abs(r).max()) for r in read), 1e-300)
-    past = []
-    for seconds in _MEMORY:
-        keeps = [float(np.exp(-np.mean(np.diff(case.time)) / seconds)) for case in model.cases]
-        slow = [lfilter([1.0 - k], [1.0, -k], r / size) for k, r in zip(keeps, read, strict=True)]
-        past.append(tuple(np.asarray(s) for s in slow))
-    return (
-        {"other signals": tuple(others), "its own past": tuple(past)} if others else {"its own past": tuple(past)}
-    )
+    past = pasts(read, [case.time for case in model.cases])
+    return {"other signals": tuple(others), OWN_PAST: past} if others else {OWN_PAST: past}
 
 
 def _distinct(

@@ -9,7 +9,7 @@ import numpy as np
 
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.diagnosis.extended_model import CampaignModel
-from fmuid.diagnosis.ports import Basis, harmonics, hats, quantile_knots, times
+from fmuid.diagnosis.ports import Basis, harmonics, hats, pasts, quantile_knots, times
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +65,14 @@ def _powers(path: Sequence[FloatArray]) -> Basis:
 def bases(
     paths: Mapping[str, tuple[FloatArray, ...]], regimes: Mapping[str, Regime], *, knots: int = 9
 ) -> dict[str, Basis]:
-    """Return families of functions that an unnamed effect may be: of speed, of angle, of load, of time.
+    """Return families of functions that an unnamed effect may be: of speed, acceleration, angle, load, past, time.
 
     Functions of angle and time come also with the sign of the speed, as friction has it. Regimes that are confined
     to ports are in `own_bases`.
     """
+    time = paths["time"]
+    since = [t - t[0] for t in time]
+    over_time = hats(since, np.linspace(0.0, max(float(t[-1]) for t in since), 5))
     speed = next((paths[r.name] for r in regimes.values() if r.kind == "speed"), None)
     direction = None if speed is None else [np.tanh(w / (1e-2 * max(np.abs(w).max(), 1e-9))) for w in speed]
     found: dict[str, Basis] = {}
@@ -83,13 +86,15 @@ def bases(
                 found[f"{regime.name} and direction"] = times(found[regime.name], direction)
         else:
             found[regime.name] = hats(path, quantile_knots(path, knots))
-        if regime.kind == "speed":  # knots say nothing of speeds that one experiment alone reaches
+            found[f"{regime.name}, its past"] = pasts(path, time)
+        if regime.kind == "speed":
+            rate = [np.gradient(w, t) for w, t in zip(path, time, strict=True)]
+            found[f"{regime.name}, its rate"] = hats(rate, quantile_knots(rate, knots))
+            # Knots say nothing of speeds that one experiment alone reaches.
             found[f"{regime.name}, smooth"] = _powers(path)
+    found["time"] = over_time
     if direction is not None:
-        time = paths["time"]
-        longest = max(float(t[-1] - t[0]) for t in time)
-        since = [t - t[0] for t in time]
-        found["time and direction"] = times(hats(since, np.linspace(0.0, longest, 5)), direction)
+        found["time and direction"] = times(over_time, direction)
     return found
 
 

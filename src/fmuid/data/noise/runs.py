@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
-from fmuid.core.errors import ProblemError
 from fmuid.core.immutable import FloatArray, read_only
 
 
@@ -23,18 +22,15 @@ class RepeatedRuns:
     setup
         Its setup; noise is pooled over the experiments of a setup.
     time
-        (N,) s, evenly spaced.
+        (N,) s. Jitter counts for nothing: noise is one of samples, and its spectrum one over their number.
     channels
         Names of the C measured outputs.
     values
         (R, C, N) measurements, NaN where missing.
     given
         (C,) standard deviation of a sample's noise where the user gave it, NaN elsewhere; empty if nowhere.
-
-    Raises
-    ------
-    ProblemError
-        The samples are not evenly spaced.
+    conditions
+        Something that runs with the same input and settings have in common; empty if that is not known.
     """
 
     id: str
@@ -43,19 +39,13 @@ class RepeatedRuns:
     channels: tuple[str, ...]
     values: FloatArray
     given: FloatArray = ()  # type: ignore[assignment]
+    conditions: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", read_only(self.time))
         object.__setattr__(self, "values", read_only(self.values))
         given = self.given if len(self.given) else np.full(len(self.channels), np.nan)
         object.__setattr__(self, "given", read_only(given))
-        steps = np.diff(self.time)
-        if steps.max() - steps.min() > 1e-6 * steps.mean() * len(self.time):
-            raise ProblemError(
-                "the noise spectrum needs evenly spaced samples",
-                where=self.id,
-                fix="resample the run with `fmuid import --resample` first",
-            )
 
     @property
     def n_repeats(self) -> int:
@@ -84,7 +74,4 @@ class RepeatedRuns:
 def cut(run: RepeatedRuns, pieces: int) -> tuple[tuple[int, int, RepeatedRuns], ...]:
     """Return a run cut into pieces of about equal length: where each begins and ends, and itself."""
     ends = np.linspace(0, len(run.time), pieces + 1).astype(int).tolist()
-    return tuple(
-        (a, b, RepeatedRuns(run.id, run.setup, run.time[a:b], run.channels, run.values[..., a:b], run.given))
-        for a, b in pairwise(ends)
-    )
+    return tuple((a, b, replace(run, time=run.time[a:b], values=run.values[..., a:b])) for a, b in pairwise(ends))

@@ -28,6 +28,8 @@ from fmuid.data.noise.transform import coefficient_frequencies, real_spectrum
 
 _BANDS_PER_OCTAVE = 1
 _MIN_BIN_COUNT = 3
+_FEWEST = 16  # periods of a record, of the narrowest bandwidth
+_TWICE = 2.0  # power over that of the noise where signal and noise are equal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,6 +88,7 @@ class Whitener:
     factors: FloatArray
     band_of: FloatArray
     mean_scale: FloatArray
+    frequencies: FloatArray
 
     @property
     def size(self) -> int:
@@ -123,6 +126,16 @@ class PiecewiseWhitener:
     def __call__(self, residual: FloatArray) -> FloatArray:
         """Whiten (..., C, N) residuals to (..., C, N), the pieces one after the other."""
         return np.concatenate([w(residual[..., a:b]) for a, b, w in self.pieces], axis=-1)
+
+    @property
+    def mask(self) -> FloatArray:
+        """(C, N) 1 where there is a sample, else 0."""
+        return np.concatenate([w.mask for _, _, w in self.pieces], axis=-1)
+
+    @property
+    def frequencies(self) -> FloatArray:
+        """(N,) of the components of a whitened residual, Hz."""
+        return np.concatenate([w.frequencies for _, _, w in self.pieces])
 
     @property
     def folds(self) -> tuple[NDArray[np.intp], ...]:
@@ -265,7 +278,36 @@ def whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener:
         factors=read_only(np.array(factors)),
         band_of=read_only(band_of),
         mean_scale=read_only(1.0 / np.sqrt(mean_variance)),
+        frequencies=read_only(coefficient_frequencies(n, noise.dt)),
     )
+
+
+def bandwidth(run: RepeatedRuns, values: FloatArray, noise: SetupNoise) -> FloatArray:
+    """Return (C,) how far up (C, N) `values` go in frequency, Hz: to the last octave that is as loud as noise.
+
+    It is sixteen periods of the record at least: of fewer components a mean says little. Above it there is nothing
+    of the signal that a model could be held against, however often it was sampled. A straight line between the
+    first and the last sample is taken off: a record that does not close upon itself seems to have power at every
+    frequency.
+    """
+    n = len(run.time)
+    edges = _band_edges(n, noise.dt)
+    octave, band_of = _bands_of(n, noise.dt, edges), _bands_of(n, noise.dt, noise.edges)
+    rounding = _rounding_spectrum(run, noise)
+    limits = np.full(len(run.channels), _FEWEST / (n * noise.dt))
+    for c in range(len(run.channels)):
+        line = np.linspace(values[c, 0], values[c, -1], n)
+        power = real_spectrum((values[c] - line) * run.mask[c]) ** 2
+        level = np.diagonal(noise.covariance, axis1=1, axis2=2)[np.maximum(band_of, 0).astype(int), c]
+        level = level / run.n_repeats + rounding[c]
+        above = [
+            b
+            for b in range(len(edges) - 1)
+            if np.any(octave == b) and power[octave == b].mean() > _TWICE * level[octave == b].mean()
+        ]
+        if above:
+            limits[c] = max(limits[c], edges[above[-1] + 1])
+    return limits
 
 
 def rounding_draws(run: RepeatedRuns, noise: SetupNoise, *, draws: int = 16, seed: int = 0) -> FloatArray:
