@@ -8,35 +8,29 @@ import numpy as np
 
 from benchmarks.abroad.plant import Floats, Rig, delayed, integrate, random_steps
 
-_K, _J, _R, _C, _D, _M, _V, _F = 0.12, 1.2e-4, 0.02, 6e4, 40.0, 1.5, 4.0, 3.0
-
 
 def _simulate(factors: Mapping[str, float], effect: Mapping[str, float], time: Floats, u: Floats) -> Floats:
-    j, c, d, m, v0, f0 = (
+    k, r, j, c, m, v0 = (
         factors[name] * value
-        for name, value in (("J", _J), ("c", _C), ("d", _D), ("m", _M), ("viscous", _V), ("dry", _F))
+        for name, value in (("k", 0.12), ("r", 0.02), ("J", 1.2e-4), ("c", 6e4), ("m", 1.5), ("viscous", 4.0))
     )
     e = {
-        "stribeck": 0.0,
-        "speed": 0.05,
-        "gap": 0.0,
-        "cogging": 0.0,
-        "weight": 0.0,
-        "delay": 0.0,
-        "bristle": 0.0,
-    } | dict(effect)
+        "stribeck": 0.0, "speed": 0.05, "gap": 0.0, "cogging": 0.0, "weight": 0.0, "delay": 0.0, "bristle": 0.0,
+        "damping": 40.0,
+        **effect,
+    }  # fmt: skip
 
     def slope(x: Floats, i: float, _: float) -> list[float]:
         phi, w, s, v, z = x
-        stretch, rate = s - _R * phi, v - _R * w
+        stretch, rate = s - r * phi, v - r * w
         if e["gap"]:
             free = min(max(stretch, -e["gap"]), e["gap"])
             stretch, rate = stretch - free, rate if abs(stretch) > e["gap"] else 0.0
-        belt = c * stretch + d * rate
+        belt = c * stretch + e["damping"] * rate
         direction = np.tanh(v / 0.005)
-        friction = v0 * v + f0 * direction + e["stribeck"] * direction * np.exp(-((v / e["speed"]) ** 2))
+        friction = v0 * v + 3.0 * direction + e["stribeck"] * direction * np.exp(-((v / e["speed"]) ** 2))
         friction += e["bristle"] * z
-        torque = _K * i + _R * belt - e["cogging"] * np.sin(12 * phi + 0.7)
+        torque = k * i + r * belt - e["cogging"] * np.sin(12 * phi + 0.7)
         return [w, torque / j, v, (-belt - friction - e["weight"]) / m, (v - abs(v) * z) / 2e-3]
 
     x = integrate(slope, [0.0] * 5, time, delayed(time, u, e["delay"]), steps=16)
@@ -63,8 +57,9 @@ BELT_AXIS = Rig(
         "weight@carriage": {"weight": 0.5},
         "delay@i": {"delay": 0.004},
         "presliding@carriage": {"bristle": 0.8},
+        "value@belt.d": {"damping": 80.0},
     },
-    ("J", "c", "d", "m", "viscous", "dry"),
+    ("k", "r", "J", "c", "m", "viscous"),
     _simulate,
     {"weight@carriage": ("weight@pulley.rim",)},
 )

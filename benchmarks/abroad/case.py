@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -73,7 +74,9 @@ def write_logs(rig: Rig, effect: Mapping[str, float], folder: Path, *, seed: int
 
 def diagnose(rig: Rig, truth: str, folder: Path, *, seed: int = 0, repeats: int = 3) -> Outcome:
     """Make a case in a folder and diagnose it, with nothing but the logs and the plain model."""
-    folder.mkdir(parents=True, exist_ok=True)
+    if folder.exists():
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True)
     logs = write_logs(rig, rig.effects.get(truth, {}), folder, seed=seed, repeats=repeats)
     campaign, out = folder / "campaign", folder / "diagnosis"
     begin = time.process_time()
@@ -93,11 +96,12 @@ def outcome(rig: Rig, truth: str, seed: int, answer: Mapping[str, object], secon
     verdict, effects = answer["verdict"], answer["effects"]
     assert isinstance(verdict, dict)
     assert isinstance(effects, list)
-    kind, named = str(verdict["kind"]), tuple(verdict["effects"])
+    kind = str(verdict["kind"])
+    named = tuple(dict.fromkeys([*verdict["effects"], *(n for one in verdict["one_of"] for n in one)]))
     alike = {truth, *rig.same.get(truth, ())}
     listed = truth == "none" or any(e["id"] in alike for e in effects)
-    one = kind in ("effect", "ambiguous") and len(named) == 1 and named[0] in alike
-    right = kind == "complete" if truth == "none" else one
+    only = bool(named) and kind in ("effect", "ambiguous") and set(named) <= alike
+    right = kind == "complete" if truth == "none" else only
     closure = next(
         (e["closure"]["held_out"] for e in effects if named and e["id"] == named[0] and e.get("closure")), None
     )

@@ -48,7 +48,7 @@ CIRCUIT = Rig(
         "leakage@capacitor": {"leak": 1e-3},
         "saturation@u": {"limit": 4.0},
         "delay@u": {"delay": 4e-5},
-        "crosstalk@v": {"share": 0.5},
+        "crosstalk@v": {"share": 1.5},
         "capacity@resistor.n": {"stray": 4e-7},
         "voltage_drop@source": {"drop": 0.3},
     },

@@ -12,8 +12,11 @@ _G = 9.81
 
 
 def _simulate(factors: Mapping[str, float], effect: Mapping[str, float], time: Floats, u: Floats) -> Floats:
-    k, s1, s2 = (factors[name] * value for name, value in (("pump", 3e-6), ("first", 8e-6), ("second", 8e-6)))
-    e = {"leak": 0.0, "rim": 0.0, "dead": 0.0, "lag": 0.0, "limit": 0.0, "section": 1.0} | dict(effect)
+    k, s1, s2, lower_section = (
+        factors[name] * value
+        for name, value in (("pump", 3e-6), ("first", 8e-6), ("second", 8e-6), ("lower", 2e-3))
+    )
+    e = {"offset": 0.0, "drift": 0.0, "rim": 0.0, "dead": 0.0, "lag": 0.0, "limit": 0.0} | dict(effect)
     drive = u - np.clip(u, -e["dead"], e["dead"])
     drive = np.minimum(drive, e["limit"]) if e["limit"] else drive
 
@@ -21,13 +24,12 @@ def _simulate(factors: Mapping[str, float], effect: Mapping[str, float], time: F
         upper, lower, flow = x
         pumped = k * (flow if e["lag"] else volts)
         first, second = (s * np.sqrt(2 * _G * max(h, 0.0)) for s, h in ((s1, upper), (s2, lower)))
-        out = e["leak"] * np.sqrt(2 * _G * max(upper, 0.0))
-        if e["rim"]:
-            out += 1e-3 * max(upper - e["rim"], 0.0)
+        out = 1e-3 * max(upper - e["rim"], 0.0) if e["rim"] else 0.0
         behind = (volts - flow) / e["lag"] if e["lag"] else 0.0
-        return [(pumped - first - out) / 2e-3, (first - second) / (e["section"] * 2e-3), behind]
+        return [(pumped - first - out) / 2e-3, (first - second) / lower_section, behind]
 
-    return integrate(slope, [0.05, 0.05, drive[0]], time, drive, steps=2)[:2]
+    upper, lower, _ = integrate(slope, [0.05, 0.05, drive[0]], time, drive, steps=2)
+    return np.stack([upper + e["offset"], lower + e["drift"] * time])
 
 
 _TIME = np.arange(0.0, 2400.0, 4.0)
@@ -36,21 +38,21 @@ TANKS = Rig(
     "Tanks",
     _TIME,
     {
-        "stairs": steps(_TIME, [3.0, 5.0, 2.0, 6.0, 4.0, 1.0]),
+        "stairs": steps(_TIME, [3.0, 5.0, 0.2, 6.0, 4.0, 1.0]),
         "down": steps(_TIME, [6.5, 5.0, 3.5, 2.0, 0.5, 3.0]),
         "wave": 3.5 + 2.5 * np.sign(np.sin(2 * np.pi * _TIME / 500.0)) * np.abs(np.sin(2 * np.pi * _TIME / 900.0)),
-        "pulses": np.where(_TIME % 400.0 < 200.0, 6.0, 1.5),
+        "pulses": np.where(_TIME % 400.0 < 200.0, 6.0, 0.0),
     },
     {"u": "V", "h_upper": "m", "h_lower": "m"},
     (5e-4, 5e-4),
     {
-        "outflow@upper": {"leak": 6e-7},
+        "offset@h_upper": {"offset": 0.006},
         "overflow@upper": {"rim": 0.2},
         "dead_zone@u": {"dead": 0.4},
         "lag@u": {"lag": 15.0},
         "saturation@u": {"limit": 5.5},
-        "value@lower.A": {"section": 1.25},
+        "drift@h_lower": {"drift": 0.01 / 2400.0},
     },
-    ("pump", "first", "second"),
+    ("pump", "first", "second", "lower"),
     _simulate,
 )

@@ -204,7 +204,11 @@ def test_what_is_wrong_with_a_signal_is_found_from_log_files_alone(
         assert answer["verdict"]["kind"] == "complete", out
         assert {"gain@position", "delay@u"} <= set(answer["power"])
         return
-    assert (answer["verdict"]["kind"], answer["verdict"]["effects"]) == ("effect", [truth]), out
+    # Of a linear model with one output, no data tell an input that is late from an output that is.
+    verdict = answer["verdict"]
+    named = [*verdict["effects"], *(name for one in verdict["one_of"] for name in one)]
+    assert named[0] == truth, out
+    assert set(named) <= {truth, "delay@position"}, out
     (found,) = [e for e in answer["effects"] if e["id"] == truth]
     (estimate,) = found["parameters"].values()
     assert estimate["value"] == pytest.approx({"gain@position": 1.1, "delay@u": 0.015}[truth], rel=0.03)

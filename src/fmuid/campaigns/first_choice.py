@@ -22,6 +22,7 @@ _MAX_FREE = 6
 _STEP = 0.01  # relative change of a parameter to see its effect
 _LEAST_NEW = 1e-2  # of an effect, not explained by the parameters chosen before
 _LEAST_EFFECT = 1e-4  # of the largest
+_ALL_BUT = 0.99  # of the longest column: one that is as good
 _SAME = 1e-3  # of an output's range, between the FMU's solver and fmuid's
 _CLEARLY = 0.1  # share of the squared error left that makes one reading of the inputs better than the other
 
@@ -140,8 +141,10 @@ def independent_columns(columns: Mapping[str, FloatArray]) -> list[str]:
     left = {n: c.copy() for n, c in columns.items()}
     chosen: list[str] = []
     while left:
-        name = max(left, key=lambda n: float(np.linalg.norm(left[n])))
-        remaining = float(np.linalg.norm(left[name]))
+        lengths = {n: float(np.linalg.norm(c)) for n, c in left.items()}
+        # What is left of two redundant parameters is as much of one as of the other: then the first is taken.
+        name = next(n for n, length in lengths.items() if length >= _ALL_BUT * max(lengths.values()))
+        remaining = lengths[name]
         largest = max(float(np.linalg.norm(c)) for c in columns.values())
         if remaining <= _LEAST_EFFECT * largest or remaining == 0.0:
             break
@@ -166,9 +169,12 @@ class _Seen:
 
     def effect(self, parameter: Variable) -> FloatArray:
         """Return the outputs' change by the parameter's relative change, (outputs, N)."""
-        at = {parameter.name: (parameter.start or 0.0) * (1 + _STEP)}
-        moved = simulated(self._runner, self._model, self._task, at)
-        return np.asarray((moved - self.nominal) / self.scale / _STEP)
+        # From both sides: redundant parameters look alike only as far as differences are derivatives.
+        above, below = (
+            simulated(self._runner, self._model, self._task, {parameter.name: (parameter.start or 0.0) * factor})
+            for factor in (1 + _STEP, 1 - _STEP)
+        )
+        return np.asarray((above - below) / self.scale / (2 * _STEP))
 
     def left(self, free: Sequence[Variable]) -> float:
         """Return the squared error that one Gauss-Newton step leaves."""

@@ -41,6 +41,7 @@ _WORDS = {
         "Coupling between channels, cross-axis sensitivity",
     ),
 }
+_HARD = 100.0  # a limit that is as good as abrupt
 _TWO_SIDED = ("gain", "offset", "drift", "crosstalk")
 
 
@@ -132,7 +133,7 @@ class _Size(NamedTuple):
 
 def _sizes(law: str, s: _Signal, others: Iterable[_Signal], step: float, duration: float) -> list[_Size]:
     """Return the parameters of a law at a signal."""
-    size, most = s.range, s.largest
+    size, most, per = s.range, s.largest, f"1/({s.unit})"
     late = _Size(law, (step, 5 * step, 25 * step), (0.0, 0.0, max(50 * step, 0.1 * duration), step / 10), "s")
     if law == "crosstalk":
         shares = [(o.name, size / o.range, f"{s.unit}/({o.unit})") for o in others]
@@ -151,11 +152,8 @@ def _sizes(law: str, s: _Signal, others: Iterable[_Signal], step: float, duratio
         "lag": [late],
         "delay": [late],
         "saturation": [
-            _Size(
-                "compression", tuple(x / most for x in (0.3, 1.0, 1.5)), (0.0, 0.0, 20 / most, 0.02 / most),
-                f"1/({s.unit})",
-            ),
-            _Size("hardness", (), (4.0, 1.0, 30.0, 0.1), "1", shape=True),
+            _Size("compression", (0.3 / most, 1 / most, 1.5 / most), (0.0, 0.0, 20 / most, 0.02 / most), per),
+            _Size("hardness", (), (4.0, 1.0, _HARD, 0.1), "1", shape=True),
         ],
         "dead_zone": [_Size(law, (0.01 * most, 0.05 * most), (0.0, 0.0, most, 1e-3 * most), s.unit)],
     }  # fmt: skip
@@ -170,6 +168,9 @@ def _effect(id: str, signal: str, law: str, description: str, source: str, sizes
         first, lower, upper, step = (f"{x:.4g}" for x in size.limits)
         kind = "start" if size.shape else "neutral"
         trials += [f"{{ {name} = {x:.4g} }}" for x in size.trials]
+        if size.name == "compression":  # an abrupt limit is as plausible as a soft one
+            hard = toml_text(f"{signal}.hardness")
+            trials += [f"{{ {name} = {x:.4g}, {hard} = {_HARD:g} }}" for x in size.trials[1:]]
         rows.append(
             f"{name} = {{ {kind} = {first}, lower = {lower}, upper = {upper}, step = {step}, "
             f"unit = {toml_text(size.unit)} }}"
@@ -180,6 +181,7 @@ def _effect(id: str, signal: str, law: str, description: str, source: str, sizes
         f"source = {toml_text(source)}",
         f"port = {toml_text(signal)}",
         *(["two_sided = true"] if law in _TWO_SIDED else []),
+        *(["usual = false"] if law == "crosstalk" else []),
         f"trials = [{', '.join(trials)}]",
         f"{table}.parameters]",
         *rows,

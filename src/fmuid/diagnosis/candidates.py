@@ -13,10 +13,12 @@ from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import HeldOut, leave_each_out
 from fmuid.diagnosis.observed import gap
 from fmuid.diagnosis.refit import Refit, refit
-from fmuid.diagnosis.scores import Score, nominal_basis, project_off, score_effects, stack
+from fmuid.diagnosis.scores import Score, nominal_basis, project_off, said_once, score_effects, stack
 from fmuid.diagnosis.standard_errors import standard_errors
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Estimate
+
+_TWINS = 4  # of the effects left out for one that was found, how many are refitted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,17 +75,19 @@ def fit_effects(
 def score_further(
     subject: Subject, fitted: Fitted, *, likely: Sequence[Score] = (), most: int | None = None
 ) -> tuple[Score, ...]:
-    """Score the effects that `fitted` does not have yet, at its estimate.
+    """Score the effects that `fitted` does not have yet, at its estimate; those that no data tell apart once.
 
     With scores of a simpler model, only the `most` effects whose signatures there promise something here.
     """
-    others = [e for e in subject.effects if e.id not in fitted.effects]
+    left_out = {twin.effect for s in likely for twin in s.same}
+    others = [e for e in subject.effects if e.id not in fitted.effects and e.id not in left_out]
     if likely and most is not None:
         basis = nominal_basis(fitted.fit, subject.observed)
         residual = stack(fitted.fit.residuals, subject.observed)
         promised = {s.effect: _promise(s, basis, residual) for s in likely}
         others = sorted(others, key=lambda e: -promised.get(e.id, 0.0))[:most]
-    return score_effects(subject.model.predict, subject.observed, fitted.fit, others)
+    scores = score_effects(subject.model.predict, subject.observed, fitted.fit, others)
+    return scores if likely else said_once(subject.model.predict, subject.observed, fitted.fit, others, scores)
 
 
 def _promise(score: Score, basis: FloatArray, residual: FloatArray) -> float:
@@ -120,6 +124,17 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
     if added is None or added.fit.cost > fitted.fit.cost:  # without the effect it is as good as before
         added = fit_effects(subject, effects, [{**fitted.fit.values, **effect.neutral}])
     return None if added is None else replace(added, names=(*fitted.names, effect.id))
+
+
+def twins(subject: Subject, fitted: Fitted, scores: Sequence[Score]) -> list[Fitted]:
+    """Refit `fitted` with each of its effects replaced by those that were left out for it."""
+    found = []
+    for name in fitted.names if fitted.names == fitted.effects else ():
+        same = next((s.same for s in scores if s.effect == name), ())
+        rest = without(subject, fitted, name) if same else None
+        if rest is not None:
+            found += [add_effect(subject, rest, twin) for twin in same[:_TWINS]]
+    return [f for f in found if f is not None]
 
 
 def _best_start(subject: Subject, starts: Sequence[Mapping[str, float]]) -> Mapping[str, float] | None:

@@ -1,6 +1,6 @@
 """Effects as data: what a model may lack, the parameters that add it, and plausible magnitudes to try.
 
-The file format is described at the top of ``modelica/Drives/effects.toml``.
+The file format: ``docs/formats.md``.
 """
 
 from __future__ import annotations
@@ -46,6 +46,8 @@ class Effect:
         model has the effect already (see `fmu_build.instrument`).
     states
         States of the expression's own.
+    usual
+        Whether such a law is physically usual at this port: of effects that no data tell apart it is preferred.
     trials
         Plausible values to score it by: two or three magnitudes, shapes where they matter.
     two_sided
@@ -67,6 +69,7 @@ class Effect:
     acts: Acts = "flow"
     expression: str = ""
     states: tuple[State, ...] = ()
+    usual: bool = True
 
     @property
     def variant(self) -> bool:
@@ -131,6 +134,7 @@ class _Effect(Table):
     acts: Acts = "flow"
     expression: str = ""
     states: dict[str, _State] = msgspec.field(default_factory=dict)
+    usual: bool = True
 
 
 class _Port(Table):
@@ -247,4 +251,5 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
         acts=raw.acts,
         expression=raw.expression,
         states=tuple(State(key, s.derivative, s.start, s.unit) for key, s in raw.states.items()),
+        usual=raw.usual,
     )

@@ -12,7 +12,7 @@ from fmuid.core.formatting import html_lines, html_table, range_text, text_table
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.calibration import Calibration, shipped
-from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, score_further
+from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, score_further, twins
 from fmuid.diagnosis.cross_validation import closure, closure_interval, in_sample
 from fmuid.diagnosis.effect_search import Say, aliases, finished, search
 from fmuid.diagnosis.extended_model import Prediction
@@ -152,6 +152,7 @@ def diagnose_subject(
     noise = draw_noise(observed, seed=seed)
     evidence = _evidence(subject, nominal, scores, noise)
     candidates, best = search(subject, nominal, scores, noise, say, present=evidence.present)
+    candidates += twins(subject, best, scores) if best is not None and evidence.present else []
     judgement = _judge(subject, nominal, best, candidates, scores, noise, evidence, paths, say)
     say("deciding", 0.95)
     verdict = judgement.verdict
@@ -224,7 +225,7 @@ def _evidence(subject: Subject, nominal: Fitted, scores: Sequence[Score], noise:
     p_value = null.p_value(excess(nominal.fit.residuals, observed), largest / decide.SCORE_MARGIN)
     needed = decide.GAP_THAT_MATTERS**2 * sum(n * r.size for n, r in zip(observed.repeats, within, strict=True))
     threshold = max(decide.SCORE_MARGIN * null.threshold(), needed)
-    power = smallest_seen(scores, subject.effects, nominal.fit, observed, threshold=threshold)
+    power = smallest_seen(scores, subject.effects, threshold=threshold)
     return Evidence(matters and p_value < decide.SIGNIFICANCE, p_value, null, power)
 
 

@@ -85,6 +85,10 @@ def aliases(
 ) -> tuple[tuple[str, ...], ...]:
     """Alias classes from the refitted effects' signatures where there are some, from the trials' elsewhere."""
     tried, refitted = _signatures(subject, nominal, candidates, scores)
+    for score in scores:  # those that no data tell apart were scored once
+        tried |= {
+            name: refitted.get(score.effect, tried[score.effect]) for name in (twin.effect for twin in score.same)
+        }
     return alias_classes({**tried, **refitted})
 
 

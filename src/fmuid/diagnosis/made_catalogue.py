@@ -208,6 +208,7 @@ def _effect_lines(name: str, law: _Law, place: Place) -> list[str]:
         f"acts = {toml_text(law.acts)}",
         f"expression = {toml_text(expression)}",
         *(["two_sided = true"] if law.two_sided else []),
+        *(["usual = false"] if port.kind != law.on[0] else []),
         f"trials = [{', '.join(_inline(t) for t in trials)}]",
         f"{table}.parameters]",
     ]

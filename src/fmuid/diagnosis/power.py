@@ -7,29 +7,25 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from fmuid.diagnosis.catalogue import Effect
-from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.refit import Refit
-from fmuid.diagnosis.scores import Score, stack
+from fmuid.diagnosis.scores import Score
 
 _PLAUSIBLE = 3.0  # times a trial: as far as a refit starts from it
 
 
 def smallest_seen(
-    scores: Sequence[Score], effects: Sequence[Effect], fit: Refit, observed: Observed, *, threshold: float
+    scores: Sequence[Score], effects: Sequence[Effect], *, threshold: float
 ) -> dict[str, dict[str, float]]:
     """Return by effect the values of its parameters at which its score would reach `threshold`.
 
     Sizes are scaled linearly from the trial that did best, shapes are the trial's. Effects are left out that
     would not be seen at a plausible size: beyond their bounds, or at more than three times the trial.
     """
-    residual = stack(fit.residuals, observed)
     by_id = {e.id: e for e in effects}
     found = {}
-    for score in scores:
-        if score.signature is None or score.scale == 0.0:
+    for score in (every for first in scores for every in (first, *first.same)):
+        if score.signature is None:
             continue
-        length = -float(score.signature @ residual) / score.scale  # of the trial's projected signature, in sigmas
-        factor = float(np.sqrt(threshold)) / length
+        factor = float(np.sqrt(threshold)) / score.length
         if factor <= _PLAUSIBLE:
             found[score.effect] = _scaled(by_id[score.effect], score.trial, factor)
     return found

@@ -7,8 +7,8 @@ gradient of backlash or saturation at their neutral value is zero. (A score test
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,10 @@ from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Predict, Refit
+
+_NEARLY = 0.98  # correlation of signatures above which they are compared at sizes that move as much
+_COMPARED = 3  # of those, the most alike
+_SEEN = 5.0  # standard deviations: smaller effects would not be named
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +39,10 @@ class Score:
         Drop over its own run-to-run standard error: how many of them the mean over runs is above zero.
     signature
         The trial's projected signature, of unit length; None if it does not move any signal.
+    moved, length
+        By how many sigmas the trial moves the predictions, and by how many more than the fitted parameters could.
+    same
+        Scores of effects that the data cannot tell from this one: they are left out for it.
     """
 
     effect: str
@@ -43,6 +51,9 @@ class Score:
     scale: float
     per_run: float
     signature: FloatArray | None
+    moved: float = 0.0
+    length: float = 0.0
+    same: tuple[Score, ...] = ()
 
 
 def stack(parts: Sequence[FloatArray], observed: Observed) -> FloatArray:
@@ -70,31 +81,86 @@ def score_effects(
     predict: Predict, observed: Observed, base: Refit, effects: Sequence[Effect]
 ) -> tuple[Score, ...]:
     """Score every effect at the refitted model `base`, best first, without trials that fail to simulate."""
-    trials = [(effect, trial) for effect in effects for trial in effect.trials]
-    outcomes = predict([{**base.values, **trial} for _, trial in trials])
-    basis = nominal_basis(base, observed)
-    residual = stack(base.residuals, observed)
     best: dict[str, Score] = {}
-    for (effect, trial), outcome in zip(trials, outcomes, strict=True):
-        if isinstance(outcome, SimulationError):
-            continue
-        moved = stack(observed.residuals(outcome), observed) - residual
-        signature = project_off(moved, basis)
-        length = float(np.linalg.norm(signature))
-        if length <= 1e-6 * max(1.0, float(np.linalg.norm(moved))):
-            candidate = Score(effect.id, trial, 0.0, 0.0, 0.0, None)
-        else:
-            signature /= length
-            amount = -float(signature @ residual)
-            drop = amount**2 if amount > 0 or effect.two_sided else 0.0
-            candidate = Score(
-                effect.id, trial, drop, amount / length, _per_run(signature, amount, observed), signature
-            )
-        if effect.id not in best or candidate.drop > best[effect.id].drop:
-            best[effect.id] = candidate
+    trials = [(effect, trial) for effect in effects for trial in effect.trials]
+    for candidate in _scored(predict, observed, base, trials):
+        known = best.get(candidate.effect) if candidate is not None else None
+        if candidate is not None and (known is None or candidate.drop > known.drop):
+            best[candidate.effect] = candidate
     for effect in effects:
         best.setdefault(effect.id, Score(effect.id, {}, 0.0, 0.0, 0.0, None))
     return tuple(sorted(best.values(), key=lambda s: -s.drop))
+
+
+def _scored(
+    predict: Predict, observed: Observed, base: Refit, trials: Sequence[tuple[Effect, Mapping[str, float]]]
+) -> Iterator[Score | None]:
+    """Yield the score of each trial, None of those that fail to simulate."""
+    outcomes = predict([{**base.values, **trial} for _, trial in trials])
+    basis = nominal_basis(base, observed)
+    residual = stack(base.residuals, observed)
+    for (effect, trial), outcome in zip(trials, outcomes, strict=True):
+        if isinstance(outcome, SimulationError):
+            yield None
+            continue
+        difference = stack(observed.residuals(outcome), observed) - residual
+        signature = project_off(difference, basis)
+        moved, length = (float(np.linalg.norm(v)) for v in (difference, signature))
+        if length <= 1e-6 * max(1.0, moved):
+            yield Score(effect.id, trial, 0.0, 0.0, 0.0, None, moved, length)
+            continue
+        signature /= length
+        amount = -float(signature @ residual)
+        drop = amount**2 if amount > 0 or effect.two_sided else 0.0
+        per_run = _per_run(signature, amount, observed)
+        yield Score(effect.id, trial, drop, amount / length, per_run, signature, moved, length)
+
+
+def said_once(
+    predict: Predict, observed: Observed, base: Refit, effects: Sequence[Effect], scores: Sequence[Score]
+) -> tuple[Score, ...]:
+    """Return the scores less those of effects that the data cannot tell from another one, which names them.
+
+    Two effects are the same if the data would prefer one to the other by less than a standard deviation: the sine
+    of the angle between their signatures, times what the larger scored of them explains (at least `_SEEN` standard
+    deviations). Trials are of unlike size, and laws seldom linear: effects that are nearly alike are compared once
+    more at sizes that move as much. Of equals the more usual one stays, then the one of fewer parameters, then a
+    value that is off, then the first.
+    """
+    by_id = {s.effect: s for s in scores}
+    order = sorted(effects, key=lambda e: (not e.usual, len(e.unknowns), not e.id.startswith("value@")))
+    shown = [(e, by_id[e.id]) for e in order if e.id in by_id and by_id[e.id].signature is not None]
+    near = [
+        (a, effect, b)
+        for i, (effect, b) in enumerate(shown)
+        for _, a in sorted(shown[:i], key=lambda other: -abs(_cosine(other[1], b)))[:_COMPARED]
+        if abs(_cosine(a, b)) > _NEARLY and (effect.two_sided or _cosine(a, b) > 0.0)
+    ]
+    sizes = [
+        (effect, effect.scaled(b.trial, float(np.copysign(a.length / b.length, _cosine(a, b)))))
+        for a, effect, b in near
+    ]
+    matched = {
+        (a.effect, b.effect): m for (a, _, b), m in zip(near, _scored(predict, observed, base, sizes), strict=True)
+    }
+    kept: dict[str, Score] = {}
+    for _, score in shown:
+        same = next((n for n, k in kept.items() if _equal(k, score, matched.get((n, score.effect)))), None)
+        if same is None:
+            kept[score.effect] = score
+        else:
+            kept[same] = replace(kept[same], same=(*kept[same].same, score))
+    return tuple(kept.get(s.effect, s) for s in scores if s.effect in kept or s.signature is None)
+
+
+def _cosine(a: Score, b: Score) -> float:
+    return 0.0 if a.signature is None or b.signature is None else float(a.signature @ b.signature)
+
+
+def _equal(a: Score, b: Score, matched: Score | None) -> bool:
+    explained = max(np.sqrt(a.drop), np.sqrt(b.drop), _SEEN)
+    cosine = max(abs(_cosine(a, b)), 0.0 if matched is None else abs(_cosine(a, matched)))
+    return bool(explained * np.sqrt(max(0.0, 1.0 - cosine**2)) < 1.0)
 
 
 def _per_run(signature: FloatArray, amount: float, observed: Observed) -> float:
