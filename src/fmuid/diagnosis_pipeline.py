@@ -11,17 +11,20 @@ from pathlib import Path
 from typing import Any
 
 from fmuid.core.campaign import Campaign
-from fmuid.core.errors import CampaignError
+from fmuid.core.errors import CampaignError, FmuidError
 from fmuid.core.files import write_atomically
 from fmuid.core.folder_lock import claim
 from fmuid.diagnosis import calibration
 from fmuid.diagnosis.calibration import Calibration
+from fmuid.diagnosis.corrected import FOLDER, Corrected, write_corrected
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.effect_search import Say
 from fmuid.diagnosis.made_catalogue import with_catalogue
 from fmuid.diagnosis.subject import Subject, carrier, subject_of
 from fmuid.diagnosis.summary import sentences
 from fmuid.diagnosis.verdict import Verdict
+from fmuid.identification.continued import continued, is_run
+from fmuid.identification.result import Result
 from fmuid.simulation.pool.choice import runner_on
 from fmuid.simulation.recorded import RecordedSimulations
 from fmuid.simulation.runners import in_process
@@ -34,8 +37,9 @@ _BOUNDED = (
 
 
 def diagnose(
-    campaign: Campaign | str | Path,
+    campaign: Campaign | Result | str | Path,
     *,
+    start: Result | str | Path | None = None,
     out: str | Path | None = None,
     experiments: Sequence[str] = (),
     resume: bool = False,
@@ -55,10 +59,14 @@ def diagnose(
     Parameters
     ----------
     campaign
-        A campaign, or its folder. Without an ``[effects]`` table the catalogue is made from its models.
+        A campaign, or its folder. Without an ``[effects]`` table the catalogue is made from its models. Or an
+        identification's result or run folder: its campaign, from the values found.
+    start
+        An identification of the campaign: parameters start from the values found.
     out
-        Folder for ``diagnosis.json`` and the report ``index.html``; nothing is written without it. While the
-        diagnosis goes on, every simulation is recorded there. What an interrupted one has left is never replaced.
+        Folder for ``diagnosis.json``, the report ``index.html``, and ``corrected``: the model with the named
+        effects, and a campaign that goes on from it. Nothing is written without it. While the diagnosis goes on,
+        every simulation is recorded there. What an interrupted one has left is never replaced.
     experiments
         Ids or globs, instead of the campaign's choice: what ``[effects]`` names, or every run that is not kept for
         validation. Repeats come along.
@@ -96,13 +104,13 @@ def diagnose(
     """
     if calibrate < 0:
         raise ValueError(f"calibrate must not be negative, but is {calibrate}")
-    if not isinstance(campaign, Campaign):
-        from fmuid.campaigns.campaign_toml import load_campaign
-
-        campaign = load_campaign(campaign)
-    from fmuid.simulation.coupled.loading import load_model
+    campaign = campaign_from(campaign, start)
+    from fmuid.simulation.coupled.loading import load_simulator
 
     folder = None if out is None else Path(out)
+    if folder is not None and (folder / FOLDER).resolve() == campaign.folder.resolve():
+        what = "is where the campaign lies, which its corrected model would replace"
+        raise FmuidError(what, where=folder / FOLDER, fix="name another --out")
     with (
         nullcontext() if folder is None else claim(folder),
         nullcontext() if folder is None else recorded_in(folder, resume=resume) as recorded,
@@ -118,8 +126,8 @@ def diagnose(
             runner = recorded.over(runner)
         if say is not None:
             say("noise floor", 0.0)
-        campaign = with_catalogue(campaign, load_model, runner=runner)
-        subject = subject_of(campaign, load_model, runner=runner, experiments=experiments)
+        campaign = with_catalogue(campaign, load_simulator, runner=runner)
+        subject = subject_of(campaign, load_simulator, runner=runner, experiments=experiments)
         telling: dict[str, Any] = {} if say is None else {"say": say}
         key = calibration.key_of(_files(campaign, subject), subject)
         if calibrate and subject.observed.bounded:
@@ -137,6 +145,31 @@ def diagnose(
             _write(found, campaign, folder, seed)
     # The workers are gone: whoever simulates on does so in this process.
     return replace(found, subject=replace(subject, model=replace(subject.model, runner=in_process)))
+
+
+def campaign_from(
+    what: Campaign | Result | str | Path,
+    start: Result | str | Path | None = None,
+    *,
+    measurements: Path | None = None,
+    trust: bool = False,
+) -> Campaign:
+    """Return the campaign that is meant, from the values of an identification if one is named; see `diagnose`.
+
+    Raises
+    ------
+    CampaignError, ResultError
+        One of them cannot be read, or they do not belong together.
+    """
+    from fmuid.campaigns.campaign_toml import load_campaign
+
+    if isinstance(what, Result) or (not isinstance(what, Campaign) and is_run(Path(what))):
+        found = what if isinstance(what, Result) else Result.from_json(what)
+        what, start = found.source, start or found
+    campaign = what if isinstance(what, Campaign) else load_campaign(what, measurements=measurements, trust=trust)
+    if start is None:
+        return campaign
+    return continued(campaign, start if isinstance(start, Result) else Result.from_json(start))
 
 
 def recorded_in(folder: Path, *, resume: bool) -> RecordedSimulations:
@@ -165,8 +198,8 @@ def _files(campaign: Campaign, subject: Subject) -> list[Path]:
     return [*sorted(models), *([] if campaign.effects is None else [campaign.effects.catalogue])]
 
 
-def answer_of(found: Found) -> dict[str, Any]:
-    """Return the JSON object of a diagnosis, with the catalogue's words and the nominal model refitted."""
+def answer_of(found: Found, campaign: Campaign | None = None) -> dict[str, Any]:
+    """Return the JSON object of a campaign's diagnosis, with the catalogue's words and the nominal refit."""
     catalogue = found.subject.catalogue
     described = {e.id: e.description for e in found.subject.effects}
     units = {name: regime.unit for name, regime in catalogue.regimes.items()} | {"time": "s"}
@@ -178,6 +211,9 @@ def answer_of(found: Found) -> dict[str, Any]:
         if units.get(regime["variable"]):
             regime["unit"] = units[regime["variable"]]
     recordings = found.subject.recordings
+    if campaign is not None and campaign.file is not None:
+        answer["campaign"] = str(campaign.file)
+        answer["corrected"] = list(found.corrected.effects)
     answer["experiments"] = [{"id": name, "sha256": digest} for name, digest in recordings.items()]
     answer["nominal"] = {"parameters": found.subject.model.expanded(found.nominal.fit.values)}
     answer["verdict"]["text"] = " ".join(sentences(answer))
@@ -203,18 +239,22 @@ def _at_bounds(found: Found) -> list[str]:
     ]
 
 
-def _write(found: Found, campaign: Campaign, out: Path, seed: int) -> None:
+def _write(found: Found, campaign: Campaign, out: Path, seed: int) -> Corrected | None:
     from fmuid.report import write_diagnosis_report
     from fmuid.report.diagnosis_arrays import pictures_of
     from fmuid.report.provenance_table import hashes, versions
 
-    answer = answer_of(found)
+    answer = answer_of(found, campaign)
     write_atomically(out / FILE_NAME, json.dumps(answer, indent=2, allow_nan=False) + "\n")
-    files = [campaign.folder / "campaign.toml", *_files(campaign, found.subject)]
+    files = [campaign.file or campaign.folder / "campaign.toml", *_files(campaign, found.subject)]
     write_diagnosis_report(
         answer,
         out,
         campaign=campaign.title,
         pictures=pictures_of(found),
         provenance={**hashes(files, campaign.folder), **versions(), "seed": str(seed)},
+    )
+    fitted = found.corrected
+    return write_corrected(
+        campaign, found.subject, fitted.effects, fitted.fit.values, out / FOLDER, found.subject.model.runner
     )

@@ -11,9 +11,11 @@ import jsonschema
 import numpy as np
 import pytest
 
+from fmuid import Result
 from fmuid.cli.app import run
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
+from fmuid.diagnosis.corrected import write_corrected
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.simulator import Task
 
@@ -67,10 +69,32 @@ def test_an_effect_of_one_s_own_is_found(trolley, tmp_path, capsys):
     assert "air_drag" in page
     assert {"residuals", "missing", "excess-energy", "gap"} <= {p.stem for p in (out / "figures").iterdir()}
 
+    # From the verdict to action: identify goes on from the corrected model, and nothing more is missing in it.
+    corrected = out / "corrected"
+    assert {p.name for p in corrected.iterdir()} == {"Trolley.fmu", "campaign.toml", "parameters.ssv"}
+    assert f"next: fmuid diagnose {corrected}" in said
+    assert load_fmu(corrected / "Trolley.fmu").variables["drag"].start == pytest.approx(0.3, rel=0.03)
+    found = tmp_path / "found"
+    assert run(["identify", str(corrected), "--out", str(found), "--no-report", "--quiet", "--workers", "0"]) == 0
+    assert Result.from_json(found)["drag"].value == pytest.approx(0.3, rel=0.03)
+    again = tmp_path / "again"
+    assert run(["diagnose", str(found), "--out", str(again), "--workers", "0", "--quiet"]) == 0
+    second = json.loads((again / "diagnosis.json").read_text())
+    assert second["verdict"]["kind"] == "complete"
+    assert second["nominal"]["parameters"]["drag"] == pytest.approx(0.3, rel=0.03)
+    assert not (again / "corrected").exists()
+    assert run(["diagnose", str(corrected), "--out", str(out), "--quiet"]) == 2
+    assert "is where the campaign lies" in capsys.readouterr().err
+
     # On other data: the corrected model beside the nominal one.
     other = tmp_path / "other"
     shutil.copytree(trolley, other)
     record(other, seed=2, drag=0.3)
+    capsys.readouterr()
+    others = ["--measurements", str(other / "measurements.h5")]
+    assert run(["validate", str(out / "diagnosis.json"), *others, "--json", str(tmp_path / "m.json")]) == 0
+    low, high = json.loads((tmp_path / "m.json").read_text())["closure_interval"]
+    assert 0.5 < low < high <= 1.0
     capsys.readouterr()
     assert run(["validate", str(out / "diagnosis.json"), str(other), "--json", str(tmp_path / "v.json")]) == 0
     gaps = json.loads((tmp_path / "v.json").read_text())["gaps"]
@@ -259,7 +283,7 @@ def test_an_interrupted_diagnosis_goes_on_and_is_never_replaced(trolley, tmp_pat
     record(trolley, drag=0.3)
     command = ["diagnose", str(trolley), "--out", str(tmp_path / "out"), "--workers", "0"]
     with monkeypatch.context() as stopping:
-        stopping.setattr("fmuid.report.write_diagnosis_report", interrupted)
+        stopping.setattr("fmuid.diagnosis_pipeline.write_corrected", lambda *a: interrupted(write_corrected(*a)))
         assert run(command) == 130
     assert f"go on with: fmuid {' '.join(command[:4])} --resume\n" in capsys.readouterr().out
     before = (tmp_path / "out" / "diagnosis.json").read_text()
@@ -272,6 +296,6 @@ def test_an_interrupted_diagnosis_goes_on_and_is_never_replaced(trolley, tmp_pat
     assert run([*command, "--resume"]) == 0
     assert not (tmp_path / "out" / "diagnosis.journal").exists()
     assert (tmp_path / "out" / "diagnosis.json").read_text() == before
-    assert (tmp_path / "out" / "index.html").exists()
+    assert (tmp_path / "out" / "corrected" / "campaign.toml").exists()
     assert run([*command, "--resume"]) == 2
     assert "the run is complete; leave out --resume" in capsys.readouterr().err

@@ -209,7 +209,7 @@ def test_an_elasticity_at_a_rigid_connection_is_a_model_of_its_own(geared):
     assert np.abs(found - truth).max() < 0.02 * np.abs(rigid - truth).max()
 
 
-def drive_log(file, *, coulomb):
+def drive_log(file, *, coulomb, pace=4):
     """The two-mass drive by explicit Runge-Kutta steps of its own, with dry friction at the load."""
     step, every, stop = 1e-4, 50, 3.0
 
@@ -219,7 +219,7 @@ def drive_log(file, *, coulomb):
 
     x, rows, random = np.zeros(4), [], np.random.default_rng(int(file.stem[-1]))
     for k in range(int(stop / step)):
-        u = 0.1 * np.sign(np.sin(4 * step * (k // every) * every))
+        u = 0.1 * np.sign(np.sin(pace * step * (k // every) * every))
         if k % every == 0:
             rows.append([k * step, u, *(x[2:] + 0.02 * random.normal(size=2))])
         a = slope(x, u)
@@ -249,3 +249,35 @@ def test_a_campaign_from_a_model_lists_its_effects_without_a_line_edited(tmp_pat
     assert sizes[1] == pytest.approx(5 * sizes[0], rel=0.02)
     assert sizes[2] == pytest.approx(20 * sizes[0], rel=0.02)
     assert 0.02 < sizes[2] < 0.2  # of a torque of 0.1 N.m that resonates
+
+
+@pytest.mark.slow
+def test_from_verdict_to_a_model_with_the_law_in_it_and_on_to_the_next(tmp_path, monkeypatch, capsys):
+    """Dry friction at the load is found, added to the model's source, and identified; nothing else is missing."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    for k in (1, 2, 3):
+        drive_log(tmp_path / f"run{k}.csv", coulomb=0.02, pace=2 + 2 * k)
+    logs = [f"run{k}.csv" for k in (1, 2, 3)]
+    assert run(["init", *logs, "--model", str(RIGS), "--class", "Rigs.TwoMass", "--workers", "0"]) == 0
+    assert run(["diagnose", "campaign", "--out", "first", "--workers", "0"]) == 0
+    assert json.loads(Path("first/diagnosis.json").read_text())["verdict"]["effects"] == ["coulomb@load"]
+    corrected = Path("first/corrected")
+    names = {"TwoMass.fmu", "TwoMassCorrected.mo", "campaign.toml", "effects.toml", "parameters.ssv"}
+    assert {path.name for path in corrected.iterdir()} == names
+    fmu = load_fmu(corrected / "TwoMass.fmu")
+    assert fmu.variables["load.coulomb"].start == pytest.approx(0.02, rel=0.02)
+
+    # The source says what the FMU does.
+    source = ModelSource(corrected / "TwoMassCorrected.mo", "TwoMassCorrected")
+    task = Task(np.linspace(0.0, 1.0, 101), {"tau": 0.1 * np.ones(101)}, ("w_motor", "w_load"))
+    written = load_fmu(built_model(source)).simulate(task, {})
+    assert written == pytest.approx(fmu.simulate(task, {}), abs=1e-9)
+
+    assert run(["identify", str(corrected), "--out", "found", "--no-report", "--workers", "0"]) == 0
+    table = json.loads(Path("found/result.json").read_text())
+    assert table["parameters"]["load.coulomb"] == pytest.approx(0.02, rel=0.02)
+    assert run(["diagnose", "found", "--out", "second", "--workers", "0"]) == 0
+    second = json.loads(Path("second/diagnosis.json").read_text())
+    assert second["verdict"]["kind"] == "complete"
+    assert "coulomb@load" not in {e["id"] for e in second["effects"]}

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from fmu_build import compile_flat, load
 from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import ADDED, FlatModel, Variable, number, variable
+from fmu_build.modelica_text import modelica_text
 from fmu_build.syntax import Binary
 from tests.conftest import MODELICA
 from tests.fmu_build.simulate import Instance
@@ -70,3 +73,32 @@ def test_a_torque_added_to_a_balance_acts_there_and_zero_changes_nothing(flat):
     assert sorted(difference) == pytest.approx([0, 0, 0, 3 / 4])
     with pytest.raises(ModelicaError, match="'port' already"):
         changed.with_variable(Variable("port", ADDED))
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        ("tests/fmu_build/models/Rigs.mo", "Rigs.Geared"),
+        ("modelica/Drives/Setups/FixedShaftWithEvents.mo", "Drives.Setups.FixedShaftWithEvents"),
+    ],
+)
+def test_a_flat_model_written_as_source_is_the_same_model(file, name, tmp_path):
+    source = Path(__file__).parents[2] / file
+    flat = load(source, name)
+    text = tmp_path / "Written.mo"
+    text.write_text(modelica_text(flat, "Written", ["Made by a test."]))
+    plain, again = compile_flat(flat), compile_flat(load(text, "Written"))
+    assert (again.n_x, again.n_u, again.n_y, again.has_events) == (
+        plain.n_x,
+        plain.n_u,
+        plain.n_y,
+        plain.has_events,
+    )
+    values = []
+    for one in (plain, again):
+        random = np.random.default_rng(1)
+        function = one.functions["derivatives"]
+        point = [np.abs(random.normal(size=function.numel_in(k))) for k in range(function.n_in())]
+        values.append(np.array(function(*point)).ravel())
+    assert np.isfinite(values[0]).all()
+    assert np.array_equal(*values)

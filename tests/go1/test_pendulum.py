@@ -13,7 +13,7 @@ from benchmarks.reference import reference_fmu
 from benchmarks.reference.servo_pendulum import friction_budget
 from fmu_build import build
 from fmuid.diagnosis.catalogue import load_catalogue
-from fmuid.diagnosis.signal_effects import NEUTRAL
+from fmuid.simulation.signal_effects import NEUTRAL
 from fmuid.simulation.simulator import Task
 from tests.conftest import MODELICA
 from tests.go1.conftest import LAW_M6, RIG, SETUPS, servo_task

@@ -59,6 +59,8 @@ class _ModelTable(CoupledTable):
     interface: Literal["co-simulation", "model exchange"] | None = None
     source: str = ""
     class_: str = msgspec.field(name="class", default="")
+    effects: str = ""
+    signal_effects: list[str] = []
 
 
 class _ParameterTable(Table):
@@ -150,7 +152,9 @@ class _Document(Table):
     published: dict[str, Any] = {}
 
 
-def load_campaign(path: str | Path, *, measurements: str | Path | None = None, trust: bool = False) -> Campaign:
+def load_campaign(
+    path: str | Path, *, measurements: str | Path | None = None, judged: bool = False, trust: bool = False
+) -> Campaign:
     """Read and check a campaign: its `campaign.toml` and the measurement file that it names.
 
     Parameters
@@ -159,6 +163,8 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None, t
         The campaign's folder, or the TOML file itself.
     measurements
         A measurement file instead of the one that it names.
+    judged
+        Every run is for validation, whatever the file says of roles: those of `measurements` are others.
     trust
         Whether functions that it names (criteria of kind ``user``) may be imported and called later on.
 
@@ -180,11 +186,9 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None, t
         where = f"{file} [campaign] name"
         raise CampaignError(f"'{head.name}' is not a valid folder name", where=where, fix="leave out / and ..")
     folder = file.parent
-    if measurements is not None:
-        recorded = read_measurements(Path(measurements))
-    else:
-        make = f"make it with: {head.make}" if head.make else None
-        recorded = read_measurements(folder / head.measurements, fix_missing=make)
+    source = folder / head.measurements if measurements is None else Path(measurements)
+    make = f"make it with: {head.make}" if head.make and measurements is None else None
+    recorded = read_measurements(source, fix_missing=make)
     outliers: tuple[Outliers, ...] = ()
     if head.outliers == "leave_out":
         recorded, outliers = without_outliers(recorded)
@@ -195,7 +199,11 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None, t
         raise CampaignError(
             f"'{name}' is a parameter too", where=f"{file} [settings]", fix="give it in one of the two tables"
         )
+    if judged:
+        _have_every_run_judged(document, recorded)
     roles = _Roles.from_table(document.roles, recorded, str(file))
+    if judged:
+        roles = _Roles(roles.identification, roles.identification)
     models = {s: _model(s, t, folder, f"{file} [models.{s}]") for s, t in document.models.items()}
     _check_models(models, recorded, roles=roles, parameters=parameters, settings=settings, file=str(file))
     for n in document.stages:
@@ -213,7 +221,7 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None, t
             folder,
             measurements=recorded,
             parameters=parameters,
-            validation=roles.validation,
+            validation=() if judged else roles.validation,
             where=f"{file} [effects]",
         )
     name = head.name or file.resolve().parent.name
@@ -233,7 +241,21 @@ def load_campaign(path: str | Path, *, measurements: str | Path | None = None, t
         filters=frozen_mapping(filters),
         outliers=outliers,
         trusted=trust,
+        file=file,
+        measurements_file=source,
     )
+
+
+def _have_every_run_judged(document: _Document, recorded: Measurements) -> None:
+    """Have stages, which say how sensors read, name no run and no signal that is not there."""
+    measured = {name for experiment in recorded for name in experiment.outputs}
+    document.roles = {}
+    for table in document.stages.values():
+        table.pop("experiments", None)
+        criteria = table.get("criteria", [])
+        table["criteria"] = [c for c in criteria if not isinstance(c, dict) or c.get("signal") in measured]
+    if document.effects is not None:
+        document.effects.pop("experiments", None)
 
 
 def _signals(
@@ -331,6 +353,7 @@ def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
         coupling=coupling,
         interface=table.interface,
         source=source,
+        signal_effects=tuple(table.signal_effects),
     )
 
 
@@ -339,11 +362,14 @@ def _source(table: _ModelTable, folder: Path, where: str) -> ModelSource | None:
     if not table.source:
         if table.class_:
             raise CampaignError("names a class without its source", where=where, fix='write source = "file.mo"')
+        if table.effects:
+            raise CampaignError("adds effects to no source", where=where, fix='write source = "file.mo"')
         return None
     if table.fmus or table.fmu.endswith(".ssp"):
         raise CampaignError("source goes with one FMU", where=where, fix="leave it out for coupled ones")
     file = folder / table.source
-    return ModelSource(file, table.class_ or file.stem)
+    effects = folder / table.effects if table.effects else None
+    return ModelSource(file, table.class_ or file.stem, effects)
 
 
 def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:

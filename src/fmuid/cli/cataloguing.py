@@ -73,9 +73,9 @@ def _of_campaign(folder: Path, runner: Runner) -> tuple[str, dict[str, list[str]
 
     from fmuid.campaigns.campaign_toml import load_campaign
     from fmuid.diagnosis.made_catalogue import made_catalogue
-    from fmuid.simulation.coupled.loading import load_model
+    from fmuid.simulation.coupled.loading import load_simulator
 
-    text = made_catalogue(load_campaign(folder), load_model, runner=runner)
+    text = made_catalogue(load_campaign(folder), load_simulator, runner=runner)
     found: dict[str, list[str]] = {}
     for name, effect in tomllib.loads(text)["effects"].items():
         found.setdefault(effect["port"], []).append(name.partition("@")[0])

@@ -65,3 +65,6 @@ def print_validation(found: DiagnosisValidation, answer: Mapping[str, Any], prin
         ["gap, in noise floors", "refitted", "corrected", "closure"],
         [[name, g["nominal"], g["corrected"], round(g["closure"], 3)] for name, g in gaps.items()],
     )
+    if found.interval is not None:
+        low, high = found.interval
+        printer.say(f"closed on these runs: {gaps['all']['closure']:.2f} ({low:.2f} to {high:.2f}, 90 %)")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json as json_library
 import shlex
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -122,6 +122,9 @@ def validate(
             "--experiment", "-e", help="Id or glob; by default the validation set, without runs that were used."
         ),
     ] = None,
+    measurements: Annotated[
+        Path | None, typer.Option(help="Of a diagnosis: validate on all the runs of this measurement file.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Write measurements and predictions as CSV into it.")] = None,
     workers: Workers = None,
     time_limit: TimeLimit = None,
@@ -142,15 +145,25 @@ def validate(
     printer = Printer(quiet, json)
     with supervised(workers, time_limit, memory_limit) as runner:
         if run.suffix == ".json":
-            printer.write(_diagnosis_validation(run, campaign, experiment or (), printer, runner))
+            asked = _Judged(run, campaign, measurements, tuple(experiment or ()))
+            printer.write(_diagnosis_validation(asked, printer, runner))
             return 0
+        if measurements is not None:
+            raise FmuidError("is for a diagnosis", where="--measurements", fix="name a campaign with these runs")
         found = _validated(Result.from_json(run), printer, runner, campaign, experiment)
     printer.write(_validation(found, printer, out))
     return int(any(score.failure is not None for score in found.scores))
 
 
 def diagnose(
-    campaign: CampaignPath,
+    campaign: Annotated[
+        Path,
+        typer.Argument(metavar="CAMPAIGN|RUN", help="A folder with a campaign.toml, or one of fmuid identify."),
+    ],
+    from_: Annotated[
+        Path | None,
+        typer.Option("--from", metavar="RUN", help="Start from the values that this identification found."),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for the results; runs/<campaign>-diagnosis by default."),
@@ -184,17 +197,21 @@ def diagnose(
 
     Exit code 0: there is an answer, be it "complete", "A or B" or "unknown". 130: interrupted; `--resume` goes on.
 
+    The folder gets `corrected`: the model with the named effects, and a campaign that goes on from it.
+
     Example: fmuid diagnose campaigns/force_feedback --out runs/diagnosis
+    Example: fmuid diagnose runs/force_feedback
     """
-    from fmuid.campaigns.campaign_toml import load_campaign
-    from fmuid.diagnosis_pipeline import FILE_NAME, JOURNAL, answer_of
+    from fmuid.diagnosis.corrected import FOLDER
+    from fmuid.diagnosis_pipeline import FILE_NAME, JOURNAL, answer_of, campaign_from
     from fmuid.diagnosis_pipeline import diagnose as run
     from fmuid.simulation.pool.remote import dask_executor
 
-    loaded = load_campaign(campaign, measurements=measurements, trust=trust)
+    loaded = campaign_from(campaign, from_, measurements=measurements, trust=trust)
     folder = out or Path("runs") / f"{loaded.name}-diagnosis"
     printer = Printer(quiet, json)
-    asked: dict[str, Any] = {"--experiment": experiment, "--measurements": measurements, "--seed": seed}
+    asked: dict[str, Any] = {"--from": from_, "--experiment": experiment, "--measurements": measurements}
+    asked |= {"--seed": seed}
     asked |= {"--calibrate": calibrate, "--trust": trust}
     again = _again("diagnose", campaign, folder, asked)
     with (
@@ -215,9 +232,14 @@ def diagnose(
             seed=seed,
             calibrate=calibrate,
         )
-    answer = answer_of(found)
+    answer = answer_of(found, loaded)
     print_diagnosis(answer, printer)
     printer.say(f"\n{folder / FILE_NAME}\nreport: {folder / 'index.html'}")
+    if answer.get("corrected"):
+        corrected, named = folder / FOLDER, " and ".join(answer["corrected"])
+        printer.say(f"corrected: {corrected} (the model with {named}, the values found, and a campaign)")
+        again = shlex.join(["fmuid", "diagnose", str(corrected)])
+        printer.next(again, "whether something is missing beside it; fmuid identify takes the folder, too")
     printer.write(answer)
 
 
@@ -251,19 +273,29 @@ def report(
     printer.write({"run": run, "report": page})
 
 
-def _diagnosis_validation(
-    file: Path, campaign: Path | None, experiments: Sequence[str], printer: Printer, runner: Runner
-) -> dict[str, Any]:
+class _Judged(NamedTuple):
+    """A diagnosis, and what it is judged by."""
+
+    file: Path
+    campaign: Path | None
+    measurements: Path | None
+    experiments: tuple[str, ...]
+
+
+def _diagnosis_validation(asked: _Judged, printer: Printer, runner: Runner) -> dict[str, Any]:
     from fmuid.campaigns.campaign_toml import load_campaign
     from fmuid.diagnosis.validation import read_diagnosis, validate_diagnosis
 
-    answer = read_diagnosis(file)
+    answer = read_diagnosis(asked.file)
+    campaign = asked.campaign or answer.get("campaign")
     if campaign is None:
-        raise FmuidError("no campaign to validate on", where=file, fix="give one as second argument")
+        raise FmuidError("no campaign to validate on", where=asked.file, fix="give one as second argument")
+    loaded, file = load_campaign(campaign), asked.measurements
+    others = None if file is None else load_campaign(campaign, measurements=file, judged=True)
     with printer.working("simulating the runs"):
-        found = validate_diagnosis(answer, load_campaign(campaign), experiments=experiments, runner=runner)
+        found = validate_diagnosis(answer, loaded, others=others, experiments=asked.experiments, runner=runner)
     print_validation(found, answer, printer)
-    return {"diagnosis": file, "campaign": campaign, **found.to_dict()}
+    return {"diagnosis": asked.file, "campaign": campaign, **found.to_dict()}
 
 
 def _write_back(

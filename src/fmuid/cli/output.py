@@ -36,6 +36,10 @@ class Printer:
         if not self.quiet:
             typer.echo(text)
 
+    def next(self, command: str, why: str) -> None:
+        """Say which command comes next, and what for."""
+        self.say(f"next: {command}  ({why})")
+
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
         """Print rows under a header; numbers to the right, text to the left."""
         cells = [[_cell(v) for v in row] for row in rows]

@@ -19,10 +19,14 @@ Interface = Literal["co-simulation", "model exchange"]
 
 @dataclass(frozen=True, slots=True)
 class ModelSource:
-    """Modelica source of a model: the file that has the class, and its qualified name."""
+    """Modelica source of a model: the file that has the class, and its qualified name.
+
+    `effects` is a catalogue of effects with an expression that are part of the model, at its ports.
+    """
 
     file: Path
     class_name: str
+    effects: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +43,8 @@ class ModelSpec:
     fmuid's, to its tolerance); None for co-simulation where the FMU has it.
 
     Several FMUs may stand for it: those that `coupling` connects, `fmu` being what errors name; or those of an
-    SSP file. `source` is the Modelica source, where the campaign says it.
+    SSP file. `source` is the Modelica source, where the campaign says it. `signal_effects` are effects of the
+    FMU's inputs and outputs that become parameters (see `fmuid.simulation.signal_model`).
     """
 
     setup: str
@@ -50,6 +55,7 @@ class ModelSpec:
     coupling: Coupling | None = None
     interface: Interface | None = None
     source: ModelSource | None = None
+    signal_effects: tuple[str, ...] = ()
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -269,6 +275,8 @@ class Campaign:
         Short and long name.
     folder
         Anchors relative paths.
+    file, measurements_file
+        What it was read from, if it was.
     measurements
         The recorded runs.
     models
@@ -309,3 +317,5 @@ class Campaign:
     filters: Mapping[str, float] = field(default_factory=dict)
     outliers: tuple[Outliers, ...] = ()
     trusted: bool = False
+    file: Path | None = None
+    measurements_file: Path | None = None

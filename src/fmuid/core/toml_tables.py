@@ -141,6 +141,37 @@ def finite(name: str, value: float, where: str) -> float:
     return number
 
 
+def toml_document(tables: Mapping[str, Any]) -> str:
+    """Return tables as the text of a TOML file; what is nested deeper than ``[a.b]`` is written in one line."""
+    lines = [f"{toml_key(key)} = {_toml_value(v)}" for key, v in tables.items() if not isinstance(v, Mapping)]
+    for key, table in tables.items():
+        if not isinstance(table, Mapping):
+            continue
+        if table and all(isinstance(v, Mapping) for v in table.values()):
+            named = [(f"{toml_key(key)}.{toml_key(inner)}", value) for inner, value in table.items()]
+        else:
+            named = [(toml_key(key), table)]
+        for name, inside in named:
+            lines += ["", f"[{name}]", *(f"{toml_key(k)} = {_toml_value(v)}" for k, v in inside.items())]
+    return "\n".join(lines).lstrip("\n") + "\n"
+
+
+def toml_key(name: str) -> str:
+    """Return a key, quoted where it must be."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else toml_text(name)
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        inside = ", ".join(f"{toml_key(k)} = {_toml_value(v)}" for k, v in value.items())
+        return f"{{ {inside} }}" if inside else "{}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_toml_value, value))}]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return toml_text(value) if isinstance(value, str) else str(value)  # repr of a float, inf and nan too
+
+
 def toml_text(value: str) -> str:
     """Return `value` as a TOML basic string."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -12,16 +12,16 @@ from fmuid.core.errors import SimulationError
 from fmuid.core.formulas import Expression
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.runs import RepeatedRuns
-from fmuid.diagnosis.signal_effects import (
+from fmuid.identification.problem.cases import Case
+from fmuid.simulation.predictor import Predictor
+from fmuid.simulation.runners import Job, Runner, in_process
+from fmuid.simulation.signal_effects import (
     Disturbed,
     Effects,
     disturbed_readings,
     disturbed_task,
     split_signal_parameters,
 )
-from fmuid.identification.problem.cases import Case
-from fmuid.simulation.predictor import Predictor
-from fmuid.simulation.runners import Job, Runner, in_process
 from fmuid.simulation.simulator import Simulator, Task, differentiates, takes_any_times
 
 Prediction = tuple[FloatArray, ...]
@@ -116,9 +116,7 @@ class CampaignModel:
 
         Empty where a model cannot differentiate its runs by these parameters, or signals are disturbed.
         """
-        signals = {c.signal for case in self.cases for c in case.channels}
-        signals |= {name for case in self.cases for name in case.task.inputs}
-        plain, disturbed = split_signal_parameters({**self.fixed, **values}, signals)
+        plain, disturbed = self._split(values)
         names = [name for name in names if name in plain]
         if disturbed or not names:
             return {}
@@ -152,6 +150,15 @@ class CampaignModel:
                 found[name].append((above - below) / width)
         return {name: tuple(rows) for name, rows in found.items()}
 
+    def _split(self, values: Mapping[str, float]) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+        """Return the parameters that models take, and those of the signals around them, by signal."""
+        signals = {c.signal for case in self.cases for c in case.channels}
+        signals |= {name for case in self.cases for name in case.task.inputs}
+        every = {**self.fixed, **values}
+        own = {n for n in every for case in self.cases if n in case.setting or n in case.simulator.variables}
+        plain, disturbed = split_signal_parameters({n: v for n, v in every.items() if n not in own}, signals)
+        return {**plain, **{n: every[n] for n in every if n in own}}, disturbed
+
     def _task_along(self, index: int, case: Case, own: Sequence[Direction]) -> Task:
         along = tuple(move for move, _ in own if move)
         key = (index, tuple(tuple(move.items()) for move in along))
@@ -178,9 +185,7 @@ class CampaignModel:
     def _simulate(
         self, wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]]
     ) -> list[Prediction | SimulationError]:
-        signals = {c.signal for case in self.cases for c in case.channels}
-        signals |= {name for case in self.cases for name in case.task.inputs}
-        split = [split_signal_parameters({**self.fixed, **values}, signals) for values, _ in wanted]
+        split = [self._split(values) for values, _ in wanted]
         keys: list[_Key] = []
         around: list[Disturbed | None] = []
         jobs: dict[_Key, Job] = {}

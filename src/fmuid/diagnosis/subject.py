@@ -19,12 +19,12 @@ from fmuid.diagnosis.catalogue import Catalogue, Effect, load_catalogue
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Unknown
-from fmuid.diagnosis.signal_effects import signal_parameters
 from fmuid.diagnosis.variants import Variants
 from fmuid.diagnosis.verdict import LeftOut
 from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
 from fmuid.identification.problem.solver_error import solver_accuracy
 from fmuid.simulation.runners import Runner, in_process
+from fmuid.simulation.signal_effects import signal_parameters
 from fmuid.simulation.simulator import Simulator
 
 _LOOSEST = (3e-3, 1e-3, 1e-4)  # solver tolerances to begin with
@@ -178,7 +178,8 @@ def model_of(
 def _not_nominal(campaign: Campaign, catalogue: Catalogue) -> list[Effect]:
     """Return the effects that no nominal parameter belongs to."""
     assert campaign.effects is not None
-    nominal = {m.variable(name) for name in campaign.effects.nominal for m in campaign.models.values()}
+    nominal = set(campaign.effects.nominal)
+    nominal |= {m.variable(name) for name in nominal for m in campaign.models.values()}
     return [e for e in catalogue.effects.values() if not any(u.name in nominal for u in e.unknowns)]
 
 

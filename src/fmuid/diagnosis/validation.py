@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from fmuid.core.campaign import Campaign
 from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
-from fmuid.data.noise.runs import RepeatedRuns
+from fmuid.diagnosis.cross_validation import closure_interval, losses
 from fmuid.diagnosis.made_catalogue import with_catalogue
 from fmuid.diagnosis.observed import Observed, gap
 from fmuid.diagnosis.subject import model_of
@@ -45,12 +45,13 @@ class DiagnosisValidation:
 
     `runs` are the recordings that it is judged by, `used` those of them that the diagnosis was made from: only
     those asked for by name can be, and None means that it does not say. `gaps` gives, by experiment and for
-    ``all`` together, the gap in noise floors of the nominal model refitted and of the corrected one; empty where a
-    setup has no repeats to take a noise floor from.
+    ``all`` together, the gap in noise floors of the nominal model refitted and of the corrected one. `interval` is
+    where the closure of all of them lies with 90 %: a bootstrap over runs, and over pieces of those not repeated.
     """
 
     comparisons: tuple[Comparison, ...]
     gaps: Mapping[str, tuple[float, float]]
+    interval: tuple[float, float] | None = None
     runs: tuple[str, ...] = ()
     used: tuple[str, ...] | None = ()
 
@@ -63,6 +64,7 @@ class DiagnosisValidation:
             "gaps": {
                 n: {"nominal": a, "corrected": b, "closure": closure(a, b)} for n, (a, b) in self.gaps.items()
             },
+            "closure_interval": None if self.interval is None else list(self.interval),
         }
 
 
@@ -115,6 +117,7 @@ def validate_diagnosis(
     answer: Mapping[str, Any],
     campaign: Campaign,
     *,
+    others: Campaign | None = None,
     experiments: Sequence[str] = (),
     runner: Runner = in_process,
 ) -> DiagnosisValidation:
@@ -125,7 +128,9 @@ def validate_diagnosis(
     answer
         The JSON value of a diagnosis.
     campaign
-        With an ``[effects]`` table that names the same catalogue.
+        That was diagnosed, or one with an ``[effects]`` table that names the same catalogue.
+    others
+        The same campaign with other recordings, to validate on these.
     experiments
         Ids or globs; by default the campaign's validation set, or all of its runs if it has none, without those
         that the diagnosis was made from. Repeats of those named come along where they were not used.
@@ -138,11 +143,12 @@ def validate_diagnosis(
     SimulationError
         A run cannot be simulated.
     """
-    from fmuid.simulation.coupled.loading import load_model
+    from fmuid.simulation.coupled.loading import load_simulator
 
+    diagnosed = with_catalogue(campaign, load_simulator, runner=runner)  # its runs give the effects their sizes
+    campaign = replace(others or campaign, effects=diagnosed.effects, models=diagnosed.models)
     chosen, used = _chosen(answer, campaign, experiments)
-    campaign = with_catalogue(campaign, load_model, runner=runner)
-    model, catalogue, known, _ = model_of(campaign, load_model, chosen, runner=runner)
+    model, catalogue, known, _ = model_of(campaign, load_simulator, chosen, runner=runner)
     points = [answer["nominal"]["parameters"], answer["model"]["parameters"]]
     known |= {*campaign.parameters, *(u.name for e in catalogue.effects.values() for u in e.unknowns)}
     foreign = sorted({name for point in points for name in point} - known)
@@ -160,10 +166,10 @@ def validate_diagnosis(
         predictions.append(outcome)
     runs = model.runs
     units = {(case.id, c.signal): c.unit for case in model.cases for c in case.channels}
-    floor = _floor(runs)
+    floor = Observed.from_runs(runs)
     comparisons = []
     for e, run in enumerate(runs):
-        sigma = {} if floor is None else floor.noise[run.setup].sigma
+        sigma = floor.noise[run.setup].sigma
         for c, signal in enumerate(run.channels):
             before, after = (_rmse(p[e][c], run.values[:, c]) for p in predictions)
             spread = float(np.nanstd(run.values[:, c])) or float("nan")
@@ -171,8 +177,8 @@ def validate_diagnosis(
             comparisons.append(
                 Comparison(run.id, signal, unit, sigma.get(signal), before, after, before / spread, after / spread)
             )
-    gaps = {} if floor is None else _gaps(floor, predictions)
-    return DiagnosisValidation(tuple(comparisons), gaps, tuple(e.id for e in chosen), used)
+    gaps, interval = _gaps(floor, predictions), _interval(floor, predictions)
+    return DiagnosisValidation(tuple(comparisons), gaps, interval, tuple(e.id for e in chosen), used)
 
 
 def _chosen(
@@ -208,9 +214,12 @@ def _rmse(prediction: FloatArray, measured: FloatArray) -> float:
     return float(np.sqrt(np.nanmean((prediction - measured) ** 2)))
 
 
-def _floor(runs: Sequence[RepeatedRuns]) -> Observed | None:
-    repeated = {r.setup for r in runs if r.n_repeats > 1}
-    return Observed.from_runs(runs) if all(r.setup in repeated for r in runs) else None
+def _interval(observed: Observed, predictions: Sequence[Sequence[FloatArray]]) -> tuple[float, float]:
+    before, after = (
+        losses([residuals[e][rows] for e, rows in observed.folds], observed)
+        for residuals in map(observed.residuals, predictions)
+    )
+    return closure_interval(before, after)
 
 
 def _gaps(observed: Observed, predictions: Sequence[Sequence[FloatArray]]) -> dict[str, tuple[float, float]]:

@@ -14,7 +14,7 @@ from fmu_build.suggest import suggestion
 from fmuid.core.campaign import ModelSource, ModelSpec
 from fmuid.core.errors import CampaignError
 from fmuid.diagnosis.catalogue import Catalogue, Effect
-from fmuid.simulation.model_source import built_with_terms, flat_model
+from fmuid.simulation.model_source import built_with_terms, effects_inside, flat_model
 from fmuid.simulation.simulator import Simulator
 
 
@@ -43,9 +43,9 @@ def carrier(source: ModelSource, catalogue: Catalogue) -> Path:
 def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Collection[str]) -> Path:
     """Build a model with what a catalogue adds to it; of effects that make variants, with those that are tried."""
     known = {port.name for port in find_ports(flat)}
-    terms, added = [], []
+    terms, added, inside = [], [], effects_inside(source)
     for effect in catalogue.effects.values():
-        if effect.expression and effect.port in known:
+        if effect.expression and effect.port in known and effect.id not in inside:
             where = f"[effects.{effect.id!r}] expression"
             if not effect.variant or effect.id in tried:
                 terms.append(Term(effect.port, effect.acts, effect.expression, where, effect.states))
@@ -83,7 +83,9 @@ class Variants:
 
     @cached_property
     def _effects(self) -> tuple[Effect, ...]:
-        return tuple(e for e in self.catalogue.effects.values() if e.variant)
+        sources = [model.source for model in self.models.values() if model.source is not None]
+        inside = {id for source in sources for id in effects_inside(source)}
+        return tuple(e for e in self.catalogue.effects.values() if e.variant and e.id not in inside)
 
     def simulator(self, setup: str, values: Mapping[str, float]) -> Simulator | None:
         """Return the variant of a setup's model that parameter values need; None if they need none.

@@ -47,7 +47,7 @@ def load_models(campaign: Campaign) -> dict[str, Simulator]:
     FmuError
         An FMU is missing or cannot be used.
     """
-    from fmuid.simulation.coupled.loading import load_model
+    from fmuid.simulation.coupled.loading import load_simulator
 
     models: dict[str, Simulator] = {}
     for setup in dict.fromkeys(experiment.setup for experiment in _first_runs(campaign)):
@@ -58,7 +58,7 @@ def load_models(campaign: Campaign) -> dict[str, Simulator]:
                     where=os.path.normpath(path),
                     fix=f"build it (make fmus, or fmuid build) or correct [models.{setup}] fmu",
                 )
-        models[setup] = load_model(campaign.models[setup])
+        models[setup] = load_simulator(campaign.models[setup])
     return models
 
 

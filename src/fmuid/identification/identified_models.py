@@ -15,6 +15,7 @@ from fmuid.identification.parameter_set import parameter_set
 from fmuid.identification.result import Result
 from fmuid.identification.solvers import Status
 from fmuid.simulation.coupled.coupled_model import CoupledModel
+from fmuid.simulation.coupled.loading import load_model
 from fmuid.simulation.coupled.ssp_writing import write_system
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.fmu_copy import copy_with_starts, takes_effect
@@ -55,13 +56,28 @@ def write_identified(
     """
     if result.status in (Status.FAILED, Status.INTERRUPTED):
         raise ProblemError(f"the identification is {result.status.value}", fix="finish it first")
-    folder = Path(folder)
-    values: dict[str, dict[str, float]] = {}
-    models: dict[str, Fmu | CoupledModel] = {}
-    for setup, model in load_models(campaign).items():
-        assert isinstance(model, Fmu | CoupledModel)
-        models[setup] = model
-        values[setup] = _start_values(result, campaign, setup, model)
+    models = {setup: load_model(campaign.models[setup]) for setup in load_models(campaign)}
+    values = {s: start_values(campaign, result.parameters, s, model) for s, model in models.items()}
+    return write_models(campaign.name, values, models, Path(folder), runner)
+
+
+def write_models(
+    name: str,
+    values: Mapping[str, Mapping[str, float]],
+    models: Mapping[str, Fmu | CoupledModel],
+    folder: Path,
+    runner: Runner = in_process,
+    stems: Mapping[str, str] | None = None,
+) -> Identified:
+    """Write copies of models that start with `values`, by setup and variable, and their parameter set `name`.
+
+    `stems` are the names of their files, by setup; those of the originals by default.
+
+    Raises
+    ------
+    FmuError
+        A value cannot be a start value of its variable.
+    """
     written: dict[str, Path] = {}
     warnings = []
     for setup, model in models.items():
@@ -69,13 +85,14 @@ def write_identified(
         if same:
             written[setup] = written[same[0]]
             continue
-        stem, suffix = model.path.stem, ".ssp" if isinstance(model, CoupledModel) else ".fmu"
+        stem = (stems or {}).get(setup, model.path.stem)
+        suffix = ".ssp" if isinstance(model, CoupledModel) else ".fmu"
         target = folder / f"{stem}{suffix}"
         if target in written.values():
             target = folder / f"{stem}_{setup}{suffix}"
         written[setup] = target
         if isinstance(model, CoupledModel):
-            write_system(model, parameter_set(campaign.name, {setup: values[setup]}, models), target)
+            write_system(model, parameter_set(name, {setup: values[setup]}, models), target)
             continue
         copy_with_starts(model, values[setup], target)
         if not takes_effect(model, values[setup], target, runner):
@@ -84,17 +101,20 @@ def write_identified(
                 "set those of parameters.ssv"
             )
     parameters = folder / "parameters.ssv"
-    write_atomically(parameters, parameter_set(campaign.name, values, models))
+    write_atomically(parameters, parameter_set(name, values, models))
     return Identified(written, parameters, tuple(warnings))
 
 
-def _start_values(result: Result, campaign: Campaign, setup: str, simulator: Simulator) -> dict[str, float]:
+def start_values(
+    campaign: Campaign, values: Mapping[str, float], setup: str, simulator: Simulator
+) -> dict[str, float]:
+    """Return what all runs of a setup start with, by variable: settings, initial values, parameters' `values`."""
     model, variables = campaign.models[setup], simulator.variables
     settings = {model.variable(n): v for n, v in campaign.settings.items()}
     found = {n: v for n, v in settings.items() if n in variables} | dict(model.initial)
     for spec in campaign.parameters.values():
         variable = model.variable(spec.name)
-        if variable in variables and spec.per == "campaign" and spec.name in result.parameters:
+        if variable in variables and spec.per == "campaign" and spec.name in values:
             convert = conversion_at(spec.unit, variables[variable].unit, f"parameter '{spec.name}'")
-            found[variable] = convert.factor * result.parameters[spec.name] + convert.offset
+            found[variable] = convert.factor * values[spec.name] + convert.offset
     return found

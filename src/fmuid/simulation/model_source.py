@@ -9,25 +9,42 @@ from pathlib import Path
 
 from fmu_build import build, compile_flat, load
 from fmu_build.flat_model import FlatModel
-from fmu_build.instrument import Added, Term, instrument
+from fmu_build.instrument import Added, State, Term, instrument
+from fmu_build.model_ports import find_ports
 from fmu_build.packaging import package
 from fmuid.core.campaign import ModelSource
+from fmuid.core.errors import CampaignError
 from fmuid.core.files import user_cache
+from fmuid.core.toml_tables import read_toml
 
 
 def flat_model(source: ModelSource) -> FlatModel:
-    """Flatten the class.
+    """Flatten the class, and add the effects that are part of the model.
 
     Raises
     ------
     ModelicaError
-        The source is missing, wrong, or outside the supported subset.
+        The source is missing, wrong, or outside the supported subset, or an effect does not fit it.
+    CampaignError
+        There is no such catalogue, or it has no expressions.
     """
-    return load(source.file, source.class_name)
+    flat = load(source.file, source.class_name)
+    if source.effects is None:
+        return flat
+    effects = _effects(source.effects)
+    ports = {port.name for port in find_ports(flat)}
+    # A campaign's models share a catalogue; each has some of its ports.
+    here = [e for e in effects if e[0].port in ports] or effects
+    return instrument(flat, [term for term, _ in here], [one for _, added in here for one in added])
+
+
+def effects_inside(source: ModelSource) -> frozenset[str]:
+    """Return the ids of the effects that are part of the model."""
+    return frozenset() if source.effects is None else frozenset(read_toml(source.effects).get("effects", {}))
 
 
 def built_model(source: ModelSource) -> Path:
-    """Return the FMU of the class, built unless the cache has it.
+    """Return the FMU of the class with the effects that are part of it, built unless the cache has it.
 
     Raises
     ------
@@ -36,6 +53,8 @@ def built_model(source: ModelSource) -> Path:
     BuildError
         There is no C compiler, or it fails.
     """
+    if source.effects is not None:
+        return built_with_terms(source, flat_model(source), (), ())
     return build(source.file, source.class_name, _folder(source))
 
 
@@ -53,6 +72,28 @@ def built_with_terms(source: ModelSource, flat: FlatModel, terms: Sequence[Term]
     model = replace(compile_flat(changed), name=_stem(source))
     target = _folder(source) / f"{_stem(source)}-{model.content_hash[:12]}.fmu"
     return target if target.is_file() else package(model, target)
+
+
+def _effects(catalogue: Path) -> list[tuple[Term, list[Added]]]:
+    """Return the term of each effect of a catalogue, and the parameters that it uses."""
+    found = []
+    for name, effect in read_toml(catalogue).get("effects", {}).items():
+        where = f"{catalogue} [effects.{name!r}]"
+        try:
+            states = tuple(
+                State(n, s["derivative"], s.get("start", "0"), s.get("unit", ""))
+                for n, s in effect.get("states", {}).items()
+            )
+            term = Term(effect["port"], effect.get("acts", "flow"), effect["expression"], where, states)
+            added = [
+                Added(n, float(p.get("neutral", p.get("start", 0.0))), p.get("unit", ""), effect["description"])
+                for n, p in effect["parameters"].items()
+            ]
+        except (KeyError, AttributeError, TypeError, ValueError):
+            fix = "name a catalogue whose effects have a port, an expression and parameters"
+            raise CampaignError("is no effect that can be part of a model", where=where, fix=fix) from None
+        found.append((term, added))
+    return found
 
 
 def _stem(source: ModelSource) -> str:

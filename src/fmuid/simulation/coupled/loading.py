@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import shutil
 import weakref
@@ -17,6 +18,8 @@ from fmuid.simulation.coupled.connection_checks import check_connections, unit_c
 from fmuid.simulation.coupled.coupled_model import CoupledModel
 from fmuid.simulation.coupled.ssp import read_system
 from fmuid.simulation.fmu import Fmu, extract, load_fmu
+from fmuid.simulation.signal_model import SignalModel
+from fmuid.simulation.simulator import Simulator
 
 SUFFIX = ".ssp"
 _MAX_MODELS = 64
@@ -45,6 +48,28 @@ def load_model(model: ModelSpec | str | Path) -> Fmu | CoupledModel:
         coupling = model.coupling or Coupling()
         return load_system(model.fmu, coupling.master, coupling.main)
     return load_fmu(model.fmu, model.interface)
+
+
+def load_simulator(model: ModelSpec) -> Simulator:
+    """Return the model of a setup with the effects of its signals as parameters, if the setup has any.
+
+    Raises
+    ------
+    FmuError
+        A file is missing or cannot be used, or an effect names no signal.
+    """
+    loaded = load_model(model)
+    if not model.signal_effects:
+        return loaded
+    differentiated = frozenset(model.variable(name) for name in model.map if model.differentiates(name))
+    return _with_signals(loaded, model.signal_effects, differentiated)
+
+
+@functools.lru_cache(maxsize=_MAX_MODELS)  # in one process always the same object
+def _with_signals(
+    model: Fmu | CoupledModel, names: tuple[str, ...], differentiated: frozenset[str]
+) -> SignalModel:
+    return SignalModel(model, names, differentiated)
 
 
 def load_system(path: str | Path, master: Master | None = None, main: str = "") -> CoupledModel:

@@ -9,8 +9,8 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from fmuid.diagnosis.extended_model import CampaignModel
-from fmuid.diagnosis.signal_effects import disturbed_input, disturbed_readings, split_signal_parameters
 from fmuid.identification.problem.cases import measured_case
+from fmuid.simulation.signal_effects import disturbed_input, disturbed_readings, split_signal_parameters
 from fmuid.simulation.simulator import Task, Variable
 
 DT, N, FINE = 0.01, 200, 500

@@ -57,6 +57,15 @@ def split_signal_parameters(
     return plain, disturbed
 
 
+def signal_and_property(name: str) -> tuple[str, str] | None:
+    """Return which property of which signal a parameter's name says, whether there is such a signal or not."""
+    found = _CROSSTALK.fullmatch(name)
+    if found is not None:
+        return found["signal"], found["property"]
+    signal, _, prop = name.rpartition(".")
+    return (signal, prop) if prop in NEUTRAL else None
+
+
 def signal_parameters(signals: Collection[str]) -> set[str]:
     """Return the names of all parameters that disturb these signals."""
     own = {f"{signal}.{prop}" for signal in signals for prop in NEUTRAL}

@@ -1,0 +1,280 @@
+"""A flat model as Modelica source: one class that stands alone, for any tool.
+
+What had a path has a quoted name (``'load.w'``); connections are the equations that they made.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+
+from fmu_build.errors import ModelicaError
+from fmu_build.flat_model import Equation, FlatModel, Formal, Function, Variable
+from fmu_build.syntax import (
+    All,
+    ArrayOf,
+    Assert,
+    Assign,
+    AssignMany,
+    Binary,
+    Break,
+    Call,
+    Comprehension,
+    End,
+    Expression,
+    ForStatement,
+    If,
+    IfStatement,
+    Literal,
+    Matrix,
+    Node,
+    Range,
+    Reference,
+    Reinit,
+    Return,
+    Statement,
+    Subscripted,
+    Terminate,
+    TupleOf,
+    Unary,
+    WhenStatement,
+    WhileStatement,
+)
+
+_INDENT = "  "
+_BINDING = {"or": 1, "and": 2, "not": 3} | dict.fromkeys(("<", "<=", ">", ">=", "==", "<>"), 4)
+_BINDING |= dict.fromkeys(("+", "-", ".+", ".-"), 5) | dict.fromkeys(("*", "/", ".*", "./"), 6)
+_BINDING |= dict.fromkeys(("^", ".^"), 7)
+_ATOM = 8
+
+
+def modelica_text(flat: FlatModel, name: str, comment: Sequence[str] = ()) -> str:
+    """Return a flat model as the source of the model `name`, with lines of comment on top.
+
+    Raises
+    ------
+    ModelicaError
+        The model has what only its own source can say: external functions and objects, records of functions.
+    """
+    lines = [f"// {line}".rstrip() for line in comment]
+    lines.append(f"model {name}{_description(flat.description)}")
+    for function in flat.functions.values():
+        lines += _indented(_function(flat, function))
+    for variable in flat.variables.values():
+        lines.append(f"{_INDENT}{_declaration(flat, variable)}")
+    lines += _section("initial equation", (_equation(e) for e in flat.initial_equations))
+    for algorithm in flat.initial_algorithms:
+        lines += _section("initial algorithm", _statements(algorithm.statements, ":="))
+    equations = [_equation(e) for e in flat.equations]
+    equations += [line for when in flat.whens for line in _statement(when, "=")]
+    equations += [line for one in flat.asserts for line in _statement(one, "=")]
+    lines += _section("equation", equations)
+    for algorithm in flat.algorithms:
+        lines += _section("algorithm", _statements(algorithm.statements, ":="))
+    return "\n".join([*lines, f"end {name};", ""])
+
+
+def _indented(lines: Iterator[str] | Sequence[str]) -> list[str]:
+    return [f"{_INDENT}{line}" for line in lines]
+
+
+def _section(keyword: str, lines: Iterator[str] | Sequence[str]) -> list[str]:
+    inside = _indented(lines)
+    return [keyword, *inside] if inside else []
+
+
+def _name(name: str) -> str:
+    if name.isidentifier() and name.isascii():
+        return name
+    escaped = name.replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"
+
+
+def _function_name(name: str) -> str:
+    """Return the name of a function, which lies beside the variables now: its path becomes part of the name."""
+    return re.sub(r"\W", "_", name)
+
+
+def _description(text: str) -> str:
+    return f" {_string(text)}" if text else ""
+
+
+def _string(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _declaration(flat: FlatModel, v: Variable) -> str:
+    if v.type == "ExternalObject":
+        raise flat.error(f"'{v.name}' is an external object, which only its own source declares", v.at)
+    words = []
+    if v.final:
+        words.append("final")
+    if v.variability in ("parameter", "constant") or (v.variability == "discrete" and v.type == "Real"):
+        words.append(v.variability)
+    if v.causality is not None:
+        words.append(v.causality)
+    shape = f"[{', '.join(map(str, v.shape))}]" if v.shape else ""
+    changes = {"unit": v.unit, "displayUnit": v.display_unit, "quantity": v.quantity}
+    modifiers = [
+        f"{key} = {_string(text)}" for key, text in changes.items() if text is not None and v.type == "Real"
+    ]
+    values = {"start": v.start, "min": v.min, "max": v.max, "nominal": v.nominal}
+    modifiers += [f"{_each(v, e)}{key} = {_text(e)}" for key, e in values.items() if e is not None]
+    if v.fixed is not None:
+        same = len(set(v.fixed)) == 1
+        value = _truth(v.fixed[0]) if same else f"{{{', '.join(map(_truth, v.fixed))}}}"
+        modifiers.append(f"{'each ' if v.shape and same else ''}fixed = {value}")
+    if v.state_select != "default" and v.type == "Real":
+        modifiers.append(f"stateSelect = StateSelect.{v.state_select}")
+    inside = f"({', '.join(modifiers)})" if modifiers else ""
+    value = "" if v.binding is None else f" = {_text(v.binding)}"
+    return f"{' '.join([*words, v.type, _name(v.name)])}{shape}{inside}{value}{_description(v.description)};"
+
+
+def _each(v: Variable, e: Expression) -> str:
+    return "each " if v.shape and isinstance(e, Literal) else ""
+
+
+def _truth(value: bool) -> str:
+    return "true" if value else "false"
+
+
+def _function(flat: FlatModel, function: Function) -> Iterator[str]:
+    if function.external is not None or function.constructor:
+        raise flat.error(f"function '{function.name}' is written in another language", function.at)
+    yield f"function {_function_name(function.name)}"
+    for prefix, formals in (
+        ("input", function.inputs),
+        ("output", function.outputs),
+        ("protected", function.locals),
+    ):
+        for formal in formals:
+            yield f"{_INDENT}{_formal(flat, prefix, formal)}"
+    yield "algorithm"
+    yield from _indented(_statements(function.body, ":="))
+    yield f"end {_function_name(function.name)};"
+
+
+def _formal(flat: FlatModel, prefix: str, formal: Formal) -> str:
+    if formal.fields is not None:
+        raise flat.error(f"'{formal.name}' is a record of a function", formal.at)
+    shape = ", ".join(":" if size is None else _text(size) for size in formal.shape)
+    value = "" if formal.default is None else f" := {_text(formal.default)}"
+    return f"{prefix} {formal.type} {_name(formal.name)}{f'[{shape}]' if shape else ''}{value};"
+
+
+def _equation(equation: Equation) -> str:
+    return f"{_text(equation.left)} = {_text(equation.right)};"
+
+
+def _statements(statements: Sequence[Statement], sign: str) -> list[str]:
+    return [line for one in statements for line in _statement(one, sign)]
+
+
+def _statement(one: Statement, sign: str) -> list[str]:
+    match one:
+        case Assign():
+            return [f"{_text(one.target)} {sign} {_text(one.value)};"]
+        case AssignMany(targets=targets, call=call) if not targets:
+            return [f"{_text(call)};"]
+        case AssignMany(targets=targets, call=call):
+            return [f"({', '.join('' if t is None else _text(t) for t in targets)}) {sign} {_text(call)};"]
+        case IfStatement(branches=branches):
+            return _branches("if", branches, sign)
+        case WhenStatement(branches=branches):
+            return _branches("when", branches, sign)
+        case ForStatement(iterators=iterators, body=body):
+            inside = ", ".join(_iterator(i) for i in iterators)
+            return [f"for {inside} loop", *_indented(_statements(body, sign)), "end for;"]
+        case WhileStatement(condition=condition, body=body):
+            return [f"while {_text(condition)} loop", *_indented(_statements(body, sign)), "end while;"]
+        case Reinit(state=state, value=value):
+            return [f"reinit({_text(state)}, {_text(value)});"]
+        case Assert(condition=condition, message=message, warning=warning):
+            level = ", AssertionLevel.warning" if warning else ""
+            return [f"assert({_text(condition)}, {_text(message)}{level});"]
+        case Terminate(message=message):
+            return [f"terminate({_text(message)});"]
+        case Return():
+            return ["return;"]
+        case Break():
+            return ["break;"]
+
+
+def _branches(
+    keyword: str, branches: Sequence[tuple[Expression | None, tuple[Statement, ...]]], sign: str
+) -> list[str]:
+    lines = []
+    for k, (condition, body) in enumerate(branches):
+        word = keyword if k == 0 else f"else{keyword}"
+        lines.append("else" if condition is None else f"{word} {_text(condition)} then")
+        lines += _indented(_statements(body, sign))
+    return [*lines, f"end {keyword};"]
+
+
+def _iterator(iterator: tuple[str, Expression | None]) -> str:
+    name, values = iterator
+    return name if values is None else f"{name} in {_text(values)}"
+
+
+def _text(e: Expression) -> str:
+    return _bound(e)[0]
+
+
+def _inside(e: Expression, least: int) -> str:
+    text, binding = _bound(e)
+    return text if binding >= least else f"({text})"
+
+
+def _bound(e: Expression) -> tuple[str, int]:
+    """Return an expression as text, and how strongly it holds together."""
+    match e:
+        case Literal(value=bool() as value):
+            return _truth(value), _ATOM
+        case Literal(value=str() as value):
+            return _string(value), _ATOM
+        case Literal(value=value):
+            return repr(value), 5 if repr(value).startswith("-") else _ATOM
+        case Reference(parts=parts):
+            return ".".join(f"{_name(p.name)}{_subscripts(p.subscripts)}" for p in parts), _ATOM
+        case Unary(operator=operator, operand=operand):
+            binding = _BINDING.get(operator, 5)
+            space = " " if operator == "not" else ""
+            return f"{operator}{space}{_inside(operand, binding + 1)}", binding
+        case Binary(operator=operator, left=left, right=right):
+            binding = _BINDING[operator]
+            sides = _inside(left, binding + (binding in (4, 7))), _inside(right, binding + 1)
+            return f"{sides[0]} {operator} {sides[1]}", binding
+        case If(branches=branches, otherwise=otherwise):
+            first, *others = (f"if {_text(c)} then {_text(v)}" for c, v in branches)
+            return " ".join([first, *(f"else{o}" for o in others), f"else {_text(otherwise)}"]), 0
+        case Call(function=function, arguments=arguments):
+            given = ", ".join(_text(a) for a in arguments if a is not None)
+            return f"{_function_name(function)}({given})", _ATOM
+        case ArrayOf(items=items):
+            return f"{{{', '.join(_text(i) for i in items)}}}", _ATOM
+        case Matrix(rows=rows):
+            return f"[{'; '.join(', '.join(_text(i) for i in row) for row in rows)}]", _ATOM
+        case Range(start=start, step=step, stop=stop):
+            return ":".join(_inside(part, 5) for part in (start, step, stop) if part is not None), 0
+        case TupleOf(items=items):
+            return f"({', '.join('' if i is None else _text(i) for i in items)})", _ATOM
+        case Comprehension(element=element, iterators=iterators):
+            return f"{_text(element)} for {', '.join(_iterator(i) for i in iterators)}", 0
+        case Subscripted(base=base, subscripts=subscripts):
+            return f"{_inside(base, _ATOM)}{_subscripts(subscripts)}", _ATOM
+        case End():
+            return "end", _ATOM
+        case All():
+            return ":", _ATOM
+        case _:
+            raise ModelicaError(f"{type(e).__name__} cannot be written as source", where=_place(e))
+
+
+def _place(e: Node) -> str:
+    return str(e.at)
+
+
+def _subscripts(subscripts: Sequence[Expression]) -> str:
+    return f"[{', '.join(_text(s) for s in subscripts)}]" if subscripts else ""

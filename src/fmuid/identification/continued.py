@@ -1,0 +1,46 @@
+"""A campaign that starts where an identification ended."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from fmuid.core.campaign import Campaign
+from fmuid.core.errors import CampaignError, ProblemError
+from fmuid.identification.history import JOURNAL
+from fmuid.identification.result import FILE, Result
+from fmuid.identification.solvers import Status
+
+
+def is_run(path: Path) -> bool:
+    """Return whether a folder is what `fmuid identify` wrote."""
+    return any((path / name).is_file() for name in (FILE, JOURNAL)) and not (path / "campaign.toml").is_file()
+
+
+def continued(campaign: Campaign, result: Result) -> Campaign:
+    """Return the campaign with the values found as the start values of its parameters.
+
+    Parameters that each run or machine has its own of start as before.
+
+    Raises
+    ------
+    ProblemError
+        The identification failed.
+    CampaignError
+        It is of another campaign: a parameter is not in this one.
+    """
+    if result.status is Status.FAILED or not result.parameters:
+        raise ProblemError("the identification has no result to start from", fix="identify again")
+    parameters = dict(campaign.parameters)
+    for name, value in result.parameters.items():
+        if "@" in name or name.startswith("observer["):
+            continue
+        if name not in parameters:
+            raise CampaignError(
+                f"parameter '{name}' of the result is not in campaign '{campaign.name}'",
+                where="--from",
+                fix="start from an identification of this campaign",
+            )
+        spec = parameters[name]
+        parameters[name] = replace(spec, start=min(max(value, spec.lower), spec.upper))
+    return replace(campaign, parameters=parameters)

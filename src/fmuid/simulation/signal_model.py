@@ -1,0 +1,117 @@
+"""A model between signals that are scaled, offset, late or limited: these effects are parameters of it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Protocol
+
+from fmu_build.suggest import suggestion
+from fmuid.core.errors import FmuError
+from fmuid.core.immutable import FloatArray
+from fmuid.simulation.signal_effects import NEUTRAL, disturbed_readings, disturbed_task, signal_and_property
+from fmuid.simulation.simulator import Simulator, Task, Variable, default_tolerance, takes_any_times
+
+_UNITS = {"gain": "1", "hardness": "1", "lag": "s", "delay": "s"}
+_IN_UNIT = ("offset", "saturation", "dead_zone")  # of the signal
+_COMMUTE = ("gain", "lag", "delay")  # with a differentiation of the signal
+
+
+class _Filed(Simulator, Protocol):
+    """A simulator that was loaded from a file."""
+
+    @property
+    def path(self) -> Path: ...
+
+    @property
+    def token(self) -> str: ...
+
+
+class SignalModel:
+    """A model whose signals are disturbed before they reach it, or after they leave it.
+
+    Parameters
+    ----------
+    simulator
+        The model.
+    names
+        What becomes a parameter: ``variable.property`` of an input or an output, see `signal_effects`.
+    differentiated
+        Outputs that will be differentiated.
+
+    Raises
+    ------
+    FmuError
+        One names no input or output of the model, or no property.
+    """
+
+    def __init__(
+        self, simulator: _Filed, names: tuple[str, ...], differentiated: Collection[str] = frozenset()
+    ) -> None:
+        self.simulator, self._names, self._differentiated = simulator, names, frozenset(differentiated)
+        self._of: dict[str, tuple[str, str]] = {}
+        added = {}
+        for name in names:
+            signal, prop = signal_and_property(name) or (name.rpartition(".")[0], "")
+            variable = simulator.variables.get(signal)
+            if not prop or variable is None or variable.causality not in ("input", "output"):
+                known = [n for n, v in simulator.variables.items() if v.causality in ("input", "output")]
+                asked = name.rpartition(".")[2]
+                fix = suggestion(asked, NEUTRAL) if signal in known else suggestion(signal, known)
+                raise FmuError(f"'{name}' is no effect of an input or output", where=simulator.path, fix=fix)
+            if signal in self._differentiated and prop not in _COMMUTE:
+                fix = "differentiate it in the model instead"
+                raise FmuError(f"'{signal}' is differentiated after its {prop}", where=simulator.path, fix=fix)
+            self._of[name] = signal, prop
+            unit = variable.unit if prop in _IN_UNIT else _UNITS.get(prop)
+            added[name] = Variable(name, "parameter", "fixed", unit, NEUTRAL.get(prop, 0.0))
+        self._variables = MappingProxyType({**simulator.variables, **added})
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return SignalModel, (self.simulator, self._names, self._differentiated)
+
+    @property
+    def variables(self) -> Mapping[str, Variable]:
+        """Those of the model, and the effects of its signals."""
+        return self._variables
+
+    @property
+    def path(self) -> Path:
+        """The model's file."""
+        return self.simulator.path
+
+    @property
+    def token(self) -> str:
+        """What tells it from others: the model's own token, and which effects its signals have."""
+        return f"{self.simulator.token} {self._names} {sorted(self._differentiated)}"
+
+    @property
+    def default_tolerance(self) -> float | None:
+        """The relative tolerance that the model is solved to if a task names none."""
+        return default_tolerance(self.simulator)
+
+    @property
+    def even_steps(self) -> bool:
+        """Whether the model takes communication steps of one size only."""
+        return not takes_any_times(self.simulator)
+
+    def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
+        """Return predictions, shape (len(task.outputs), N); see `fmuid.simulation.simulator.Simulator`."""
+        effects: dict[str, dict[str, float]] = {}
+        for name, value in {**task.start_values, **parameters}.items():
+            if name in self._of and value != self._variables[name].start:
+                signal, prop = self._of[name]
+                effects.setdefault(signal, {})[prop] = value
+        plain = {name: value for name, value in parameters.items() if name not in self._of}
+        if task.start_values.keys() & self._of.keys():
+            starts = {name: value for name, value in task.start_values.items() if name not in self._of}
+            task = replace(task, start_values=starts)
+        if not effects:
+            return self.simulator.simulate(task, plain)
+        disturbed = disturbed_task(task, effects, task.outputs, {}, any_times=takes_any_times(self.simulator))
+        inner = replace(task, time=disturbed.time, inputs={**task.inputs, **disturbed.inputs})
+        late = [name in self._differentiated for name in task.outputs]
+        shown = disturbed.readings(self.simulator.simulate(inner, plain), late)
+        return disturbed_readings(shown, task.outputs, effects, task.time, task.inputs)
