@@ -1,4 +1,4 @@
-"""The compiled part of fmuid; everything else is in pyproject.toml.
+"""The compiled parts of fmuid; everything else is in pyproject.toml.
 
 The stepper is plain C without Python's headers, loaded by ctypes: one build serves every version of Python.
 """
@@ -19,7 +19,14 @@ setup(
             extra_compile_args=["-std=c11", "-O2", "-ffp-contract=off"],
             export_symbols=[f"fmuid_{name}" for name in EXPORTED],
             py_limited_api=True,
-        )
+        ),
+        Extension(  # the FMU of `fmuid demo`
+            "fmuid.demo._drive",
+            ["src/fmuid/demo/drive.c"],
+            extra_compile_args=["-std=c11", "-O2", "-ffp-contract=off"],
+            export_symbols=["fmi2Instantiate"],
+            py_limited_api=True,
+        ),
     ],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},
 )

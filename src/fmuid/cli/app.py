@@ -11,7 +11,7 @@ from contextlib import suppress
 import typer
 
 from fmu_build.errors import UserError
-from fmuid.cli import building, cataloguing, checking, comparing, importing, simulating
+from fmuid.cli import building, cataloguing, checking, comparing, demonstrating, importing, simulating
 from fmuid.cli import identifying as identification
 from fmuid.cli.interruption import INTERRUPTED
 
@@ -25,6 +25,7 @@ app = typer.Typer(
     help="Identify the parameters of FMUs from measurement campaigns, and diagnose what the model misses.",
     epilog="Exit code: 0 done, 1 the answer is no, 2 bad input, 130 interrupted.",
 )
+app.command("demo")(demonstrating.demo)
 app.command("init")(importing.init)
 app.command("build")(building.build)
 app.command("check")(checking.check)
