@@ -25,6 +25,8 @@ _ABOUT_AS_MUCH = 1.5  # ratio of what two effects of the same shape move
 _SCORED = 8  # effects scored anew for that
 _SWAPS = 2  # effects tried in place of each
 _MOST = 3  # effects together
+_SHAPE = 0.1  # of the gap (a hundredth of its energy): what a further law there explains is the shape of the first
+_SAME_PLACE = 0.95  # correlation of one law's signatures at two ports that count as one
 _ALIKE = 0.9  # correlation of signatures above which a further effect is taken for another shape of the first
 
 
@@ -61,7 +63,13 @@ def search(
     signatures = _signatures(subject, nominal, candidates, scores)
     while present and len(best.effects) <= _MOST and best.gap > decide.GAP_THAT_MATTERS:
         say(f"what is missing beside {best.id}", 0.5 + 0.1 * len(best.names))
-        company = [_as_shape(best, c, signatures) for c in _company(subject, best, scores, noise)]
+        known = best.gap < _SHAPE * nominal.gap
+        company = [
+            replace(c, names=best.names)
+            if _shaped(best, c, signatures) is not None or (known and _same_place(subject, c, signatures))
+            else c
+            for c in _company(subject, best, scores, noise)
+        ]
         company = [c for c in company if len(c.names) <= _MOST]
         if not company:
             break
@@ -121,9 +129,23 @@ def _shaped(before: Fitted, after: Fitted, signatures: Sequence[Mapping[str, Flo
     return name if name is not None and alike[name] > _ALIKE else None
 
 
-def _as_shape(before: Fitted, after: Fitted, signatures: Sequence[Mapping[str, FloatArray]]) -> Fitted:
-    """Name the new effect only if it acts like none before: else the law has another shape, not a second cause."""
-    return after if _shaped(before, after, signatures) is None else replace(after, names=before.names)
+def _same_place(subject: Subject, after: Fitted, signatures: Sequence[Mapping[str, FloatArray]]) -> bool:
+    """Return whether the effect that is new in `after` acts where one before it does.
+
+    That is at its port, or at one that no law that both have tells from it.
+    """
+    ports = {e.id: e.port for e in subject.effects}
+    new, before = ports[after.effects[-1]], {ports[name] for name in after.effects[:-1]}
+    if new in before:
+        return True
+    tried = signatures[0]
+    at = {(id.partition("@")[0], ports[id]): s for id, s in tried.items() if "@" in id}
+    return any(
+        similarity(own, at[law, old]) > _SAME_PLACE
+        for (law, port), own in at.items()
+        for old in before
+        if port == new and (law, old) in at
+    )
 
 
 def _renamed(subject: Subject, better: Fitted, first: str, company: list[Fitted]) -> tuple[Fitted, list[Fitted]]:
