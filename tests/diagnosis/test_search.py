@@ -81,11 +81,11 @@ def test_a_known_effect_beside_an_unknown_one_is_a_part_of_the_answer():
 
 def test_what_a_further_law_at_the_same_place_adds_to_a_nearly_closed_gap_is_the_shape_of_the_first():
     """Where it acts elsewhere, it is a second cause, however small beside the first."""
-    laws = {"first@a": {1: 1.0}, "second@a": {2: 1.0}}
+    laws = {"first": {1: 1.0}, "second": {2: 1.0}}
     truth = {1: 3.0, 2: 0.1}
     for ports, named in (
-        ({"first@a": "a", "second@a": "a"}, {"first@a"}),
-        ({"first@a": "a", "second@a": "b"}, {"first@a", "second@a"}),
+        ({"first": "a", "second": "a"}, {"first"}),
+        ({"first": "a", "second": "b"}, {"first", "second"}),
     ):
         verdict = diagnose_subject(heard(laws, truth, ports=ports)).diagnosis.verdict
         assert (verdict.kind, set(verdict.effects)) == ("effect", named)
