@@ -28,7 +28,7 @@ def _simulate(factors: Mapping[str, float], effect: Mapping[str, float], time: F
         return [(i - e["leak"] * v) / c, (volts - drop - r * i - v) / inductance, 0.0]
 
     x = integrate(slope, [0.0, 0.0, 0.0], time, delayed(time, drive, e["delay"]), steps=20)
-    return np.stack([x[0] + e["share"] * x[1], x[1] + e["offset"]])
+    return np.stack([x[0] + e["share"] * u, x[1] + e["offset"]])
 
 
 _TIME = np.arange(0.0, 0.02, 2e-5)
@@ -48,7 +48,7 @@ CIRCUIT = Rig(
         "leakage@capacitor": {"leak": 1e-3},
         "saturation@u": {"limit": 4.0},
         "delay@u": {"delay": 4e-5},
-        "crosstalk@v": {"share": 1.5},
+        "crosstalk@v": {"share": 0.02},
         "capacity@resistor.n": {"stray": 4e-7},
         "voltage_drop@source": {"drop": 0.3},
     },
