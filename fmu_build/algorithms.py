@@ -63,6 +63,9 @@ class _Section:
     def initial(self) -> SX:
         return self._scope.initial()
 
+    def starting(self) -> SX:
+        return self._scope.starting()
+
 
 def run(scope: ModelScope, section: Algorithm, initial: bool) -> list[Equation]:
     """Execute a section; one equation for each scalar that it assigns.

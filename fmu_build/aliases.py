@@ -49,6 +49,29 @@ class Aliases:
     equations: list[Equation]
 
 
+@dataclass(frozen=True)
+class Start:
+    """Start value of a symbol: an expression of parameters, and whether it is fixed or given at all."""
+
+    value: SX
+    fixed: bool
+    given: bool
+
+
+def start_of(scope: ModelScope, aliases: Aliases, symbol: SX) -> Start:
+    """Start value of a continuous symbol: of its alias group's fixed member, or else of the first with a start."""
+    group = aliases.groups.get(key(symbol))
+    if group is None:
+        return Start(SX(0.0), False, False)
+    fixed = [(d, s) for d, s in group.members if d.fixed]
+    given = [(d, s) for d, s in group.members if d.has_start]
+    first = [m for m in group.members if m[0] is group.representative and m[0].has_start]
+    for declared, sign in [*fixed, *first, *given]:
+        value = scope.start_of(declared)
+        return Start(sign * value, bool(fixed), declared.has_start)
+    return Start(SX(0.0), False, False)
+
+
 def eliminate(scope: ModelScope, equations: list[Equation]) -> Aliases:
     """Find and use up the equations ``a = b`` and ``a = -b`` between continuous variables and inputs.
 

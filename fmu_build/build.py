@@ -10,7 +10,7 @@ import re
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
@@ -26,14 +26,15 @@ def build(
     file: Path | str,
     class_name: str,
     out: Path | str,
+    *,
     fmi: str = "2",
     compiler: str = "own",
     roots: Sequence[Path | str] = (),
 ) -> Path:
     """Build the FMU of a Modelica class.
 
-    An FMU that is already there is kept if nothing it depends on has changed: the Modelica sources, this package,
-    the version of CasADi, and the options.
+    An FMU that is already there is kept if nothing it depends on has changed: the Modelica files that were read
+    and the names of those beside them, this package, the version of CasADi, and the options.
 
     Parameters
     ----------
@@ -73,8 +74,8 @@ def build(
         check_tools()
     target = out / f"{class_name.rpartition('.')[2]}.fmu"
     stamp = target.with_suffix(".stamp")
-    state = _state(file, class_name, folders, fmi, compiler)
-    if target.is_file() and stamp.is_file() and stamp.read_text() == f"{state} {_digest(target)}":
+    options = _options(class_name, fmi, compiler, file, folders)
+    if _is_current(stamp, target, options):
         return target
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -82,19 +83,25 @@ def build(
         what = f"cannot be a folder ({error.strerror or error})"
         raise BuildError(what, where=out, fix="name a folder that can be written") from None
     if compiler == "own":
-        from fmu_build.compiler import compile_modelica
+        from fmu_build.compiler import compile_flat
+        from fmu_build.front.flatten import load
         from fmu_build.packaging import package
 
-        model = compile_modelica(file, class_name, folders)
+        flat = load(file, class_name, folders)
+        read = flat.files
+        model = compile_flat(flat)
         for warning in model.warnings:
             logging.getLogger(__name__).warning("%s: %s", class_name, warning)
         built = package(model, target, fmi=2 if fmi == "2" else 3)
     elif compiler == "omc":
+        read = source_files(file, folders)
         built = _openmodelica(file, class_name, target, fmi, folders)
     else:
         raise BuildError(f"no Modelica compiler {compiler!r}", fix="choose own or omc")
     partial = stamp.with_name(f".{stamp.name}.{os.getpid()}")
-    partial.write_text(f"{state} {_digest(built)}")
+    record = {"options": options, "fmu": _digest(built), "files": {str(p.resolve()): _digest(p) for p in read}}
+    record["beside"] = _beside(record["files"], folders)
+    partial.write_text(json.dumps(record))
     partial.replace(stamp)
     return built
 
@@ -113,14 +120,43 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _state(file: Path, class_name: str, roots: Sequence[Path], fmi: str, compiler: str) -> str:
-    """Digest of everything the FMU depends on."""
+def _options(class_name: str, fmi: str, compiler: str, file: Path, roots: Sequence[Path]) -> str:
+    """Digest of what the FMU depends on beside the Modelica sources."""
     own = Path(__file__).parent
-    tools = sorted(p for p in own.rglob("*") if p.suffix in (".py", ".c", ".h", ".jinja"))
-    paths = [*source_files(file, roots), *tools]
+    tools = sorted(p for p in own.rglob("*") if p.suffix in (".py", ".c", ".h", ".mo"))
     versions = [metadata.version(name) for name in _TOOLS] if compiler == "own" else []
-    what = [class_name, fmi, compiler, os.environ.get("CC", ""), versions, [_digest(p) for p in paths]]
+    places = [str(p.resolve()) for p in (file, *roots)]
+    what = [class_name, fmi, compiler, os.environ.get("CC", ""), versions, places, [_digest(p) for p in tools]]
     return hashlib.sha256(json.dumps(what).encode()).hexdigest()
+
+
+def _is_current(stamp: Path, target: Path, options: str) -> bool:
+    """Whether the FMU is the one that was made, and from what is there now."""
+    if not (target.is_file() and stamp.is_file()):
+        return False
+    try:
+        record = json.loads(stamp.read_text())
+        files, beside = record["files"], record["beside"]
+        return (
+            record["options"] == options
+            and record["fmu"] == _digest(target)
+            and all(Path(p).is_file() and _digest(Path(p)) == digest for p, digest in files.items())
+            and all(_names(Path(folder)) == names for folder, names in beside.items())
+        )
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return False
+
+
+def _beside(files: Iterable[str], roots: Sequence[Path]) -> dict[str, list[str]]:
+    """List sources and packages in the folders that were looked into: a new one may be what a name means."""
+    folders = {*(Path(p).parent for p in files), *(r.resolve() for r in roots)}
+    return {str(folder): _names(folder) for folder in sorted(folders)}
+
+
+def _names(folder: Path) -> list[str]:
+    if not folder.is_dir():
+        return []
+    return sorted(p.name for p in folder.iterdir() if p.suffix == ".mo" or (p / "package.mo").is_file())
 
 
 def _openmodelica(file: Path, class_name: str, target: Path, fmi: str, roots: Sequence[Path]) -> Path:

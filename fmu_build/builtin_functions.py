@@ -190,7 +190,7 @@ NAMED: dict[str, list[str]] = {
     "homotopy": ["actual", "simplified"],
     "smooth": ["p", "expr"],
     "sample": ["start", "interval"],
-    "String": ["value", "significantDigits", "minimumLength", "leftJustified"],
+    "String": ["value", "significantDigits", "minimumLength", "leftJustified", "format"],
     "semiLinear": ["x", "positiveSlope", "negativeSlope"],
     "fill": ["s"],
     "linspace": ["x1", "x2", "n"],

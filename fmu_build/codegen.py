@@ -58,6 +58,8 @@ class Expressions:
     terminate: SX
     reinit: SX
     asserts: list[SX]
+    shown: list[SX]
+    """Values in the messages of the assertions."""
     outputs: Sequence[bool]
     """Which of v are outputs of the model."""
 
@@ -165,6 +167,7 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
         [column(e.z_new), column(e.x_new), e.next_event, e.terminate, e.reinit],
     )
     add("asserts", environment, [column(e.asserts)])
+    add("messages", environment, [column(e.shown)])
     return out
 
 
@@ -176,10 +179,12 @@ class Header:
     ----------
     sizes
         Lengths of the vectors and flags, by what follows ``MODEL_``.
-    inclusive
-        Of each relation.
+    inclusive, groups
+        Of each relation; those of one group depend on each other.
     asserts
         Text and whether it is only a warning.
+    shown
+        Where the values in the text of each assertion begin, and how many there are in all.
     slopes
         Row and column of the entries by scalars and by elements (see `parameter_slopes`).
     outputs
@@ -190,7 +195,9 @@ class Header:
     x_nominal: Sequence[float]
     y_nominal: Sequence[float]
     inclusive: Sequence[bool]
+    groups: Sequence[int]
     asserts: Sequence[tuple[str, bool]]
+    shown: Sequence[int]
     slopes: tuple[Sequence[tuple[int, int]], Sequence[tuple[int, int]]]
     outputs: Sequence[bool]
 
@@ -204,6 +211,7 @@ RARE = frozenset(
         "initial",
         "update",
         "asserts",
+        "messages",
         "variable_partials",
         "dependent_partials",
         "start_partials",
@@ -241,10 +249,13 @@ def c_files(functions: Functions, header: Header) -> Files:
         f"static const double MODEL_X_NOMINAL[] = {{{_numbers(header.x_nominal)}}};",
         f"static const double MODEL_Y_NOMINAL[] = {{{_numbers(header.y_nominal)}}};",
         f"static const int MODEL_INCLUSIVE[] = {{{_integers(header.inclusive)}}};",
+        f"static const int MODEL_GROUP[] = {{{_integers(header.groups)}}};",
         f"static const int MODEL_ASSERT_WARNING[] = {{{_integers(w for _, w in header.asserts)}}};",
         "static const char* const MODEL_ASSERT_MESSAGE[] = {"
         + (", ".join(_string(text) for text, _ in header.asserts) or '""')
         + "};",
+        f"#define MODEL_NSHOWN {header.shown[-1]}",
+        f"static const int MODEL_SHOWN[] = {{{_integers(header.shown)}}};",
         f"static const int MODEL_OUTPUT[] = {{{_integers(header.outputs)}}};",
         f"#define MODEL_NSLOPE {len(by_scalar)}",
         f"#define MODEL_NELEMENT {len(by_element)}",
@@ -290,7 +301,13 @@ def _integers(values: Iterable[int]) -> str:
 
 
 def _string(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("\r", "")
+    escaped = (
+        text.replace("\\", "\\\\")
+        .replace("\001", "\\001")
+        .replace('"', '\\"')
+        .replace("\n", "\\n")
+        .replace("\r", "")
+    )
     return '"' + escaped.replace("?", "\\?") + '"'
 
 

@@ -5,16 +5,19 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import accumulate
 from pathlib import Path
 from types import MappingProxyType
+from typing import Literal as Choice
 
-from fmu_build import algebra, algorithms, codegen, events, start, unit_check
+from fmu_build import algebra, algorithms, codegen, events, messages, start, unit_check
 from fmu_build.equations import Assertion, Equations, collect
 from fmu_build.flat_model import FlatModel
 from fmu_build.front.flatten import load
 from fmu_build.graph import SX, Graph, Substitution, key
 from fmu_build.interface import describe
 from fmu_build.invariants import state_derivatives
+from fmu_build.loops import SwitchedLoopError
 from fmu_build.model import CompiledModel
 from fmu_build.scope import ModelScope
 from fmu_build.syntax import Assign, Call, Literal, Part, Reference, WhenStatement, references
@@ -45,10 +48,14 @@ def compile_flat(flat: FlatModel) -> CompiledModel:
     """Translate a flattened class (see `compile_modelica`)."""
     structural: set[str] = set()
     promoted: set[str] = set()
+    events_in_smooth: Choice["", "some", "all"] = ""
     while True:
         scope = ModelScope(flat, Graph(), structural)
+        scope.evaluate.events_in_smooth = events_in_smooth
         try:
             return _translate(flat, scope)
+        except SwitchedLoopError:
+            events_in_smooth = "all" if events_in_smooth else "some"
         except _Unsolved as error:
             # Parameters that the initial equations determine along with the states become constant states.
             if not error.names - promoted:
@@ -204,6 +211,7 @@ def _generate(
         terminate=happenings.terminate,
         reinit=happenings.reinit,
         asserts=continuous(asserts),
+        shown=continuous([system.rewrite(v) for a in equations.asserts for v in messages.values(a.message)]),
         outputs=outputs,
     )
     functions = codegen.make_functions(scope.graph, ports, expressions)
@@ -213,7 +221,8 @@ def _generate(
         "NM": len(ports.m), "NY": len(ports.y), "NV": len(interface.evaluated), "NASSERT": len(asserts),
         "HAS_EVENTS": int(has_events), "HAS_INITIAL": int(not conditions.explicit),
     }  # fmt: skip
-    messages = [(f"{a.at}: {a.message}", a.warning) for a in equations.asserts]
+    texts = [(f"{a.at}: {messages.text(a.message)}", a.warning) for a in equations.asserts]
+    firsts = list(accumulate((len(messages.values(a.message)) for a in equations.asserts), initial=0))
     files = codegen.c_files(
         functions,
         codegen.Header(
@@ -221,7 +230,9 @@ def _generate(
             interface.x_nominal,
             interface.y_nominal,
             [r.inclusive for r in scope.relations],
-            messages,
+            events.relation_groups(system, happenings),
+            texts,
+            firsts,
             codegen.slope_places(scope.graph, ports, expressions),
             outputs,
         ),

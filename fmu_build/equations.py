@@ -8,8 +8,8 @@ from fmu_build import algebra
 from fmu_build.algebra import Array, Scalar, Value
 from fmu_build.flat_model import Equation as Flat
 from fmu_build.flat_model import Variable
-from fmu_build.functions import message_text
 from fmu_build.graph import SX, key
+from fmu_build.messages import Message, message
 from fmu_build.scope import ModelScope
 from fmu_build.syntax import (
     Assert,
@@ -59,7 +59,7 @@ class Assertion:
     """``assert(condition, message)``; a warning goes on."""
 
     condition: SX
-    message: str
+    message: Message
     warning: bool
     at: Place
 
@@ -216,7 +216,8 @@ def _pairs(scope: ModelScope, left: Value, right: Value, at: Place) -> list[tupl
 def _assertion(scope: ModelScope, node: Assert) -> Assertion:
     with scope.evaluate.no_event():
         condition = algebra.sx(scope.evaluate.scalar(node.condition))
-    return Assertion(condition, message_text(scope.evaluate, node.message), node.warning, node.at)
+        text = message(scope.evaluate, node.message, scope.declarations)
+    return Assertion(condition, text, node.warning, node.at)
 
 
 def _branch(scope: ModelScope, test: Expression, statements: tuple[Statement, ...], at: Place) -> Branch:

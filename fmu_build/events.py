@@ -60,6 +60,9 @@ def collect(system: System, equations: Equations, explicit: Explicit) -> Events:
     clauses = _Clauses(system, equations)
     for chain in equations.whens:
         values |= clauses.chain(chain, values)
+    if explicit.previous:
+        at_start = Substitution(explicit.previous)
+        values = {k: at_start(value) for k, value in values.items()}
     for k, value in explicit.values.items():
         if k in values:
             values[k] = if_else(scope.init, value, values[k])
@@ -134,6 +137,19 @@ class _Clauses:
                 )  # fmt: skip
             self.states[key(symbol)] = if_else(fires, sign * value, self.states[key(symbol)])
             self.reinit = ca.logic_or(self.reinit, fires)
+
+
+def relation_groups(system: System, happenings: Events) -> list[int]:
+    """Give each relation a number that it shares with those on which it depends and which depend on it."""
+    graph, relations = system.scope.graph, system.scope.relations
+    nodes = [r.symbol for r in relations] + [d.symbol for d in happenings.discrete] + system.solution.iterates
+    place = {key(symbol): i for i, symbol in enumerate(nodes)}
+    residuals = SX.zeros(1) if not system.solution.residuals else sum(map(abs, system.solution.residuals), SX(0.0))
+    values = [system.rewrite(r.difference) for r in relations] + [d.value for d in happenings.discrete]
+    values += [residuals] * len(system.solution.iterates)
+    needs = [sorted(place[k] for k in graph.symbols(value) if k in place) for value in values]
+    number = {i: n for n, component in enumerate(components(needs)) for i in component}
+    return [number[i] for i in range(len(relations))]
 
 
 def _definitions(scope: ModelScope, equations: list[Equation]) -> dict[int, SX]:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import product
 from typing import Any, Protocol
+from typing import Literal as Literals
 
 import casadi as ca
 
@@ -79,6 +80,9 @@ class Scope(Protocol):
     def initial(self) -> SX:
         """Truth of ``initial()``."""
 
+    def starting(self) -> SX:
+        """Truth of: the simplified model holds, before the initialisation."""
+
 
 class Evaluator:
     """Evaluates expression trees in a scope.
@@ -91,9 +95,19 @@ class Evaluator:
         Meaning of names.
     call
         Evaluates a function by its name with positional arguments (``functions.Functions``).
+
+    Attributes
+    ----------
+    events_in_smooth
+        Which relations in ``smooth(0, ...)``, which has kinks but no jumps, are events: none, those outside
+        noEvent ("some") or all.
+    smoothed
+        Whether there was such a call.
     """
 
     def __init__(self, context: Context, scope: Scope, call: Callable[[str, list[Value]], Value]) -> None:
+        self.events_in_smooth: Literals["", "some", "all"] = ""
+        self.smoothed = self._inside_smooth = False
         self.context = context
         self.scope = scope
         self._call = call
@@ -376,11 +390,18 @@ class Evaluator:
 
     def _builtin(self, name: str, nodes: tuple[Expression | None, ...]) -> Value:
         given = [n for n in nodes if n is not None]
+        if name == "smooth" and not self._no_event and self(given[0]) == 0:
+            return self._smooth(given[1])
         if name in ("noEvent", "smooth"):
+            if name == "noEvent" and self._inside_smooth and self.events_in_smooth == "all":
+                return self(given[0])
             with self.no_event():
                 return self(given[-1])
         if name == "homotopy":
-            return self(given[0])
+            actual = self(given[0])
+            if not self.events_in_smooth:
+                return actual
+            return algebra.choose(self.scope.starting(), self(given[1]), actual)
         if name == "size":
             array = self(given[0])
             shape = array.shape if isinstance(array, Array) else ()
@@ -395,6 +416,17 @@ class Evaluator:
         if name in STEPS:
             return algebra.elementwise(lambda *a: self._step(name, *a), *arguments)
         return BUILTIN[name](self, *arguments)
+
+    def _smooth(self, node: Expression) -> Value:
+        self.smoothed = True
+        if not self.events_in_smooth:
+            with self.no_event():
+                return self(node)
+        before, self._inside_smooth = self._inside_smooth, True
+        try:
+            return self(node)
+        finally:
+            self._inside_smooth = before
 
     def _with_previous(self, name: str, node: Expression) -> Value:
         """``pre``, ``edge`` and ``change``: an algorithm's own variable counts as it is outside."""

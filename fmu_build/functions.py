@@ -20,17 +20,15 @@ from fmu_build.errors import ModelicaError
 from fmu_build.expressions import Evaluator, Scope
 from fmu_build.flat_model import Formal, Function
 from fmu_build.graph import SX
+from fmu_build.messages import Message, message
 from fmu_build.syntax import (
     Assert,
     Assign,
     AssignMany,
-    Binary,
     Break,
-    Call,
     Expression,
     ForStatement,
     IfStatement,
-    Literal,
     Part,
     Place,
     Reference,
@@ -88,6 +86,9 @@ class _Frame:
     def initial(self) -> SX:
         raise ValueError("initial() in a function")
 
+    def starting(self) -> SX:
+        raise ValueError("homotopy() in a function")
+
 
 class Functions:
     """The functions of a model; calling it evaluates a call with evaluated arguments.
@@ -104,7 +105,7 @@ class Functions:
         self._library = library
         self._depth = 0
         self.guards: list[SX] = []
-        self.asserts: list[tuple[SX, str, bool, Place]] = []
+        self.asserts: list[tuple[SX, Message, bool, Place]] = []
 
     def __call__(self, name: str, arguments: Sequence[Value]) -> Value:
         """Return the result (a tuple if the function has several outputs) of a call."""
@@ -371,14 +372,14 @@ class Body:
             if condition:
                 return
             if not guards:
-                message = self._evaluate(statement.message)
+                said = self._evaluate(statement.message)
                 if statement.warning:
                     return
-                raise self._library.error(f"assertion in function '{self._frame.name}': {message}", statement.at)
+                raise self._library.error(f"assertion in function '{self._frame.name}': {said}", statement.at)
         holds = algebra.sx(condition)
         for guard in guards:
             holds = ca.logic_or(ca.logic_not(guard), holds)
-        text = message_text(self._evaluate, statement.message)
+        text = message(self._evaluate, statement.message)
         self._functions.asserts.append((holds, text, statement.warning, statement.at))
 
     def _assign(self, target: Reference, value: Value) -> None:
@@ -418,26 +419,6 @@ def _endless(condition: SX, at: Place) -> algebra.UnknownSizeError:
     )
     error.span = at
     return error
-
-
-def message_text(evaluate: Evaluator, node: Expression) -> str:
-    """Text of a message; a value that is only known at run time shows as its name."""
-    if isinstance(node, Binary) and node.operator == "+":
-        return message_text(evaluate, node.left) + message_text(evaluate, node.right)
-    if isinstance(node, Literal):
-        return str(node.value)
-    inner: Expression = node
-    if isinstance(node, Call) and node.function == "String" and node.arguments[0] is not None:
-        inner = node.arguments[0]
-    try:
-        value = evaluate(inner)
-    except (ModelicaError, algebra.UnknownSizeError):
-        value = SX.sym("unknown")
-    if isinstance(value, SX) or not isinstance(value, bool | int | float | str):
-        return inner.name if isinstance(inner, Reference) else "(expression)"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _replace(array: Array, index: list[list[int] | int | SX], value: Value) -> Array:

@@ -109,7 +109,7 @@ class Graph:
                 return parts[0]
             return frozenset().union(*parts)
 
-        return _fold(node, self._symbols, visit)
+        return fold(node, self._symbols, visit)
 
     def stepped(self, node: SX) -> frozenset[int]:
         """Keys of the symbols inside conditions and step functions, where a gradient does not show them."""
@@ -124,7 +124,7 @@ class Graph:
                 return self.symbols(n.dep(0)) | parts[1]
             return frozenset().union(*parts)
 
-        return _fold(node, self._stepped, visit)
+        return fold(node, self._stepped, visit)
 
     def same(self, node: SX) -> int:
         """Give a number that two expressions of the same structure share."""
@@ -139,7 +139,7 @@ class Graph:
                 what = (int(n.op()), *parts)
             return self._structure.setdefault(what, len(self._structure))
 
-        return _fold(node, self._structure_of, visit)
+        return fold(node, self._structure_of, visit)
 
     def gradient(self, node: SX) -> Gradient:
         """Exact partial derivatives of a scalar expression by every symbol it depends on."""
@@ -151,7 +151,7 @@ class Graph:
                 return {}
             return _chain(n, parts)
 
-        return _fold(node, self._gradients, visit)
+        return fold(node, self._gradients, visit)
 
     def directional(self, node: SX, seeds: Mapping[int, SX]) -> SX:
         """Exact derivative of a scalar expression along seeds of its symbols; others are held.
@@ -165,10 +165,10 @@ class Graph:
                 return {0: seeds[key(n)]} if key(n) in seeds else {}
             return _chain(n, parts) if any(parts) else {}
 
-        return _fold(node, memory, visit).get(0, SX(0.0))
+        return fold(node, memory, visit).get(0, SX(0.0))
 
 
-def _fold(root: SX, memory: dict[int, tuple[SX, T]], visit: Callable[[SX, list[T]], T]) -> T:
+def fold(root: SX, memory: dict[int, tuple[SX, T]], visit: Callable[[SX, list[T]], T]) -> T:
     """Post-order walk without recursion; the memory keeps the nodes alive so that keys stay unique."""
     found = memory.get(key(root))
     if found is not None:
@@ -254,7 +254,7 @@ class Substitution:
                 return n
             return _rebuild(n, parts)
 
-        return _fold(expression, self._done, visit)
+        return fold(expression, self._done, visit)
 
 
 def _rebuild(node: SX, parts: list[SX]) -> SX:

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from fmu_build import algebra
+from fmu_build.aliases import Start, start_of
 from fmu_build.events import Events
 from fmu_build.graph import SX, is_number, key
 from fmu_build.model import Causality, DependencyKind, Initial, Location, Unit, Variable
-from fmu_build.start import InitialConditions, Start, start_of
+from fmu_build.start import InitialConditions
 from fmu_build.system import System
 from fmu_build.unit_strings import make_unit
 from fmu_build.variables import Declared

@@ -66,6 +66,8 @@ indicators          ENV                            g (nm): relation i is true if
                                                    ``MODEL_INCLUSIVE[i]`` is 1)
 update              ENV, init (1)                  z (nz), x (nx), next_event (1), terminate (1), reinit (1)
 asserts             ENV                            a (MODEL_NASSERT): assertion i holds iff a_i is not 0
+messages            ENV                            values that the messages show (MODEL_NSHOWN); those of assertion i begin
+                                                   at ``MODEL_SHOWN[i]``
 ==================  =============================  =====================================================================
 
 Events (only if MODEL_HAS_EVENTS is 1). During integration m, z and pz = z are frozen; the indicators are watched, and
@@ -88,6 +90,9 @@ The plain fixed point of the inner loop can alternate for ever between two wrong
 it would move backward; backward: it would move forward) while the stuck mode between them is consistent. So from the
 11th round on m takes fewer changes a round: the relations that turn false do; only where none turns false, the first
 one that turns true does. (With all relations of its mode false, an element in the manner of BearingFriction is stuck.)
+Where that does not settle either, a mode of a system with several solutions has ceased to exist (a Schmitt trigger jumps):
+the runtime then tries the combinations of the relations that changed and of those in the same ``MODEL_GROUP[]``, those
+with the fewest changes first, for one that is consistent.
 
 ``update`` decides every when-clause by ``condition and not pre(condition)``, the pre-value being an internal entry of z,
 so that calling it again with pz = z fires nothing. At initialisation: z = pz = start, m = truth of indicators with m =
@@ -97,7 +102,7 @@ so that calling it again with pz = z fires nothing. At initialisation: z = pz = 
 
 ``model.h`` also has ``MODEL_HAS_EVENTS``, ``MODEL_HAS_INITIAL``, ``static const double MODEL_X_NOMINAL[]``,
 ``MODEL_Y_NOMINAL[]``, ``static const int MODEL_INCLUSIVE[]``, ``MODEL_SLOPE_ROW[]``, ``MODEL_SLOPE_COLUMN[]``, ``MODEL_OUTPUT[]``, ``static const char* const MODEL_ASSERT_MESSAGE[]`` (text
-and source line), ``static const int MODEL_ASSERT_WARNING[]`` (1: warn and go on), each with at least one entry.
+and source line; a value is the form between two characters 1, see ``fmu_build/messages.py``), ``static const int MODEL_ASSERT_WARNING[]`` (1: warn and go on), each with at least one entry.
 """
 
 from __future__ import annotations

@@ -27,10 +27,17 @@ DEFAULT_TOLERANCE = 1e-6
 # Contraction into fused operations would make results depend on the processor the compiler had in mind.
 # Loops over a handful of states: unrolling is worth a fifth of the time, vectors of two cost more than they save.
 C_FLAGS = ("-std=c99", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
+# What a simulation seldom calls is not worth the compiler's time. Equations, which are straight code, gain hardly
+# anything from the second level, which takes twice the time.
 _FAST = ("-O2", "-funroll-loops", "-fno-tree-vectorize")
+_STRAIGHT = ("-O1", "-fgcse", "-fexpensive-optimizations")
 _PLAIN = ("-O1",)
-# Where a simulation spends its time; the rest is not worth the compiler's.
-_HOT = {"model.c", "switches.c", "equations.c", "integrator.c", "linear.c", "sensitivity.c", "kinks.c", "events.c"}
+_SELDOM = ("-O0",)
+_LEVELS = (
+    (_FAST, {"equations.c", "integrator.c", "sensitivity.c"}),
+    (_STRAIGHT, {"model.c", "switches.c"}),
+    (_SELDOM, {"model_rare.c", "initialise.c", "lifecycle.c", "starts.c", "event_sensitivity.c"}),
+)
 _SHARED = (
     "equations.c",
     "event_sensitivity.c",
@@ -82,7 +89,7 @@ def package(model: CompiledModel, out: Path | str, *, fmi: FmiVersion = 2) -> Pa
         model = replace(model, variables=(*model.variables, time))
     compiler = _compiler()
     files = _sources(model, fmi)
-    key = _digest(files, " ".join((*compiler, *C_FLAGS, *_FAST, *_PLAIN)), _version(compiler)).encode()
+    key = _digest(files, " ".join((*compiler, *C_FLAGS, repr(_LEVELS))), _version(compiler)).encode()
     if _comment(out) == key:
         return out
     sources = [name for name in files if name.endswith(".c")]
@@ -239,19 +246,24 @@ def _compile(model: CompiledModel, files: dict[str, str], compiler: tuple[str, .
         for file, text in files.items():
             (folder / file).write_text(text)
         sources = [file for file in files if file.endswith(".c")]
-        hot = [file for file in sources if file in _HOT]
+        by_level: dict[tuple[str, ...], list[str]] = {}
+        for file in sources:
+            by_level.setdefault(_level(file, files["model.h"]), []).append(file)
         # Relative names only: nothing of this machine enters the binary.
-        _run_together(
-            folder,
-            model.class_name,
-            [*compiler, *C_FLAGS, *_FAST, "-c", *hot],
-            [*compiler, *C_FLAGS, *_PLAIN, "-c", *(file for file in sources if file not in _HOT)],
-        )
+        commands = [[*compiler, *C_FLAGS, *flags, "-c", *own] for flags, own in by_level.items()]
+        _run_together(folder, model.class_name, *commands)
         objects = [file.removesuffix(".c") + ".o" for file in sources]
         _run_together(
             folder, model.class_name, [*compiler, *C_FLAGS, "-shared", "-o", "model.so", *objects, "-lm"]
         )
         return (folder / "model.so").read_bytes()
+
+
+def _level(file: str, header: str) -> tuple[str, ...]:
+    """Optimisation for a source file; sparse matrices alone make the solver of linear systems worth any."""
+    if file == "linear.c" and "_DENSE 0" in header:
+        return _FAST
+    return next((flags for flags, own in _LEVELS if file in own), _PLAIN)
 
 
 def _run_together(folder: Path, class_name: str, *commands: list[str]) -> None:

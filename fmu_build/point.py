@@ -41,6 +41,15 @@ class Point:
         """Return values a little off the start, where no coefficient vanishes by chance."""
         return self._evaluate(expressions, {}, _OFF)
 
+    def pieces(self, expressions: list[SX], switches: list[SX], values: Any) -> np.ndarray[Any, Any]:
+        """Return values at the generic point for each row of values of some symbols, shape (rows, expressions)."""
+        known = {key(s) for s in switches}
+        whole = ca.vertcat(*expressions)
+        others = [s for s in ca.symvar(whole) if key(s) not in known]
+        numbers = [self._value(s, _OFF * math.sin(1.0 + i)) for i, s in enumerate(others)]
+        function = ca.Function("f", [ca.vertcat(*switches), ca.vertcat(*others) if others else SX(0, 1)], [whole])
+        return np.array([np.asarray(function(np.array(row), np.array(numbers))).ravel() for row in values])
+
     def at_start(self, expressions: list[SX], states: Mapping[int, SX]) -> np.ndarray[Any, Any]:
         """Return values at the start values, and at given values (expressions of parameters) of states."""
         known = {k: float(self._evaluate([v], {}, 0.0)[0]) for k, v in states.items()}
@@ -60,6 +69,8 @@ class Point:
         if k in self._number:
             return self._number[k]
         declared = self._scope.declared(symbol)
+        if self._scope.is_starting({k}):
+            return 0.0
         if declared is None or declared.kind in ("parameter", "constant"):
             return off
         start = self._scope.start_of(declared)

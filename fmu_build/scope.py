@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,6 +57,7 @@ class ModelScope:
         self.left_limits: dict[int, SX] = {}  # continuous variables that pre() is applied to
         self._relation_of: dict[tuple[int, bool], SX] = {}
         self._step_of: dict[int, SX] = {}
+        self._starting: SX | None = None
         self._derivative: dict[int, SX] = {}
         self.integral: dict[int, SX] = {}  # derivative symbol -> what it is the derivative of
         self._previous: dict[int, SX] = {}
@@ -246,6 +247,16 @@ class ModelScope:
     def initial(self) -> SX:
         """Truth of ``initial()``."""
         return self.init
+
+    def starting(self) -> SX:
+        """Truth of: start values and simplified equations hold, which the initialisation begins with."""
+        if self._starting is None:
+            self._starting = self.hold("starting", SX(0.0), SX(1.0)).symbol
+        return self._starting
+
+    def is_starting(self, symbols: Set[int]) -> bool:
+        """Whether simplified equations are among those with these symbols."""
+        return self._starting is not None and key(self._starting) in symbols
 
     def hold(self, name: str, value: SX, start: SX) -> Held:
         """Make an internal discrete variable."""

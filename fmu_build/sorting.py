@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import casadi as ca
 
 from fmu_build.equations import Equation
-from fmu_build.graph import SX, Gradient, Graph, Substitution, is_number, key
+from fmu_build.graph import SX, Gradient, Graph, Substitution, if_else, is_number, key
 from fmu_build.index_reduction import Reduced
+from fmu_build.loops import Loop, signs
 from fmu_build.matching import augment, components
+from fmu_build.point import Point
 from fmu_build.scope import ModelScope
+from fmu_build.syntax import Place
 
 _MOST_CRAMER = 3
 MOST_SYMBOLIC = 8  # larger linear remainders are left to the numeric solver, which pivots
@@ -24,17 +28,33 @@ class Solution:
     ----------
     expression
         Rewrites any expression so that only those are left.
-    iterates, residuals
-        Iteration variables y of nonlinear loops and the residuals that determine them.
+    loops
+        What is left to Newton's method.
     """
 
     expression: Substitution
-    iterates: list[SX] = field(default_factory=list)
-    residuals: list[SX] = field(default_factory=list)
+    loops: list[Loop] = field(default_factory=list)
+
+    @property
+    def iterates(self) -> list[SX]:
+        """Iteration variables y of all loops."""
+        return [y for loop in self.loops for y in loop.iterates]
+
+    @property
+    def residuals(self) -> list[SX]:
+        """Residuals that determine them."""
+        return [r for loop in self.loops for r in loop.residuals]
 
 
-def solve(scope: ModelScope, reduced: Reduced) -> Solution:
-    """Sort the equations and solve them block by block, symbolically where they are linear."""
+def solve(scope: ModelScope, reduced: Reduced, start: Callable[[SX], SX | None], point: Point) -> Solution:
+    """Sort the equations and solve them block by block, symbolically where they are linear.
+
+    Parameters
+    ----------
+    start
+        Start value of an unknown that the model gives one: where events choose between several solutions of a
+        loop, the initialisation begins with it.
+    """
     graph = scope.graph
     column = {key(s): i for i, s in enumerate(reduced.unknowns)}
     rows = [sorted(column[k] for k in graph.symbols(e.residual) if k in column) for e in reduced.equations]
@@ -46,18 +66,44 @@ def solve(scope: ModelScope, reduced: Reduced) -> Solution:
     column_of = {r: c for c, r in row_of.items()}
     solution = Solution(Substitution())
     for block in components(successors):
-        _solve_block(
-            scope,
-            solution,
+        equations, unknowns = (
             [reduced.equations[r] for r in block],
             [reduced.unknowns[column_of[r]] for r in block],
         )
+        _solve_block(scope, solution, equations, unknowns, _chosen(scope, equations, unknowns, start, point))
     return solution
 
 
-def _solve_block(scope: ModelScope, solution: Solution, equations: list[Equation], unknowns: list[SX]) -> None:
-    graph = scope.graph
+def _chosen(
+    scope: ModelScope,
+    equations: list[Equation],
+    unknowns: list[SX],
+    start: Callable[[SX], SX | None],
+    point: Point,
+) -> dict[int, SX]:
+    """Return the start values that choose between several solutions of a block."""
     residuals = [e.residual for e in equations]
+    symbols = frozenset().union(*map(scope.graph.symbols, residuals))
+    switches = [r.symbol for r in scope.relations if key(r.symbol) in symbols]
+    if len(signs(scope.graph, residuals, unknowns, switches, point) - {0.0}) < 2:
+        return {}
+    if scope.is_starting(symbols):  # homotopy says what the initialisation begins with
+        return {}
+    given = {key(s): value for s in unknowns if (value := start(s)) is not None}
+    if not given:
+        names = ", ".join(s.name() for s in unknowns)
+        scope.parameters.warnings.append(
+            f"{equations[0].at}: the loop of {names} may have several solutions; a start value says which is first"
+        )
+    return given
+
+
+def _solve_block(
+    scope: ModelScope, solution: Solution, equations: list[Equation], unknowns: list[SX], given: Mapping[int, SX]
+) -> None:
+    """Solve a block; at the start its unknowns have the given values."""
+    graph = scope.graph
+    residuals, places = [e.residual for e in equations], [e.at for e in equations]
     left = list(unknowns)
     order: list[tuple[SX, SX]] = []
     while True:
@@ -68,14 +114,19 @@ def _solve_block(scope: ModelScope, solution: Solution, equations: list[Equation
         rest = Substitution({key(symbol): SX(0.0)})(residuals[row])
         value = -rest / slope if float(slope) != -1.0 else rest
         order.append((symbol, value))
-        del residuals[row]
+        del residuals[row], places[row]
         left = [s for s in left if key(s) != key(symbol)]
         replace = Substitution({key(symbol): value})
         residuals = [replace(r) if key(symbol) in graph.symbols(r) else r for r in residuals]
     if left:
-        _solve_rest(scope, solution, residuals, left, equations)
+        for symbol, value in _solve_rest(scope, solution, residuals, left, places):
+            solution.expression.define(symbol, _started(scope, given, symbol, value))
     for symbol, value in reversed(order):
-        solution.expression.define(symbol, solution.expression(value))
+        solution.expression.define(symbol, _started(scope, given, symbol, solution.expression(value)))
+
+
+def _started(scope: ModelScope, given: Mapping[int, SX], symbol: SX, value: SX) -> SX:
+    return if_else(scope.starting(), given[key(symbol)], value) if key(symbol) in given else value
 
 
 def _pivot(graph: Graph, residuals: list[SX], left: list[SX]) -> tuple[int, SX, SX] | None:
@@ -105,8 +156,9 @@ def _pivot(graph: Graph, residuals: list[SX], left: list[SX]) -> tuple[int, SX, 
 
 
 def _solve_rest(
-    scope: ModelScope, solution: Solution, residuals: list[SX], left: list[SX], equations: list[Equation]
-) -> None:
+    scope: ModelScope, solution: Solution, residuals: list[SX], left: list[SX], places: list[Place]
+) -> list[tuple[SX, SX]]:
+    """Return what is left of a block, solved; none if that is for Newton's method."""
     graph = scope.graph
     keys = [key(s) for s in left]
     zero = Substitution(dict.fromkeys(keys, SX(0.0)))
@@ -115,18 +167,16 @@ def _solve_rest(
         not graph.symbols(g[k]) & set(keys) for g in gradients for k in keys if k in g
     )
     if not linear or len(left) > MOST_SYMBOLIC:
-        solution.iterates += left
-        solution.residuals += [solution.expression(r) for r in residuals]
-        return
+        solution.loops.append(Loop(left, [solution.expression(r) for r in residuals], places[0]))
+        return []
     a = [[solution.expression(g[k]) if k in g else SX(0.0) for k in keys] for g in gradients]
     b = [-solution.expression(zero(r)) for r in residuals]
     determinant, values = _linear(a, b)
     if determinant is not None and is_number(determinant) and float(determinant) == 0.0:
         raise scope.flat.error(
-            f"singular: the equations do not determine {', '.join(s.name() for s in left)}", equations[0].at
+            f"singular: the equations do not determine {', '.join(s.name() for s in left)}", places[0]
         )
-    for symbol, value in zip(left, values, strict=True):
-        solution.expression.define(symbol, value)
+    return list(zip(left, values, strict=True))
 
 
 def linear_solution(a: list[list[SX]], b: list[SX]) -> list[SX]:

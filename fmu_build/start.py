@@ -9,22 +9,13 @@ from typing import Any
 import numpy as np
 
 from fmu_build import algebra
-from fmu_build.aliases import Aliases
+from fmu_build.aliases import Start, start_of
 from fmu_build.equations import Equation
-from fmu_build.graph import SX, key
+from fmu_build.graph import SX, if_else, key
 from fmu_build.scope import ModelScope
 from fmu_build.system import System
 
 _CONSISTENT = 1e-9
-
-
-@dataclass(frozen=True)
-class Start:
-    """Start value of a symbol: an expression of parameters, and whether it is fixed or given at all."""
-
-    value: SX
-    fixed: bool
-    given: bool
 
 
 @dataclass
@@ -46,20 +37,6 @@ class InitialConditions:
     residuals: list[SX]
     explicit: bool
     free: list[bool]
-
-
-def start_of(scope: ModelScope, aliases: Aliases, symbol: SX) -> Start:
-    """Start value of a continuous symbol: of its alias group's fixed member, or else of the first with a start."""
-    group = aliases.groups.get(key(symbol))
-    if group is None:
-        return Start(SX(0.0), False, False)
-    fixed = [(d, s) for d, s in group.members if d.fixed]
-    given = [(d, s) for d, s in group.members if d.has_start]
-    first = [m for m in group.members if m[0] is group.representative and m[0].has_start]
-    for declared, sign in [*fixed, *first, *given]:
-        value = scope.start_of(declared)
-        return Start(sign * value, bool(fixed), declared.has_start)
-    return Start(SX(0.0), False, False)
 
 
 def initial_conditions(system: System, equations: list[Equation], start_symbols: list[SX]) -> InitialConditions:
@@ -112,15 +89,19 @@ def _independent(
     """States that conditions determine, and the conditions that do so, by the rank near the start."""
     if not conditions or not columns:
         return set(), set()
-    states = system.reduced.states
-    gradients = [system.scope.graph.gradient(c) for c in conditions]
-    wanted = [(i, j, g[key(states[c].symbol)]) for i, g in enumerate(gradients)
-              for j, c in enumerate(columns) if key(states[c].symbol) in g]  # fmt: skip
+    solution, n, m = system.solution, len(conditions), len(columns)
+    symbols = [*(system.reduced.states[c].symbol for c in columns), *solution.iterates]
+    gradients = [system.scope.graph.gradient(e) for e in (*conditions, *solution.residuals)]
+    wanted = [(i, j, g[key(s)]) for i, g in enumerate(gradients) for j, s in enumerate(symbols) if key(s) in g]
     # A little off the start, where a coefficient may vanish by chance.
-    near = {k: v + 1e-3 * math.sin(1.0 + i) for i, (k, v) in enumerate(at_start.items())}
-    matrix = np.zeros((len(conditions), len(columns)))
+    near = {k: v + 1e-5 * math.sin(1.0 + i) for i, (k, v) in enumerate(at_start.items())}
+    whole = np.zeros((len(gradients), len(symbols)))
     for (i, j, _), value in zip(wanted, system.point.at_start([e for _, _, e in wanted], near), strict=True):
-        matrix[i, j] = value
+        whole[i, j] = value
+    if not np.isfinite(whole).all():
+        whole = np.nan_to_num(whole, posinf=0.0, neginf=0.0)
+    # what the loops determine follows the states
+    matrix = whole[:n, :m] - whole[:n, m:] @ np.linalg.pinv(whole[n:, m:]) @ whole[n:, :m]
     scale = np.abs(matrix).max(axis=1)
     matrix = matrix / np.where(scale > 0.0, scale, 1.0)[:, None]
     rows = _greedy(matrix.T)
@@ -149,6 +130,8 @@ class Explicit:
     ----------
     starts
         Of ``pre(v)`` of discrete variables (from parameters).
+    previous
+        ``pre(v)`` at initialisation where it depends on time.
     values
         Of discrete variables at initialisation.
     parameters
@@ -158,6 +141,7 @@ class Explicit:
     """
 
     starts: dict[int, SX]
+    previous: dict[int, SX]
     values: dict[int, SX]
     parameters: dict[int, SX]
     rest: list[Equation]
@@ -165,7 +149,7 @@ class Explicit:
 
 def split_initial(scope: ModelScope, equations: list[Equation]) -> Explicit:
     """Split initial equations: those of discrete variables and of parameters with fixed=false, and the rest."""
-    out = Explicit({}, {}, {}, [])
+    out = Explicit({}, {}, {}, {}, [])
     for equation in equations:
         if not _explicit(scope, equation, out):
             out.rest.append(equation)
@@ -189,10 +173,12 @@ def _explicit(scope: ModelScope, equation: Equation, out: Explicit) -> bool:
         if not known and unbound:
             return False
         if not known and key(symbol) != key(one):
-            raise scope.flat.error(
-                f"the initial equation of '{declared.name}' depends on more than parameters", equation.at
-            )
-        if unbound:
+            if any(not scope.is_parameter(k) and k != key(scope.time) for k in scope.graph.symbols(other)):
+                raise scope.flat.error(
+                    f"the initial equation of '{declared.name}' depends on more than parameters", equation.at
+                )
+            out.previous[key(one)] = if_else(scope.init, other, one)
+        elif unbound:
             out.parameters[key(symbol)] = other
         elif key(symbol) != key(one):
             out.starts[key(symbol)] = other

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fmu_build.aliases import Aliases, eliminate
+from fmu_build import loops
+from fmu_build.aliases import Aliases, eliminate, start_of
 from fmu_build.equations import Equations
 from fmu_build.graph import SX, key
 from fmu_build.index_reduction import Reduced, reduce
@@ -44,8 +45,22 @@ class System:
 
 
 def solved(scope: ModelScope, equations: Equations) -> System:
-    """Eliminate aliases, reduce the index, sort and solve."""
+    """Eliminate aliases, reduce the index, sort and solve.
+
+    Raises
+    ------
+    SwitchedLoopError
+        For an algebraic loop with conditions that are no events, although ``smooth(0, ...)`` allows them to be.
+    """
     aliases = eliminate(scope, equations.continuous)
     point = Point(scope)
     reduced = reduce(scope, aliases, point.generic)
-    return System(scope, aliases, reduced, solve(scope, reduced), point)
+
+    def start(symbol: SX) -> SX | None:
+        found = start_of(scope, aliases, symbol)
+        return found.value if found.given else None
+
+    solution = solve(scope, reduced, start, point)
+    for loop in solution.loops:
+        loops.check(scope, loop, point)
+    return System(scope, aliases, reduced, solution, point)

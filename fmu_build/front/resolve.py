@@ -1183,6 +1183,9 @@ class _Known:
     def sample(self, start: Any, interval: Any) -> SX:
         return SX.sym("sample")
 
+    def starting(self) -> SX:
+        raise ValueError("what decides the structure must be known at translation")
+
     def initial(self) -> SX:
         return SX.sym("initial")
 

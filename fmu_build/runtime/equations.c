@@ -1,5 +1,6 @@
 /* Evaluation of the model's equations; nonlinear algebraic loops are solved for y by Newton's method on the way. */
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "instance.h"
@@ -251,11 +252,47 @@ int variables_along(Instance *me, double t, const double *x, const double *u, Di
     return outputs ? CALL(output_partials) : CALL(variable_partials);
 }
 
+/* Appends `more` to a text with room for n characters. */
+static void append(char *text, size_t n, const char *more, size_t length) {
+    const size_t used = strlen(text);
+    if (used + length >= n) length = n - used - 1;
+    memcpy(text + used, more, length);
+    text[used + length] = 0;
+}
+
+/* The message of assertion i with the values at the current point. */
+static const char *message_of(Instance *me, int i, char *text, size_t n) {
+    double values[LENGTH(MODEL_NSHOWN)] = {0}, *value = values + MODEL_SHOWN[i];
+    const char *at = MODEL_ASSERT_MESSAGE[i], *form;
+    if (MODEL_NSHOWN > 0) {
+        environment_at(me, &me->s.t, me->s.x, me->s.u);
+        me->res[0] = values;
+        CALL(messages);
+    }
+    *text = 0;
+    for (; (form = strchr(at, 1)) != NULL; at = strchr(form + 1, 1) + 1) {
+        append(text, n, at, (size_t)(form - at));
+        if (form[1] == '=') { /* words for 0, 1, 2 ... */
+            const char *word = form + 2;
+            for (double k = *value++; k >= 0.5 && word[strcspn(word, "|\001")] == '|'; k--) word = strchr(word, '|') + 1;
+            append(text, n, word, strcspn(word, "|\001"));
+        } else {
+            char conversion[32] = "", number[64];
+            append(conversion, sizeof conversion, form + 1, strcspn(form + 1, "\001"));
+            snprintf(number, sizeof number, conversion, *value++);
+            append(text, n, number, strlen(number));
+        }
+    }
+    append(text, n, at, strlen(at));
+    return text;
+}
+
 /* Failed assertions at the current point; one with level warning is told once a run. */
 Status check_assertions(Instance *me) {
     if (MODEL_NASSERT == 0) return STATUS_OK;
     State *s = &me->s;
     double holds[LENGTH(MODEL_NASSERT)];
+    char text[1024];
     if (solve_loop(me, s->t, s->x, s->u))
         return report(me, STATUS_ERROR, "t = %.9g: the model's algebraic loop has no solution", s->t);
     environment_at(me, &s->t, s->x, s->u);
@@ -264,8 +301,9 @@ Status check_assertions(Instance *me) {
     for (int i = 0; i < MODEL_NASSERT; i++) {
         if (holds[i] != 0.0 && !isnan(holds[i])) continue;
         if (!MODEL_ASSERT_WARNING[i])
-            return report(me, STATUS_ERROR, "t = %.9g: assertion violated: %s", s->t, MODEL_ASSERT_MESSAGE[i]);
-        if (!s->warned[i]) report(me, STATUS_WARNING, "t = %.9g: %s", s->t, MODEL_ASSERT_MESSAGE[i]);
+            return report(me, STATUS_ERROR, "t = %.9g: assertion violated: %s", s->t,
+                          message_of(me, i, text, sizeof text));
+        if (!s->warned[i]) report(me, STATUS_WARNING, "t = %.9g: %s", s->t, message_of(me, i, text, sizeof text));
         s->warned[i] = 1;
     }
     return STATUS_OK;

@@ -66,47 +66,120 @@ static void adopt(double *m, const double *new, int few) {
     }
 }
 
+/* What an update gives beside z. */
+typedef struct {
+    double x[LENGTH(NX)], next_event, terminate, reinit;
+} Update;
+
+typedef enum { CHANGED, SETTLED, FAILED } Round;
+
+/* One round of the inner iteration: new z, and in m the relations that belong to it. */
+static Round one_round(Instance *me, double flag, Update *update, double *m) {
+    State *s = &me->s;
+    double z[LENGTH(NZ)] = {0};
+    if (solve_loop(me, s->t, s->x, s->u)) return FAILED;
+    environment_at(me, &s->t, s->x, s->u);
+    me->arg[9] = &flag;
+    me->res[0] = z;
+    me->res[1] = update->x;
+    me->res[2] = &update->next_event;
+    me->res[3] = &update->terminate;
+    me->res[4] = &update->reinit;
+    model_update(me->arg, me->res, me->iw, me->w, 0);
+    const int settled = same(z, s->z, NZ);
+    memcpy(s->z, z, NZ * sizeof *z);
+    if (NY > 0 && !settled && solve_loop(me, s->t, s->x, s->u)) return FAILED;
+    relations(me, s->t, s->x, s->u, m);
+    return settled ? SETTLED : CHANGED;
+}
+
+/* Are the relations `tried` consistent, all others as they follow? Starts from z, m and y of `before`. */
+static Round try_modes(Instance *me, double flag, const State *before, const unsigned char *tried, Update *update) {
+    State *s = &me->s;
+    double m[LENGTH(NM)] = {0};
+    for (int round = 0; round < 20; round++) {
+        const Round now = one_round(me, flag, update, m);
+        if (now == FAILED) break;
+        int consistent = 1, settled = now == SETTLED;
+        for (int i = 0; i < NM; i++) {
+            consistent &= !tried[i] || m[i] == s->m[i];
+            settled &= m[i] == s->m[i];
+            if (!tried[i]) s->m[i] = m[i];
+        }
+        if (settled) return SETTLED;
+        if (!consistent && now == SETTLED) break;
+    }
+    memcpy(s->z, before->z, sizeof s->z);
+    memcpy(s->y, before->y, sizeof s->y);
+    return CHANGED;
+}
+
+/* Where the fixed point does not settle: the consistent combination of the relations that changed, and of those that
+ * depend on them, with the fewest changes. */
+static Round search_modes(Instance *me, double flag, const State *before, const unsigned char *changed,
+                          Update *update) {
+    enum { MOST = 12 };
+    State *s = &me->s;
+    unsigned char tried[LENGTH(NM)] = {0};
+    int member[MOST], n = 0;
+    for (int i = 0; i < NM && n < MOST; i++) {
+        for (int j = 0; j < NM; j++) tried[i] |= changed[j] && MODEL_GROUP[i] == MODEL_GROUP[j];
+        if (tried[i]) member[n++] = i;
+    }
+    for (int distance = 0; distance <= n; distance++)
+        for (unsigned mask = 0; mask < 1u << n; mask++) {
+            int bits = 0;
+            for (unsigned rest = mask; rest; rest &= rest - 1) bits++;
+            if (bits != distance) continue;
+            memcpy(s->m, before->m, sizeof s->m);
+            memcpy(s->z, before->z, sizeof s->z);
+            memcpy(s->y, before->y, sizeof s->y);
+            for (int k = 0; k < n; k++)
+                if (mask >> k & 1) s->m[member[k]] = s->m[member[k]] == 0.0;
+            if (try_modes(me, flag, before, tried, update) == SETTLED) return SETTLED;
+        }
+    return FAILED;
+}
+
+/* The inner iteration: z and m that belong to each other at (s.t, s.x, s.u). */
+static Status settle(Instance *me, double flag, Update *update) {
+    State *s = &me->s;
+    const State before = *s;
+    unsigned char changed[LENGTH(NM)] = {0};
+    for (int inner = 0; inner < 100; inner++) {
+        double m[LENGTH(NM)] = {0};
+        const Round now = one_round(me, flag, update, m);
+        if (now == FAILED) {
+            if (inner > 0) break;
+            return report(me, STATUS_ERROR, "t = %.9g: an algebraic loop has no solution at an event", s->t);
+        }
+        if (now == SETTLED && same(m, s->m, NM)) return STATUS_OK;
+        for (int i = 0; i < NM; i++) changed[i] |= m[i] != s->m[i];
+        adopt(s->m, m, inner >= 10);
+    }
+    if (search_modes(me, flag, &before, changed, update) == SETTLED) return STATUS_OK;
+    return report(me, STATUS_ERROR, "t = %.9g: the event iteration finds no consistent discrete variables", s->t);
+}
+
 /* The event iteration at (s.t, s.x, s.u), as fmu_build/model.py defines it. With `initial` only the inner loop runs,
  * and when-clauses fire where they name initial(). */
 Status event_iteration(Instance *me, int initial) {
     State *s = &me->s;
     s->have_dx = s->have_v = 0;
     if (!MODEL_HAS_EVENTS) return STATUS_OK;
-    const double flag = initial;
     for (int outer = 0; outer < 100; outer++) {
-        double z[LENGTH(NZ)] = {0}, x[LENGTH(NX)], m[LENGTH(NM)] = {0}, next = INFINITY, terminate = 0.0, reinit = 0.0;
-        memcpy(x, s->x, sizeof x);
-        int settled = 0;
-        for (int inner = 0; inner < 100 && !settled; inner++) {
-            if (solve_loop(me, s->t, s->x, s->u))
-                return report(me, STATUS_ERROR, "t = %.9g: an algebraic loop has no solution at an event", s->t);
-            environment_at(me, &s->t, s->x, s->u);
-            me->arg[9] = &flag;
-            me->res[0] = z;
-            me->res[1] = x;
-            me->res[2] = &next;
-            me->res[3] = &terminate;
-            me->res[4] = &reinit;
-            model_update(me->arg, me->res, me->iw, me->w, 0);
-            settled = same(z, s->z, NZ);
-            memcpy(s->z, z, NZ * sizeof *z);
-            if (NY > 0 && !settled && solve_loop(me, s->t, s->x, s->u))
-                return report(me, STATUS_ERROR, "t = %.9g: an algebraic loop has no solution at an event", s->t);
-            relations(me, s->t, s->x, s->u, m);
-            settled &= same(m, s->m, NM);
-            adopt(s->m, m, inner >= 10);
-        }
-        if (!settled)
-            return report(me, STATUS_ERROR, "t = %.9g: the event iteration finds no consistent discrete variables",
-                          s->t);
-        s->next_event = next;
-        if (terminate != 0.0) s->terminate = 1;
-        if (initial) return STATUS_OK;
-        const Status status = update_sensitivities(me, reinit != 0.0);
+        Update update = {.next_event = INFINITY};
+        memcpy(update.x, s->x, sizeof s->x);
+        Status status = settle(me, initial, &update);
         if (status > STATUS_WARNING) return status;
-        const int again = !same(s->z, s->pz, NZ) || reinit != 0.0;
+        s->next_event = update.next_event;
+        if (update.terminate != 0.0) s->terminate = 1;
+        if (initial) return STATUS_OK;
+        status = update_sensitivities(me, update.reinit != 0.0);
+        if (status > STATUS_WARNING) return status;
+        const int again = !same(s->z, s->pz, NZ) || update.reinit != 0.0;
         memcpy(s->pz, s->z, sizeof s->z);
-        if (reinit != 0.0) memcpy(s->x, x, NX * sizeof *x);
+        if (update.reinit != 0.0) memcpy(s->x, update.x, NX * sizeof *s->x);
         if (!again) return STATUS_OK;
     }
     return report(me, STATUS_ERROR, "t = %.9g: the event iteration does not end", s->t);

@@ -163,13 +163,12 @@ Status initialise(Instance *me) {
         relations(me, s->t, s->x, s->u, s->m);
         int settled = 0;
         for (int round = 0; round < 50 && !settled && status <= STATUS_WARNING; round++) {
-            double m[LENGTH(NM)], z[LENGTH(NZ)], x[LENGTH(NX)];
+            double m[LENGTH(NM)], z[LENGTH(NZ)];
             memcpy(m, s->m, sizeof m);
             memcpy(z, s->z, sizeof z);
-            memcpy(x, s->x, sizeof x);
             status = solve_start(me);
             if (status <= STATUS_WARNING) status = event_iteration(me, 1);
-            settled = !memcmp(m, s->m, sizeof m) && !memcmp(z, s->z, sizeof z) && !memcmp(x, s->x, sizeof x);
+            settled = !memcmp(m, s->m, sizeof m) && !memcmp(z, s->z, sizeof z);
         }
         if (status <= STATUS_WARNING && !settled)
             status = report(me, STATUS_ERROR, "t = %.9g: the discrete variables do not settle at initialisation", s->t);

@@ -75,7 +75,13 @@ Status get_value(Instance *me, unsigned reference, VariableType type, double *va
     const VariableEntry *entry = entry_of(me, reference, type);
     if (!entry) return STATUS_ERROR;
     const Status status = refresh(me, entry->vector);
-    if (status <= STATUS_WARNING) *value = entry->sign * vector_of(me, entry->vector)[entry->index];
+    if (status > STATUS_WARNING) return status;
+    *value = entry->sign * vector_of(me, entry->vector)[entry->index];
+    if (!isfinite(*value) && (entry->vector == VECTOR_V || entry->vector == VECTOR_DX))
+        return report(me, STATUS_ERROR,
+                      "t = %.9g: %s is %g: a division by zero, a singular system of equations or a function outside "
+                      "its domain",
+                      me->s.t, entry->name, *value);
     return status;
 }
 

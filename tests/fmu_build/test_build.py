@@ -25,7 +25,7 @@ def test_unchanged_sources_cost_nothing_and_changed_ones_rebuild(tmp_path, monke
     fmu = build(source, "Structure.RC", tmp_path / "out")
     before = fmu.read_bytes()
     with monkeypatch.context() as patched:
-        patched.setattr("fmu_build.compiler.compile_modelica", None)  # it is not called
+        patched.setattr("fmu_build.compiler.compile_flat", None)  # it is not called
         assert build(source, "Structure.RC", tmp_path / "out") == fmu
 
     fmu.write_bytes(b"broken")
@@ -33,6 +33,25 @@ def test_unchanged_sources_cost_nothing_and_changed_ones_rebuild(tmp_path, monke
 
     source.write_text(source.read_text().replace("r(R = 100)", "r(R = 200)"))
     assert build(source, "Structure.RC", tmp_path / "out").read_bytes() != before
+
+
+def test_only_files_that_were_read_count_and_new_ones_that_hide_them(tmp_path, monkeypatch):
+    library = tmp_path / "library"
+    (library / "Shapes" / "Far").mkdir(parents=True)
+    (library / "Shapes" / "package.mo").write_text("package Shapes constant Real k = 1; end Shapes;")
+    (library / "Shapes" / "Far" / "package.mo").write_text("within Shapes; package Far end Far;")
+    file = tmp_path / "M.mo"
+    file.write_text("model M Real x = Shapes.k + time; end M;")
+    fmu = build(file, "M", tmp_path / "out", roots=[library])
+    before = fmu.read_bytes()
+    with monkeypatch.context() as patched:
+        patched.setattr("fmu_build.compiler.compile_flat", None)
+        (library / "Shapes" / "Far" / "Unread.mo").write_text("within Shapes.Far; model Unread end Unread;")
+        assert build(file, "M", tmp_path / "out", roots=[library]) == fmu
+    (tmp_path / "Shapes.mo").write_text("package Shapes constant Real k = 2; end Shapes;")
+    assert build(file, "M", tmp_path / "out", roots=[library]).read_bytes() == before
+    (library / "Shapes" / "package.mo").write_text("package Shapes constant Real k = 3; end Shapes;")
+    assert build(file, "M", tmp_path / "out", roots=[library]).read_bytes() != before
 
 
 @pytest.mark.parametrize("fmi", ["2", "3"])

@@ -135,6 +135,7 @@ def compile_by_hand(
         "indicators": (env, [g]),
         "update": ([*env, init], updated),
         "asserts": (env, [vec([f(e) for f, _, _ in asserts])]),
+        "messages": (env, [vec([])]),
     }
     matrices = {"jacobian", "loop", "initial", "slopes"}
     made = {
@@ -151,7 +152,9 @@ def compile_by_hand(
             x_nominal=[(nominal or {}).get(n, 1.0) for n in states],
             y_nominal=[1.0] * ny,
             inclusive=[False] * nm,
+            groups=list(range(nm)),
             asserts=[(message, warning) for _, message, warning in asserts],
+            shown=[0] * (len(asserts) + 1),
             slopes=(list(zip(slope_rows, slope_columns, strict=True)), []),
             outputs=[True] * nv,
         ),

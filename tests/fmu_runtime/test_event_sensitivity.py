@@ -26,7 +26,7 @@ def load(tmp_path_factory) -> Iterator[Callable[..., Fmu]]:
 
     def fmu(name: str, fmi: str = "2") -> Fmu:
         if name.startswith("StickSlip."):
-            path = build(STICK_SLIP, name, folder / fmi, fmi, roots=[MODELICA])
+            path = build(STICK_SLIP, name, folder / fmi, fmi=fmi, roots=[MODELICA])
         else:
             path = build(JUMPS, f"Jumps.{name}", folder / fmi, fmi)
         opened.append(Fmu(path))

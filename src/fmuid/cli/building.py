@@ -43,7 +43,8 @@ def build(
         fix = f"check the path, or name a package that is shipped: {', '.join(packages)}"
         raise ModelicaError("no such Modelica file", where=source, fix=fix)
     with printer.working(f"building {class_name}"):
-        path = build_fmu(file, class_name, out, fmi, compiler, [_found(folder) for folder in root or ()])
+        roots = [_found(folder) for folder in root or ()]
+        path = build_fmu(file, class_name, out, fmi=fmi, compiler=compiler, roots=roots)
     printer.say(str(path))
     printer.write({"fmu": path, "class": class_name, "source": source})
 

@@ -1,0 +1,133 @@
+"""Algebraic loops with limiters: one solution, several of which the history chooses one, or refused.
+
+A piecewise linear system has one solution for whatever it is driven by if the determinants of its pieces have one
+sign. Where they have not (a limiter with positive feedback, as in a Schmitt trigger), it may have several: then
+its pieces have to be modes that events change, so that a solution stays as long as it exists.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice, product
+
+import casadi as ca
+import numpy as np
+
+from fmu_build.graph import SX, Graph, fold, key
+from fmu_build.point import Point
+from fmu_build.scope import ModelScope
+from fmu_build.syntax import Place
+
+_MOST = 256  # combinations of switches that are tried
+
+
+@dataclass(frozen=True)
+class Loop:
+    """An algebraic loop: iteration variables, the residuals that determine them, and where they come from."""
+
+    iterates: list[SX]
+    residuals: list[SX]
+    at: Place
+
+
+class SwitchedLoopError(Exception):
+    """A loop with conditions that may become (more) events."""
+
+
+def check(scope: ModelScope, loop: Loop, point: Point) -> None:
+    """Refuse a loop of which nothing would say which of several solutions holds.
+
+    Raises
+    ------
+    SwitchedLoopError
+        If it may have conditions that may become (more) events.
+    ModelicaError
+        If they may not.
+    """
+    inside = {key(y) for y in loop.iterates}
+    evaluate = scope.evaluate
+    stepped = any(scope.graph.stepped(r) & inside for r in loop.residuals)
+    if stepped and evaluate.smoothed and not evaluate.events_in_smooth:
+        raise SwitchedLoopError
+    switches = _Switches(scope.graph, inside)
+    residuals = [switches.replaced(r) for r in loop.residuals]
+    if not switches.odd and len(signs(scope.graph, residuals, loop.iterates, switches.symbols, point) - {0.0}) > 1:
+        if evaluate.smoothed and evaluate.events_in_smooth != "all":
+            raise SwitchedLoopError
+        raise scope.flat.error(
+            f"the loop of {', '.join(y.name() for y in loop.iterates)} has several solutions (positive feedback)",
+            loop.at,
+            "write its limits as if-expressions without noEvent, min and max: events choose between the solutions",
+        )
+
+
+def signs(
+    graph: Graph, residuals: Sequence[SX], unknowns: Sequence[SX], switches: list[SX], point: Point
+) -> set[float]:
+    """Signs that the determinant of a piecewise linear system has at the default parameters; none if not linear.
+
+    Parameters
+    ----------
+    switches
+        Symbols that are 0 or 1.
+    """
+    inside = {key(y) for y in unknowns}
+    gradients = [graph.gradient(r) for r in residuals]
+    rows = [[g.get(key(y), SX(0.0)) for y in unknowns] for g in gradients]
+    if not switches or any(graph.symbols(entry) & inside for row in rows for entry in row):
+        return set()
+    values = list(islice(product((0.0, 1.0), repeat=len(switches)), _MOST))
+    found = set()
+    for flat in point.pieces([entry for row in rows for entry in row], switches, values):
+        matrix = flat.reshape(len(rows), len(rows))
+        size = np.abs(matrix).max(axis=1, keepdims=True)
+        sign, log = np.linalg.slogdet(matrix / np.where(size > 0.0, size, 1.0))
+        found.add(float(sign) if log > -30.0 else 0.0)
+    return found
+
+
+class _Switches:
+    """Replaces what chooses between pieces by symbols that are 0 or 1."""
+
+    def __init__(self, graph: Graph, inside: set[int]) -> None:
+        self._graph = graph
+        self._inside = inside
+        self._of: dict[int, SX] = {}
+        self._done: dict[int, tuple[SX, SX]] = {}
+        self.odd = False  # there is a step in it
+
+    @property
+    def symbols(self) -> list[SX]:
+        return list(self._of.values())
+
+    def replaced(self, expression: SX) -> SX:
+        return fold(expression, self._done, self._visit)
+
+    def _visit(self, node: SX, parts: list[SX]) -> SX:
+        if not parts or not self._graph.symbols(node) & self._inside:
+            return node
+        op = int(node.op())
+        if op in _PIECES:
+            condition = self._condition(node.dep(0)) if op == ca.OP_IF_ELSE_ZERO else self._symbol(node)
+            return _PIECES[op](condition, parts)
+        self.odd |= op in (ca.OP_FLOOR, ca.OP_CEIL, ca.OP_SIGN)
+        return SX.unary(op, parts[0]) if len(parts) == 1 else SX.binary(op, parts[0], parts[1])
+
+    def _symbol(self, node: SX) -> SX:
+        return self._of.setdefault(self._graph.same(node), SX.sym("switch"))
+
+    def _condition(self, condition: SX) -> SX:
+        if not self._graph.symbols(condition) & self._inside:
+            return condition
+        if int(condition.op()) == ca.OP_NOT:
+            return 1 - self._condition(condition.dep(0))
+        return self._symbol(condition)
+
+
+_PIECES: Mapping[int, Callable[[SX, list[SX]], SX]] = {
+    ca.OP_IF_ELSE_ZERO: lambda c, parts: c * parts[1],
+    ca.OP_FMIN: lambda c, parts: c * parts[0] + (1 - c) * parts[1],
+    ca.OP_FMAX: lambda c, parts: c * parts[0] + (1 - c) * parts[1],
+    ca.OP_FABS: lambda c, parts: (2 * c - 1) * parts[0],
+}

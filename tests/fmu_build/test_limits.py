@@ -1,0 +1,128 @@
+"""Algebraic loops with several solutions, without one, and what assertions say."""
+
+from __future__ import annotations
+
+import fmpy
+import numpy as np
+import pytest
+
+from fmu_build import build, compile_modelica
+from fmu_build.errors import ModelicaError
+from fmuid.core.errors import SimulationError
+from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.simulator import Task
+
+LIMITS = {
+    "plain": "y = if V0*e > 1 then 1 else if V0*e < -1 then -1 else V0*e;",
+    "smooth": "y = smooth(0, if V0*e > 1 then 1 else if V0*e < -1 then -1 else V0*e);",
+    "strict": "y = smooth(0, noEvent(if V0*e > 1 then 1 else if V0*e < -1 then -1 else V0*e));",
+}
+REFUSED = {
+    "noEvent": "y = noEvent(if V0*e > 1 then 1 else if V0*e < -1 then -1 else V0*e);",
+    "min": "y = min(1, max(-1, V0*e));",
+}
+GAIN = 1000.0
+SCHMITT = "parameter Real V0 = 1000; Real u = 2*sin(2*3.141592653589793*time); Real y{start}; Real e = 0.5*y - u; equation "
+ASTABLE = "parameter Real V0 = 1000; Real x(start = 0.1, fixed = true); Real y{start}; Real e = 0.5*y - x; equation der(x) = y - x; "
+
+
+def simulate(folder, text: str, outputs: list[str], **options) -> np.ndarray:
+    file = folder / "M.mo"
+    file.write_text(f"model M {text} end M;")
+    return fmpy.simulate_fmu(
+        str(build(file, "M", folder)), output=outputs, stop_time=options.pop("stop_time", 2.0), output_interval=0.01, **options,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+@pytest.mark.parametrize("limit", LIMITS)
+def test_a_schmitt_trigger_jumps_where_its_branch_ends(tmp_path, limit, kind):
+    text = SCHMITT.format(start="(start = 1)") + LIMITS[limit]
+    found = simulate(tmp_path, text, ["u", "y"], fmi_type=kind)
+    expected, branch = [], 1.0
+    for u in 2 * np.sin(2 * np.pi * found["time"]):
+        branch = -1.0 if u > 0.5 - 1 / GAIN else 1.0 if u < -0.5 + 1 / GAIN else branch
+        expected.append(branch)
+    away = np.abs(np.abs(found["u"]) - 0.5) > 0.01
+    np.testing.assert_allclose(found["y"][away], np.array(expected)[away], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "kind"), [(1e-4, "CoSimulation"), (1e-7, "CoSimulation"), (1e-6, "ModelExchange")]
+)
+@pytest.mark.parametrize("limit", LIMITS)
+def test_a_multivibrator_has_its_period_whatever_the_solver(tmp_path, limit, tolerance, kind):
+    text = ASTABLE.format(start="(start = 1)") + LIMITS[limit]
+    found = simulate(tmp_path, text, ["x", "y"], fmi_type=kind, relative_tolerance=tolerance, stop_time=10.0)
+    edge = 0.5 - 1 / GAIN
+    falls = found["time"][1:][np.diff(found["y"]) < -1.9]
+    assert np.diff(falls) == pytest.approx(2 * np.log((1 + edge) / (1 - edge)), abs=0.0201)
+    assert np.abs(found["x"]).max() == pytest.approx(edge, abs=2e-3)
+
+
+@pytest.mark.parametrize(("start", "first"), [("(start = 1)", 1.0), ("(start = -1)", -1.0)])
+def test_a_start_value_chooses_the_first_solution(tmp_path, start, first):
+    found = simulate(tmp_path, SCHMITT.format(start=start) + LIMITS["plain"], ["y"])
+    assert found["y"][0] == first
+
+
+def test_homotopy_chooses_the_first_solution_and_nothing_is_told(tmp_path):
+    limit = LIMITS["smooth"].replace("y = ", "y = homotopy(").replace(";", ", -1);")
+    file = tmp_path / "M.mo"
+    file.write_text(f"model M {SCHMITT.format(start='')} {limit} end M;")
+    assert compile_modelica(file, "M").warnings == ()
+    assert simulate(tmp_path, SCHMITT.format(start="") + limit, ["y"])["y"][0] == -1.0
+    file.write_text(f"model M {SCHMITT.format(start='')} {LIMITS['plain']} end M;")
+    (warning,) = compile_modelica(file, "M").warnings
+    assert "may have several solutions" in warning
+
+
+@pytest.mark.parametrize("limit", REFUSED)
+def test_limits_that_are_no_events_are_refused_where_they_have_several_solutions(tmp_path, limit):
+    file = tmp_path / "M.mo"
+    file.write_text(f"model M {SCHMITT.format(start='')}\n{REFUSED[limit]} end M;")
+    with pytest.raises(ModelicaError, match=r"M\.mo:2: the loop of y has several solutions"):
+        compile_modelica(file, "M")
+    file.write_text(f"model M {SCHMITT.format(start='').replace('0.5*y', '-0.5*y')} {REFUSED[limit]} end M;")
+    assert compile_modelica(file, "M").n_y == 1
+
+
+def failure(folder, text: str, output: str) -> str:
+    (folder / "M.mo").write_text(f"model M {text} end M;")
+    with pytest.raises(SimulationError) as caught:
+        Fmu(build(folder / "M.mo", "M", folder)).simulate(Task(np.linspace(0, 1, 11), {}, (output,)), {})
+    return str(caught.value)
+
+
+def test_a_linear_loop_that_is_singular_at_a_sample_is_an_error_there(tmp_path):
+    text = "Real a; Real b; equation a + b = 1; a + (time + 0.5)*b = 2;"
+    message = failure(tmp_path, text, "a")
+    assert "t = 0.5: a is " in message
+    assert "singular" in message
+
+
+SAID = {
+    '"y = " + String(y)': "y = 0.5",
+    '"k " + String(k) + ", n " + String(n) + ", " + String(on)': "k 2.34568, n 3, true",
+    'String(k, significantDigits = 3, minimumLength = 6, leftJustified = false) + String(n, minimumLength = 3) + "|"': "  2.353  |",
+    'String(k, format = "8.2f") + name': "    2.35abc",
+    'String(kind) + " at " + String(y > 0.4)': "fast at true",
+}
+
+
+@pytest.mark.parametrize("message", SAID)
+def test_messages_show_the_values_of_the_moment(tmp_path, message):
+    text = f"""
+      type Kind = enumeration(slow, fast);
+      parameter Real k = 2.3456789; parameter Integer n = 3; parameter Boolean on = true; parameter String name = "abc";
+      parameter Kind kind = Kind.fast; Real y = time;
+      equation assert(y < 0.5 - 1e-9, {message});"""
+    assert f": {' '.join(SAID[message].split())}" in failure(tmp_path, text, "y")
+
+
+def test_a_format_that_is_none_is_refused(tmp_path):
+    (tmp_path / "M.mo").write_text(
+        'model M Real y = time;\nequation assert(y < 1, String(y, format = "s")); end M;'
+    )
+    with pytest.raises(ModelicaError, match=r"M\.mo:2: the format 's'"):
+        compile_modelica(tmp_path / "M.mo", "M")
