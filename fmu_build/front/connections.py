@@ -77,71 +77,8 @@ class Connections:
                                 fix=World.suggest(e.parts[0].name, scope.root.slots))  # fmt: skip
         root = found.scope.root
         item = self._resolver.item(root, found.name)
-        outside = _is_connector(item) and root is scope.root
-        out: list[Leaf] = []
-        return out if self._walk(item, e, 0, scope, env, outside, out) else None
-
-    def _walk(
-        self, item: Item, e: Reference, position: int, scope: Instance, env: Env, outside: bool, out: list[Leaf]
-    ) -> bool:
-        part = e.parts[position]
-        last = position + 1 == len(e.parts)
-        if isinstance(item, Absent):
-            return False
-        if isinstance(item, Many):
-            there = True
-            for index in self._indices(item.dims, part, e, scope, env):
-                offset = 0
-                for i, n in zip(index, item.dims, strict=True):
-                    offset = offset * n + i - 1
-                bare = replace(e, parts=(*e.parts[:position], Part(part.name), *e.parts[position + 1 :]))
-                there = self._walk(item.items[offset], bare, position, scope, env, outside, out) and there
-            return there
-        if isinstance(item, Instance):
-            if part.subscripts:
-                raise ModelicaError(f"'{part.name}' is no array", where=e.at)
-            if last:
-                if not _is_connector(item):
-                    raise ModelicaError(f"'{e.name}' is no connector", where=e.at)
-                out.append(Leaf(item, (), outside))
-                return True
-            name = e.parts[position + 1].name
-            slot = item.slot(name)
-            if slot is None:
-                if item.definition.kind == "expandable connector":
-                    raise NotInBusError(item, name, e.at)
-                raise ModelicaError(f"'{item.path or e.name}' has no '{name}'", where=e.at,
-                                    fix=World.suggest(name, item.slots))  # fmt: skip
-            if isinstance(slot.element, ClassDef):
-                raise ModelicaError(f"'{e.name}' is no connector", where=e.at)
-            return self._walk(self._resolver.item(item, name), e, position + 1, scope, env, outside, out)
-        if not last:
-            raise ModelicaError(f"'{e.name}' is no connector", where=e.at)
-        if item.connector is None and not _is_connector(item.owner):
-            raise ModelicaError(f"'{e.name}' is no connector", where=e.at)
-        out.extend(Leaf(item, index, outside) for index in self._indices(item.dims, part, e, scope, env))
-        return True
-
-    def _indices(
-        self, dims: tuple[int, ...], part: Part, e: Reference, scope: Instance, env: Env
-    ) -> Iterator[tuple[int, ...]]:
-        if len(part.subscripts) > len(dims):
-            raise ModelicaError(f"'{part.name}' has {len(dims)} dimensions", where=e.at)
-        choices = []
-        for k, n in enumerate(dims):
-            subscript = part.subscripts[k] if k < len(part.subscripts) else All(e.at)
-            if isinstance(subscript, All):
-                choices.append(range(1, n + 1))
-                continue
-            found = self._resolver._subscript(self._resolver.expr(subscript, scope, env), n)
-            if found is None:
-                raise ModelicaError("a subscript in a connection must be known at translation", where=e.at)
-            chosen = found if isinstance(found, list) else [found]
-            for i in chosen:
-                if not 1 <= i <= n:
-                    raise ModelicaError(f"subscript {i} of '{part.name}' is outside 1..{n}", where=e.at)
-            choices.append(chosen)  # type: ignore[arg-type]
-        return product(*choices)
+        path = _Path(self._resolver, e, scope, env, _is_connector(item) and root is scope.root)
+        return path.found if path.walk(item, 0) else None
 
     # ---- expandable connectors
 
@@ -153,27 +90,17 @@ class Connections:
             grown = False
             for k in left:
                 written = connects[k]
-                sides: list[list[Leaf] | NotInBusError | None] = []
-                for e in (written.connect.a, written.connect.b):
-                    try:
-                        sides.append(self.leaves(e, written.scope, written.env))
-                    except NotInBusError as missing:
-                        sides.append(missing)
-                a, b = sides
+                a, b = (self._side(e, written) for e in (written.connect.a, written.connect.b))
                 if a is None or b is None:
                     continue
                 if isinstance(a, list) and isinstance(b, list):
                     done[k] = (written, a, b)
-                elif isinstance(a, NotInBusError) and isinstance(b, list):
-                    self._grow(a, b, written)
-                    grown = True
-                    waiting.append(k)
-                elif isinstance(b, NotInBusError) and isinstance(a, list):
-                    self._grow(b, a, written)
-                    grown = True
-                    waiting.append(k)
-                else:
-                    waiting.append(k)
+                    continue
+                waiting.append(k)
+                for missing, like in ((a, b), (b, a)):
+                    if isinstance(missing, NotInBusError) and isinstance(like, list):
+                        self._grow(missing, like, written)
+                        grown = True
             grown = self._share(list(done.values())) or grown
             if waiting and not grown:
                 at = connects[waiting[0]].connect
@@ -182,6 +109,13 @@ class Connections:
         while self._share(list(done.values())):
             pass
         return [done[k] for k in sorted(done)]
+
+    def _side(self, e: Reference, written: Written) -> list[Leaf] | NotInBusError | None:
+        """Connectors of one side of a connection, or what a bus lacks for that."""
+        try:
+            return self.leaves(e, written.scope, written.env)
+        except NotInBusError as missing:
+            return missing
 
     def _grow(self, missing: NotInBusError, like: list[Leaf], written: Written) -> None:
         """Add to a bus what is connected to a name that it does not have."""
@@ -368,6 +302,82 @@ class Connections:
                     origin = Origin("unconnected", owner.rpartition(".")[0], "", (owner,))
                     out.append(Equation(_reference((var.name, index), var.at), Literal(var.at, 0), origin, var.at))
         return out
+
+
+class _Path:
+    """Follows the parts of a reference in a connection to the connectors that it stands for."""
+
+    def __init__(self, resolver: Resolver, e: Reference, scope: Instance, env: Env, outside: bool) -> None:
+        self._resolver = resolver
+        self._e = e
+        self._scope = scope
+        self._env = env
+        self._outside = outside
+        self.found: list[Leaf] = []
+
+    def walk(self, item: Item, position: int, element: bool = False) -> bool:
+        """Go on from the item that a part names; False if it is a conditional component that is not there.
+
+        Parameters
+        ----------
+        element
+            Whether the part's subscripts are used up: the item is an element of an array.
+        """
+        part = self._e.parts[position]
+        if isinstance(item, Absent):
+            return False
+        if isinstance(item, Many):
+            there = [self.walk(item.at(i), position, True) for i in self._indices(item.dims, part)]
+            return all(there)
+        if isinstance(item, Instance):
+            if part.subscripts and not element:
+                raise ModelicaError(f"'{part.name}' is no array", where=self._e.at)
+            return self._instance(item, position)
+        if position + 1 < len(self._e.parts) or (item.connector is None and not _is_connector(item.owner)):
+            raise self._no_connector()
+        self.found.extend(Leaf(item, index, self._outside) for index in self._indices(item.dims, part))
+        return True
+
+    def _instance(self, item: Instance, position: int) -> bool:
+        e = self._e
+        if position + 1 == len(e.parts):
+            if not _is_connector(item):
+                raise self._no_connector()
+            self.found.append(Leaf(item, (), self._outside))
+            return True
+        name = e.parts[position + 1].name
+        slot = item.slot(name)
+        if slot is None and item.definition.kind == "expandable connector":
+            raise NotInBusError(item, name, e.at)
+        if slot is None:
+            raise ModelicaError(f"'{item.path or e.name}' has no '{name}'", where=e.at,
+                                fix=World.suggest(name, item.slots))  # fmt: skip
+        if isinstance(slot.element, ClassDef):
+            raise self._no_connector()
+        return self.walk(self._resolver.item(item, name), position + 1)
+
+    def _no_connector(self) -> ModelicaError:
+        return ModelicaError(f"'{self._e.name}' is no connector", where=self._e.at)
+
+    def _indices(self, dims: tuple[int, ...], part: Part) -> Iterator[tuple[int, ...]]:
+        e = self._e
+        if len(part.subscripts) > len(dims):
+            raise ModelicaError(f"'{part.name}' has {len(dims)} dimensions", where=e.at)
+        choices = []
+        for k, n in enumerate(dims):
+            subscript = part.subscripts[k] if k < len(part.subscripts) else All(e.at)
+            if isinstance(subscript, All):
+                choices.append(range(1, n + 1))
+                continue
+            found = self._resolver._subscript(self._resolver.expr(subscript, self._scope, self._env), n)
+            if found is None:
+                raise ModelicaError("a subscript in a connection must be known at translation", where=e.at)
+            chosen = found if isinstance(found, list) else [found]
+            for i in chosen:
+                if not 1 <= i <= n:
+                    raise ModelicaError(f"subscript {i} of '{part.name}' is outside 1..{n}", where=e.at)
+            choices.append(chosen)  # type: ignore[arg-type]
+        return product(*choices)
 
 
 def connector(item: Instance | Var, resolver: Resolver) -> Connector:

@@ -20,6 +20,7 @@ from fmu_build.front.classes import (
     Constraint,
     Extends,
     Modification,
+    Short,
 )
 from fmu_build.front.library import Library
 from fmu_build.syntax import Expression, Literal, Node, Part, Place, Reference, Subscripted
@@ -176,12 +177,7 @@ def _resolve(slot: Slot) -> Slot:
         mod = merge(mod, _own_mod(old, slot.scope), name) if isinstance(old, ComponentDef) else mod
         return Slot(name, old, slot.scope, merge(mod, _constraint_mod(old.constraint, slot.scope), name))
     new, scope = mod.redeclare
-    if isinstance(new, ClassDef) != isinstance(old, ClassDef):
-        raise ModelicaError(f"'{name}' is redeclared as something else than it is", where=mod.at)
-    if new.redeclare and not old.replaceable:
-        raise ModelicaError(f"'{name}' is not replaceable", where=mod.at)
-    if new.redeclare and old.final:
-        raise ModelicaError(f"'{name}' is final and cannot be redeclared", where=mod.at)
+    _check_redeclared(old, new, mod)
     # Modifiers of the constraining clause hold for every redeclaration; without one those of the declaration do.
     if old.constraint is not None:
         carried = _constraint_mod(old.constraint, slot.scope)
@@ -196,26 +192,40 @@ def _resolve(slot: Slot) -> Slot:
     if isinstance(new, ComponentDef):
         assert isinstance(old, ComponentDef)
         own = _own_mod(new, scope)
-        new = replace(
-            new,
-            prefixes=_prefixes(new, old),
-            subscripts=new.subscripts or (),
-            condition=new.condition or old.condition,
-            description=new.description or old.description,
-            annotation=new.annotation or old.annotation,
-            inner=new.inner or old.inner,
-            outer=new.outer or old.outer,
-            protected=old.protected,
-        )
-        if not new.subscripts and old.subscripts:
-            if scope is not slot.scope:
-                new = replace(new, subscripts=tuple(foreign(s, slot.scope) for s in old.subscripts))
-            else:
-                new = replace(new, subscripts=old.subscripts)
-        if new.condition is old.condition and old.condition is not None and scope is not slot.scope:
-            new = replace(new, condition=foreign(old.condition, slot.scope))
-        return Slot(name, new, scope, merge(outer, merge(own, carried, name), name))
+        declared = _redeclared(old, slot.scope, new, scope)
+        return Slot(name, declared, scope, merge(outer, merge(own, carried, name), name))
     return Slot(name, new, scope, _with_carried(outer, new, scope, carried, name))
+
+
+def _check_redeclared(old: ComponentDef | ClassDef, new: ComponentDef | ClassDef, mod: Mod) -> None:
+    if isinstance(new, ClassDef) != isinstance(old, ClassDef):
+        raise ModelicaError(f"'{old.name}' is redeclared as something else than it is", where=mod.at)
+    if new.redeclare and not old.replaceable:
+        raise ModelicaError(f"'{old.name}' is not replaceable", where=mod.at)
+    if new.redeclare and old.final:
+        raise ModelicaError(f"'{old.name}' is final and cannot be redeclared", where=mod.at)
+
+
+def _redeclared(old: ComponentDef, old_scope: Instance, new: ComponentDef, scope: Instance) -> ComponentDef:
+    """Return a component's new declaration with what it takes over from the old one."""
+
+    def carried(expression: Expression) -> Any:
+        return expression if scope is old_scope else foreign(expression, old_scope)
+
+    condition = new.condition
+    if condition is None and old.condition is not None:
+        condition = carried(old.condition)
+    return replace(
+        new,
+        prefixes=_prefixes(new, old),
+        subscripts=new.subscripts or tuple(map(carried, old.subscripts)),
+        condition=condition,
+        description=new.description or old.description,
+        annotation=new.annotation or old.annotation,
+        inner=new.inner or old.inner,
+        outer=new.outer or old.outer,
+        protected=old.protected,
+    )
 
 
 def _replaces(element: ComponentDef | ClassDef) -> bool:
@@ -271,6 +281,7 @@ class Instance:
         definition: ClassDef,
         parent: Instance | None,
         mod: Mod,
+        *,
         path: str | None = None,
         owner: Instance | None = None,
         root: Instance | None = None,
@@ -313,39 +324,42 @@ class Instance:
         world.depth += 1
         try:
             if definition.short is not None:
-                short = definition.short
-                base = world.find_class(self.parent, short.type)
-                self.subscripts = [(s, self._outside()) for s in short.subscripts]
-                self.short_prefixes = short.prefixes
-                self._inherit(
-                    base, merge(self.mod, modifier(short.modification, self._outside()), definition.name)
-                )
-                return
-            redeclared: dict[str, Mod] = {}
-            for element in definition.elements:
-                if isinstance(element, ComponentDef | ClassDef) and _replaces(element):
-                    redeclared[element.name] = Mod(
-                        element.at, self, None, {}, False, element.final, (element, self)
-                    )
-            body = Mod(definition.at, self, None, redeclared) if redeclared else NO_MOD
-            own = self.mod
-            for element in definition.elements:  # a base class may be one of them
-                if isinstance(element, ClassDef) and element.name not in redeclared:
-                    self._add(element)
-            for element in definition.elements:
-                if isinstance(element, Extends):
-                    base = world.find_class(self, element.type, extends=definition)
-                    written = modifier(element.modification, self)
-                    self._inherit(base, merge(own, merge(body, written, definition.name), definition.name))
-                elif isinstance(element, ComponentDef) and element.name not in redeclared:
-                    self._add(element)
-            for name, mod in redeclared.items():
-                if name not in self.visible:
-                    raise ModelicaError(f"'{name}' is redeclared, but not inherited", where=mod.at)
-            if self.root is self:
-                self._check_modified()
+                self._stand_for(definition.short)
+            else:
+                self._list_elements()
         finally:
             world.depth -= 1
+
+    def _stand_for(self, short: Short) -> None:
+        base = self.world.find_class(self.parent, short.type)
+        self.subscripts = [(s, self._outside()) for s in short.subscripts]
+        self.short_prefixes = short.prefixes
+        written = modifier(short.modification, self._outside())
+        self._inherit(base, merge(self.mod, written, self.definition.name))
+
+    def _list_elements(self) -> None:
+        definition = self.definition
+        redeclared = {
+            element.name: Mod(element.at, self, None, {}, False, element.final, (element, self))
+            for element in definition.elements
+            if isinstance(element, ComponentDef | ClassDef) and _replaces(element)
+        }
+        body = Mod(definition.at, self, None, redeclared) if redeclared else NO_MOD
+        for element in definition.elements:  # a base class may be one of them
+            if isinstance(element, ClassDef) and element.name not in redeclared:
+                self._add(element)
+        for element in definition.elements:
+            if isinstance(element, Extends):
+                base = self.world.find_class(self, element.type, extends=definition)
+                written = modifier(element.modification, self)
+                self._inherit(base, merge(self.mod, merge(body, written, definition.name), definition.name))
+            elif isinstance(element, ComponentDef) and element.name not in redeclared:
+                self._add(element)
+        for name, mod in redeclared.items():
+            if name not in self.visible:
+                raise ModelicaError(f"'{name}' is redeclared, but not inherited", where=mod.at)
+        if self.root is self:
+            self._check_modified()
 
     def _outside(self) -> Instance:
         """Scope of a short class's own expressions: what it is written in."""
@@ -357,9 +371,9 @@ class Instance:
             base.definition,
             base.parent,
             merge(mod, base.mod, base.definition.name),
-            self.path,
-            self.owner,
-            self.root,
+            path=self.path,
+            owner=self.owner,
+            root=self.root,
         )
         self.bases.append(inherited)
         self.visible |= inherited.visible
@@ -661,7 +675,7 @@ class World:
     def instantiate(self, ref: ClassRef, mod: Mod, path: str, owner: Instance | None) -> Instance:
         """Make an instance that is a component."""
         merged = merge(mod, ref.mod, ref.definition.name)
-        return Instance(self, ref.definition, ref.parent, merged, path, owner)
+        return Instance(self, ref.definition, ref.parent, merged, path=path, owner=owner)
 
     @staticmethod
     def suggest(name: str, known: Any) -> str | None:

@@ -71,27 +71,28 @@ class Library:
                     return self._folder(folder)
             if (root / f"{name}.mo").is_file():
                 return self._single(root / f"{name}.mo", name)
-            if (root / "package.mo").is_file():  # the root is a package itself
-                folder = root
-                while (folder.parent / "package.mo").is_file():
-                    folder = folder.parent
-                if folder.name.partition(" ")[0] == name:
-                    return self._folder(folder)
-        if not self._scanned:  # a file named otherwise than its class
-            self._scanned = True
-            for root in self.roots:
-                if not (root / "package.mo").is_file():
-                    for path in sorted(root.glob("*.mo")):
-                        within, classes = self._read(path)
-                        for found in classes:
-                            if not within and found.name not in self._tops:
-                                self._add("", found)
-            if self._tops.get(name):
-                return self._tops[name]
+            package = _package_folder(root / "package.mo")  # the root may be a package itself
+            if package is not None and package.name.partition(" ")[0] == name:
+                return self._folder(package)
+        self._scan()
+        if self._tops.get(name):
+            return self._tops[name]
         if (_OWN / f"{name}.mo").is_file():
             self.stand_ins.add(name)
             return self._single(_OWN / f"{name}.mo", name)
         return None
+
+    def _scan(self) -> None:
+        """Look once into files that may be named otherwise than their classes."""
+        if self._scanned:
+            return
+        self._scanned = True
+        loose = (root for root in self.roots if not (root / "package.mo").is_file())
+        for path in (path for root in loose for path in sorted(root.glob("*.mo"))):
+            within, classes = self._read(path)
+            for found in classes:
+                if not within and found.name not in self._tops:
+                    self._add("", found)
 
     def _single(self, path: Path, name: str) -> ClassDef | None:
         _, classes = self._read(path)

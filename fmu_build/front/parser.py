@@ -819,28 +819,13 @@ class _Parser:
     def primary(self) -> Expression:
         at, token = self.place(), self.token
         first = token[:1]
-        if first.isdigit() or (first == "." and len(token) > 1):
+        literal = _literal(at, token)
+        if literal is not None:
             self.i += 1
-            whole = token.isdigit()
-            return Literal(at, int(token) if whole else float(token))
-        if first == '"':
-            self.i += 1
-            return Literal(at, unescaped(token[1:-1]))
-        if token in ("true", "false"):
-            self.i += 1
-            return Literal(at, token == "true")
-        if token == "(":
-            return self.parenthesised(at)
-        if token == "{":
-            self.i += 1
-            out = self.array_arguments(at, "}")
-            self.expect("}")
-            return out
-        if token == "[":
-            return self.matrix(at)
-        if token == "end":
-            self.i += 1
-            return End(at)
+            return literal
+        opened = {"(": self.parenthesised, "{": self.array, "[": self.matrix}.get(token)
+        if opened is not None:
+            return opened(at)
         if token in _FUNCTIONS and self.tokens[self.i + 1] == "(":
             self.i += 1
             return self.function_call(at, token, rooted=False)
@@ -852,6 +837,12 @@ class _Parser:
                 self.fail()
             return self.function_call(at, reference.name, reference.rooted)
         return reference
+
+    def array(self, at: Place) -> Expression:
+        self.i += 1
+        out = self.array_arguments(at, "}")
+        self.expect("}")
+        return out
 
     def parenthesised(self, at: Place) -> Expression:
         self.i += 1
@@ -944,3 +935,15 @@ class _Parser:
                 break
         self.expect("]")
         return tuple(out)
+
+
+def _literal(at: Place, token: str) -> Expression | None:
+    """Return a number, String or truth value, or ``end`` in a subscript."""
+    first = token[:1]
+    if first.isdigit() or (first == "." and len(token) > 1):
+        return Literal(at, int(token) if token.isdigit() else float(token))
+    if first == '"':
+        return Literal(at, unescaped(token[1:-1]))
+    if token in ("true", "false"):
+        return Literal(at, token == "true")
+    return End(at) if token == "end" else None

@@ -120,6 +120,13 @@ class Many:
     dims: tuple[int, ...]
     items: list[Any]
 
+    def at(self, index: Sequence[int]) -> Any:
+        """Element at subscripts that count from 1."""
+        offset = 0
+        for i, n in zip(index, self.dims, strict=True):
+            offset = offset * n + i - 1
+        return self.items[offset]
+
 
 Item = Var | Instance | Many | Absent
 
