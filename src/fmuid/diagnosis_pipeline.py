@@ -256,5 +256,10 @@ def _write(found: Found, campaign: Campaign, out: Path, seed: int) -> Corrected 
     )
     fitted = found.corrected
     return write_corrected(
-        campaign, found.subject, fitted.effects, fitted.fit.values, out / FOLDER, found.subject.model.runner
+        campaign,
+        found.subject,
+        fitted.effects,
+        fitted.fit.values,
+        folder=out / FOLDER,
+        runner=found.subject.model.runner,
     )

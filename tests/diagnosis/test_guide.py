@@ -283,7 +283,9 @@ def test_an_interrupted_diagnosis_goes_on_and_is_never_replaced(trolley, tmp_pat
     record(trolley, drag=0.3)
     command = ["diagnose", str(trolley), "--out", str(tmp_path / "out"), "--workers", "0"]
     with monkeypatch.context() as stopping:
-        stopping.setattr("fmuid.diagnosis_pipeline.write_corrected", lambda *a: interrupted(write_corrected(*a)))
+        stopping.setattr(
+            "fmuid.diagnosis_pipeline.write_corrected", lambda *a, **k: interrupted(write_corrected(*a, **k))
+        )
         assert run(command) == 130
     assert f"go on with: fmuid {' '.join(command[:4])} --resume\n" in capsys.readouterr().out
     before = (tmp_path / "out" / "diagnosis.json").read_text()

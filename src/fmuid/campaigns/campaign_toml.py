@@ -402,21 +402,23 @@ def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
         raise CampaignError("scale is log without lower", where=where, fix="give lower > 0")
     if table.truth is not None:
         finite("truth", table.truth, where)
+    return ParameterSpec(name=name, **{**msgspec.structs.asdict(table), "prior": _prior(table, where)})
+
+
+def _prior(table: _ParameterTable, where: str) -> Prior | None:
+    """Return what is known of a parameter beforehand, once it is said in one way only."""
     if table.tolerance is not None and not (math.isfinite(table.tolerance) and table.tolerance > 0):
         raise CampaignError(
             f"tolerance is {table.tolerance:g}", where=where, fix="write tolerance > 0, relative; or known = true"
         )
     if table.known and table.tolerance is not None:
         raise CampaignError("is known, and has a tolerance", where=where, fix="leave one of the two out")
-    given = msgspec.structs.asdict(table)
-    if table.prior is not None:
-        prior = convert(table.prior, _PriorTable, f"{where} prior")
-        if not (math.isfinite(prior.mean) and math.isfinite(prior.sd) and prior.sd > 0):
-            raise CampaignError(
-                f"prior has mean {prior.mean:g} and sd {prior.sd:g}", where=where, fix="write sd > 0"
-            )
-        given["prior"] = Prior(prior.mean, prior.sd)
-    return ParameterSpec(name=name, **given)
+    if table.prior is None:
+        return None
+    prior = convert(table.prior, _PriorTable, f"{where} prior")
+    if not (math.isfinite(prior.mean) and math.isfinite(prior.sd) and prior.sd > 0):
+        raise CampaignError(f"prior has mean {prior.mean:g} and sd {prior.sd:g}", where=where, fix="write sd > 0")
+    return Prior(prior.mean, prior.sd)
 
 
 @dataclass(frozen=True, slots=True)

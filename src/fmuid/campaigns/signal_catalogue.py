@@ -89,7 +89,7 @@ def signal_catalogue(runs: Iterable[Experiment], mapping: Mapping[str, str], mod
         for (kind, law), (description, source) in _WORDS.items():
             sizes = _sizes(law, s, others, step, duration)
             if kind == s.causality and sizes:
-                effects += _effect(f"{law}@{s.name}", s.name, law, description.format(s.name), source, sizes)
+                effects += _effect(s.name, law, description.format(s.name), source, sizes)
     note = ["# ---- regimes: variables of the model; a gap is looked at along them, and over time ----", ""]
     return "\n".join([_HEAD, *ports, *note, *regimes, *effects])
 
@@ -160,8 +160,8 @@ def _sizes(law: str, s: _Signal, others: Iterable[_Signal], step: float, duratio
     return known[law]
 
 
-def _effect(id: str, signal: str, law: str, description: str, source: str, sizes: Iterable[_Size]) -> list[str]:
-    table = f"[effects.{toml_text(id)}"
+def _effect(signal: str, law: str, description: str, source: str, sizes: Iterable[_Size]) -> list[str]:
+    table = f"[effects.{toml_text(f'{law}@{signal}')}"
     rows, trials = [], []
     for size in sizes:
         name = toml_text(f"{signal}.{size.name}")

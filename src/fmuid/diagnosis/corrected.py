@@ -47,6 +47,7 @@ def write_corrected(
     subject: Subject,
     named: Sequence[str],
     values: Mapping[str, float],
+    *,
     folder: Path,
     runner: Runner,
 ) -> Corrected | None:
@@ -110,7 +111,7 @@ class _Document:
             tied = {n: v for n, v in self.values.items() if n not in self.campaign.parameters}
             starts[setup] |= {n: v for n, v in tied.items() if n in model.variables}
         stems = {setup: _stem(source) for setup, (source, _) in self.sources.items()}
-        written = write_models(self.campaign.name, starts, models, self.folder, runner, stems)
+        written = write_models(self.campaign.name, starts, models, self.folder, runner, stems=stems)
         self.notes += written.warnings
         files = [*dict.fromkeys(written.fmus.values()), written.parameters]
         for setup, (source, flat) in self.sources.items():

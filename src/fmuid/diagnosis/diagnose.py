@@ -153,7 +153,17 @@ def diagnose_subject(
     evidence = _evidence(subject, nominal, scores, noise)
     candidates, best = search(subject, nominal, scores, noise, say, present=evidence.present)
     candidates += twins(subject, best, scores) if best is not None and evidence.present else []
-    judgement = _judge(subject, nominal, best, candidates, scores, noise, evidence, paths, say)
+    judgement = _judge(
+        subject,
+        nominal,
+        best,
+        candidates=candidates,
+        scores=scores,
+        noise=noise,
+        evidence=evidence,
+        paths=paths,
+        say=say,
+    )
     say("deciding", 0.95)
     verdict = judgement.verdict
     weights = decide.weigh(nominal, judgement.surviving, observed, verdict.kind)
@@ -181,7 +191,14 @@ def diagnose_subject(
         ),
         where=energy.shares(),
         answers=tuple(sorted(answers, key=lambda a: -a.probability)),
-        effects=_candidates(subject, candidates, judgement.surviving, scores, probability, closing),
+        effects=_candidates(
+            subject,
+            candidates,
+            surviving=judgement.surviving,
+            scores=scores,
+            probability=probability,
+            closing=closing,
+        ),
         alias_classes=aliases(subject, nominal, candidates, scores),
         model={**model.expanded(corrected.fit.values)},
         next_experiment=following,
@@ -233,6 +250,7 @@ def _judge(
     subject: Subject,
     nominal: Fitted,
     best: Fitted | None,
+    *,
     candidates: Sequence[Fitted],
     scores: Sequence[Score],
     noise: NoiseDraws,
@@ -361,6 +379,7 @@ class _Closing:
 def _candidates(
     subject: Subject,
     candidates: Sequence[Fitted],
+    *,
     surviving: Sequence[Fitted],
     scores: Sequence[Score],
     probability: Mapping[tuple[str, ...], float],

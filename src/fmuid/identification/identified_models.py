@@ -67,6 +67,7 @@ def write_models(
     models: Mapping[str, Fmu | CoupledModel],
     folder: Path,
     runner: Runner = in_process,
+    *,
     stems: Mapping[str, str] | None = None,
 ) -> Identified:
     """Write copies of models that start with `values`, by setup and variable, and their parameter set `name`.

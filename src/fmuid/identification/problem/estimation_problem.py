@@ -106,7 +106,7 @@ class Problem:
         values = dict(best or {}) | dict(stage.start)
         specs = campaign.parameters.values()
         space = expanded(
-            specs, stage.free, values, stage.tie, [case.id for case in cases], [c.machine for c in cases]
+            specs, stage.free, values, stage.tie, [case.id for case in cases], machines=[c.machine for c in cases]
         )
         here = space.tried(space.start)[0]
         accuracy = SolverAccuracy()
@@ -293,4 +293,4 @@ class Problem:
 
 def _space(specs: Sequence[ParameterSpec], cases: Sequence[Case]) -> SearchSpace:
     free = [spec.name for spec in specs if spec.free]
-    return expanded(specs, free, {}, {}, [case.id for case in cases], [case.machine for case in cases])
+    return expanded(specs, free, {}, {}, [case.id for case in cases], machines=[c.machine for c in cases])

@@ -87,28 +87,40 @@ class ExactDerivatives:
         for (x, values), there in zip(points, moves, strict=True):
             own, jobs = jobs[: len(problem.cases)], jobs[len(problem.cases) :]
             runs, outcomes = outcomes[: len(own)], outcomes[len(own) :]
-            blocks: list[FloatArray] = []
+            known = list[tuple[Case, Task, FloatArray]]()
             for k, (case, (_, task, starts), run) in enumerate(zip(problem.cases, own, runs, strict=True)):
                 if isinstance(run, SimulationError):
-                    self._keep((x.tobytes(), first), None)
                     break
                 predictions[k, tuple(starts.values())] = run[: len(task.outputs)].copy()
-                try:
-                    blocks += _blocks(case, task, np.asarray(run), there, values)
-                except (ProblemError, SimulationError):  # a sensor or a user's criterion has no value beside it
-                    self._keep((x.tobytes(), first), None)
-                    break
-            else:
-                slope = problem.space.slope(x)[first:, None]
-                count = problem.slices[-1].stop
-                jacobian = np.zeros((count + len(problem.space.priors), len(slope)))
-                for row, (i, prior) in enumerate(problem.space.priors, count):
-                    if i >= first:
-                        jacobian[row, i - first] = slope[i - first, 0] / prior.sd
-                for rows, weight, block in zip(problem.slices, problem.root_weights, blocks, strict=True):
-                    jacobian[rows] = (weight * slope * block).T
-                self._keep((x.tobytes(), first), jacobian)
+                known.append((case, task, np.asarray(run)))
+            self._keep((x.tobytes(), first), self._assembled(x, first, known, there, values))
         return predictions
+
+    def _assembled(
+        self,
+        x: FloatArray,
+        first: int,
+        runs: Sequence[tuple[Case, Task, FloatArray]],
+        moves: Sequence[Move],
+        values: Mapping[str, float],
+    ) -> FloatArray | None:
+        """Return the Jacobian from the runs of all cases, rows of priors last; None if a case has none."""
+        problem = self._problem
+        if len(runs) < len(problem.cases):
+            return None
+        try:
+            blocks = [block for case, task, run in runs for block in _blocks(case, task, run, moves, values)]
+        except (ProblemError, SimulationError):  # a sensor or a user's criterion has no value beside it
+            return None
+        slope = problem.space.slope(x)[first:, None]
+        count = problem.slices[-1].stop
+        jacobian = np.zeros((count + len(problem.space.priors), len(slope)))
+        for row, (i, prior) in enumerate(problem.space.priors, count):
+            if i >= first:
+                jacobian[row, i - first] = slope[i - first, 0] / prior.sd
+        for rows, weight, block in zip(problem.slices, problem.root_weights, blocks, strict=True):
+            jacobian[rows] = (weight * slope * block).T
+        return jacobian
 
     def _differentiated(self, slopes: list[Mapping[str, float]], names: tuple[str, ...]) -> list[Task] | None:
         """Return every case's task with its directions, the same again for the same; None where one has none."""

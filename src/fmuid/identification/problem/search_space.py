@@ -202,6 +202,7 @@ def expanded(
     best: Mapping[str, float],
     ties: Mapping[str, str],
     experiments: Iterable[str],
+    *,
     machines: Iterable[str] = (),
 ) -> SearchSpace:
     """Build the search space of a stage.
