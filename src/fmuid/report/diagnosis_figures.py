@@ -20,6 +20,8 @@ from fmuid.report.figures import TIME
 from fmuid.report.plots.figure_data import Axis, Bar, BarFigure, LineFigure, MapFigure, Panel, Role, Series, Table
 from fmuid.report.thinning import kept_samples
 
+_NO_GAP = 0.03  # floors: where the logarithmic axis of gaps begins
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualPair:
@@ -264,10 +266,11 @@ def gap_figure(diagnosis: Mapping[str, Any], steps: Mapping[str, float] | None =
     return BarFigure(
         "gap",
         "From the gap to the noise floor",
-        tuple(replace(b, note=f"{b.value:.3g}") for b in bars),
-        Axis("gap, in multiples of the noise floor"),
-        caption="Root of the mean squared whitened residual above what noise alone gives.",
-        limits=(0.0, 1.15 * max(b.value for b in bars)),
+        tuple(replace(b, value=max(b.value, _NO_GAP), note=f"{b.value:.3g}") for b in bars),
+        Axis("gap, in multiples of the noise floor", log=True),
+        caption="Root of the mean squared whitened residual above what noise alone gives, over the signals'"
+        " bandwidth.",
+        limits=(_NO_GAP, 2.0 * max(b.value for b in bars)),
     )
 
 
