@@ -16,6 +16,7 @@ from fmuid.core.files import write_atomically
 from fmuid.core.folder_lock import claim
 from fmuid.diagnosis import calibration
 from fmuid.diagnosis.calibration import Calibration
+from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.corrected import FOLDER, Corrected, write_corrected
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.effect_search import Say
@@ -213,7 +214,7 @@ def answer_of(found: Found, campaign: Campaign | None = None) -> dict[str, Any]:
     recordings = found.subject.recordings
     if campaign is not None and campaign.file is not None:
         answer["campaign"] = str(campaign.file)
-        answer["corrected"] = list(found.corrected.effects)
+        answer["corrected"] = list(_into_the_model(found).effects)
     answer["experiments"] = [{"id": name, "sha256": digest} for name, digest in recordings.items()]
     answer["nominal"] = {"parameters": found.subject.model.expanded(found.nominal.fit.values)}
     answer["verdict"]["text"] = " ".join(sentences(answer))
@@ -239,6 +240,13 @@ def _at_bounds(found: Found) -> list[str]:
     ]
 
 
+def _into_the_model(found: Found) -> Fitted:
+    """Return the answer that becomes the corrected model: what is sure, or else the best of the alternatives."""
+    sure = set(found.diagnosis.verdict.effects)
+    alone = [fitted for fitted in found.candidates if set(fitted.effects) == sure]
+    return min(alone, key=lambda fitted: fitted.fit.cost) if sure and alone else found.corrected
+
+
 def _write(found: Found, campaign: Campaign, out: Path, seed: int) -> Corrected | None:
     from fmuid.report import write_diagnosis_report
     from fmuid.report.diagnosis_arrays import pictures_of
@@ -254,7 +262,7 @@ def _write(found: Found, campaign: Campaign, out: Path, seed: int) -> Corrected 
         pictures=pictures_of(found),
         provenance={**hashes(files, campaign.folder), **versions(), "seed": str(seed)},
     )
-    fitted = found.corrected
+    fitted = _into_the_model(found)
     return write_corrected(
         campaign,
         found.subject,

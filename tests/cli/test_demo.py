@@ -33,7 +33,7 @@ def test_the_fmu_that_comes_with_fmuid_is_the_model_of_the_demo(tmp_path, monkey
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("built", "lacking"), [(True, "coulomb@load"), (False, "tau_delay")])
+@pytest.mark.parametrize(("built", "lacking"), [(True, "quadratic@load"), (False, "delay@tau")])
 def test_the_demo_finds_what_it_does_not_tell(tmp_path, monkeypatch, capfd, built, lacking):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)

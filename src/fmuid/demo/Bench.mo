@@ -20,7 +20,7 @@ package Bench "A motor, a shaft and a load: the model of `fmuid demo`"
   model Shaft
     Flange a;
     Flange b;
-    parameter Real c(unit = "N.m/rad") = 40 "Stiffness";
+    parameter Real c(unit = "N.m/rad") = 12 "Stiffness";
     parameter Real d(unit = "N.m.s/rad") = 0.02 "Damping";
     Real phi_rel(unit = "rad");
   equation

@@ -15,7 +15,7 @@ static void defaults(Drive *s)
 {
     memset(s, 0, sizeof *s);
     s->r[J_ROTOR] = 2.5e-3;
-    s->r[C_SHAFT] = 40;
+    s->r[C_SHAFT] = 12;
     s->r[D_SHAFT] = 0.02;
     s->r[J_LOAD] = 4e-3;
 }

@@ -22,8 +22,8 @@ from fmuid.data.crosscheck_csv import Table, write_csv
 from fmuid.simulation.fmu_description import library_name
 
 _STEP, _EVERY, _SAMPLES = 5e-4, 10, 400  # s; steps a sample; samples a run
-_NOISE = 0.03  # rad/s
-_RIG = {"J_rotor": 2.1e-3, "c": 50.0, "d": 0.015, "J_load": 5.2e-3}  # not what the model starts with
+_NOISE = 0.02  # rad/s
+_RIG = {"J_rotor": 2.1e-3, "c": 15.0, "d": 0.015, "J_load": 5.2e-3}  # not what the model starts with
 _INPUTS: Mapping[str, Callable[[float], float]] = {
     "steps": lambda t: 0.12 * (1 if math.sin(5.0 * t) >= 0 else -1),
     "sine": lambda t: 0.15 * math.sin(7.0 * t),
@@ -35,7 +35,7 @@ _VARIABLES = (
     ("w_motor", "output", "rad/s", "Speed of the motor", None),
     ("w_load", "output", "rad/s", "Speed of the load", None),
     ("rotor.J", "parameter", "kg.m2", "Moment of inertia", 2.5e-3),
-    ("shaft.c", "parameter", "N.m/rad", "Stiffness", 40.0),
+    ("shaft.c", "parameter", "N.m/rad", "Stiffness", 12.0),
     ("shaft.d", "parameter", "N.m.s/rad", "Damping", 0.02),
     ("load.J", "parameter", "kg.m2", "Moment of inertia", 4e-3),
 )
@@ -43,16 +43,16 @@ _VARIABLES = (
 
 @dataclass(frozen=True, slots=True)
 class Lacking:
-    """What the rig has and the model has not: dry friction at the load (N.m), a late torque (s)."""
+    """What the rig has and the model has not: drag of the air at the load (N.m.s2/rad2), a late torque (s)."""
 
-    friction: float = 0.0
+    drag: float = 0.0
     delay: float = 0.0
 
     def __str__(self) -> str:
         """Say it."""
-        if self.friction:
-            return f"dry friction of {self.friction:g} N.m at the load (coulomb@load)"
-        return f"a torque that comes {1e3 * self.delay:g} ms late (tau_delay)"
+        if self.drag:
+            return f"a fan as its load, with a drag of {self.drag:g} N.m.s2/rad2 (quadratic@load)"
+        return f"a torque that comes {1e3 * self.delay:g} ms late (delay@tau)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +67,8 @@ class Rig:
 def make_rig(folder: Path) -> Rig:
     """Write a model and the logs of its rig.
 
-    The model is Modelica where it can be built, and its laws of friction may then be missing; else an FMU that
-    came with fmuid, whose signals may be wrong.
+    Where the model can be built it is Modelica, and lacks a law of physics. Else it is an FMU that comes with
+    fmuid, and one of its signals is wrong: of an FMU nobody can say more.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def make_rig(folder: Path) -> Rig:
         raise FmuidError("already exists", where=folder, fix="remove it, or name another folder with --out")
     make_folder(folder)
     if _can_build():
-        file, lacking = folder / "Bench.mo", Lacking(friction=0.015)
+        file, lacking = folder / "Bench.mo", Lacking(drag=3e-4)
         write_atomically(file, files("fmuid.demo").joinpath("Bench.mo").read_bytes())
         model: tuple[str, ...] = ("--model", str(file), "--class", "Bench.Drive")
     else:
@@ -109,7 +109,7 @@ def _log(torque: Callable[[float], float], lacking: Lacking, random: np.random.G
 
     def slope(x: tuple[float, ...], u: float) -> tuple[float, float, float, float]:
         shaft = c * (x[0] - x[1]) + d * (x[2] - x[3])
-        return x[2], x[3], (u - shaft) / j1, (shaft - lacking.friction * math.tanh(x[3] / 0.1)) / j2
+        return x[2], x[3], (u - shaft) / j1, (shaft - lacking.drag * x[3] * abs(x[3])) / j2
 
     def moved(x: tuple[float, ...], k: tuple[float, ...], h: float) -> tuple[float, ...]:
         return tuple(a + h * b for a, b in zip(x, k, strict=True))
