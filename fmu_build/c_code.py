@@ -10,17 +10,28 @@ size. A short function is one piece of straight code.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
 
+from fmu_build.idle import without_branches
+
 _LARGEST_TREE = 40  # operations of a statement
+_LARGEST_CONDITION = 8  # operations of a condition that is evaluated wherever it spares something ...
+_MOST_CONDITIONS = 12  # ... and so many of them for one value
 _LARGEST_PIECE = 400  # operations of a piece of straight code
 _TINY = 150  # up to so many operations a function stays one piece of straight code ...
 _SHORT = 1000  # ... and up to so many if loops would not make it much shorter
 _MOST_RESULTS = 3  # in the statement of a value; more are copies of it
 _FEWEST = 6  # statements that become a loop
+
+_FIRST_IDLE = """\
+  double on;
+  double* to[1] = {{&on}};
+  {on}(arg, to, iw, w, mem);
+  if (on == 0.) return {idle}(arg, res, iw, w, mem);
+"""
 
 Node = int
 Leaf = tuple[int, int]
@@ -64,13 +75,17 @@ class Code:
     work: Mapping[str, tuple[int, int, int]]
 
 
-def c_code(functions: Mapping[str, ca.Function], prefix: str = "model_") -> Code:
+def c_code(functions: Mapping[str, ca.Function], prefix: str = "model_", parameters: int | None = None) -> Code:
     """Write functions as C, as ``int PREFIXname(const double** arg, double** res, ...)``.
 
     Parameters
     ----------
     functions
         SX functions by name. Of a sparse result only the nonzeros are computed, column by column.
+    parameters
+        Which argument of functions that have so many does not change over a simulation. Where several branches
+        hang on it alone, such as laws that are off at zero, there is a second version with none of them, and it is
+        called where all are off.
 
     Returns
     -------
@@ -81,8 +96,19 @@ def c_code(functions: Mapping[str, ca.Function], prefix: str = "model_") -> Code
     parts, work = [], {}
     for name, function in functions.items():
         writer = _Writer(f"{prefix}{name}", function, tables)
-        parts.append(writer.write())
-        work[name] = (max(function.n_in(), 1), max(function.n_out(), 1), writer.slots)
+        idle = without_branches(function, parameters)
+        if idle is None:
+            parts.append(writer.write())
+            slots = writer.slots
+        else:
+            others = [
+                _Writer(f"{prefix}{name}_{what}", one, tables)
+                for what, one in zip(("on", "idle"), idle, strict=True)
+            ]
+            parts += [other.write(head="static ") for other in others]
+            parts.append(writer.write(first=_FIRST_IDLE.format(on=others[0].name, idle=others[1].name)))
+            slots = max(one.slots for one in (writer, *others))
+        work[name] = (max(function.n_in(), 1), max(function.n_out(), 1), slots)
     body = "".join(parts)
     helpers = "".join(text for name, text in _HELPERS.items() if f"{name}(" in body)
     return Code("#include <math.h>\n\n" + helpers + tables.text() + body, work)
@@ -125,6 +151,63 @@ class _Statement:
 
 def _cost(statement: _Statement) -> int:
     return statement.operations + len(statement.results)
+
+
+_Tree = tuple[str, list[Leaf], int]
+"""Operations with holes for the leaves, the leaves, and the number of operations."""
+
+
+def _guards(
+    operations: Sequence[tuple[int, tuple[Node, ...]]], leaf: Mapping[Node, Leaf | str], results: Container[Node]
+) -> dict[Node, _Tree]:
+    """Return the conditions without which values are of no use: those of the only branches that use them.
+
+    Conditions are few, short, and of arguments alone, such as whether a parameter is zero.
+    """
+    always: frozenset[Node] = frozenset([-1])
+    needed = {node: always for node in range(len(operations)) if node in results}
+    for node in range(len(operations) - 1, -1, -1):
+        op, given = operations[node]
+        own = needed.get(node, frozenset())
+        for place, below in enumerate(given):
+            use = frozenset(given[:1]) if op == ca.OP_IF_ELSE_ZERO and place == 1 else own
+            needed[below] = needed.get(below, frozenset()) | use
+    conditions: dict[Node, _Tree | None] = {}
+    found: dict[Node, _Tree] = {}
+    for node, on in needed.items():
+        if -1 in on or len(on) > _MOST_CONDITIONS:
+            continue
+        for condition in on - conditions.keys():
+            conditions[condition] = _condition(operations, leaf, condition)
+        trees = [tree for condition in sorted(on) if (tree := conditions[condition]) is not None]
+        if on and len(trees) == len(on):
+            leaves = [at for tree in trees for at in tree[1]]
+            found[node] = "||".join(tree[0] for tree in trees), leaves, sum(tree[2] for tree in trees)
+    return found
+
+
+def _condition(
+    operations: Sequence[tuple[int, tuple[Node, ...]]], leaf: Mapping[Node, Leaf | str], node: Node
+) -> _Tree | None:
+    at = leaf.get(node)
+    if isinstance(at, str):
+        return at, [], 0
+    if at is not None:
+        return "{}", [at], 0
+    op, given = operations[node]
+    below = [_condition(operations, leaf, n) for n in given]
+    parts = [b for b in below if b is not None]
+    size = 1 + sum(b[2] for b in parts)
+    if len(parts) < len(below) or size > _LARGEST_CONDITION:
+        return None
+    return _TEMPLATES[op].format(*(b[0] for b in parts)), [at for b in parts for at in b[1]], size
+
+
+def _guarded(condition: _Tree | None, shape: str, leaves: list[Leaf], size: int) -> _Tree:
+    """Return a tree that is evaluated only where its value is of use."""
+    if condition is None:
+        return shape, leaves, size
+    return f"(({condition[0]})?{shape}:0)", [*condition[1], *leaves], size + condition[2]
 
 
 def _constant(value: float) -> str:
@@ -175,6 +258,7 @@ class _Writer:
         for _, given in operations:
             for node in given:
                 used[node] += 1
+        guards = _guards(operations, leaf, results)
         statements: list[_Statement] = []
         copies: list[_Statement] = []
         trees: dict[Node, tuple[str, list[Leaf], int]] = {}
@@ -195,7 +279,9 @@ class _Writer:
                 if size > _LARGEST_TREE:  # the largest operand becomes a statement of its own
                     largest = max(range(len(below)), key=lambda i: below[i][2])
                     shape, leaves, count = below[largest]
-                    statements.append(_Statement(given[largest], shape, leaves, count))
+                    statements.append(
+                        _Statement(given[largest], *_guarded(guards.get(given[largest]), shape, leaves, count))
+                    )
                     below[largest] = ("{}", [(-1, given[largest])], 0)
                     size = 1 + sum(b[2] for b in below)
                 shape = _TEMPLATES[op].format(*(b[0] for b in below))
@@ -204,7 +290,7 @@ class _Writer:
                 if used[node] == 1 and not is_result:
                     trees[node] = (shape, leaves, size)
                 elif len(own) <= _MOST_RESULTS:
-                    statements.append(_Statement(node, shape, leaves, size, own))
+                    statements.append(_Statement(node, *_guarded(guards.get(node), shape, leaves, size), own))
                 else:
                     statements.append(_Statement(node, shape, leaves, size))
                     copies += [_Statement(-1, "{}", [(-1, node)], 0, [result]) for result in own]
@@ -215,7 +301,9 @@ class _Writer:
             copy.node = len(operations) + number
         return [*statements, *copies]
 
-    def write(self) -> str:
+    def write(self, head: str = "", first: str = "") -> str:
+        """Return the C function; `head` comes before it, `first` is what it does before anything else."""
+        self._head, self._first = head, first
         statements = self._statements
         total = sum(map(_cost, statements))
         if total > _TINY:
@@ -228,8 +316,9 @@ class _Writer:
     def _signature(self, body: str) -> str:
         unused = "".join(f" (void){n};" for n in ("arg", "res", "iw", "w", "mem"))
         return (
-            f"int {self.name}(const double** arg, double** res, long long int* iw, double* w, int mem) {{\n"
-            f" {unused}\n{body}  return 0;\n}}\n\n"
+            f"{self._head}int {self.name}"
+            "(const double** arg, double** res, long long int* iw, double* w, int mem) {\n"
+            f" {unused}\n{self._first}{body}  return 0;\n}}\n\n"
         )
 
     def _in_pieces(self, pieces: list[list[_Statement] | tuple[_Statement, ...]]) -> str:

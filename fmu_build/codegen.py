@@ -13,6 +13,7 @@ from fmu_build.elimination import plan
 from fmu_build.graph import SX, Gradient, Graph, Substitution, key
 
 Functions = dict[str, ca.Function]
+PARAMETERS = 3  # number of p among the arguments that most functions share
 Slope = tuple[int, int, SX]
 """Row, column and expression of an entry of a sparse matrix."""
 
@@ -231,7 +232,7 @@ class Files:
 
 def c_files(functions: Functions, header: Header) -> Files:
     """C text of all functions and tables; the same bytes for the same functions."""
-    often = c_code({n: f for n, f in functions.items() if n not in RARE})
+    often = c_code({n: f for n, f in functions.items() if n not in RARE}, parameters=PARAMETERS)
     rare = c_code({n: f for n, f in functions.items() if n in RARE})
     lines = ["#ifndef MODEL_H", "#define MODEL_H", ""]
     lines += ["#ifndef casadi_int", "#define casadi_int long long int", "#endif", ""]

@@ -13,6 +13,7 @@ import casadi as ca
 
 from fmu_build.c_code import c_code, lengths
 
+_MOVING = (0, 1, 2, 5, 6, 7, 8)  # arguments other than parameters, which have no kinks over time
 _MOST = 200  # more kinks than that are not worth looking at
 _DIFFERENCE = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_LT, ca.OP_LE)
 _ARGUMENT = (ca.OP_FABS, ca.OP_SIGN)
@@ -32,6 +33,7 @@ def switching_functions(derivatives: Any) -> Any:
         ``model_switches`` of the same arguments; f is smooth wherever no component changes its sign.
     """
     arguments = derivatives.sx_in()
+    moving = ca.vertcat(*(arguments[i] for i in _MOVING))
     found: dict[int, Any] = {}
     seen: set[int] = set()
     outputs = derivatives.call(arguments)
@@ -45,7 +47,7 @@ def switching_functions(derivatives: Any) -> Any:
         operands = [node.dep(i) for i in range(node.n_dep())]
         if operands and node.op() in (*_DIFFERENCE, *_ARGUMENT):
             switch = operands[0] - operands[1] if node.op() in _DIFFERENCE else operands[0]
-            if not switch.is_constant():
+            if not switch.is_constant() and ca.depends_on(switch, moving):
                 found.setdefault(switch.element_hash(), switch)
         stack.extend(operands)
     chosen = list(found.values()) if len(found) <= _MOST else []
@@ -59,7 +61,7 @@ def switches_code(derivatives: Any | None) -> dict[str, str]:
         function = switching_functions(derivatives)
         length = function.numel_out(0)
     if length:
-        code = c_code({"switches": function})
+        code = c_code({"switches": function}, parameters=3)
         source, sizes = code.source, lengths([code])
     lines = [
         "/* Switching functions of the right-hand side, see fmu_build/switches.py. Generated. */",

@@ -27,7 +27,7 @@ def _simulate(factors: Mapping[str, float], effect: Mapping[str, float], time: F
             ]
         return [(i - e["leak"] * v) / c, (volts - drop - r * i - v) / inductance, 0.0]
 
-    x = integrate(slope, [0.0, 0.0, 0.0], time, delayed(time, drive, e["delay"]), steps=20)
+    x = integrate(slope, [0.0, 0.0, drive[0]], time, delayed(time, drive, e["delay"]), steps=20)
     return np.stack([x[0] + e["share"] * u, x[1] + e["offset"]])
 
 
@@ -49,7 +49,7 @@ CIRCUIT = Rig(
         "saturation@u": {"limit": 4.0},
         "delay@u": {"delay": 4e-5},
         "crosstalk@v": {"share": 0.02},
-        "capacity@resistor.n": {"stray": 4e-7},
+        "capacity@resistor.n": {"stray": 2e-6},
         "voltage_drop@source": {"drop": 0.3},
     },
     ("R", "L", "C"),

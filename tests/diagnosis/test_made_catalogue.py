@@ -11,14 +11,16 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from fmu_build import compile_flat, load
+from fmu_build.codegen import PARAMETERS
 from fmu_build.errors import ModelicaError
+from fmu_build.idle import without_branches
 from fmu_build.instrument import Added, Term, instrument
 from fmu_build.model_ports import domain_of, find_ports, held_parameters
 from fmuid.cli.app import run
 from fmuid.core.campaign import ModelSource, ModelSpec
 from fmuid.diagnosis.catalogue import load_catalogue
 from fmuid.diagnosis.made_catalogue import SIZES, Place, catalogue_text, laws, possible_laws
-from fmuid.diagnosis.variants import Variants, carrier
+from fmuid.diagnosis.variants import Variants, carrier, term_of
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.model_source import built_model, built_with_terms
 from fmuid.simulation.simulator import Task
@@ -43,7 +45,7 @@ def every_law(model, folder):
 def everything(model, folder):
     """Every law at every port that makes no variant, as terms and the parameters that they use."""
     catalogue = every_law(model, folder)
-    terms = [Term(e.port, e.acts, e.expression, e.id) for e in catalogue.effects.values() if not e.variant]
+    terms = [term_of(e, e.id) for e in catalogue.effects.values() if not e.variant]
     added = [Added(u.name, e.neutral[u.name]) for e in catalogue.effects.values() for u in e.unknowns]
     for port in catalogue.ports.values():
         if port.input is not None:
@@ -78,7 +80,7 @@ def test_laws_follow_the_domain():
     assert domain_of("m", "N") == "translational"
     assert domain_of("m", "m3/s") == "fluid"
     assert domain_of("V", None) is None
-    assert possible_laws(flat("Circuit"))["capacitor"] == ["leakage", "resistance"]
+    assert possible_laws(flat("Circuit"))["capacitor"] == ["leakage", "resistance", "voltage_drop"]
     assert "hysteresis" in possible_laws(flat("TwoMass"))["shaft"]
     assert {"capacity", "loss", "radiation"} <= set(possible_laws(flat("Block"))["body"])
     assert "outflow" in possible_laws(flat("Tanks"))["upper"]
@@ -106,6 +108,31 @@ def test_all_off_the_equations_are_bit_for_bit_the_plain_ones(name, tmp_path):
             results.append([np.array(part) for part in one.functions["jacobian"](*point)])
         for a, b in zip(*results, strict=True):
             assert np.array_equal(a, b)
+
+
+def test_laws_that_are_off_take_none_of_the_time_of_a_simulation(tmp_path):
+    model = flat("TwoMass")
+    plain, changed = compile_flat(model), compile_flat(instrument(model, *everything(model, tmp_path)))
+    for name in ("derivatives", "jacobian"):
+        on, idle = without_branches(changed.functions[name], PARAMETERS)
+        assert idle.n_instructions() < 1.3 * plain.functions[name].n_instructions() + 20
+        assert idle.n_instructions() < 0.3 * changed.functions[name].n_instructions()
+        assert f"model_{name}_idle(arg" in changed.c_source
+        assert "_idle" not in plain.c_source
+        p = {v.location.index: v.start for v in changed.variables if v.location.vector == "p"}
+        values = np.array([float(p[i]) for i in range(changed.n_p)])
+        x, u = np.arange(1.0, changed.n_x + 1), np.zeros(changed.n_u)
+        index = next(v.location.index for v in changed.variables if v.name == "load.quadratic")
+        for size, acts in ((0.0, 0.0), (0.1, 1.0)):
+            values[index] = size
+            point = [0.3, x, u, values, [], [], [], [], []]
+            assert float(on(*point)) == acts
+            assert np.array_equal(
+                np.array(idle(*point)[0] if name == "jacobian" else idle(*point)),
+                np.array(
+                    changed.functions[name](*point)[0] if name == "jacobian" else changed.functions[name](*point)
+                ),
+            ) == (acts == 0.0)
 
 
 def test_a_term_acts_where_it_is_put():

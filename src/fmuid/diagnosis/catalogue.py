@@ -48,6 +48,8 @@ class Effect:
         States of the expression's own.
     usual
         Whether such a law is physically usual at this port: of effects that no data tell apart it is preferred.
+    variant
+        Whether it makes another model even while it is off, to be built only where it is tried.
     trials
         Plausible values to score it by: two or three magnitudes, shapes where they matter.
     two_sided
@@ -70,11 +72,7 @@ class Effect:
     expression: str = ""
     states: tuple[State, ...] = ()
     usual: bool = True
-
-    @property
-    def variant(self) -> bool:
-        """Whether it makes another model even while it is off, to be built only where it is tried."""
-        return bool(self.states) or self.acts == "cut"
+    variant: bool = False
 
     def scaled(self, trial: Mapping[str, float], factor: float) -> dict[str, float]:
         """Return the values of a trial whose sizes are scaled from neutral by `factor`, within bounds."""
@@ -135,6 +133,7 @@ class _Effect(Table):
     expression: str = ""
     states: dict[str, _State] = msgspec.field(default_factory=dict)
     usual: bool = True
+    variant: bool = False
 
 
 class _Port(Table):
@@ -252,4 +251,5 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
         expression=raw.expression,
         states=tuple(State(key, s.derivative, s.start, s.unit) for key, s in raw.states.items()),
         usual=raw.usual,
+        variant=raw.variant or bool(raw.states) or raw.acts == "cut",
     )

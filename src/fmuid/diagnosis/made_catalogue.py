@@ -69,6 +69,7 @@ class _Law(Table):
     states: dict[str, _LawState] = msgspec.field(default_factory=dict)
     two_sided: bool = False
     compliant: bool = False
+    variant: bool = False
     trials: list[dict[str, str]] | None = None
 
     def of(self, domain: str) -> str:
@@ -187,10 +188,6 @@ def _effect_lines(name: str, law: _Law, place: Place) -> list[str]:
     states = {key: f"{base}_{key}" for key in law.states}
     meant = {**own, **states, **{s: f"{v:.3g}" for s, v in sizes.items()}}
     expression = _put_in(law.of(port.domain), meant)
-    on = " or ".join(
-        f"abs({own[k]} - {off:.6g}) > 0" if (off := value(p.off)) else f"abs({own[k]}) > 0"
-        for k, p in law.parameters.items() if p.off is not None
-    )  # fmt: skip
     if law.trials is None:
         trials = [
             {own[k]: value(p.off or "0") + share * value(p.scale) for k, p in law.parameters.items() if p.scale}
@@ -209,12 +206,12 @@ def _effect_lines(name: str, law: _Law, place: Place) -> list[str]:
         f"expression = {toml_text(expression)}",
         *(["two_sided = true"] if law.two_sided else []),
         *(["usual = false"] if port.kind != law.on[0] else []),
+        *(["variant = true"] if law.variant else []),
         f"trials = [{', '.join(_inline(t) for t in trials)}]",
         f"{table}.parameters]",
     ]
     for key, state in law.states.items():
-        # It stands still while the law is off, and then costs no steps.
-        derivative = f"noEvent(if {on} then {_put_in(state.derivative, meant)} else 0)"
+        derivative = _put_in(state.derivative, meant)
         start = _put_in(state.start, meant)
         rows = f"derivative = {toml_text(derivative)}, start = {toml_text(start)}"
         lines.insert(-1, f"states.{toml_text(states[key])} = {{ {rows} }}")

@@ -48,7 +48,7 @@ def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Co
         if effect.expression and effect.port in known and effect.id not in inside:
             where = f"[effects.{effect.id!r}] expression"
             if not effect.variant or effect.id in tried:
-                terms.append(Term(effect.port, effect.acts, effect.expression, where, effect.states))
+                terms.append(term_of(effect, where))
             added += [
                 Added(u.name, effect.neutral[u.name], effect.units.get(u.name, ""), effect.description)
                 for u in effect.unknowns
@@ -61,12 +61,24 @@ def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Co
     return built_with_terms(source, flat, terms, added)
 
 
+def term_of(effect: Effect, where: str) -> Term:
+    """Return what an effect adds to a model: while it is off nothing, at no cost; its states stand still."""
+    sizes = [u.name for u in effect.unknowns if u.name not in effect.shapes]
+    neutral = [(name, effect.neutral[name]) for name in sizes]
+    on = " or ".join(f"abs({name} - {off!r}) > 0" if off else f"abs({name}) > 0" for name, off in neutral)
+    if not on or effect.acts == "cut":
+        return Term(effect.port, effect.acts, effect.expression, where, effect.states)
+    off = "p" if effect.acts == "signal" else "0"
+    states = tuple(replace(s, derivative=f"noEvent(if {on} then {s.derivative} else 0)") for s in effect.states)
+    return Term(effect.port, effect.acts, f"noEvent(if {on} then {effect.expression} else {off})", where, states)
+
+
 @dataclass(frozen=True, eq=False)
 class Variants:
-    """Models with effects that have states, or that part a rigid connection: built when one is first tried.
+    """Models with effects that make another one of it even while they are off: built when one is first tried.
 
-    Effects with states share a model, in which those that are off stand still. Connections that are parted make a
-    model of their own.
+    Effects with states, or that loops go through, share a model, in which those that are off stand still.
+    Connections that are parted make a model of their own.
 
     Attributes
     ----------
@@ -98,8 +110,8 @@ class Variants:
         on = [e for e in self._effects if _is_on(e, values)]
         if not on or setup not in self.models:
             return None
-        with_states = any(e.states for e in on)
-        tried = frozenset(e.id for e in self._effects if e in on or (with_states and e.acts != "cut"))
+        uncut = any(e.acts != "cut" for e in on)
+        tried = frozenset(e.id for e in self._effects if e in on or (uncut and e.acts != "cut"))
         if (setup, tried) not in self._loaded:
             model = self.models[setup]
             assert model.source is not None
