@@ -101,7 +101,7 @@ def run(scope: ModelScope, section: Algorithm, initial: bool) -> list[Equation]:
         whole = _whole(scope, name)
         for target, value in zip(algebra.scalars(whole), _items(frame.variables[name], whole), strict=True):
             sides = (algebra.sx(target), algebra.sx(value))
-            out.append(Equation(sides[0] - sides[1], section.at, sides))
+            out.append(Equation(sides[0] - sides[1], section.at, sides, target=sides[0]))
     return out
 
 

@@ -26,8 +26,8 @@ def build(
     file: Path | str,
     class_name: str,
     out: Path | str,
-    *,
     fmi: str = "2",
+    *,
     compiler: str = "own",
     roots: Sequence[Path | str] = (),
 ) -> Path:

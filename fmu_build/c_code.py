@@ -219,87 +219,94 @@ def _constant(value: float) -> str:
     return f"({text})" if value < 0 else text
 
 
+class _Trees:
+    """The operations of a function as trees: a statement for each value that is used more than once."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self._operations: list[tuple[int, tuple[Node, ...]]] = []
+        self._leaf: dict[Node, Leaf | str] = {}
+        self._results: dict[Node, list[Leaf]] = {}
+        register: dict[int, Node] = {}
+        for k in range(function.n_instructions()):
+            op, out = function.instruction_id(k), function.instruction_output(k)
+            node = len(self._operations)
+            if op == ca.OP_OUTPUT:
+                source = register[function.instruction_input(k)[0]]
+                self._results.setdefault(source, []).append((out[0], out[1]))
+                continue
+            given: tuple[Node, ...] = ()
+            if op == ca.OP_INPUT:
+                argument, position = function.instruction_input(k)
+                self._leaf[node] = (argument, position)
+            elif op == ca.OP_CONST:
+                self._leaf[node] = _constant(function.instruction_constant(k))
+            else:
+                # CasADi names the one operand of a unary operation twice
+                operands = function.instruction_input(k)[: _TEMPLATES[op].count("{}")]
+                given = tuple(register[i] for i in operands)
+            self._operations.append((op, given))
+            register[out[0]] = node
+        self._used = [0] * len(self._operations)
+        for node in (n for _, given in self._operations for n in given):
+            self._used[node] += 1
+        self._guards = _guards(self._operations, self._leaf, self._results)
+        self._trees: dict[Node, _Tree] = {}
+        self._statements: list[_Statement] = []
+        self._copies: list[_Statement] = []
+
+    def statements(self) -> list[_Statement]:
+        """List the statements, each after those whose values it uses."""
+        for node, (op, given) in enumerate(self._operations):
+            if node not in self._leaf:
+                self._operation(node, op, given)
+            elif node in self._results:
+                shape, leaves, size = self._tree(node)
+                self._copies += [_Statement(-1, shape, leaves, size, [r]) for r in self._results[node]]
+        for number, copy in enumerate(self._copies):
+            copy.node = len(self._operations) + number
+        return [*self._statements, *self._copies]
+
+    def _tree(self, node: Node) -> tuple[str, list[Leaf], int]:
+        at = self._leaf.get(node)
+        if isinstance(at, str):
+            return at, [], 0
+        if at is not None:
+            return "{}", [at], 0
+        return self._trees.pop(node) if node in self._trees else ("{}", [(-1, node)], 0)
+
+    def _operation(self, node: Node, op: int, given: tuple[Node, ...]) -> None:
+        below = [self._tree(n) for n in given]
+        size = 1 + sum(b[2] for b in below)
+        if size > _LARGEST_TREE:  # the largest operand becomes a statement of its own
+            largest = max(range(len(below)), key=lambda i: below[i][2])
+            shape, leaves, count = below[largest]
+            self._statements.append(
+                _Statement(given[largest], *_guarded(self._guards.get(given[largest]), shape, leaves, count))
+            )
+            below[largest] = ("{}", [(-1, given[largest])], 0)
+            size = 1 + sum(b[2] for b in below)
+        shape = _TEMPLATES[op].format(*(b[0] for b in below))
+        leaves = [at for b in below for at in b[1]]
+        own = self._results.get(node, [])
+        if self._used[node] == 1 and not own:
+            self._trees[node] = (shape, leaves, size)
+        elif len(own) <= _MOST_RESULTS:
+            guarded = _guarded(self._guards.get(node), shape, leaves, size)
+            self._statements.append(_Statement(node, *guarded, own))
+        else:
+            self._statements.append(_Statement(node, shape, leaves, size))
+            self._copies += [_Statement(-1, "{}", [(-1, node)], 0, [result]) for result in own]
+
+
 class _Writer:
     def __init__(self, name: str, function: ca.Function, tables: _Tables) -> None:
         self.name = name
         self.tables = tables
         self.slots = 0
         self._slot: dict[Node, int] = {}
-        self._statements = self._read(function)
+        self._statements = _Trees(function).statements()
         self._of = {s.node: s for s in self._statements}
         self._used = {node for s in self._statements for argument, node in s.leaves if argument == -1}
-
-    def _read(self, function: ca.Function) -> list[_Statement]:
-        """List the statements, each after those whose values it uses."""
-        operations: list[tuple[int, tuple[Node, ...]]] = []
-        leaf: dict[Node, Leaf | str] = {}
-        register: dict[int, Node] = {}
-        results: dict[Node, list[Leaf]] = {}
-        for k in range(function.n_instructions()):
-            op, out = function.instruction_id(k), function.instruction_output(k)
-            node = len(operations)
-            if op == ca.OP_OUTPUT:
-                source = register[function.instruction_input(k)[0]]
-                results.setdefault(source, []).append((out[0], out[1]))
-                continue
-            given: tuple[Node, ...] = ()
-            if op == ca.OP_INPUT:
-                argument, position = function.instruction_input(k)
-                leaf[node] = (argument, position)
-            elif op == ca.OP_CONST:
-                leaf[node] = _constant(function.instruction_constant(k))
-            else:
-                # CasADi names the one operand of a unary operation twice
-                operands = function.instruction_input(k)[: _TEMPLATES[op].count("{}")]
-                given = tuple(register[i] for i in operands)
-            operations.append((op, given))
-            register[out[0]] = node
-        used = [0] * len(operations)
-        for _, given in operations:
-            for node in given:
-                used[node] += 1
-        guards = _guards(operations, leaf, results)
-        statements: list[_Statement] = []
-        copies: list[_Statement] = []
-        trees: dict[Node, tuple[str, list[Leaf], int]] = {}
-
-        def tree(node: Node) -> tuple[str, list[Leaf], int]:
-            at = leaf.get(node)
-            if isinstance(at, str):
-                return at, [], 0
-            if at is not None:
-                return "{}", [at], 0
-            return trees.pop(node) if node in trees else ("{}", [(-1, node)], 0)
-
-        for node, (op, given) in enumerate(operations):
-            is_result = node in results
-            if node not in leaf:
-                below = [tree(n) for n in given]
-                size = 1 + sum(b[2] for b in below)
-                if size > _LARGEST_TREE:  # the largest operand becomes a statement of its own
-                    largest = max(range(len(below)), key=lambda i: below[i][2])
-                    shape, leaves, count = below[largest]
-                    statements.append(
-                        _Statement(given[largest], *_guarded(guards.get(given[largest]), shape, leaves, count))
-                    )
-                    below[largest] = ("{}", [(-1, given[largest])], 0)
-                    size = 1 + sum(b[2] for b in below)
-                shape = _TEMPLATES[op].format(*(b[0] for b in below))
-                leaves = [at for b in below for at in b[1]]
-                own = results.get(node, [])
-                if used[node] == 1 and not is_result:
-                    trees[node] = (shape, leaves, size)
-                elif len(own) <= _MOST_RESULTS:
-                    statements.append(_Statement(node, *_guarded(guards.get(node), shape, leaves, size), own))
-                else:
-                    statements.append(_Statement(node, shape, leaves, size))
-                    copies += [_Statement(-1, "{}", [(-1, node)], 0, [result]) for result in own]
-            elif is_result:
-                shape, leaves, size = tree(node)
-                copies += [_Statement(-1, shape, leaves, size, [result]) for result in results[node]]
-        for number, copy in enumerate(copies):
-            copy.node = len(operations) + number
-        return [*statements, *copies]
 
     def write(self, head: str = "", first: str = "") -> str:
         """Return the C function; `head` comes before it, `first` is what it does before anything else."""

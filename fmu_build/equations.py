@@ -32,7 +32,7 @@ class Equation:
     """``residual = 0``; `sides` are kept for equations between discrete variables.
 
     An if-equation whose branches are of different form has the residual of each in `branches`, and in `choice`
-    what equations of one if-equation share.
+    what equations of one if-equation share. What an algorithm assigns is in `target`.
     """
 
     residual: SX
@@ -40,6 +40,7 @@ class Equation:
     sides: tuple[SX, SX] | None = None
     branches: tuple[SX, ...] = ()
     choice: tuple[int, ...] = ()
+    target: SX | None = None
 
 
 @dataclass(frozen=True)
@@ -77,8 +78,7 @@ class Equations:
     def add(self, scope: ModelScope, equations: list[Equation]) -> None:
         """Add equations; one with a discrete variable alone on a side defines a discrete variable."""
         for equation in equations:
-            discrete = equation.sides is not None and any(can_define(scope, s) for s in equation.sides)
-            (self.discrete if discrete else self.continuous).append(equation)
+            (self.discrete if definable(scope, equation) else self.continuous).append(equation)
 
 
 def collect(scope: ModelScope) -> Equations:
@@ -131,12 +131,17 @@ def _spread(value: Value, like: Value) -> tuple[Scalar, ...]:
     return items if len(items) == len(algebra.scalars(like)) else items * len(algebra.scalars(like))
 
 
-def can_define(scope: ModelScope, side: SX) -> bool:
-    """Whether an equation with this side defines it: a discrete variable that no when-clause assigns."""
-    declared = scope.declared(side) if side.is_symbolic() else None
-    if declared is None or declared.kind != "discrete":
-        return False
-    return not {declared.name, declared.variable.name} & scope.assigned
+def definable(scope: ModelScope, equation: Equation) -> list[SX]:
+    """Discrete variables that an equation may define: sides that no when-clause and no algorithm assigns."""
+    found = []
+    for side in equation.sides or ():
+        declared = scope.declared(side) if side.is_symbolic() else None
+        if declared is None or declared.kind != "discrete":
+            continue
+        is_target = equation.target is not None and key(side) == key(equation.target)
+        if is_target or not {declared.name, declared.variable.name} & (scope.assigned | scope.in_algorithms):
+            found.append(side)
+    return found
 
 
 def _scalar_equations(scope: ModelScope, equation: Flat) -> list[Equation]:

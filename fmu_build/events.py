@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 
 from fmu_build import algebra
-from fmu_build.equations import Branch, Equation, Equations, can_define
+from fmu_build.equations import Branch, Equation, Equations, definable
 from fmu_build.graph import SX, Substitution, if_else, key
 from fmu_build.matching import augment, components
 from fmu_build.scope import ModelScope
@@ -154,7 +154,7 @@ def relation_groups(system: System, happenings: Events) -> list[int]:
 
 def _definitions(scope: ModelScope, equations: list[Equation]) -> dict[int, SX]:
     """Match each equation between discrete variables with the one it defines."""
-    sides = [[s for s in equation.sides or () if can_define(scope, s)] for equation in equations]
+    sides = [definable(scope, equation) for equation in equations]
     column: dict[int, int] = {}
     for row in sides:
         for side in row:

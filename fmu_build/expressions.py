@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import product
@@ -46,7 +47,20 @@ _ELEMENTWISE: dict[str, Callable[..., Scalar]] = {
     "./": algebra.divide,
     ".^": algebra.power,
 }
-_RELATIONS = {"<", "<=", ">", ">=", "==", "<>"}
+_RELATIONS: dict[str, Callable[[Any, Any], Any]] = {
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq, "<>": operator.ne,
+}  # fmt: skip
+
+
+def _arithmetic(op: str, a: Value, b: Value) -> Value:
+    if op == "+" and (isinstance(a, str) or isinstance(b, str)):
+        return f"{a}{b}"
+    if op == "*" and isinstance(a, Array) and isinstance(b, Array):
+        return algebra.matrix_product(a, b)
+    scalar = {"/": algebra.divide, "^": algebra.power, "*": lambda x, y: x * y} | _ELEMENTWISE
+    if (op == "/" and isinstance(b, Array)) or (op == "^" and isinstance(a, Array)) or op not in scalar:
+        raise ValueError(f"operator {op} on {algebra.kind(a)} and {algebra.kind(b)} is not supported")
+    return algebra.elementwise(scalar[op], a, b)
 
 
 class Context(Protocol):
@@ -283,23 +297,11 @@ class Evaluator:
         a, b = self(node.left), self(node.right)
         if op in _RELATIONS:
             if isinstance(a, str) and isinstance(b, str):
-                return {"==": a == b, "<>": a != b, "<": a < b, "<=": a <= b, ">": a > b, ">=": a >= b}[op]
+                return bool(_RELATIONS[op](a, b))
             return algebra.elementwise(lambda x, y: self._relation(op, x, y), a, b)
         if isinstance(a, dict) and isinstance(b, dict) and op == "-":
             return {name: algebra.elementwise(_ELEMENTWISE[op], a[name], b[name]) for name in a}
-        if op == "+" and (isinstance(a, str) or isinstance(b, str)):
-            return f"{a}{b}"
-        if op in _ELEMENTWISE:
-            return algebra.elementwise(_ELEMENTWISE[op], a, b)
-        if op == "*":
-            if isinstance(a, Array) and isinstance(b, Array):
-                return algebra.matrix_product(a, b)
-            return algebra.elementwise(lambda x, y: x * y, a, b)
-        if op == "/" and not isinstance(b, Array):
-            return algebra.elementwise(algebra.divide, a, b)
-        if op == "^" and not isinstance(a, Array):
-            return algebra.elementwise(algebra.power, a, b)
-        raise ValueError(f"operator {op} on {algebra.kind(a)} and {algebra.kind(b)} is not supported")
+        return _arithmetic(op, a, b)
 
     def _logical(self, both: bool, node: Binary) -> Value:
         """``and`` (`both`) or ``or``; what is decided by one side alone does not look at the other."""
@@ -316,7 +318,7 @@ class Evaluator:
             equal = algebra.EQUAL(a, b)
             return equal if op == "==" else algebra.NOT(equal)
         if not isinstance(a, SX) and not isinstance(b, SX):
-            return {"<": a < b, "<=": a <= b, ">": a > b, ">=": a >= b}[op]
+            return bool(_RELATIONS[op](a, b))
         low, high = (a, b) if op in ("<", "<=") else (b, a)
         if self._no_event:
             return (algebra.LESS if op in ("<", ">") else algebra.LESS_EQUAL)(low, high)
@@ -390,32 +392,39 @@ class Evaluator:
 
     def _builtin(self, name: str, nodes: tuple[Expression | None, ...]) -> Value:
         given = [n for n in nodes if n is not None]
-        if name == "smooth" and not self._no_event and self(given[0]) == 0:
-            return self._smooth(given[1])
-        if name in ("noEvent", "smooth"):
-            if name == "noEvent" and self._inside_smooth and self.events_in_smooth == "all":
-                return self(given[0])
-            with self.no_event():
-                return self(given[-1])
-        if name == "homotopy":
-            actual = self(given[0])
-            if not self.events_in_smooth:
-                return actual
-            return algebra.choose(self.scope.starting(), self(given[1]), actual)
-        if name == "size":
-            array = self(given[0])
-            shape = array.shape if isinstance(array, Array) else ()
-            if len(given) == 1:
-                return Array((len(shape),), shape)
-            return shape[whole(self(given[1])) - 1]
-        if name in ("pre", "edge", "change"):
-            return self._with_previous(name, given[0])
+        if name in _SPECIAL:
+            return self._special(name, given)
         arguments = [self(n) for n in given]
         if name in algebra.FUNCTIONS:
             return algebra.elementwise(algebra.FUNCTIONS[name], *arguments)
         if name in STEPS:
             return algebra.elementwise(lambda *a: self._step(name, *a), *arguments)
         return BUILTIN[name](self, *arguments)
+
+    def _special(self, name: str, given: list[Expression]) -> Value:
+        """Evaluate what is more than a function of the values of its arguments."""
+        if name in ("pre", "edge", "change"):
+            return self._with_previous(name, given[0])
+        if name == "size":
+            return self._size(given)
+        if name == "homotopy":
+            actual = self(given[0])
+            if not self.events_in_smooth:
+                return actual
+            return algebra.choose(self.scope.starting(), self(given[1]), actual)
+        if name == "smooth" and not self._no_event and self(given[0]) == 0:
+            return self._smooth(given[1])
+        if name == "noEvent" and self._inside_smooth and self.events_in_smooth == "all":
+            return self(given[0])
+        with self.no_event():
+            return self(given[-1])
+
+    def _size(self, given: list[Expression]) -> Value:
+        array = self(given[0])
+        shape = array.shape if isinstance(array, Array) else ()
+        if len(given) == 1:
+            return Array((len(shape),), shape)
+        return shape[whole(self(given[1])) - 1]
 
     def _smooth(self, node: Expression) -> Value:
         self.smoothed = True

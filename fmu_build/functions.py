@@ -250,11 +250,7 @@ class Body:
             case Assign():
                 self._assign(statement.target, self._evaluate(statement.value))
             case AssignMany():
-                result = self._evaluate(statement.call)
-                results = result if isinstance(result, tuple) else (result,)
-                for target, value in zip(statement.targets, results, strict=False):
-                    if target is not None:
-                        self._assign(target, value)
+                self._assign_many(statement)
             case IfStatement():
                 self._branch(list(statement.branches))
             case ForStatement():
@@ -263,16 +259,21 @@ class Body:
                 self._while(statement)
             case WhenStatement():
                 self._when(statement)
-            case Return():
-                self._frame.variables[_DONE] = True
-            case Break():
-                self._frame.variables[_LEFT] = True
+            case Return() | Break():
+                self._frame.variables[_DONE if isinstance(statement, Return) else _LEFT] = True
             case Assert():
                 self._assert(statement)
             case _:
                 raise self._library.error(
                     f"{type(statement).__name__.lower()} is not supported here", statement.at
                 )
+
+    def _assign_many(self, statement: AssignMany) -> None:
+        result = self._evaluate(statement.call)
+        results = result if isinstance(result, tuple) else (result,)
+        for target, value in zip(statement.targets, results, strict=False):
+            if target is not None:
+                self._assign(target, value)
 
     def _branch(self, branches: list[tuple[Expression | None, tuple[Any, ...]]]) -> None:
         if not branches:

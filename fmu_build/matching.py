@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 
 def augment(row: int, incidence: Callable[[int], Sequence[int]], row_of: dict[int, int], seen: set[int]) -> bool:
@@ -40,40 +40,48 @@ def augment(row: int, incidence: Callable[[int], Sequence[int]], row_of: dict[in
 
 def components(successors: Sequence[Sequence[int]]) -> list[list[int]]:
     """Strongly connected components, each after all it leads to (Tarjan's order), without recursion."""
-    index: dict[int, int] = {}
-    low: dict[int, int] = {}
-    on_stack: set[int] = set()
-    stack: list[int] = []
-    out: list[list[int]] = []
+    search = _Tarjan(successors)
     for root in range(len(successors)):
-        if root in index:
-            continue
-        work = [(root, iter(successors[root]))]
-        index[root] = low[root] = len(index)
-        stack.append(root)
-        on_stack.add(root)
+        if root not in search.index:
+            search.visit(root)
+    return search.found
+
+
+class _Tarjan:
+    def __init__(self, successors: Sequence[Sequence[int]]) -> None:
+        self._successors = successors
+        self._low: dict[int, int] = {}
+        self._stack: list[int] = []
+        self._on_stack: set[int] = set()
+        self.index: dict[int, int] = {}
+        self.found: list[list[int]] = []
+
+    def visit(self, root: int) -> None:
+        work = [self._enter(root)]
         while work:
             node, rest = work[-1]
-            for successor in rest:
-                if successor not in index:
-                    index[successor] = low[successor] = len(index)
-                    stack.append(successor)
-                    on_stack.add(successor)
-                    work.append((successor, iter(successors[successor])))
-                    break
-                if successor in on_stack:
-                    low[node] = min(low[node], index[successor])
-            else:
+            successor = next((s for s in rest if s not in self.index or s in self._on_stack), None)
+            if successor is None:
                 work.pop()
                 if work:
-                    low[work[-1][0]] = min(low[work[-1][0]], low[node])
-                if low[node] == index[node]:
-                    component = []
-                    while True:
-                        member = stack.pop()
-                        on_stack.discard(member)
-                        component.append(member)
-                        if member == node:
-                            break
-                    out.append(sorted(component))
-    return out
+                    parent = work[-1][0]
+                    self._low[parent] = min(self._low[parent], self._low[node])
+                if self._low[node] == self.index[node]:
+                    self._leave(node)
+            elif successor in self.index:
+                self._low[node] = min(self._low[node], self.index[successor])
+            else:
+                work.append(self._enter(successor))
+
+    def _enter(self, node: int) -> tuple[int, Iterator[int]]:
+        self.index[node] = self._low[node] = len(self.index)
+        self._stack.append(node)
+        self._on_stack.add(node)
+        return node, iter(self._successors[node])
+
+    def _leave(self, node: int) -> None:
+        component = [self._stack.pop()]
+        while component[-1] != node:
+            component.append(self._stack.pop())
+        self._on_stack.difference_update(component)
+        self.found.append(sorted(component))

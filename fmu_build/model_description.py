@@ -6,7 +6,7 @@ A variable's value reference is its position in ``CompiledModel.variables``, in 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 from xml.etree import ElementTree
 
@@ -183,6 +183,20 @@ def _log_categories(root: ElementTree.Element) -> None:
     _element(parent, "Category", name="logStatusWarning", description="What may be wrong though the run goes on")
 
 
+def _types(root: ElementTree.Element, model: CompiledModel, fmi: FmiVersion) -> Mapping[tuple[str, ...], str]:
+    """Write the enumerations; return their names."""
+    types = _type_names(model)
+    parent = _element(root, "TypeDefinitions") if types else root
+    for literals, name in types.items():
+        if fmi == 2:
+            kind = _element(_element(parent, "SimpleType", name=name), "Enumeration")
+        else:
+            kind = _element(parent, "EnumerationType", name=name)
+        for ordinal, literal in enumerate(literals, start=1):
+            _element(kind, "Item", name=literal, value=ordinal)
+    return types
+
+
 def _fmi2(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTree.Element:
     root = ElementTree.Element("fmiModelDescription", {"fmiVersion": "2.0"})
     attributes = {
@@ -209,13 +223,7 @@ def _fmi2(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
         for name in sources:
             _element(files, "File", name=name)
     _units(root, model.units)
-    types = _type_names(model)
-    if types:
-        parent = _element(root, "TypeDefinitions")
-        for literals, type_name in types.items():
-            kind = _element(_element(parent, "SimpleType", name=type_name), "Enumeration")
-            for ordinal, literal in enumerate(literals, start=1):
-                _element(kind, "Item", name=literal, value=ordinal)
+    types = _types(root, model, 2)
     _log_categories(root)
     _experiment(root, model)
 
@@ -227,20 +235,22 @@ def _fmi2(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
 
     structure = _element(root, "ModelStructure")
 
-    def unknowns(tag: str, variables: Iterable[Variable], with_dependencies: bool) -> None:
-        variables = list(variables)
-        if not variables:
-            return
-        group = _element(structure, tag)
+    for tag, variables in _unknowns(model).items():
+        group = _element(structure, f"{tag}s") if variables else structure
         for v in variables:
             element = _element(group, "Unknown", index=index[v.name])
-            if with_dependencies:
+            if tag != "InitialUnknown":
                 _dependencies(element, v, index)
-
-    unknowns("Outputs", (v for v in model.variables if v.causality == "output"), True)
-    unknowns("Derivatives", derivatives(model), True)
-    unknowns("InitialUnknowns", initial_unknowns(model), False)
     return root
+
+
+def _unknowns(model: CompiledModel) -> dict[str, list[Variable]]:
+    """Variables of the model structure, by what they are."""
+    return {
+        "Output": [v for v in model.variables if v.causality == "output"],
+        "Derivative": derivatives(model),
+        "InitialUnknown": initial_unknowns(model),
+    }
 
 
 def _fmi3(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTree.Element:
@@ -263,13 +273,7 @@ def _fmi3(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
     _element(root, "ModelExchange", **abilities, needsCompletedIntegratorStep=model.n_assert > 0)
     _element(root, "CoSimulation", **abilities, canHandleVariableCommunicationStepSize=True)
     _units(root, model.units)
-    types = _type_names(model)
-    if types:
-        parent = _element(root, "TypeDefinitions")
-        for literals, type_name in types.items():
-            kind = _element(parent, "EnumerationType", name=type_name)
-            for ordinal, literal in enumerate(literals, start=1):
-                _element(kind, "Item", name=literal, value=ordinal)
+    types = _types(root, model, 3)
     _log_categories(root)
     _experiment(root, model)
 
@@ -293,18 +297,12 @@ def _fmi3(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
 
     structure = _element(root, "ModelStructure")
 
-    def unknown(tag: str, v: Variable, with_dependencies: bool) -> None:
-        element = _element(structure, tag, valueReference=reference[v.name])
-        if with_dependencies:
-            _dependencies(element, v, reference)
-
-    for v in model.variables:
-        if v.causality == "output":
-            unknown("Output", v, True)
-    for v in derivatives(model):
-        unknown("ContinuousStateDerivative", v, True)
-    for v in initial_unknowns(model):
-        unknown("InitialUnknown", v, False)
+    for tag, variables in _unknowns(model).items():
+        for v in variables:
+            shown = "ContinuousStateDerivative" if tag == "Derivative" else tag
+            element = _element(structure, shown, valueReference=reference[v.name])
+            if tag != "InitialUnknown":
+                _dependencies(element, v, reference)
     for indicator in indicators:
         _element(structure, "EventIndicator", valueReference=indicator)
     return root

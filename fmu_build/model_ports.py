@@ -137,33 +137,24 @@ class _Classes:
         self._parent[self.find(b)] = self.find(a)
 
 
+def _differentiated(node: object) -> str | None:
+    """Name of the variable that a node is the derivative of."""
+    if isinstance(node, Call) and node.function == "der" and isinstance(node.arguments[0], Reference):
+        return flat_name(node.arguments[0])
+    return None
+
+
 class _Finder:
     def __init__(self, flat: FlatModel) -> None:
         self.flat = flat
         self.classes = _Classes()
         self.derived: dict[str, str] = {}  # class of a variable -> a variable that is its derivative ("" if none)
-        fixed: list[str] = []
-        for left, right in self._equalities():
-            if isinstance(left, Reference) and isinstance(right, Reference):
-                self.classes.join(flat_name(left), flat_name(right))
-            elif isinstance(left, Reference) and constant(right) is not None:
-                fixed.append(flat_name(left))
+        fixed = self._join_equals()
         variables = flat.variables.values()
         self.fixed = {self.classes.find(name) for name in fixed}
         self.fixed |= {self.classes.find(v.name) for v in variables if v.variability in ("constant", "parameter")}
         self.prescribed = self.fixed | {self.classes.find(v.name) for v in variables if v.causality == "input"}
-        for equation in flat.equations:
-            for node in walk((equation.left, equation.right)):
-                if isinstance(node, Call) and node.function == "der" and isinstance(node.arguments[0], Reference):
-                    self.derived.setdefault(self.classes.find(flat_name(node.arguments[0])), "")
-        for left, right in self._equalities():
-            if isinstance(left, Call) and left.function == "der":
-                left, right = right, left
-            if isinstance(right, Call) and right.function == "der" and isinstance(left, Reference):
-                inner = right.arguments[0]
-                if isinstance(inner, Reference):
-                    name = self.classes.find(flat_name(inner))
-                    self.derived[name] = self.derived[name] or flat_name(left)
+        self._find_derivatives()
         self.physical = {
             c.path: found for c in flat.connectors.values() if (found := self._physics(c)) is not None
         }
@@ -171,6 +162,26 @@ class _Finder:
         for i, equation in flat.flow_balances():
             for path in equation.origin.connectors:
                 self.balances.setdefault(path, i)
+
+    def _join_equals(self) -> list[str]:
+        """Put variables that equal each other into one class; return those that equal a constant."""
+        fixed: list[str] = []
+        for left, right in self._equalities():
+            if isinstance(left, Reference) and isinstance(right, Reference):
+                self.classes.join(flat_name(left), flat_name(right))
+            elif isinstance(left, Reference) and constant(right) is not None:
+                fixed.append(flat_name(left))
+        return fixed
+
+    def _find_derivatives(self) -> None:
+        for equation in self.flat.equations:
+            for name in filter(None, map(_differentiated, walk((equation.left, equation.right)))):
+                self.derived.setdefault(self.classes.find(name), "")
+        for left, right in self._equalities():
+            inner = _differentiated(right)
+            if inner is not None and isinstance(left, Reference):
+                own = self.classes.find(inner)
+                self.derived[own] = self.derived[own] or flat_name(left)
 
     def _equalities(self) -> Iterator[tuple[Expression, Expression]]:
         for equation in self.flat.equations:

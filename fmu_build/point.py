@@ -27,11 +27,19 @@ class Point:
 
     def __init__(self, scope: ModelScope) -> None:
         self._scope = scope
+        self._relations: dict[int, float] = {}
         self._number: dict[int, float] = {
             key(algebra.sx(declared.symbol)): value for declared, value in scope.parameters.independent
         }
         for declared, expression in scope.parameters.dependent:
             self._number[key(algebra.sx(declared.symbol))] = self.number(expression)
+
+        # what depends on time alone is as it is at the start
+        for relation in scope.relations:
+            symbols = scope.graph.symbols(relation.difference)
+            if all(k == key(scope.time) or scope.is_parameter(k) for k in symbols):
+                value = self.number(relation.difference)
+                self._relations[key(relation.symbol)] = float(value > 0.0 or (relation.inclusive and value == 0.0))
 
     def number(self, expression: SX) -> float:
         """Return one expression's value."""
@@ -71,6 +79,8 @@ class Point:
         declared = self._scope.declared(symbol)
         if self._scope.is_starting({k}):
             return 0.0
+        if k in self._relations:
+            return self._relations[k]
         if declared is None or declared.kind in ("parameter", "constant"):
             return off
         start = self._scope.start_of(declared)

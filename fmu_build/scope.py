@@ -44,6 +44,7 @@ class ModelScope:
         self.flat = flat
         self.graph = graph
         self.assigned = when_targets(flat.whens)  # names of what when-equations assign
+        self.in_algorithms = targets(s for a in flat.algorithms for s in a.statements)
         held = self.assigned | when_targets(s for a in flat.algorithms for s in a.statements)
         self.declarations = Declarations(flat, held, structural)
         self.parameters = Parameters(self.declarations)
@@ -291,14 +292,21 @@ class ModelScope:
         return self._current.get(key(symbol), symbol)
 
 
+def targets(statements: Iterable[Any]) -> set[str]:
+    """Names of the variables that statements assign."""
+    found: set[str] = set()
+    for node in walk(tuple(statements)):
+        if isinstance(node, Assign):
+            found.add(node.target.name)
+        elif isinstance(node, AssignMany):
+            found |= {t.name for t in node.targets if t is not None}
+    return found
+
+
 def when_targets(statements: Iterable[Any]) -> set[str]:
     """Names of the variables that the when-clauses among some statements assign."""
     found: set[str] = set()
     for when in walk(tuple(statements)):
         if isinstance(when, WhenStatement):
-            for node in walk(when.branches):
-                if isinstance(node, Assign):
-                    found.add(node.target.name)
-                elif isinstance(node, AssignMany):
-                    found |= {t.name for t in node.targets if t is not None}
+            found |= targets(when.branches)
     return found

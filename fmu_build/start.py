@@ -14,6 +14,7 @@ from fmu_build.equations import Equation
 from fmu_build.graph import SX, if_else, key
 from fmu_build.scope import ModelScope
 from fmu_build.system import System
+from fmu_build.variables import Declared
 
 _CONSISTENT = 1e-9
 
@@ -160,31 +161,42 @@ def _explicit(scope: ModelScope, equation: Equation, out: Explicit) -> bool:
     if equation.sides is None:
         return False
     for one, other in (equation.sides, equation.sides[::-1]):
-        if not one.is_symbolic():
-            continue
-        symbol = scope.current_of(one)
-        declared = scope.declared(symbol)
-        if declared is None:
-            continue
-        unbound = any(declared is d for d in scope.parameters.from_initial)
-        if declared.kind != "discrete" and not unbound:
-            continue
-        known = all(scope.is_parameter(k) for k in scope.graph.symbols(other))
-        if not known and unbound:
-            return False
-        if not known and key(symbol) != key(one):
-            if any(not scope.is_parameter(k) and k != key(scope.time) for k in scope.graph.symbols(other)):
-                raise scope.flat.error(
-                    f"the initial equation of '{declared.name}' depends on more than parameters", equation.at
-                )
-            out.previous[key(one)] = if_else(scope.init, other, one)
-        elif unbound:
-            out.parameters[key(symbol)] = other
-        elif key(symbol) != key(one):
-            out.starts[key(symbol)] = other
-        else:
-            out.values[key(symbol)] = other
-            if known:
-                out.starts.setdefault(key(symbol), other)
-        return True
+        declared = scope.declared(scope.current_of(one)) if one.is_symbolic() else None
+        unbound = declared is not None and any(declared is d for d in scope.parameters.from_initial)
+        if declared is not None and (declared.kind == "discrete" or unbound):
+            return _use(scope, out, _Given(declared, one, other, unbound), equation)
     return False
+
+
+@dataclass(frozen=True)
+class _Given:
+    """A side of an initial equation that is a variable alone, or the pre-value of one, and the other side."""
+
+    declared: Declared
+    side: SX
+    value: SX
+    unbound: bool
+
+
+def _use(scope: ModelScope, out: Explicit, given: _Given, equation: Equation) -> bool:
+    """Note what an initial equation gives a variable; False if that is for the other equations to decide."""
+    one, other, symbol = given.side, given.value, scope.current_of(given.side)
+    symbols = scope.graph.symbols(other)
+    known = all(map(scope.is_parameter, symbols))
+    if given.unbound:
+        if known:
+            out.parameters[key(symbol)] = other
+        return known
+    if key(symbol) == key(one):
+        out.values[key(symbol)] = other
+        if known:
+            out.starts.setdefault(key(symbol), other)
+    elif known:
+        out.starts[key(symbol)] = other
+    elif all(scope.is_parameter(k) or k == key(scope.time) for k in symbols):
+        out.previous[key(one)] = if_else(scope.init, other, one)
+    else:
+        raise scope.flat.error(
+            f"the initial equation of '{given.declared.name}' depends on more than parameters", equation.at
+        )
+    return True

@@ -80,14 +80,12 @@ class _Checker:
             yield from self._report()
         for node in self._flat.asserts:
             self._unit(node.condition)
-        for when in self._flat.whens:
-            for condition, statements in when.branches:
-                self._unit(condition)
-                for statement in statements:
-                    if isinstance(statement, Assign):
-                        self._alike(self._unit(statement.target), self._unit(statement.value), statement.at)
-                    elif isinstance(statement, Reinit):
-                        self._alike(self._unit(statement.state), self._unit(statement.value), statement.at)
+        for condition, statements in (branch for when in self._flat.whens for branch in when.branches):
+            self._unit(condition)
+            for statement in statements:
+                if isinstance(statement, Assign | Reinit):
+                    target = statement.target if isinstance(statement, Assign) else statement.state
+                    self._alike(self._unit(target), self._unit(statement.value), statement.at)
         yield from self._report()
 
     def _report(self) -> Iterator[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -318,106 +318,80 @@ class _Flattener:
                     Equation(expr(item.left, scope, env), expr(item.right, scope, env), origin, item.at)
                 )
             case ForStatement():
-                for inner in self._unrolled(item, scope, env):
-                    for part in item.body:
-                        self._equation(part, scope, inner, origin, sink)
+                rounds = ((part, inner) for inner in self._unrolled(item, scope, env) for part in item.body)
+                for part, inner in rounds:
+                    self._equation(part, scope, inner, origin, sink)
             case IfStatement():
                 self._if(item, scope, env, origin, sink)
-            case WhenStatement():
+            case WhenStatement() | Terminate():
                 if sink is self.initial:
                     raise ModelicaError("when in an initial equation", where=item.at)
+                if isinstance(item, Terminate):
+                    item = WhenStatement(item.at, ((Call(item.at, "initial", ()), (item,)),))
                 sink.whens.append(self._when(item, scope, env))
             case Assert():
                 sink.asserts.append(self._assert(item, scope, env))
-            case Terminate():
-                always = WhenStatement(item.at, ((Call(item.at, "initial", ()), (item,)),))
-                sink.whens.append(self._when(always, scope, env))
-            case Reinit():
-                raise ModelicaError("reinit() outside a when-equation", where=item.at)
-            case AssignMany():
-                if item.call.function.startswith("Connections."):
-                    raise ModelicaError(f"'{item.call.function}' is not supported", where=item.at)
-                raise ModelicaError(
-                    f"a call of '{item.call.function}' as an equation is not supported", where=item.at
-                )
             case _:
-                raise ModelicaError("this equation is not supported", where=item.at)
+                raise ModelicaError(_no_equation(item), where=item.at)
 
     def _assert(self, item: Assert, scope: Instance, env: Env) -> Assert:
         expr = self.resolver.expr
         return Assert(item.at, expr(item.condition, scope, env), expr(item.message, scope, env), item.warning)
 
     def _if(self, item: IfStatement, scope: Instance, env: Env, origin: Origin, sink: _Sink) -> None:
-        def take(body: tuple[Any, ...]) -> None:
+        def take(body: tuple[Any, ...], into: _Sink) -> _Sink:
             for part in body:
-                self._equation(part, scope, env, origin, sink)
+                self._equation(part, scope, env, origin, into)
+            return into
 
         if _has_connect(item.branches):
-            take(self._selected(item, scope, env))
+            take(self._selected(item, scope, env), sink)
             return
-        conditions: list[Expression | None] = []
-        bodies: list[tuple[Any, ...]] = []
-        for condition, body in item.branches:
-            test = None if condition is None else self.resolver.expr(condition, scope, env)
-            if isinstance(test, Literal):
-                if not test.value:
-                    continue
-                test = None
-            conditions.append(test)
-            bodies.append(body)
-            if test is None:
-                break
-        if not conditions:
+        branches = self.resolver.open_branches(item, scope, env)
+        if not branches or branches[0][0] is None:
+            take(branches[0][1] if branches else (), sink)
             return
-        if conditions[0] is None:
-            take(bodies[0])
-            return
-        sinks: list[_Sink] = []
+        conditions = [condition for condition, _ in branches]
         try:
-            for body in bodies:
-                inner = _Sink() if sink is not self.initial else _InitialSink()
-                for part in body:
-                    self._equation(part, scope, env, origin, inner)
-                sinks.append(inner)
-        except ModelicaError:
+            sinks = [take(body, _Sink() if sink is not self.initial else _InitialSink()) for _, body in branches]
+        except ModelicaError:  # what cannot be said in a branch that is not taken is not said
             chosen = self._choose(conditions)
             if chosen is None:
                 raise
-            take(bodies[chosen] if chosen < len(bodies) else ())
+            take(branches[chosen][1] if chosen < len(branches) else (), sink)
             return
         if conditions[-1] is not None:
             conditions.append(None)
             sinks.append(_Sink())
+        self._add_branches(conditions, sinks, Equation(_NOTHING, _NOTHING, origin, item.at), sink)
+
+    def _add_branches(
+        self, conditions: list[Expression | None], sinks: list[_Sink], like: Equation, sink: _Sink
+    ) -> None:
+        """Add the equations and assertions of an if-equation's branches as one.
+
+        Parameters
+        ----------
+        like
+            An equation with the origin and the place of the if-equation.
+        """
         if len({len(s.equations) for s in sinks}) > 1:
             for inner in sinks:
                 inner.equations = [e for whole in inner.equations for e in self._elements(whole)]
-        merged = _merge(conditions, sinks, item.at, origin)
+        merged = _merge(conditions, sinks, like.at, like.origin)
+        chosen = self._choose(conditions) if merged is None or not merged[1] else None
         if merged is None:
-            chosen = self._choose(conditions)
             if chosen is None:
                 what = "the branches of this if-equation have different numbers of equations"
                 if any(s.whens for s in sinks):
                     what = "a when-equation inside an if-equation whose condition is not known at translation"
-                raise ModelicaError(what, where=item.at)
+                raise ModelicaError(what, where=like.at)
             sink.equations += sinks[chosen].equations
             sink.asserts += sinks[chosen].asserts
             sink.whens += sinks[chosen].whens
             return
-        equations, alike = merged
-        if not alike:
-            chosen = self._choose(conditions)
-            if chosen is not None:
-                equations = sinks[chosen].equations
-        sink.equations += equations
-        before: list[Expression] = []
-        for condition, inner in zip(conditions, sinks, strict=True):
-            for one in inner.asserts:
-                test = one.condition
-                for other in [*before, *([] if condition is None else [Unary(one.at, "not", condition)])]:
-                    test = Binary(one.at, "or", other, test)
-                sink.asserts.append(replace(one, condition=test))
-            if condition is not None:
-                before.append(condition)
+        sink.equations += merged[0] if chosen is None else sinks[chosen].equations
+        sink.asserts += _guarded(conditions, sinks)
 
     def _elements(self, equation: Equation) -> list[Equation]:
         """One equation for each element, where a whole array is on the left."""
@@ -465,17 +439,7 @@ class _Flattener:
         expr = self.resolver.expr
         match item:
             case SourceEquation():
-                left = expr(item.left, scope, env)
-                right = expr(item.right, scope, env)
-                if isinstance(left, Reference):
-                    return [Assign(item.at, left, right)]
-                if isinstance(right, Reference):
-                    return [Assign(item.at, right, left)]
-                if isinstance(left, TupleOf) and isinstance(right, Call):
-                    targets = [i for i in left.items if i is None or isinstance(i, Reference)]
-                    if len(targets) == len(left.items):
-                        return [AssignMany(item.at, tuple(targets), right)]
-                raise ModelicaError("an equation in a when-clause has a variable alone on its left", where=item.at)
+                return [_assignment(expr(item.left, scope, env), expr(item.right, scope, env), item.at)]
             case ForStatement():
                 return [
                     found
@@ -497,49 +461,78 @@ class _Flattener:
         raise ModelicaError("this is not supported in a when-equation", where=item.at)
 
     def _when_if(self, item: IfStatement, scope: Instance, env: Env) -> list[Any]:
-        branches: list[tuple[Expression | None, list[Any]]] = []
-        for condition, body in item.branches:
-            test = None if condition is None else self.resolver.expr(condition, scope, env)
-            if isinstance(test, Literal):
-                if not test.value:
-                    continue
-                test = None
-            branches.append((test, [s for part in body for s in self._when_part(part, scope, env)]))
-            if test is None:
-                break
+        branches = [
+            (test, [s for part in body for s in self._when_part(part, scope, env)])
+            for test, body in self.resolver.open_branches(item, scope, env)
+        ]
         if not branches:
             return []
         if branches[0][0] is None:
             return branches[0][1]
         targets: dict[Any, Reference] = {}
-        for _, statements in branches:
-            for s in statements:
-                if not isinstance(s, Assign | Reinit):
-                    raise ModelicaError("this is not supported inside an if in a when-equation", where=s.at)
-                target = _assigned(s)
-                targets.setdefault((type(s), _bare(target)), target)
+        for s in (s for _, statements in branches for s in statements):
+            if not isinstance(s, Assign | Reinit):
+                raise ModelicaError("this is not supported inside an if in a when-equation", where=s.at)
+            targets.setdefault((type(s), _bare(_assigned(s))), _assigned(s))
         out: list[Any] = []
-        for (kind, _), target in targets.items():
-            otherwise: Expression = Call(item.at, "pre", (target,)) if kind is Assign else target
-            chosen: list[tuple[Expression, Expression]] = []
-            for condition, statements in branches:
-                value = next(
-                    (s.value for s in statements
-                     if type(s) is kind and _bare(_assigned(s)) == _bare(target)),
-                    None,
-                )  # fmt: skip
-                if condition is None:
-                    otherwise = otherwise if value is None else value
-                else:
-                    kept: Expression = Call(item.at, "pre", (target,)) if kind is Assign else target
-                    chosen.append((condition, kept if value is None else value))
-            value = If(item.at, tuple(chosen), otherwise)
-            out.append(Assign(item.at, target, value) if kind is Assign else Reinit(item.at, target, value))
+        for (kind, bare), target in targets.items():
+            kept: Expression = Call(item.at, "pre", (target,)) if kind is Assign else target
+
+            values = [_value_in(statements, (kind, bare), kept) for _, statements in branches]
+            chosen = tuple((c, v) for (c, _), v in zip(branches, values, strict=True) if c is not None)
+            value = If(item.at, chosen, values[-1] if branches[-1][0] is None else kept)
+            out.append(kind(item.at, target, value))
         return out
+
+
+def _value_in(statements: list[Any], target: tuple[type, Any], otherwise: Expression) -> Expression:
+    """Value that the first statement for a target gives it."""
+    return next((s.value for s in statements if (type(s), _bare(_assigned(s))) == target), otherwise)
+
+
+def _assignment(left: Any, right: Any, at: Place) -> Assign | AssignMany:
+    """Return an equation in a when-clause as what it assigns."""
+    if isinstance(left, Reference):
+        return Assign(at, left, right)
+    if isinstance(right, Reference):
+        return Assign(at, right, left)
+    if isinstance(left, TupleOf) and isinstance(right, Call):
+        targets = tuple(i for i in left.items if i is None or isinstance(i, Reference))
+        if len(targets) == len(left.items):
+            return AssignMany(at, targets, right)
+    raise ModelicaError("an equation in a when-clause has a variable alone on its left", where=at)
 
 
 class _InitialSink(_Sink):
     pass
+
+
+_NOTHING = Literal(Place("(no expression)", 1), 0)
+
+
+def _no_equation(item: Any) -> str:
+    """Say why something is no equation."""
+    if isinstance(item, Reinit):
+        return "reinit() outside a when-equation"
+    if not isinstance(item, AssignMany):
+        return "this equation is not supported"
+    name = item.call.function
+    if name.startswith("Connections."):
+        return f"'{name}' is not supported"
+    return f"a call of '{name}' as an equation is not supported"
+
+
+def _guarded(conditions: Sequence[Expression | None], sinks: Sequence[_Sink]) -> Iterator[Assert]:
+    """Yield the assertions of branches, each of which holds where its branch is not taken."""
+    before: list[Expression] = []
+    for condition, inner in zip(conditions, sinks, strict=True):
+        for one in inner.asserts:
+            test = one.condition
+            for other in [*before, *([] if condition is None else [Unary(one.at, "not", condition)])]:
+                test = Binary(one.at, "or", other, test)
+            yield replace(one, condition=test)
+        if condition is not None:
+            before.append(condition)
 
 
 def _assigned(statement: Assign | Reinit) -> Reference:

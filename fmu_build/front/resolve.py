@@ -196,32 +196,26 @@ class Resolver:
         prefix = root.class_name if root.path is None else root.path
         path = f"{prefix}.{name}" if prefix else name
         ref = self.world.find_class(slot.scope, component.type)
-        if ref.definition.partial and not component.outer and ref.definition.kind not in ("type", "record"):
-            raise ModelicaError(
-                f"'{path}' is of the partial class '{ref.definition.path}'",
-                where=component.at,
-                fix="redeclare it" if component.replaceable else "give it a class that extends it",
-            )
-        if ref.definition.kind in ("package",) or ref.definition.kind.endswith("function"):
-            if ref.definition.kind.endswith("function") and root.function:
-                raise ModelicaError(f"'{name}': functions as arguments are not supported", where=component.at)
-            raise ModelicaError(
-                f"'{ref.definition.path}' is a {ref.definition.kind}, not a type", where=component.at
-            )
-        subscripts: list[tuple[Expression, Instance]] = [(s, slot.scope) for s in component.subscripts]
-        single = self.world.instantiate(ref, slot.mod if not subscripts else NO_MOD, path, root)
+        _check_type(path, component, ref, root)
+        single = self.world.instantiate(ref, NO_MOD if component.subscripts else slot.mod, path, root)
         if single.builtin or single.enumeration:
-            if subscripts:
+            if component.subscripts:
                 single = self.world.instantiate(ref, slot.mod, path, root)
             return self._var(root, path, slot, single, ref)
         if component.prefixes & {"flow", "stream"}:
             raise ModelicaError(f"'{path}' has the prefix flow or stream, but is no variable", where=component.at)
-        if not subscripts:
+        if not component.subscripts:
             self._settle(root, single, slot, path)
             return single
+        return self._array(root, path, slot, ref)
+
+    def _array(self, root: Instance, path: str, slot: Slot, ref: ClassRef) -> Many:
+        """Make an array of components that are no variables."""
+        component = slot.element
+        assert isinstance(component, ComponentDef)
         dims = tuple(
-            self._dimension(s, scope, k, lambda: self._bound_shape(slot.mod, component.at))
-            for k, (s, scope) in enumerate(subscripts)
+            self._dimension(s, slot.scope, k, lambda: self._bound_shape(slot.mod, component.at))
+            for k, s in enumerate(component.subscripts)
         )
         if math.prod(dims) > _MOST_ELEMENTS:
             raise ModelicaError(f"'{path}' has {math.prod(dims)} elements", where=component.at)
@@ -408,28 +402,17 @@ class Resolver:
             return self._values[var.name]
         symbols = tuple(SX.sym(var.name) for _ in range(math.prod(var.dims)))
         unknown: Value = Array(var.dims, symbols) if var.dims else symbols[0]
-        if var.variability not in ("constant", "parameter"):
-            return unknown
-        if self._shape_only and var.type == "Real" and var.variability == "parameter":
+        only_shape = self._shape_only and var.type == "Real" and var.variability == "parameter"
+        if only_shape or var.variability not in ("constant", "parameter"):
             return unknown
         memo = (id(var), "value")
         if memo in self._open:
             raise ModelicaError(f"'{var.name}' depends on itself", where=var.at)
         self._open.add(memo)
         try:
-            expression = self.binding(var)
-            fixed = self.attribute(var, "fixed")
-            if var.variability == "parameter" and isinstance(fixed, Literal) and fixed.value is False:
+            expression = self._given(var)
+            if expression is None:
                 return unknown
-            if expression is None:
-                expression = self.attribute(var, "start")
-            if expression is None:
-                if var.type == "ExternalObject":
-                    return unknown
-                defaults: dict[str, bool | float | str] = {"String": "", "Boolean": False, "Real": 0.0}
-                expression = Literal(var.at, defaults.get(var.type, 0))
-                if var.variability == "constant":
-                    raise ModelicaError(f"constant '{var.name}' has no value", where=var.at)
             shape_only, self._shape_only = self._shape_only, 0
             try:
                 with self.evaluator.no_event():
@@ -447,6 +430,21 @@ class Resolver:
         if not any(isinstance(s, SX) for s in _scalars(value)):
             self._values[var.name] = value
         return value
+
+    def _given(self, var: Var) -> Expression | None:
+        """Return what gives a constant or parameter its value: binding, start or default; None if nothing does."""
+        expression = self.binding(var)
+        fixed = self.attribute(var, "fixed")
+        if var.variability == "parameter" and isinstance(fixed, Literal) and fixed.value is False:
+            return None
+        if expression is None:
+            expression = self.attribute(var, "start")
+        if expression is not None or var.type == "ExternalObject":
+            return expression
+        if var.variability == "constant":
+            raise ModelicaError(f"constant '{var.name}' has no value", where=var.at)
+        defaults: dict[str, bool | float | str] = {"String": "", "Boolean": False, "Real": 0.0}
+        return Literal(var.at, defaults.get(var.type, 0))
 
     # ---- expressions
 
@@ -567,16 +565,16 @@ class Resolver:
         if isinstance(base, Foreign):
             return self.expr(Field(e.at, base.expression, e.name), base.scope, {})
         value = self.expr(base, scope, env)
-        if isinstance(value, Call):
-            function = self.functions.get(value.function)
-            if function is not None and function.constructor:
-                names = [f.name for f in function.inputs]
-                if e.name in names:
-                    position = names.index(e.name)
-                    given = value.arguments[position] if position < len(value.arguments) else None
-                    if given is not None:
-                        return given
-        return Field(e.at, value, e.name)
+        given = self._constructed(value, e.name)
+        return Field(e.at, value, e.name) if given is None else given
+
+    def _constructed(self, value: Any, name: str) -> Expression | None:
+        """Argument that a record constructor takes for a field."""
+        function = self.functions.get(value.function) if isinstance(value, Call) else None
+        if function is None or not function.constructor:
+            return None
+        names = [f.name for f in function.inputs[: len(value.arguments)]]
+        return value.arguments[names.index(name)] if name in names else None
 
     def _expr_comprehension(self, e: Comprehension, scope: Instance, env: Env) -> Any:
         if scope.root.function or any(value is None for value in env.values()):
@@ -647,66 +645,36 @@ class Resolver:
             position += 1
             if position >= len(e.parts):
                 raise ModelicaError(f"'{e.name}' is a class, not a variable", where=e.at)
-            package = self.world.package(found, e.at)
-            name = e.parts[position].name
-            if package.enumeration is not None:
-                names = [n for n, _ in package.enumeration.enumeration or ()]
-                if name not in names:
-                    raise ModelicaError(f"'{package.class_name}' has no literal '{name}'", where=e.at,
-                                        fix=World.suggest(name, names))  # fmt: skip
-                return Literal(e.at, names.index(name) + 1, name)
-            member = package.slot(name)
-            if member is None:
-                raise ModelicaError(
-                    f"'{'.'.join(p.name for p in e.parts[:position])}' has no '{name}'", where=e.at,
-                    fix=World.suggest(name, package.slots),
-                )  # fmt: skip
+            member = self._member(found, e, position)
+            if isinstance(member, Literal):
+                return member
             found = member
         root = found.scope.root
         if root.function and position == 0:
             return self._local(e, scope, env)
-        return self._walk(self.item(root, found.name), e, position, scope, env)
+        return _Path(self, e, scope, env).walk(self.item(root, found.name), position)
+
+    def _member(self, found: Slot | ClassRef, e: Reference, position: int) -> Slot | Literal:
+        """Element of a package, or literal of an enumeration, that a part of a reference names."""
+        package = self.world.package(found, e.at)
+        name = e.parts[position].name
+        if package.enumeration is not None:
+            names = [n for n, _ in package.enumeration.enumeration or ()]
+            if name not in names:
+                raise ModelicaError(f"'{package.class_name}' has no literal '{name}'", where=e.at,
+                                    fix=World.suggest(name, names))  # fmt: skip
+            return Literal(e.at, names.index(name) + 1, name)
+        member = package.slot(name)
+        if member is None:
+            raise ModelicaError(
+                f"'{'.'.join(p.name for p in e.parts[:position])}' has no '{name}'", where=e.at,
+                fix=World.suggest(name, package.slots),
+            )  # fmt: skip
+        return member
 
     def _local(self, e: Reference, scope: Instance, env: Env) -> Reference:
         parts = tuple(Part(p.name, self._all(p.subscripts, scope, env)) for p in e.parts)
         return Reference(e.at, parts)
-
-    def _walk(self, item: Item, e: Reference, position: int, scope: Instance, env: Env) -> Any:
-        part = e.parts[position]
-        last = position + 1 == len(e.parts)
-        if isinstance(item, Absent):
-            raise ModelicaError(f"'{e.name}' is a conditional component that is not there", where=e.at)
-        if isinstance(item, Many):
-            subscripts = self._all(part.subscripts, scope, env)
-            return self._slice(item, subscripts, e, position, scope, env)
-        if isinstance(item, Instance):
-            if part.subscripts:
-                raise ModelicaError(f"'{part.name}' is no array", where=e.at)
-            if last:
-                if item.root.path is None or _in_package(item):
-                    return self._record_value(item, e.at)
-                return Reference(e.at, (Part(item.path or ""),))
-            name = e.parts[position + 1].name
-            slot = item.slot(name)
-            if slot is None:
-                if item.definition.kind == "expandable connector":
-                    raise _NotInBusError(item, name, e.at)
-                raise ModelicaError(
-                    f"'{item.path}' has no '{name}'", where=e.at, fix=World.suggest(name, item.slots)
-                )
-            if isinstance(slot.element, ClassDef):
-                raise ModelicaError(f"'{e.name}' is a class, not a variable", where=e.at)
-            return self._walk(self.item(item, name), e, position + 1, scope, env)
-        if not last:
-            raise ModelicaError(f"'{item.name}' has no '{e.parts[position + 1].name}'", where=e.at)
-        subscripts = self._all(part.subscripts, scope, env)
-        if len(subscripts) > len(item.dims):
-            raise ModelicaError(f"'{item.name}' has {len(item.dims)} dimensions", where=e.at)
-        if item.variability == "constant" and (item.owner.path is None or _in_package(item.owner)):
-            return self.pick(e.at, self.constant(item), subscripts)
-        if item.owner.path is None:
-            raise ModelicaError(f"'{item.name}' is no constant", where=e.at)
-        return Reference(e.at, (Part(item.name, subscripts),))
 
     def constant(self, var: Var) -> Expression:
         """Value of a constant of a package, as literals."""
@@ -741,61 +709,6 @@ class Resolver:
             else:
                 raise ModelicaError("a constant record with an array of records is not supported", where=at)
         return Call(at, key, tuple(arguments))
-
-    def _slice(
-        self,
-        many: Many,
-        subscripts: tuple[Expression, ...],
-        e: Reference,
-        position: int,
-        scope: Instance,
-        env: Env,
-    ) -> Any:
-        if len(subscripts) > len(many.dims):
-            raise ModelicaError(f"'{many.name}' has {len(many.dims)} dimensions", where=e.at)
-        chosen: list[list[int] | int] = []
-        open_at: tuple[int, Expression] | None = None
-        for k, n in enumerate(many.dims):
-            subscript = subscripts[k] if k < len(subscripts) else All(e.at)
-            if isinstance(subscript, All):
-                chosen.append(list(range(n)))
-                continue
-            value = None
-            if not _has_local(subscript, env) and not scope.root.function:
-                value = self._subscript(subscript, n)
-            if value is None:
-                if open_at is not None:
-                    raise ModelicaError("two subscripts that are not known at translation", where=e.at)
-                open_at = (len([c for c in chosen if isinstance(c, list)]), subscript)
-                chosen.append(list(range(n)))
-            elif isinstance(value, list):
-                chosen.append([i - 1 for i in value])
-            else:
-                chosen.append(value - 1)
-        for c, n in zip(chosen, many.dims, strict=True):
-            for i in c if isinstance(c, list) else [c]:
-                if not 0 <= i < n:
-                    raise ModelicaError(f"subscript {i + 1} of '{many.name}' is outside 1..{n}", where=e.at)
-
-        def build(k: int, index: list[int]) -> Any:
-            if k == len(chosen):
-                offset = 0
-                for i, n in zip(index, many.dims, strict=True):
-                    offset = offset * n + i
-                bare = Reference(
-                    e.at, (*e.parts[:position], Part(e.parts[position].name), *e.parts[position + 1 :])
-                )
-                return self._walk(many.items[offset], bare, position, scope, env)
-            c = chosen[k]
-            if isinstance(c, int):
-                return build(k + 1, [*index, c])
-            return ArrayOf(e.at, tuple(build(k + 1, [*index, i]) for i in c))
-
-        out = build(0, [])
-        if open_at is not None:
-            place, subscript = open_at
-            out = Subscripted(e.at, out, (*(All(e.at),) * place, subscript))
-        return out
 
     def _subscript(self, subscript: Expression, size: int) -> int | list[int] | None:
         if any(isinstance(node, End) for node in walk(subscript)):
@@ -1085,30 +998,25 @@ class Resolver:
                 if not isinstance(call, Call):
                     raise ModelicaError("a function call is expected here", where=s.at)
                 return AssignMany(s.at, targets, call)
+            case Reinit():
+                return Reinit(s.at, self._target(s.state, scope, env), self.expr(s.value, scope, env))
+            case Assert():
+                condition, message = self._all((s.condition, s.message), scope, env)
+                return Assert(s.at, condition, message, s.warning)
+            case Terminate():
+                return Terminate(s.at, self.expr(s.message, scope, env))
+            case Return() | Break():
+                return s
+            case _:
+                return self._compound(s, scope, env)
+
+    def _compound(self, s: Any, scope: Instance, env: Env) -> Any:
+        """Flatten a statement that has statements in it."""
+        match s:
             case IfStatement():
-                branches = []
-                for condition, body in s.branches:
-                    test = None if condition is None else self.expr(condition, scope, env)
-                    if isinstance(test, Literal):
-                        if not test.value:
-                            continue
-                        test = None
-                    branches.append((test, self.statements(body, scope, env)))
-                    if test is None:
-                        break
-                return IfStatement(s.at, tuple(branches))
+                return self._if_statement(s, scope, env)
             case ForStatement():
-                inner = dict(env)
-                iterators = []
-                for name, bounds in s.iterators:
-                    found = self._implied(name, s.body, scope, env) if bounds is None else bounds
-                    if isinstance(found, Reference) and found.parts[0].name not in inner:
-                        literals = self._enumeration_type(found, scope)
-                        if literals is not None:
-                            found = Range(found.at, Literal(found.at, 1), None, Literal(found.at, len(literals)))
-                    iterators.append((name, self.expr(found, scope, inner)))
-                    inner[name] = None
-                return ForStatement(s.at, tuple(iterators), self.statements(s.body, scope, inner))
+                return self._for_statement(s, scope, env)
             case WhileStatement():
                 return WhileStatement(
                     s.at, self.expr(s.condition, scope, env), self.statements(s.body, scope, env)
@@ -1118,23 +1026,160 @@ class Resolver:
                     s.at,
                     tuple((self.expr(c, scope, env), self.statements(b, scope, env)) for c, b in s.branches),
                 )
-            case Reinit():
-                return Reinit(s.at, self._target(s.state, scope, env), self.expr(s.value, scope, env))
-            case Assert():
-                return Assert(
-                    s.at, self.expr(s.condition, scope, env), self.expr(s.message, scope, env), s.warning
-                )
-            case Terminate():
-                return Terminate(s.at, self.expr(s.message, scope, env))
-            case Return() | Break():
-                return s
         raise ModelicaError("this statement is not supported", where=s.at)
+
+    def _if_statement(self, s: IfStatement, scope: Instance, env: Env) -> IfStatement:
+        branches = [(test, self.statements(body, scope, env)) for test, body in self.open_branches(s, scope, env)]
+        return IfStatement(s.at, tuple(branches))
+
+    def open_branches(
+        self, s: IfStatement, scope: Instance, env: Env
+    ) -> list[tuple[Expression | None, tuple[Any, ...]]]:
+        """Conditions and bodies of the branches that may be taken; None is the condition of one that is."""
+        branches: list[tuple[Expression | None, tuple[Any, ...]]] = []
+        for condition, body in s.branches:
+            test = None if condition is None else self.expr(condition, scope, env)
+            if isinstance(test, Literal):
+                if not test.value:
+                    continue
+                test = None
+            branches.append((test, body))
+            if test is None:
+                break
+        return branches
+
+    def _for_statement(self, s: ForStatement, scope: Instance, env: Env) -> ForStatement:
+        inner = dict(env)
+        iterators = []
+        for name, bounds in s.iterators:
+            found = self._implied(name, s.body, scope, env) if bounds is None else bounds
+            if isinstance(found, Reference) and found.parts[0].name not in inner:
+                literals = self._enumeration_type(found, scope)
+                if literals is not None:
+                    found = Range(found.at, Literal(found.at, 1), None, Literal(found.at, len(literals)))
+            iterators.append((name, self.expr(found, scope, inner)))
+            inner[name] = None
+        return ForStatement(s.at, tuple(iterators), self.statements(s.body, scope, inner))
 
     def _target(self, e: Reference, scope: Instance, env: Env) -> Reference:
         out = self.expr(e, scope, env)
         if not isinstance(out, Reference):
             raise ModelicaError(f"'{e.name}' cannot be assigned", where=e.at)
         return out
+
+
+def _check_type(path: str, component: ComponentDef, ref: ClassRef, root: Instance) -> None:
+    """Refuse a component of a class that has no instances."""
+    kind, name = ref.definition.kind, ref.definition.path
+    if ref.definition.partial and not component.outer and kind not in ("type", "record"):
+        raise ModelicaError(
+            f"'{path}' is of the partial class '{name}'",
+            where=component.at,
+            fix="redeclare it" if component.replaceable else "give it a class that extends it",
+        )
+    if kind.endswith("function") and root.function:
+        raise ModelicaError(f"'{component.name}': functions as arguments are not supported", where=component.at)
+    if kind == "package" or kind.endswith("function"):
+        raise ModelicaError(f"'{name}' is a {kind}, not a type", where=component.at)
+
+
+class _Path:
+    """Follows the parts of a reference from item to item."""
+
+    def __init__(self, resolver: Resolver, e: Reference, scope: Instance, env: Env) -> None:
+        self._resolver = resolver
+        self._e = e
+        self._scope = scope
+        self._env = env
+
+    def walk(self, item: Item, position: int, element: bool = False) -> Any:
+        """Return what the reference stands for, from the item that its part at a position names.
+
+        Parameters
+        ----------
+        element
+            Whether the part's subscripts are used up: the item is an element of an array.
+        """
+        e, part = self._e, self._e.parts[position]
+        if isinstance(item, Absent):
+            raise ModelicaError(f"'{e.name}' is a conditional component that is not there", where=e.at)
+        if isinstance(item, Many):
+            return self._slice(item, position)
+        if isinstance(item, Instance):
+            if part.subscripts and not element:
+                raise ModelicaError(f"'{part.name}' is no array", where=e.at)
+            return self._instance(item, position)
+        if position + 1 < len(e.parts):
+            raise ModelicaError(f"'{item.name}' has no '{e.parts[position + 1].name}'", where=e.at)
+        return self._variable(item, part)
+
+    def _variable(self, item: Var, part: Part) -> Any:
+        e, resolver = self._e, self._resolver
+        subscripts = resolver._all(part.subscripts, self._scope, self._env)
+        if len(subscripts) > len(item.dims):
+            raise ModelicaError(f"'{item.name}' has {len(item.dims)} dimensions", where=e.at)
+        if item.variability == "constant" and (item.owner.path is None or _in_package(item.owner)):
+            return resolver.pick(e.at, resolver.constant(item), subscripts)
+        if item.owner.path is None:
+            raise ModelicaError(f"'{item.name}' is no constant", where=e.at)
+        return Reference(e.at, (Part(item.name, subscripts),))
+
+    def _instance(self, item: Instance, position: int) -> Any:
+        e, resolver = self._e, self._resolver
+        if position + 1 == len(e.parts):
+            if item.root.path is None or _in_package(item):
+                return resolver._record_value(item, e.at)
+            return Reference(e.at, (Part(item.path or ""),))
+        name = e.parts[position + 1].name
+        slot = item.slot(name)
+        if slot is None and item.definition.kind == "expandable connector":
+            raise _NotInBusError(item, name, e.at)
+        if slot is None:
+            raise ModelicaError(f"'{item.path}' has no '{name}'", where=e.at, fix=World.suggest(name, item.slots))
+        if isinstance(slot.element, ClassDef):
+            raise ModelicaError(f"'{e.name}' is a class, not a variable", where=e.at)
+        return self.walk(resolver.item(item, name), position + 1)
+
+    def _slice(self, many: Many, position: int) -> Any:
+        e = self._e
+        subscripts = self._resolver._all(e.parts[position].subscripts, self._scope, self._env)
+        if len(subscripts) > len(many.dims):
+            raise ModelicaError(f"'{many.name}' has {len(many.dims)} dimensions", where=e.at)
+        chosen: list[list[int] | int] = []
+        open_at: list[tuple[int, Expression]] = []
+        for k, n in enumerate(many.dims):
+            value = self._chosen(subscripts[k] if k < len(subscripts) else All(e.at), n)
+            if value is None:
+                open_at.append((sum(isinstance(c, list) for c in chosen), subscripts[k]))
+                value = list(range(1, n + 1))
+            chosen.append(value)
+            outside = [i for i in (value if isinstance(value, list) else [value]) if not 1 <= i <= n]
+            if outside:
+                raise ModelicaError(f"subscript {outside[0]} of '{many.name}' is outside 1..{n}", where=e.at)
+        if len(open_at) > 1:
+            raise ModelicaError("two subscripts that are not known at translation", where=e.at)
+
+        out = self._build(many, chosen, position, [])
+        for place, subscript in open_at:
+            out = Subscripted(e.at, out, (*(All(e.at),) * place, subscript))
+        return out
+
+    def _build(self, many: Many, chosen: list[list[int] | int], position: int, index: list[int]) -> Any:
+        """Arrange what the chosen elements stand for as an array."""
+        if len(index) == len(chosen):
+            return self.walk(many.at(index), position, True)
+        c = chosen[len(index)]
+        if isinstance(c, int):
+            return self._build(many, chosen, position, [*index, c])
+        return ArrayOf(self._e.at, tuple(self._build(many, chosen, position, [*index, i]) for i in c))
+
+    def _chosen(self, subscript: Expression, size: int) -> int | list[int] | None:
+        """Elements that a subscript selects; None if that is only known later."""
+        if isinstance(subscript, All):
+            return list(range(1, size + 1))
+        if _has_local(subscript, self._env) or self._scope.root.function:
+            return None
+        return self._resolver._subscript(subscript, size)
 
 
 class _NotInBusError(ModelicaError):

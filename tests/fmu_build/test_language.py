@@ -170,7 +170,7 @@ def test_assertions():
     assert hold(6.0) == [False, True]
     assert hold(-6.0) == [True, False]
     assert "Language.mo:" in model.c_header
-    assert "u is u, too much" in model.c_header
+    assert "u is \\001%.6g\\001, too much" in model.c_header, "with the value of the moment"
 
 
 @pytest.mark.parametrize(
