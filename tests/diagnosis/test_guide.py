@@ -59,11 +59,15 @@ def test_an_effect_of_one_s_own_is_found(trolley, tmp_path, capsys):
     assert run(["diagnose", str(trolley), "--out", str(out), "--workers", "0"]) == 0
     said = capsys.readouterr().out
     assert re.search(
-        r"Verdict: air_drag at friction \(9\d %\)\nIn words: friction grows with the square of speed\n", said
+        r"Verdict: Air drag is missing at friction \(9\d %\)\nIn words: friction grows with the square of speed\n",
+        said,
     )
     assert "closure (held out)" in said
     answer = json.loads((out / "diagnosis.json").read_text())
-    assert answer["verdict"] == {"kind": "effect", "effects": ["air_drag"], "port": "friction"}
+    verdict = answer["verdict"]
+    assert (verdict["kind"], verdict["effects"], verdict["port"]) == ("effect", ["air_drag"], "friction")
+    assert verdict["text"].startswith("Air drag is missing at friction")
+    jsonschema.Draft202012Validator(SCHEMA).validate(answer)
     assert answer["model"]["parameters"] == pytest.approx({"m": 1.0, "d": 0.8, "drag": 0.3}, rel=0.03)
     page = (out / "index.html").read_text()
     assert "air_drag" in page
@@ -198,7 +202,7 @@ def test_noise_that_was_not_measured_is_said(trolley, tmp_path, capsys):
     assert run(["diagnose", str(trolley), "--out", str(tmp_path), "--workers", "0"]) == 0
     said = capsys.readouterr().out
     assert "Note: Runs were not repeated" in said
-    assert "air_drag" in said.splitlines()[0]
+    assert "Air drag" in said.splitlines()[0]
     assert "Not calibrated" in (tmp_path / "index.html").read_text()
     # Plants to calibrate on would have no noise.
     assert run(["diagnose", str(trolley), "--out", str(tmp_path), "--workers", "0", "--calibrate", "2"]) == 2
