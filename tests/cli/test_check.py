@@ -29,7 +29,8 @@ def test_a_campaign_that_is_right(folder: Path, fmuid: Command) -> None:
     lines = out.splitlines()
     assert lines[0] == "bench: 3 runs (2 to identify, 1 to validate), 1 model, 2 parameters, 1 stage"
     assert [line.split()[:2] for line in lines[1:4]] == [["stage", "parameter"], ["all", "m"], ["all", "d"]]
-    assert lines[4:] == ["note: [models.oscillator]: input 'wind' is not driven; it stays at 0", "no errors"]
+    assert lines[4:6] == ["note: [models.oscillator]: input 'wind' is not driven; it stays at 0", "no errors"]
+    assert lines[6:] == [f"next: fmuid identify {folder}  (values and standard errors)"]
     found = json.loads(Path("found.json").read_text())
     assert found["ok"] is True
     assert [f["level"] for f in found["findings"]] == ["note"]

@@ -11,12 +11,14 @@ import sys
 import time as clock
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.io import savemat
 
 from fmuid.campaigns.campaign_toml import load_campaign
+from fmuid.cli import completion
 from fmuid.core.experiments import Measurements
 from fmuid.core.folder_lock import claim
 from fmuid.data.crosscheck_csv import Table, read_csv, write_csv
@@ -84,7 +86,7 @@ def test_ctrl_c_while_modules_are_loaded_is_one_line(folder: Path, after: float)
     assert (run.returncode, err) == (130, "fmuid: interrupted\n") or run.returncode == 0
 
 
-@pytest.mark.parametrize("call", ["fmuid.identify('bench', workers=2)", "fmuid.diagnose('made')"])
+@pytest.mark.parametrize("call", ["fmuid.identify('bench', workers=2)", "fmuid.diagnose('made', workers=2)"])
 def test_a_script_without_a_main_guard_is_told_in_one_line(
     folder: Path, oscillator: Path, fmuid: Command, call: str
 ) -> None:
@@ -585,3 +587,11 @@ def test_build_finds_the_packages_that_are_shipped(
     )
     Path("Servo.mo").write_text("model Servo\n  extends Pendulum.Setups.TorqueDriven;\nend Servo;\n")
     assert fmuid("build", "Servo.mo", "Servo", "--root", "modelica", "--out", ".") == (0, "Servo.fmu\n", "")
+
+
+def test_a_shell_completes_solvers_and_stages(folder: Path) -> None:
+    context = SimpleNamespace(params={"campaign": str(folder)})
+    assert completion.stages(context, "a") == ["all"]
+    assert completion.stages(SimpleNamespace(params={"campaign": "nowhere"}), "") == []
+    assert completion.solvers("bob") == ["bobyqa"]
+    assert completion.solvers("crs2 > bob") == ["crs2 > bobyqa"]

@@ -12,12 +12,14 @@ import pytest
 from scipy.io import savemat
 
 from fmuid.campaigns.campaign_toml import load_campaign
+from fmuid.campaigns.first_choice import independent_columns
+from fmuid.campaigns.new_campaign import match_columns
 from fmuid.cli.app import run
 from fmuid.core.experiments import Measurements
 from fmuid.data.crosscheck_csv import Table, write_csv
 from fmuid.identification.result import Result
 from fmuid.simulation.fmu import load_fmu
-from fmuid.simulation.simulator import Task
+from fmuid.simulation.simulator import Task, Variable
 from tests.simulation.fmus import FAULTS, make_oscillator
 
 Command = Callable[..., tuple[int, str, str]]
@@ -240,3 +242,22 @@ def test_a_diagnosis_holds_its_workers_to_the_limits(
     code, _, err = fmuid("diagnose", "campaign", "--workers", "1", *limit)
     assert code == 2
     assert message in err
+
+
+def test_what_a_drawing_tells_is_fixed_where_it_is_redundant():
+    radius, mass, friction = np.eye(3)
+    columns = {"radius": 9 * (mass + friction), "mass": mass, "friction": friction}
+    assert independent_columns(columns, last={"radius"}) == ["mass", "friction"]
+    assert independent_columns(columns)[0] == "radius"
+    assert independent_columns(columns | {"radius": radius}, last={"radius"}) == ["mass", "friction", "radius"]
+    many = {f"p{k}": column for k, column in enumerate(np.eye(12))}
+    assert len(independent_columns(many)) == 12
+
+
+def test_a_unit_that_two_columns_have_does_not_say_which_one_is_meant():
+    ports = {"level": Variable("level", "output", unit="m")}
+    time = np.arange(3.0)
+    one = Table(time, {"height": time}, {"height": "m"})
+    two = Table(time, {"height": time, "depth": time}, {"height": "m", "depth": "m"})
+    assert match_columns(one, ports) == {"height": "level"}
+    assert match_columns(two, ports) == {}

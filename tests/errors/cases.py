@@ -226,6 +226,8 @@ CASES = [
         ("Files", "a campaign started without a model", write("run.csv", "time,u,x\n" + GOOD), "init run.csv"),
         ("Files", "a catalogue written without runs", nothing, "effects Oscillator.mo --out effects.toml"),
         ("Files", "a file that is not a campaign", nothing, "check Oscillator.fmu"),
+        ("Files", "a campaign into a file", lambda: (write("run.csv", "time,u,x\n" + GOOD)(), write("taken", "")()), "init run.csv --fmu Oscillator.fmu --out taken/new"),
+        ("Files", "a JSON file in a file", write("taken", ""), "check bench --json taken/found.json"),
         ("Files", "a run folder that is a file", write("taken", ""), "identify bench --out taken"),
         ("Files", "a run folder that another process writes into", taken, "identify bench"),
         ("Files", "a diagnosis into such a folder", lambda: (toml("[settings]", '[effects]\ncatalogue = "effects.toml"\n[settings]')(), taken()), "diagnose bench --out runs/bench"),

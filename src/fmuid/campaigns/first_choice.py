@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fmuid.core.campaign import Interpolation
-from fmuid.core.errors import FmuidError, ProblemError
+from fmuid.core.errors import FmuidError, ProblemError, UnitError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import conversion
@@ -18,7 +18,7 @@ from fmuid.simulation.simulator import Simulator, Task, Variable
 
 _MAX_RUNS = 3
 _MAX_CANDIDATES = 60  # parameters whose effect is simulated
-_MAX_FREE = 6
+_DRAWN = ("m", "m2", "m3", "rad", "1")  # units of what a drawing tells
 _STEP = 0.01  # relative change of a parameter to see its effect
 _LEAST_NEW = 1e-2  # of an effect, not explained by the parameters chosen before
 _LEAST_EFFECT = 1e-4  # of the largest
@@ -28,7 +28,7 @@ _CLEARLY = 0.1  # share of the squared error left that makes one reading of the 
 
 NO_EFFECT = "does not affect any measured output"
 EXPLAINED = "redundant with the free parameters; if you know one of those, fix it instead"
-ONE_TOO_MANY = f"start with no more than {_MAX_FREE} free parameters"
+CONSTRUCTION = "redundant with the free parameters, and a dimension or ratio, which a drawing tells"
 FROM_ZERO = "starts at 0, so no bounds can be guessed"
 NOT_TRIED = "not tried"
 
@@ -40,7 +40,7 @@ class FirstChoice:
     Parameters
     ----------
     free
-        The most influential parameter first.
+        The most influential parameter first, lengths and ratios last.
     held
         Reason -> parameters that stay at the FMU's value because of it.
     interpolation
@@ -64,10 +64,11 @@ def first_choice(
 ) -> FirstChoice:
     """Choose from the sensitivities at the start values of the first three runs.
 
-    Free are the parameters with the most independent effects on the outputs (QR with column pivoting of the
-    relative sensitivities). Inputs are linear between their samples, not held, where that leaves less than a tenth
-    of the squared error after one Gauss-Newton step of the free parameters: as where an output answers at once to
-    an input that was sampled together with it.
+    Free are the parameters with independent effects on the outputs (QR with column pivoting of the relative
+    sensitivities). Lengths and ratios come last: where one is redundant with what only measurements tell, it is
+    fixed, since drawings tell it. Inputs are linear between their samples, not held, where that leaves less than a
+    tenth of the squared error after one Gauss-Newton step of the free parameters: as where an output answers at
+    once to an input that was sampled together with it.
     """
     parameters = [
         v
@@ -85,9 +86,10 @@ def first_choice(
             effects[candidate.name] = np.concatenate([one.effect(candidate).ravel() for one in seen])
         except FmuidError:
             continue  # a structural or otherwise delicate parameter: not one to start with
-    names = independent_columns(effects)
-    free = tuple(model.variables[n] for n in names[:_MAX_FREE])
-    held: dict[str, list[Variable]] = {r: [] for r in (EXPLAINED, ONE_TOO_MANY, NO_EFFECT, NOT_TRIED, FROM_ZERO)}
+    drawn = {v.name for v in tried if _is_drawn(v)}
+    names = independent_columns(effects, last=drawn)
+    free = tuple(model.variables[n] for n in names)
+    held: dict[str, list[Variable]] = {r: [] for r in (EXPLAINED, CONSTRUCTION, NO_EFFECT, NOT_TRIED, FROM_ZERO)}
     least = _LEAST_EFFECT * max((float(np.linalg.norm(e)) for e in effects.values()), default=0.0)
     for variable in parameters:
         if variable in free:
@@ -100,7 +102,7 @@ def first_choice(
         elif float(np.linalg.norm(effect)) <= least:
             reason = NO_EFFECT
         else:
-            reason = ONE_TOO_MANY if variable.name in names else EXPLAINED
+            reason = CONSTRUCTION if variable.name in drawn else EXPLAINED
         held[reason].append(variable)
     interpolation, gain = _interpolation(seen, free)
     return FirstChoice(free, {r: tuple(v) for r, v in held.items() if v}, interpolation, gain)
@@ -136,20 +138,36 @@ def runs_away(model: Simulator, runs: Sequence[Experiment], mapping: Mapping[str
     return found if found is not None and found.runs_away else None
 
 
-def independent_columns(columns: Mapping[str, FloatArray]) -> list[str]:
-    """Return the names of the columns that are neither small nor explained by larger ones, by pivoted QR."""
-    left = {n: c.copy() for n, c in columns.items()}
-    chosen: list[str] = []
-    while left:
-        lengths = {n: float(np.linalg.norm(c)) for n, c in left.items()}
-        # What is left of two redundant parameters is as much of one as of the other: then the first is taken.
-        name = next(n for n, length in lengths.items() if length >= _ALL_BUT * max(lengths.values()))
-        remaining = lengths[name]
-        largest = max(float(np.linalg.norm(c)) for c in columns.values())
-        if remaining <= _LEAST_EFFECT * largest or remaining == 0.0:
-            break
-        direction = left.pop(name) / remaining
-        if remaining > _LEAST_NEW * float(np.linalg.norm(columns[name])):
+def _is_drawn(parameter: Variable) -> bool:
+    """Return whether a parameter is a length, an area, a volume, an angle or a plain number."""
+    return parameter.unit is None or any(_converts(parameter.unit, unit) for unit in _DRAWN)
+
+
+def _converts(unit: str, other: str) -> bool:
+    try:
+        conversion(unit, other)
+    except UnitError:
+        return False
+    return True
+
+
+def independent_columns(columns: Mapping[str, FloatArray], last: Collection[str] = ()) -> list[str]:
+    """Return the names of the columns that are neither small nor explained by others, by pivoted QR.
+
+    Those that are to come `last` do so, whatever their size.
+    """
+    own = {n: float(np.linalg.norm(c)) for n, c in columns.items()}
+    least = _LEAST_EFFECT * max(own.values(), default=0.0)
+    left, chosen = dict(columns), list[str]()
+    for group in ([n for n in columns if n not in last], [n for n in columns if n in last]):
+        while True:
+            lengths = {n: float(np.linalg.norm(left[n])) for n in group if n not in chosen}
+            new = {n: x for n, x in lengths.items() if x > max(least, _LEAST_NEW * own[n])}
+            if not new:
+                break
+            # What is left of two redundant parameters is as much of one as of the other: then the first is taken.
+            name = next(n for n, length in new.items() if length >= _ALL_BUT * max(new.values()))
+            direction = left[name] / new[name]
             chosen.append(name)
             left = {n: c - (direction @ c) * direction for n, c in left.items()}
     return chosen

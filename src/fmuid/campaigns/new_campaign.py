@@ -17,7 +17,7 @@ from fmuid.campaigns.first_choice import FirstChoice, first_choice, runs_away, s
 from fmuid.core.campaign import Interface, ModelSource
 from fmuid.core.errors import CampaignError, FmuidError, MeasurementsError, UnitError
 from fmuid.core.experiments import Experiment, Measurements
-from fmuid.core.files import write_atomically
+from fmuid.core.files import check_folder, write_atomically
 from fmuid.core.formatting import once_each
 from fmuid.core.toml_tables import toml_text
 from fmuid.core.units import conversion
@@ -89,6 +89,7 @@ def new_campaign(
         A file cannot be read, nothing in it fits the FMU, or there is a campaign already.
     """
     target = folder / FILE_NAME
+    check_folder(folder)
     if target.exists():
         raise CampaignError("already exists", where=target, fix="name another folder with --out")
     model = load_model(fmu)
@@ -147,7 +148,7 @@ def match_columns(table: Table, ports: Mapping[str, Variable]) -> dict[str, str]
     """Return column -> FMU variable for the columns that one stands for.
 
     In this order: the same name; the same but for case and punctuation; the one unclaimed variable of the
-    same unit; the most similar name among the unclaimed variables of the same unit.
+    same unit, if no other column may be it; the most similar name among the unclaimed variables of that unit.
     """
     matched: dict[str, str] = {}
 
@@ -163,8 +164,11 @@ def match_columns(table: Table, ports: Mapping[str, Variable]) -> dict[str, str]
         if column in matched or column not in table.units:
             continue
         left = [n for n, v in ports.items() if n not in matched.values() and _fits(table.units[column], v.unit)]
+        rivals = [
+            c for c, unit in table.units.items() if c not in matched and left and _fits(unit, ports[left[0]].unit)
+        ]
         near = difflib.get_close_matches(_fold(column), [_fold(n) for n in left], n=1, cutoff=0.5)
-        if len(left) == 1:
+        if len(left) == len(rivals) == 1:
             matched[column] = left[0]
         elif near:
             matched[column] = folded[near[0]]

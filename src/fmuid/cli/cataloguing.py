@@ -10,6 +10,7 @@ import typer
 from fmuid.cli.output import Json, Printer, Quiet
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 from fmuid.core.errors import CampaignError
+from fmuid.core.files import check_folder
 
 if TYPE_CHECKING:
     from fmuid.simulation.runners import Runner
@@ -35,6 +36,8 @@ def effects(
     Example: fmuid effects campaigns/drive --out campaigns/drive/effects.toml
     """
     printer = Printer(quiet, json)
+    if out is not None:
+        check_folder(out.parent)
     if what.suffix == ".mo":
         if out is not None:
             raise CampaignError(

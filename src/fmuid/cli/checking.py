@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
@@ -62,6 +63,8 @@ def check(
     for finding in findings:
         printer.say(f"{finding.level}: {finding}")
     printer.say(counted(errors, "error") if errors else "no errors")
+    if not errors:
+        printer.next(shlex.join(["fmuid", "identify", str(campaign)]), "values and standard errors")
     printer.write(
         {
             "campaign": loaded.name,

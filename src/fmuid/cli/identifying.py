@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from fmuid.cli import completion
 from fmuid.cli.diagnosis_text import print_diagnosis, print_validation
 from fmuid.cli.interruption import INTERRUPTED
 from fmuid.cli.output import CampaignPath, Json, Printer, Quiet, Trust
@@ -33,8 +34,13 @@ Dask = Annotated[
 def identify(
     campaign: CampaignPath,
     out: Annotated[Path | None, typer.Option(help="Run folder; runs/<campaign> by default.")] = None,
-    stage: Annotated[list[str] | None, typer.Option("--stage", help="Run this stage only (repeat).")] = None,
-    solver: Annotated[str | None, typer.Option(help="Use this solver in every stage.")] = None,
+    stage: Annotated[
+        list[str] | None,
+        typer.Option("--stage", help="Run this stage only (repeat).", autocompletion=completion.stages),
+    ] = None,
+    solver: Annotated[
+        str | None, typer.Option(help="Use this solver in every stage.", autocompletion=completion.solvers)
+    ] = None,
     evaluations: Annotated[int | None, typer.Option(min=1, help="Largest number of evaluations a stage.")] = None,
     seconds: Annotated[float | None, typer.Option(min=0.0, help="Longest time a stage, s.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out.")] = False,
@@ -105,6 +111,10 @@ def identify(
                 printer.say(f"\nreport: {summary['report']}")
             if result.status not in (Status.INTERRUPTED, Status.FAILED):
                 summary |= _write_back(result, loaded, folder, printer, runner)
+    if result.status not in (Status.INTERRUPTED, Status.FAILED):
+        unexplained = any("run fmuid diagnose" in warning for stage in result.stages for warning in stage.warnings)
+        why = "what the model misses" if unexplained else "whether the model misses something"
+        printer.next(shlex.join(["fmuid", "diagnose", str(campaign)]), why)
     printer.write(summary)
     return INTERRUPTED if interrupted else int(result.status is Status.FAILED)
 
@@ -260,6 +270,7 @@ def report(
 
     Example: fmuid report runs/force_feedback --format svg
     """
+    from fmuid.core.files import check_folder
     from fmuid.report import write_report
 
     formats: Any = tuple(format_ or ("png",))
@@ -267,6 +278,8 @@ def report(
     if unknown:
         raise FmuidError(f"no format '{unknown[0]}'", where="--format", fix="known: png, svg, pdf")
     printer = Printer(quiet, json)
+    if out is not None:
+        check_folder(out)
     with printer.working("") as shown, supervised(workers, time_limit, memory_limit) as runner:
         page = write_report(run, out, formats=formats, trust=trust, runner=runner, progress=shown)
     printer.say(str(page))

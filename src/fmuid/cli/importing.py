@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -257,8 +258,9 @@ def init(
         )
     for line in made.guesses:
         printer.say(line)
-    printer.say(f"{out / 'campaign.toml'}: look it through, then run: fmuid check {out}; fmuid identify {out}")
-    printer.say(f"what the model may lack: fmuid effects {out}; which of it the runs show: fmuid diagnose {out}")
+    printer.say(f"{out / 'campaign.toml'}: what was guessed, to look through")
+    command = shlex.join(["fmuid", "identify", str(out)])
+    printer.next(command, "values and standard errors of the free parameters; fmuid check says what they rest on")
     printer.write({"out": out, "guesses": made.guesses})
 
 

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from fmuid.core.errors import FmuidError
+from fmuid.core.files import check_folder
 
 Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
@@ -28,6 +29,8 @@ class Printer:
     """Prints unless told to be quiet, and writes the JSON file."""
 
     def __init__(self, quiet: bool = False, json_file: Path | None = None) -> None:
+        if json_file is not None:
+            check_folder(json_file.parent)
         self.quiet = quiet
         self.json_file = json_file
 

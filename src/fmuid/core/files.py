@@ -33,6 +33,21 @@ def make_folder(folder: Path) -> None:
         raise FmuidError(what, where=folder, fix="name a folder that can be written") from None
 
 
+def check_folder(folder: Path) -> None:
+    """Refuse a folder that cannot be made or written in, before there is something to write.
+
+    Raises
+    ------
+    FmuidError
+        Something else than a folder is in its place, or the folder above it does not let this user write.
+    """
+    nearest = next((path for path in (folder, *folder.absolute().parents) if path.exists()), folder)
+    if nearest.is_dir() and os.access(nearest, os.W_OK | os.X_OK):
+        return
+    reason = "no permission" if nearest.is_dir() else f"'{nearest}' is a file"
+    raise FmuidError(f"cannot be a folder ({reason})", where=folder, fix="name a folder that can be written")
+
+
 def remove_unfinished(folder: Path) -> None:
     """Remove the beginnings of files that a killed process has left in a folder."""
     for path in folder.glob(f".*{_UNFINISHED}"):
