@@ -127,7 +127,7 @@ test: lint
 test-all: lint
 	$(BIN)/pytest $(ABREAST)
 
-# 10,000 damaged files of each kind, and 200 kills of a run, some of them in its last 50 ms: an hour.
+# 10,000 damaged files of each kind, and 200 kills, half of them of a diagnosis, some in the last 50 ms: an hour.
 fuzz: $(DEVELOPER)
 	FMUID_FUZZ=10000 $(BIN)/pytest tests/errors/test_fuzz.py
 
