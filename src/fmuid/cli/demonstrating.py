@@ -39,7 +39,7 @@ def demo(
     commands = [
         ["init", *map(str, rig.logs), *rig.model, "--out", str(campaign)],
         ["identify", str(campaign), "--out", str(run), "--no-report"],
-        ["diagnose", str(run), "--out", str(found)],
+        ["diagnose", str(campaign), "--out", str(found)],
     ]
     for command in commands:
         shown = [word for word in command if word not in map(str, rig.logs[1:])]
