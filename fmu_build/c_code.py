@@ -171,36 +171,34 @@ def _guards(
         own = needed.get(node, frozenset())
         for place, below in enumerate(given):
             use = frozenset(given[:1]) if op == ca.OP_IF_ELSE_ZERO and place == 1 else own
-            needed[below] = needed.get(below, frozenset()) | use
-    conditions: dict[Node, _Tree | None] = {}
+            either = needed.get(below, frozenset()) | use
+            needed[below] = either if len(either) <= _MOST_CONDITIONS else always
+    short = _short(operations, leaf)
     found: dict[Node, _Tree] = {}
     for node, on in needed.items():
-        if -1 in on or len(on) > _MOST_CONDITIONS:
-            continue
-        for condition in on - conditions.keys():
-            conditions[condition] = _condition(operations, leaf, condition)
-        trees = [tree for condition in sorted(on) if (tree := conditions[condition]) is not None]
-        if on and len(trees) == len(on):
+        if on and all(condition in short for condition in on):
+            trees = [short[condition] for condition in sorted(on)]
             leaves = [at for tree in trees for at in tree[1]]
             found[node] = "||".join(tree[0] for tree in trees), leaves, sum(tree[2] for tree in trees)
     return found
 
 
-def _condition(
-    operations: Sequence[tuple[int, tuple[Node, ...]]], leaf: Mapping[Node, Leaf | str], node: Node
-) -> _Tree | None:
-    at = leaf.get(node)
-    if isinstance(at, str):
-        return at, [], 0
-    if at is not None:
-        return "{}", [at], 0
-    op, given = operations[node]
-    below = [_condition(operations, leaf, n) for n in given]
-    parts = [b for b in below if b is not None]
-    size = 1 + sum(b[2] for b in parts)
-    if len(parts) < len(below) or size > _LARGEST_CONDITION:
-        return None
-    return _TEMPLATES[op].format(*(b[0] for b in parts)), [at for b in parts for at in b[1]], size
+def _short(
+    operations: Sequence[tuple[int, tuple[Node, ...]]], leaf: Mapping[Node, Leaf | str]
+) -> dict[Node, _Tree]:
+    """Return the trees of values that take few operations from the arguments."""
+    found: dict[Node, _Tree] = {}
+    for node, (op, given) in enumerate(operations):
+        at = leaf.get(node)
+        if at is not None:
+            found[node] = (at, [], 0) if isinstance(at, str) else ("{}", [at], 0)
+        elif all(n in found for n in given):
+            below = [found[n] for n in given]
+            size = 1 + sum(tree[2] for tree in below)
+            if size <= _LARGEST_CONDITION:
+                shape = _TEMPLATES[op].format(*(tree[0] for tree in below))
+                found[node] = shape, [leaf_ for tree in below for leaf_ in tree[1]], size
+    return found
 
 
 def _guarded(condition: _Tree | None, shape: str, leaves: list[Leaf], size: int) -> _Tree:

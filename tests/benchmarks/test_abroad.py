@@ -1,0 +1,25 @@
+"""Rigs that are no actuator: a diagnosis from logs and a plain model alone."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.abroad.case import diagnose
+from benchmarks.abroad.rigs import FOUND_ON
+
+BY_NAME = {rig.name: rig for rig in FOUND_ON}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cache(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.mark.slow
+def test_what_a_plain_model_lacks_is_named_from_logs_alone(tmp_path):
+    found = diagnose(BY_NAME["thermal block"], "radiation@casing", tmp_path / "case", repeats=2)
+    assert found.right, found
+    assert found.closure is not None
+    assert found.closure > 0.8
