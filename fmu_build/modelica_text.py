@@ -176,19 +176,9 @@ def _statement(one: Statement, sign: str) -> list[str]:
     match one:
         case Assign():
             return [f"{_text(one.target)} {sign} {_text(one.value)};"]
-        case AssignMany(targets=targets, call=call) if not targets:
-            return [f"{_text(call)};"]
         case AssignMany(targets=targets, call=call):
-            return [f"({', '.join('' if t is None else _text(t) for t in targets)}) {sign} {_text(call)};"]
-        case IfStatement(branches=branches):
-            return _branches("if", branches, sign)
-        case WhenStatement(branches=branches):
-            return _branches("when", branches, sign)
-        case ForStatement(iterators=iterators, body=body):
-            inside = ", ".join(_iterator(i) for i in iterators)
-            return [f"for {inside} loop", *_indented(_statements(body, sign)), "end for;"]
-        case WhileStatement(condition=condition, body=body):
-            return [f"while {_text(condition)} loop", *_indented(_statements(body, sign)), "end while;"]
+            names = ", ".join("" if t is None else _text(t) for t in targets)
+            return [f"({names}) {sign} {_text(call)};" if targets else f"{_text(call)};"]
         case Reinit(state=state, value=value):
             return [f"reinit({_text(state)}, {_text(value)});"]
         case Assert(condition=condition, message=message, warning=warning):
@@ -196,10 +186,21 @@ def _statement(one: Statement, sign: str) -> list[str]:
             return [f"assert({_text(condition)}, {_text(message)}{level});"]
         case Terminate(message=message):
             return [f"terminate({_text(message)});"]
-        case Return():
-            return ["return;"]
-        case Break():
-            return ["break;"]
+        case Return() | Break():
+            return [f"{type(one).__name__.lower()};"]
+        case _:
+            return _compound(one, sign)
+
+
+def _compound(one: IfStatement | WhenStatement | ForStatement | WhileStatement, sign: str) -> list[str]:
+    """Write a statement that has statements in it."""
+    if isinstance(one, IfStatement | WhenStatement):
+        return _branches("if" if isinstance(one, IfStatement) else "when", one.branches, sign)
+    if isinstance(one, ForStatement):
+        keyword, inside = "for", ", ".join(_iterator(i) for i in one.iterators)
+    else:
+        keyword, inside = "while", _text(one.condition)
+    return [f"{keyword} {inside} loop", *_indented(_statements(one.body, sign)), f"end {keyword};"]
 
 
 def _branches(
@@ -230,14 +231,32 @@ def _inside(e: Expression, least: int) -> str:
 def _bound(e: Expression) -> tuple[str, int]:
     """Return an expression as text, and how strongly it holds together."""
     match e:
-        case Literal(value=bool() as value):
-            return _truth(value), _ATOM
-        case Literal(value=str() as value):
-            return _string(value), _ATOM
         case Literal(value=value):
-            return repr(value), 5 if repr(value).startswith("-") else _ATOM
+            return _literal(value)
         case Reference(parts=parts):
             return ".".join(f"{_name(p.name)}{_subscripts(p.subscripts)}" for p in parts), _ATOM
+        case Subscripted(base=base, subscripts=subscripts):
+            return f"{_inside(base, _ATOM)}{_subscripts(subscripts)}", _ATOM
+        case Unary() | Binary() | If() | Range():
+            return _operation(e)
+        case End():
+            return "end", _ATOM
+        case All():
+            return ":", _ATOM
+        case _:
+            return _collection(e)
+
+
+def _literal(value: bool | int | float | str) -> tuple[str, int]:
+    if isinstance(value, bool):
+        return _truth(value), _ATOM
+    if isinstance(value, str):
+        return _string(value), _ATOM
+    return repr(value), 5 if repr(value).startswith("-") else _ATOM
+
+
+def _operation(e: Unary | Binary | If | Range) -> tuple[str, int]:
+    match e:
         case Unary(operator=operator, operand=operand):
             binding = _BINDING.get(operator, 5)
             space = " " if operator == "not" else ""
@@ -249,6 +268,12 @@ def _bound(e: Expression) -> tuple[str, int]:
         case If(branches=branches, otherwise=otherwise):
             first, *others = (f"if {_text(c)} then {_text(v)}" for c, v in branches)
             return " ".join([first, *(f"else{o}" for o in others), f"else {_text(otherwise)}"]), 0
+        case Range(start=start, step=step, stop=stop):
+            return ":".join(_inside(part, 5) for part in (start, step, stop) if part is not None), 0
+
+
+def _collection(e: Expression) -> tuple[str, int]:
+    match e:
         case Call(function=function, arguments=arguments):
             given = ", ".join(_text(a) for a in arguments if a is not None)
             return f"{_function_name(function)}({given})", _ATOM
@@ -256,18 +281,10 @@ def _bound(e: Expression) -> tuple[str, int]:
             return f"{{{', '.join(_text(i) for i in items)}}}", _ATOM
         case Matrix(rows=rows):
             return f"[{'; '.join(', '.join(_text(i) for i in row) for row in rows)}]", _ATOM
-        case Range(start=start, step=step, stop=stop):
-            return ":".join(_inside(part, 5) for part in (start, step, stop) if part is not None), 0
         case TupleOf(items=items):
             return f"({', '.join('' if i is None else _text(i) for i in items)})", _ATOM
         case Comprehension(element=element, iterators=iterators):
             return f"{_text(element)} for {', '.join(_iterator(i) for i in iterators)}", 0
-        case Subscripted(base=base, subscripts=subscripts):
-            return f"{_inside(base, _ATOM)}{_subscripts(subscripts)}", _ATOM
-        case End():
-            return "end", _ATOM
-        case All():
-            return ":", _ATOM
         case _:
             raise ModelicaError(f"{type(e).__name__} cannot be written as source", where=_place(e))
 
