@@ -38,5 +38,9 @@ class ModelicaError(UserError):
     """Modelica source that is wrong or outside the supported subset."""
 
 
+class IndexOutsideError(ModelicaError):
+    """A subscript that is outside its array."""
+
+
 class BuildError(UserError):
     """The C compiler or the packaging of an FMU failed."""

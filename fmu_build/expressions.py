@@ -15,7 +15,7 @@ import casadi as ca
 from fmu_build import algebra
 from fmu_build.algebra import Array, Scalar, UnknownSizeError, Value, whole
 from fmu_build.builtin_functions import BUILTIN, STEPS, as_matrix, cat
-from fmu_build.errors import ModelicaError
+from fmu_build.errors import IndexOutsideError, ModelicaError
 from fmu_build.graph import SX
 from fmu_build.syntax import (
     All,
@@ -168,6 +168,8 @@ class Evaluator:
             what = error.args[0] if error.args else error
             if isinstance(error, KeyError):
                 what = f"there is no variable '{what}'"
+            if isinstance(error, IndexError):
+                raise IndexOutsideError(str(what), where=node.at) from None
             raise self.context.error(str(what), node.at) from None
 
     def scalar(self, node: Expression) -> Scalar:

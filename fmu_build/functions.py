@@ -16,7 +16,7 @@ import casadi as ca
 
 from fmu_build import algebra
 from fmu_build.algebra import Array, Scalar, Value, whole
-from fmu_build.errors import ModelicaError
+from fmu_build.errors import IndexOutsideError, ModelicaError
 from fmu_build.expressions import Evaluator, Scope
 from fmu_build.flat_model import Formal, Function
 from fmu_build.graph import SX
@@ -330,7 +330,7 @@ class Body:
                 stopped = self._stopped()
                 if not isinstance(stopped, SX) and stopped:
                     break
-                condition = self._evaluate.scalar(statement.condition)
+                condition = self._condition(statement, ends)
                 if not isinstance(condition, SX) and not condition:
                     break
                 if isinstance(condition, SX) or isinstance(stopped, SX):
@@ -348,6 +348,21 @@ class Body:
         for goes_on, state in reversed(ends):
             self._frame.variables = self._chosen(goes_on, self._frame.variables, state)
         self._frame.variables[_LEFT] = outer
+
+    def _condition(self, statement: WhileStatement, ends: Sequence[Any]) -> Scalar:
+        """Evaluate the condition of a loop; where an index leaves its array, the loop must have ended before."""
+        try:
+            return self._evaluate.scalar(statement.condition)
+        except IndexOutsideError as error:
+            if not ends:
+                raise
+            never = algebra.sx(False)
+            for guard in self._functions.guards:
+                never = ca.logic_or(never, ca.logic_not(guard))
+            self._functions.asserts.append(
+                (never, (f"a while loop goes on where {error.what}",), False, statement.at)
+            )
+            return False
 
     def _when(self, statement: WhenStatement) -> None:
         fires = getattr(self._frame, "fires", None)

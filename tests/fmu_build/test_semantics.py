@@ -182,7 +182,10 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
         function guarded input Real u; output Real y; algorithm assert(u > -10, "too low"); y := sqrt(u + 10); end guarded;
         function sorted input Real u[3]; output Real v[3]; protected Real t; algorithm v := u;
           for i in 1:2 loop for j in 1:3 - i loop if v[j] > v[j + 1] then t := v[j]; v[j] := v[j + 1]; v[j + 1] := t; end if; end for; end for; end sorted;
+        function between input Real x; input Real t[:, 2]; output Real y; protected Integer i; algorithm i := 1;
+          while x >= t[i + 1, 1] loop i := i + 1; end while; y := t[i, 2] + (x - t[i, 1])/(t[i + 1, 1] - t[i, 1])*(t[i + 1, 2] - t[i, 2]); end between;
         model M
+          Real looked1 = between(time + 0.5, [0, 1; 1, 3; 2, 7; 4, 7]); Real looked2 = between(time + 1.5, [0, 1; 1, 3; 2, 7; 4, 7]); Real looked3 = between(3 - time, [0, 1; 1, 3; 2, 7; 4, 8]);
           parameter Real p = 7; parameter Real w[4] = {1, 4, 9, 16}; Real d1 = divide(8); Real d2 = divide(8, 4); Real d3 = divide(b = 16, a = 8); Real q; Real r;
           Real only; Real z = divide(time + 6); Real k5 = firstAbove(w, 5); Real k0 = firstAbove(w, 50); Real steps = countdown(4); Real broken = countdown(100);
           Real c1 = clip(p); Real c2 = clip(-p); Real c3 = clip(p/70); Real root = bisect(p + 2); Real f5 = fact(5);
@@ -195,7 +198,7 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
         end M;
         """,
         {
-            "d1": 4, "d2": 2, "d3": 0.5, "q": 3, "r": 9, "only": 33, "z": 3, "k5": 3, "k0": 0, "steps": 2,
+            "looked1": 2, "looked2": 5, "looked3": 7.5, "d1": 4, "d2": 2, "d3": 0.5, "q": 3, "r": 9, "only": 33, "z": 3, "k5": 3, "k0": 0, "steps": 2,
             "broken": 3, "c1": 1, "c2": -1, "c3": 0.1, "root": 3, "f5": 120, "rec.b": 8, "u1": 84, "u2": 21,
             "u3": 31, "u4": 32, "der1": 6, "ch": 15, "gd": 4, "s3[1]": 3, "s3[3]": 7, "bs[2]": 4, "dynamic": 3,
             "der(integral)": 1,
