@@ -13,7 +13,7 @@ import casadi as ca
 
 from fmu_build.c_code import c_code, lengths
 
-_MOVING = (0, 1, 2, 5, 6, 7, 8)  # arguments other than parameters, which have no kinks over time
+_CONSTANT = (3, 4)  # arguments that are parameters, which have no kinks over time
 _MOST = 200  # more kinks than that are not worth looking at
 _DIFFERENCE = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_LT, ca.OP_LE)
 _ARGUMENT = (ca.OP_FABS, ca.OP_SIGN)
@@ -33,7 +33,7 @@ def switching_functions(derivatives: Any) -> Any:
         ``model_switches`` of the same arguments; f is smooth wherever no component changes its sign.
     """
     arguments = derivatives.sx_in()
-    moving = ca.vertcat(*(arguments[i] for i in _MOVING))
+    moving = ca.vertcat(*(argument for i, argument in enumerate(arguments) if i not in _CONSTANT))
     found: dict[int, Any] = {}
     seen: set[int] = set()
     outputs = derivatives.call(arguments)

@@ -35,7 +35,7 @@ def whose(path: Path) -> int:
 def importable(monkeypatch: pytest.MonkeyPatch) -> None:
     """The reading process finds the functions above by this module's name."""
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
-    for function in (hang, crash, refuse, whose):
+    for function in (hang, crash, refuse, whose, raises_from_a_library):
         monkeypatch.setattr(function, "__module__", "test_apart")
     monkeypatch.setitem(__import__("sys").modules, "test_apart", __import__("sys").modules[__name__])
     from fmuid.data import isolated_reader as apart
@@ -76,3 +76,26 @@ def test_a_module_in_the_current_folder_is_not_taken_for_a_library(
     monkeypatch.delenv("PYTHONPATH")
     Path("h5py.py").write_text("raise SystemExit('taken')")
     assert len(read_measurements("measurements.h5")) > 0
+
+
+class OfALibraryError(Exception):
+    """One that pickles, but that nothing can make again from its text."""
+
+    def __init__(self, length: int, limit: int) -> None:
+        super().__init__(f"{length} is more than {limit}")
+
+
+def raises_from_a_library(path: Path) -> None:
+    """Fail as libraries do where another one has taught errors to take along what they came from."""
+    from tblib import pickling_support
+
+    pickling_support.install(MeasurementsError)
+    try:
+        raise OfALibraryError(9, 3)
+    except OfALibraryError as error:
+        raise MeasurementsError(f"cannot be read ({error})", where=path) from None
+
+
+def test_an_error_comes_over_without_what_it_came_from(tmp_path: Path) -> None:
+    with pytest.raises(MeasurementsError, match=r"cannot be read \(9 is more than 3\)"):
+        read_apart(raises_from_a_library, tmp_path)

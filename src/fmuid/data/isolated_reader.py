@@ -120,5 +120,7 @@ def serve() -> None:
             os.chdir(folder)  # that the path is relative to
             answer: tuple[bool, Any] = (True, read(path))
         except Exception as error:
+            # What it came from stays here: libraries raise errors that no other process can rebuild.
+            error.__cause__ = error.__context__ = None
             answer = (False, error)
         connection.send_bytes(pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL))
