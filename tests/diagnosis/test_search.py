@@ -1,5 +1,7 @@
 """The search among effects: a wrong first pick is mended, a law of another shape is no further cause."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from plants import plant
@@ -89,3 +91,8 @@ def test_what_a_further_law_at_the_same_place_adds_to_a_nearly_closed_gap_is_the
     ):
         verdict = diagnose_subject(heard(laws, truth, ports=ports)).diagnosis.verdict
         assert (verdict.kind, set(verdict.effects)) == ("effect", named)
+    # A held value acts wherever its component does.
+    subject = heard(laws, truth)
+    first, second = subject.effects
+    held = replace(subject, effects=(first, replace(second, id="value@second")))
+    assert diagnose_subject(held).diagnosis.verdict.effects == ("first",)

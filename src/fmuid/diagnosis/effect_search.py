@@ -132,11 +132,12 @@ def _shaped(before: Fitted, after: Fitted, signatures: Sequence[Mapping[str, Flo
 def _same_place(subject: Subject, after: Fitted, signatures: Sequence[Mapping[str, FloatArray]]) -> bool:
     """Return whether the effect that is new in `after` acts where one before it does.
 
-    That is at its port, or at one that no law that both have tells from it.
+    That is at its port, or at one that no law that both have tells from it. The value of a held parameter acts
+    wherever its component does.
     """
     ports = {e.id: e.port for e in subject.effects}
     new, before = ports[after.effects[-1]], {ports[name] for name in after.effects[:-1]}
-    if new in before:
+    if new in before or after.effects[-1].startswith("value@"):
         return True
     tried = signatures[0]
     at = {(id.partition("@")[0], ports[id]): s for id, s in tried.items() if "@" in id}
