@@ -35,7 +35,7 @@ def baseline_answers(found: Found) -> Mapping[str, tuple[str, ...]]:
     """
     models = [found.nominal, *found.candidates]
     bic = _white_noise_bic(found, models)
-    held_out = [float(np.average(m.held_out.loss, weights=m.held_out.size)) for m in models]
+    held_out = [m.held_out.mean for m in models]
     return {
         "white_noise_bic": models[int(np.argmin(bic))].names,
         "hold_out_rmse": models[int(np.argmin(held_out))].names,

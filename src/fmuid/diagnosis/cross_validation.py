@@ -39,14 +39,14 @@ class HeldOut:
     size: FloatArray
 
     @property
+    def mean(self) -> float:
+        """Mean loss over all components."""
+        return float(np.average(self.loss, weights=self.size))
+
+    @property
     def gap(self) -> float:
         """Gap in floors over all experiments."""
-        return gap_of(self.loss, self.size)
-
-
-def gap_of(loss: FloatArray, size: FloatArray) -> float:
-    """Return sqrt(max(0, mean excess)) of experiments with `size` samples each."""
-    return float(np.sqrt(max(0.0, float(np.average(loss, weights=size)))))
+        return float(np.sqrt(max(0.0, self.mean)))
 
 
 def leave_each_out(fit: Refit, observed: Observed) -> HeldOut:

@@ -13,6 +13,7 @@ from fmuid.diagnosis.cross_validation import advantage, closure
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import OWN_PAST, Decoy
 from fmuid.diagnosis.refit import Unknown
+from fmuid.diagnosis.scores import stack
 from fmuid.diagnosis.verdict import NONE, UNKNOWN, Kind
 
 # Calibrated on the virtual rig (`make blind`), never on data whose answer is to be found.
@@ -52,15 +53,14 @@ def separation(a: Fitted, b: Fitted, observed: Observed, *, without: int | None 
 
 
 def _stacked(fitted: Fitted, observed: Observed, without: int | None) -> FloatArray:
-    parts = zip(fitted.fit.residuals, observed.repeats, strict=True)
-    return np.concatenate([np.sqrt(n) * r for e, (r, n) in enumerate(parts) if e != without])
+    return stack([r * (e != without) for e, r in enumerate(fitted.fit.residuals)], observed)
 
 
 def best_of(candidates: Sequence[Fitted]) -> Fitted:
     """Return the candidate with the least loss on experiments left out, among those that fit about as well."""
     least = min(c.fit.cost for c in candidates)
     close = [c for c in candidates if c.fit.cost <= 1.05 * least + 20.0]
-    return min(close, key=lambda c: float(np.average(c.held_out.loss, weights=c.held_out.size)))
+    return min(close, key=lambda c: c.held_out.mean)
 
 
 def survivors(best: Fitted, candidates: Sequence[Fitted], observed: Observed) -> tuple[Fitted, ...]:
@@ -157,7 +157,7 @@ def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy], ports: S
     decoys = [d for d in decoys if (d.port in ports if lumped else d.over != OWN_PAST or d.port not in ports)]
     if not decoys or (closure(nominal.held_out, best.held_out) >= CLOSURE_BEYOND_DECOYS and not lumped):
         return None
-    decoy = min(decoys, key=lambda d: d.loss)
+    decoy = min(decoys, key=lambda d: d.held_out.mean)
     if lumped:  # one law of one variable that nobody has named, in place of two that have been
         return decoy if decoy.held_out.gap <= ABOUT_AS_WELL * best.held_out.gap else None
     gained, error = advantage(decoy.held_out, best.held_out)
@@ -172,7 +172,7 @@ def needed_beside(alone: Sequence[Decoy], beside: Sequence[Decoy], nominal: Fitt
     `beside` are free functions fitted beside the effects: the best of them must leave hardly anything, and much
     less than the best of those `alone`. Else the effects only imitate what the free function is.
     """
-    first, second = (min(decoys, key=lambda d: d.loss) for decoys in (alone, beside))
+    first, second = (min(decoys, key=lambda d: d.held_out.mean) for decoys in (alone, beside))
     gained, error = advantage(second.held_out, first.held_out)
     return (
         gained > error
@@ -202,7 +202,7 @@ def of_its_law(best: Fitted, alone: Sequence[Decoy], beside: Sequence[Decoy], po
 def places(nominal: Fitted, decoys: Sequence[Decoy]) -> tuple[str, ...]:
     """Return the ports at which free functions close the gap about as well as anywhere, the best first."""
     left: dict[str, float] = {}
-    for d in sorted(decoys, key=lambda d: d.loss):
+    for d in sorted(decoys, key=lambda d: d.held_out.mean):
         for port in (d.port, *d.alike):
             left.setdefault(port, d.held_out.gap)
     if not left:

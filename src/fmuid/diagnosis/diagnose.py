@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fmuid.core.errors import SimulationError
-from fmuid.core.formatting import html_lines, html_table, range_text, text_table
+from fmuid.core.formatting import html_lines, html_table, text_table
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.calibration import Calibration, shipped
@@ -19,13 +19,13 @@ from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.localisation import ExcessMap, excess_map
 from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
 from fmuid.diagnosis.null_distribution import NoiseDraws, Null, draw_noise
-from fmuid.diagnosis.observed import excess, gap
+from fmuid.diagnosis.observed import excess, excesses, gap
 from fmuid.diagnosis.ports import Decoy, fit_decoys, responses_of
 from fmuid.diagnosis.power import smallest_seen
 from fmuid.diagnosis.regimes import bases, folded, own_bases, trajectories
 from fmuid.diagnosis.scores import Score, nominal_basis
 from fmuid.diagnosis.subject import Subject
-from fmuid.diagnosis.summary import likeliest, summary
+from fmuid.diagnosis.summary import likeliest, regime_text, summary
 from fmuid.diagnosis.verdict import (
     NONE,
     UNKNOWN,
@@ -233,14 +233,12 @@ def _evidence(subject: Subject, nominal: Fitted, scores: Sequence[Score], noise:
     observed = subject.observed
     signatures = [s.signature for s in scores if s.signature is not None]
     null = noise.null(nominal_basis(nominal.fit, observed), signatures)
-    within = [r[band] for r, band in zip(nominal.fit.residuals, observed.in_band, strict=True)]
-    by_experiment = max(
-        float(np.sqrt(max(0.0, r @ r / r.size - 1.0 / n))) for r, n in zip(within, observed.repeats, strict=True)
-    )
+    beyond, count = excesses(nominal.fit.residuals, observed)
+    by_experiment = float(np.sqrt(max(0.0, beyond.max())))
     matters = nominal.gap > decide.GAP_THAT_MATTERS or by_experiment > 3 * decide.GAP_THAT_MATTERS
     largest = max((s.drop for s in scores), default=0.0)
     p_value = null.p_value(excess(nominal.fit.residuals, observed), largest / decide.SCORE_MARGIN)
-    needed = decide.GAP_THAT_MATTERS**2 * sum(n * r.size for n, r in zip(observed.repeats, within, strict=True))
+    needed = decide.GAP_THAT_MATTERS**2 * float(observed.repeats @ count)
     threshold = max(decide.SCORE_MARGIN * null.threshold(), needed)
     power = smallest_seen(scores, subject.effects, threshold=threshold)
     return Evidence(matters and p_value < decide.SIGNIFICANCE, p_value, null, power)
@@ -321,8 +319,8 @@ def _where_left(
         words = f"{shares[0].signal} in {shares[0].experiment}"
         if shares[0].regime is not None:
             variable, low, high = shares[0].regime
-            words += f", {variable} {range_text(low, high)}"
-    port = min(beside, key=lambda d: d.loss).port if beside else ""
+            words += f", {regime_text({'regime': {'variable': variable, 'from': low, 'to': high}})}"
+    port = min(beside, key=lambda d: d.held_out.mean).port if beside else ""
     return words + (f" (a free function at {port} closes most of it)" if port else "")
 
 

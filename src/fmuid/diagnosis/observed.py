@@ -95,9 +95,11 @@ class Observed:
 
         Gaps are means over these, so that they do not depend on how often a signal was sampled.
         """
-        limits = [bandwidth(r, r.mean, self.noise[r.setup]) for r in self.runs]
-        for k, (r, y) in enumerate(zip(self.runs, self.predicted, strict=False)):
-            limits[k] = np.maximum(limits[k], bandwidth(r, y, self.noise[r.setup]))
+        predicted = self.predicted or (None,) * len(self.runs)
+        limits = [
+            bandwidth(r, self.noise[r.setup], r.mean, *([] if y is None else [y]))
+            for r, y in zip(self.runs, predicted, strict=True)
+        ]
         return tuple(
             np.ravel(w.frequencies[None, :] <= limit[:, None])
             for w, limit in zip(self.whiteners, limits, strict=True)
@@ -134,7 +136,12 @@ def gap(residuals: Sequence[FloatArray], observed: Observed) -> float:
 
 def excess(residuals: Sequence[FloatArray], observed: Observed) -> float:
     """Return G^2 before it is clipped at zero."""
+    beyond, count = excesses(residuals, observed)
+    return float(np.average(beyond, weights=count))
+
+
+def excesses(residuals: Sequence[FloatArray], observed: Observed) -> tuple[FloatArray, FloatArray]:
+    """Return (E,) G^2 of every experiment before it is clipped, and how many components it is a mean of."""
     within = [r[band] for r, band in zip(residuals, observed.in_band, strict=True)]
-    n = np.array([r.size for r in within], dtype=float)
-    energy = np.array([float(r @ r) for r in within])
-    return float((energy - n / observed.repeats).sum() / n.sum())
+    mean = np.array([float(np.mean(r**2)) for r in within])
+    return mean - 1.0 / observed.repeats, np.array([float(r.size) for r in within])

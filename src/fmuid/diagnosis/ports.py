@@ -90,11 +90,6 @@ class Decoy:
     alike: tuple[str, ...]
     held_out: HeldOut
 
-    @property
-    def loss(self) -> float:
-        """Mean loss on experiments left out."""
-        return float(np.average(self.held_out.loss, weights=self.held_out.size))
-
 
 def hats(values: Sequence[FloatArray], knots: FloatArray) -> Basis:
     """Piecewise-linear functions that are 1 at one of the (K,) knots and 0 at the others."""

@@ -282,8 +282,8 @@ def whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener:
     )
 
 
-def bandwidth(run: RepeatedRuns, values: FloatArray, noise: SetupNoise) -> FloatArray:
-    """Return (C,) how far up (C, N) `values` go in frequency, Hz: to the last octave that is as loud as noise.
+def bandwidth(run: RepeatedRuns, noise: SetupNoise, *courses: FloatArray) -> FloatArray:
+    """Return (C,) how far up the farthest of (C, N) `courses` goes, Hz: to the last octave as loud as noise.
 
     It is sixteen periods of the record at least: of fewer components a mean says little. Above it there is nothing
     of the signal that a model could be held against, however often it was sampled. A straight line between the
@@ -293,20 +293,16 @@ def bandwidth(run: RepeatedRuns, values: FloatArray, noise: SetupNoise) -> Float
     n = len(run.time)
     edges = _band_edges(n, noise.dt)
     octave, band_of = _bands_of(n, noise.dt, edges), _bands_of(n, noise.dt, noise.edges)
-    rounding = _rounding_spectrum(run, noise)
+    variance = np.diagonal(noise.covariance, axis1=1, axis2=2)[np.maximum(band_of, 0).astype(int)].T
+    level = variance / run.n_repeats + _rounding_spectrum(run, noise)
+    lines = [np.linspace(y[:, 0], y[:, -1], n, axis=1) for y in courses]
+    power = np.stack([real_spectrum((y - x) * run.mask) ** 2 for y, x in zip(courses, lines, strict=True)])
     limits = np.full(len(run.channels), _FEWEST / (n * noise.dt))
-    for c in range(len(run.channels)):
-        line = np.linspace(values[c, 0], values[c, -1], n)
-        power = real_spectrum((values[c] - line) * run.mask[c]) ** 2
-        level = np.diagonal(noise.covariance, axis1=1, axis2=2)[np.maximum(band_of, 0).astype(int), c]
-        level = level / run.n_repeats + rounding[c]
-        above = [
-            b
-            for b in range(len(edges) - 1)
-            if np.any(octave == b) and power[octave == b].mean() > _TWICE * level[octave == b].mean()
-        ]
-        if above:
-            limits[c] = max(limits[c], edges[above[-1] + 1])
+    for b, end in enumerate(edges[1:]):
+        own = octave == b
+        if own.any():
+            loud = np.any(power[..., own].mean(axis=-1) > _TWICE * level[:, own].mean(axis=1), axis=0)
+            limits[loud] = np.maximum(limits[loud], end)
     return limits
 
 
