@@ -155,6 +155,11 @@ standard-library: $(DEVELOPER)
 	$(BIN)/python benchmarks/standard_library.py $(ROOT) $(REFERENCE) --results build/standard_library.json \
 	  --page docs/standard_library.md
 
+# Changes that no test of the numerical core notices: build/mutation/survivors.md. MODULE=features: of those modules.
+mutation: $(DEVELOPER)
+	$(PIP) --editable ".[mutation]"
+	$(BIN)/python benchmarks/mutation.py $(MODULE)
+
 # Pages in build/site; a warning is an error.
 docs: $(READY)
 	$(PIP) --editable ".[build,docs]"
