@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fmuid.campaigns.campaign_toml import load_campaign as load_campaign
+    from fmuid.campaigns.starting import start as start
     from fmuid.core.campaign import AnalysisSpec as AnalysisSpec
     from fmuid.core.campaign import Campaign as Campaign
     from fmuid.core.campaign import CriterionSpec as CriterionSpec
@@ -87,6 +88,7 @@ _PUBLIC = {
     "read_history": "identification.history",
     "read_measurements": "data.measurements",
     "sensitivity_of": "identification.uncertainty.sensitivity",
+    "start": "campaigns.starting",
     "uncertainty_of": "identification.uncertainty.confidence",
     "validate": "identification.validate",
     "write_measurements": "data.measurements",

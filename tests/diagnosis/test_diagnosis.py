@@ -75,6 +75,7 @@ def test_one_effect_is_named_measured_and_closes_the_gap(truth, effect, port, es
     assert answer["verdict"]["rest"] is None
     assert answer["gap"]["present"]
     assert answer["gap"]["corrected"] < 0.1 * answer["gap"]["nominal_refit"]
+    assert not any(effect in names for names in answer["alias_classes"])  # so large a gap tells it from all others
     best = answer["effects"][0]
     assert (best["id"], best["probability"] > 0.9) == (effect, True)
     assert best["closure"]["held_out"] > 0.9

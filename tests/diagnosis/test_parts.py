@@ -90,16 +90,16 @@ def test_the_true_effect_scores_best_and_knows_its_size(asymmetric):
 def test_effects_of_the_same_signature_are_one_class(asymmetric):
     _, _, scores = asymmetric
     signatures = {s.effect: s.signature for s in scores if s.signature is not None}
-    (found,) = alias_classes(signatures)
+    (found,) = alias_classes(signatures, threshold=0.95)
     assert "tilt" in found
     assert [t.effect for s in scores for t in s.same] == ["cable"]
     assert "quadratic" not in found
     e = np.eye(3)
-    assert alias_classes({"a": e[0], "b": e[1]}) == ()
-    assert alias_classes({"c": e[0], "b": -e[0], "a": e[2]}) == (("b", "c"),)
+    assert alias_classes({"a": e[0], "b": e[1]}, threshold=0.95) == ()
+    assert alias_classes({"c": e[0], "b": -e[0], "a": e[2]}, threshold=0.95) == (("b", "c"),)
     # Classes are chained: a ~ b and b ~ c puts a and c together.
     chain = {n: np.array([np.cos(x), np.sin(x), 0.0]) for n, x in (("a", 0.0), ("b", 0.3), ("c", 0.6))}
-    assert alias_classes(chain) == (("a", "b", "c"),)
+    assert alias_classes(chain, threshold=0.95) == (("a", "b", "c"),)
 
 
 def linear(slopes, keep=(0, 1, 2, 3)):

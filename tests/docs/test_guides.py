@@ -38,6 +38,7 @@ SLOW = {
     "cluster",
     "drift",
     "effect",
+    "notebook",
     "own-drive",
     "paper",
     "report",

@@ -207,7 +207,7 @@ def pictures():
             MissingQuantity(
                 Axis(name, unit),
                 Axis("missing gear friction torque", "N.m"),
-                (Branch(x, y + rng.normal(0, 0.003, 13), np.full(13, 0.004), (("mesh_loss", y),)),),
+                (Branch(x, y + rng.normal(0, 0.003, 13), np.full(13, 0.004), (("mesh_loss", x, y),)),),
             )
         )
     return DiagnosisPictures((pair, fixed, free), excess, tuple(missing))

@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from fmuid.data.noise.runs import RepeatedRuns
+from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.localisation import excess_map
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import Port
-from fmuid.diagnosis.refit import Refit
+from fmuid.diagnosis.refit import Refit, Unknown
 from fmuid.diagnosis.regimes import Regime
 from fmuid.diagnosis.verdict import Verdict
 from fmuid.report.diagnosis_arrays import pictures_of
@@ -22,7 +23,7 @@ FRICTION = 0.3 * np.abs(SPEED) / 10  # what the model below lacks, N.m
 class Model:
     """Predicts nothing at all, or with an effect a share of what is lacking; a port's drive comes straight through."""
 
-    cases = (SimpleNamespace(id="run", channels=(SimpleNamespace(unit="N.m"),)),)
+    cases = (SimpleNamespace(id="run", time=TIME, channels=(SimpleNamespace(unit="N.m"),)),)
 
     def __init__(self, lacking):
         self.lacking = lacking
@@ -30,15 +31,19 @@ class Model:
     def predict(self, points):
         return [(np.atleast_2d(p.get("effect", 0.0) * self.lacking),) for p in points]
 
+    def trajectories(self, values, names):
+        return [tuple({"w": SPEED, "tau": LOAD}[name] for name in names)]
+
     def predict_driven(self, values, drives):
-        return [(np.atleast_2d(d["port_torque"][0]),) for d in drives]
+        own = values.get("effect", 0.0) * self.lacking
+        return [(np.atleast_2d(own + d["port_torque"][0]),) for d in drives]
 
 
 def fitted(name, share):
     return SimpleNamespace(names=(name,), effects=(name,), fit=SimpleNamespace(values={"effect": share}))
 
 
-def draw(lacking, verdict, *candidates):
+def draw(lacking, verdict, *candidates, effects=()):
     rng = np.random.default_rng(0)
     values = lacking + rng.normal(0, 0.02, (5, 1, TIME.size))
     observed = Observed.from_runs([RepeatedRuns("run", "bench", TIME, ("tau",), values)])
@@ -48,11 +53,14 @@ def draw(lacking, verdict, *candidates):
     subject = SimpleNamespace(
         model=Model(lacking),
         observed=observed,
+        nominal=(),
+        effects=effects,
         catalogue=SimpleNamespace(
             ports={"torque": Port("torque", "port_torque", None, 0.01, "N.m")},
             regimes={
                 "load": Regime("load", "tau", "value", "N.m"),
                 "speed": Regime("speed", "w", "speed", "rad/s"),
+                "torque speed": Regime("torque speed", "w", "speed", "rad/s", ports=("another",)),
                 "elsewhere": Regime("elsewhere", "x", ports=("another",)),
             },
         ),
@@ -101,7 +109,7 @@ def test_missing_torque_is_found_with_the_law_over_it_and_what_explains_most_com
     assert branch.x.min() == pytest.approx(-10, abs=0.01)
     inner = np.abs(branch.x) > 0.5  # a piecewise-linear function cannot follow the corner at zero
     np.testing.assert_allclose(branch.y[inner], expected[inner], atol=0.02)
-    label, law = branch.laws[0]
+    label, _, law = branch.laws[0]
     assert label == "viscous"
     np.testing.assert_allclose(law[inner], 0.9 * expected[inner], atol=0.02)
     assert np.all(branch.standard_error < 0.01)
@@ -122,5 +130,23 @@ def test_a_torque_that_changes_sign_with_the_direction_is_shown_for_each_of_them
 def test_every_law_of_an_a_or_b_is_drawn():
     verdict = Verdict("ambiguous", (), (("viscous",), ("drag",)), ("torque",))
     (branch,) = draw(FRICTION, verdict, fitted("viscous", 0.9), fitted("drag", 0.7)).missing[0].branches
-    assert [name for name, _ in branch.laws] == ["viscous", "drag"]
-    assert branch.laws[1][1].max() == pytest.approx(0.7 / 0.9 * branch.laws[0][1].max(), rel=1e-3)
+    assert [name for name, _, _ in branch.laws] == ["viscous", "drag"]
+    assert branch.laws[1][2].max() == pytest.approx(0.7 / 0.9 * branch.laws[0][2].max(), rel=1e-3)
+
+
+def test_a_law_is_a_curve_over_its_variable_and_the_points_are_what_the_measurements_say():
+    law = Effect(
+        "viscous", "", "torque", (Unknown("k", 0.0, 0.0, 1.0, 1e-3),), {"k": 0.0}, (), expression="k*abs(rate)"
+    )
+    weak = SimpleNamespace(**vars(fitted("viscous", 0.9)))
+    no_parameters = (np.zeros((TIME.size, 0)),)
+    weak.fit = SimpleNamespace(values={"effect": 0.9, "k": 0.027}, unknowns=(), jacobian=no_parameters)
+    (missing,) = draw(FRICTION, Verdict("effect", ("viscous",), (), ("torque",)), weak, effects=(law,)).missing
+    assert missing.variable.name == "torque speed"
+    (branch,) = missing.branches
+    ((name, x, y),) = branch.laws
+    assert name == "viscous"
+    np.testing.assert_allclose(y, 0.027 * np.abs(x))
+    inner = np.abs(branch.x) > 1.0  # hats cannot follow the corner at zero
+    np.testing.assert_allclose(branch.y[inner], 0.03 * np.abs(branch.x[inner]), atol=0.01)
+    assert np.mean(np.abs(branch.y[inner]) > 0.0285 * np.abs(branch.x[inner])) > 0.9  # a tenth above the curve

@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,7 @@ class NewCampaign:
 
 
 def new_campaign(
-    files: Sequence[Path],
+    logs: Mapping[str, Path | Any],
     fmu: Path,
     folder: Path,
     *,
@@ -58,7 +59,7 @@ def new_campaign(
     progress: Callable[[float], None] | None = None,
     runner: Runner = in_process,
 ) -> NewCampaign:
-    """Write a campaign that runs from recorded runs (a file each) and an FMU.
+    """Write a campaign that runs from recorded runs and an FMU.
 
     Columns become signals by the name or, where that is unique, the unit of the FMU's inputs and outputs.
     Which parameters are free and how inputs act between samples: see `fmuid.campaigns.first_choice`. The last run
@@ -66,16 +67,18 @@ def new_campaign(
 
     Parameters
     ----------
-    files, fmu, folder
-        What there is, and where the campaign goes.
+    logs
+        Runs by name, a file or a data frame each.
+    fmu, folder
+        The FMU, and where the campaign goes.
     source
         The FMU's Modelica source, named in its place.
     signals
-        Of the files, the signals to use; all by default.
+        Those to use; all by default.
     base
         What signals with different time bases are brought onto.
     units, sigmas
-        Units (these win over the files') and noise standard deviations by column.
+        Units (these win over the logs') and noise standard deviations by column.
     columns
         Headers of CSV files that have none.
     progress
@@ -97,15 +100,14 @@ def new_campaign(
     notes: list[tuple[str, str]] = []
     runs: dict[str, Experiment] = {}
     mapping: dict[str, str] = {}
-    for file in files:
-        if file.stem in runs:
-            raise CampaignError(f"two runs are called '{file.stem}'", where=file, fix="rename one file")
-        run = read_run(file, signals, base, columns)
+    for id, log in logs.items():
+        file = log if isinstance(log, Path) else Path(id)
+        run = read_run(log, signals, base, columns, name=id)
         run = replace(run, table=_with_units(run.table, units or {}))
         table = run.table
         matched = match_columns(table, ports)
         _require_output(matched, ports, fmu, file)
-        runs[file.stem] = _run(file, run, matched=matched, ports=ports, setup=fmu.stem, sigmas=sigmas or {})
+        runs[id] = _run(id, file, run, matched=matched, ports=ports, setup=fmu.stem, sigmas=sigmas or {})
         notes += [(file.name, note) for note in (*run.notes, *_lines(table, matched, ports))]
         mapping |= {c: v for c, v in matched.items() if c != v}
     known = dict.fromkeys(n for run in runs.values() for n in run.signals)
@@ -128,7 +130,7 @@ def new_campaign(
     if not choice.free:
         raise CampaignError(
             f"no parameter of {fmu.name} moves a measured output",
-            where=files[0],
+            where=next(iter(logs)),
             fix="check inputs and outputs",
         )
     guesses += _choice_lines(choice, any(run.inputs for run in runs.values()))
@@ -202,6 +204,7 @@ def _require_output(matched: Mapping[str, str], ports: Mapping[str, Variable], f
 
 
 def _run(
+    id: str,
     file: Path,
     run: Run,
     *,
@@ -218,7 +221,7 @@ def _run(
             raise MeasurementsError(f"column '{column}' has no value", where=file, fix="leave it out, or fill it")
     made = experiment_from_table(
         Table(table.time, {c: table.columns[c] for c in matched}, {}),
-        id=file.stem,
+        id=id,
         setup=setup,
         inputs=[c for c, v in matched.items() if ports[v].causality == "input"],
         units=units,

@@ -13,7 +13,7 @@ from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 from fmuid.core.errors import FmuidError
 
 if TYPE_CHECKING:
-    from fmuid.core.campaign import ModelSource
+    from fmuid.campaigns.starting import GivenModel
     from fmuid.data.recordings.resampling import TimeBase
 
 
@@ -238,16 +238,17 @@ def init(
     Example: fmuid init step.csv prbs.csv --fmu Drive.fmu --out campaigns/drive
     """
     from fmuid.campaigns.new_campaign import new_campaign
+    from fmuid.campaigns.starting import by_name
 
     printer = Printer(quiet, json)
-    given, source = _model(fmu, model, class_name)
-    shown = printer.working(f"trying the parameters of {given.name}")
+    given = _model(fmu, model, class_name)
+    shown = printer.working(f"trying the parameters of {given.fmu.name}")
     with shown as progress, supervised(workers, time_limit, memory_limit) as runner:
         made = new_campaign(
-            data,
-            given,
+            by_name(data),
+            given.fmu,
             out,
-            source=source,
+            source=given.source,
             signals=signal or (),
             base=_time_base(resample, align, method or []),
             units=pairs(unit or [], "--unit"),
@@ -298,21 +299,14 @@ def _span(texts: list[str]) -> tuple[float, float]:
     return span
 
 
-def _model(fmu: Path | None, model: Path | None, class_name: str | None) -> tuple[Path, ModelSource | None]:
-    """Return the FMU, built if the model is given as source, and that source."""
-    if (fmu is None) == (model is None):
-        what = "neither an FMU nor a model" if fmu is None else "an FMU and a model"
-        raise FmuidError(what, fix="give --fmu FILE.fmu or --model FILE.mo")
-    if model is None:
-        if class_name is not None:
-            raise FmuidError("a class without its file", where="--class", fix="give --model FILE.mo")
-        assert fmu is not None
-        return fmu, None
-    from fmuid.core.campaign import ModelSource
-    from fmuid.simulation.model_source import built_model
+def _model(fmu: Path | None, model: Path | None, class_name: str | None) -> GivenModel:
+    from fmuid.campaigns.starting import given_model
 
-    source = ModelSource(model, class_name or model.stem)
-    return built_model(source), source
+    given = [file for file in (fmu, model) if file is not None]
+    if len(given) != 1:
+        what = "an FMU and a model" if given else "neither an FMU nor a model"
+        raise FmuidError(what, fix="give --fmu FILE.fmu or --model FILE.mo")
+    return given_model(given[0], class_name)
 
 
 def _time_base(rate: float | None, align: str | None, methods: list[str]) -> TimeBase | None:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from fmuid.core.errors import MeasurementsError
 from fmuid.core.formatting import html_table, text_table
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
+
+if TYPE_CHECKING:
+    from fmuid.core.frames import Library
 
 Causality = Literal["input", "output"]
 
@@ -98,6 +101,13 @@ class Experiment:
     def origin(self) -> str:
         """Id of the run this one repeats, or its own."""
         return self.repeat_of or self.id
+
+    def to_frame(self, library: Library = "pandas") -> Any:
+        """Return times and signals as a data frame, columns with units: ``tau [N.m]``; see `fmuid.start`."""
+        from fmuid.core.frames import to_frame
+
+        signals = {f"{name} [{s.unit}]": s.values for name, s in self.signals.items()}
+        return to_frame({"time [s]": self.time, **signals}, library)
 
     @property
     def digest(self) -> str:

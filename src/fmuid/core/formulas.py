@@ -40,6 +40,7 @@ _FUNCTIONS: Mapping[str, Callable[..., float]] = {
     "sin": math.sin,
     "sqrt": math.sqrt,
     "tan": math.tan,
+    "tanh": math.tanh,
 }
 _ARRAYS = {"max": "maximum", "min": "minimum"}  # NumPy's names of functions, where others
 _SLOPES: Mapping[str, Callable[[float], float]] = {
@@ -50,6 +51,7 @@ _SLOPES: Mapping[str, Callable[[float], float]] = {
     "sin": math.cos,
     "sqrt": lambda x: 0.5 / math.sqrt(x),
     "tan": lambda x: 1.0 + math.tan(x) ** 2,
+    "tanh": lambda x: 1.0 - math.tanh(x) ** 2,
 }
 
 

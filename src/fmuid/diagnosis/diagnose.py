@@ -199,7 +199,9 @@ def diagnose_subject(
             probability=probability,
             closing=closing,
         ),
-        alias_classes=aliases(subject, nominal, candidates, scores),
+        alias_classes=aliases(
+            subject, nominal, candidates, scores, seen=decide.SCORE_MARGIN * evidence.null.threshold()
+        ),
         model={**model.expanded(corrected.fit.values)},
         next_experiment=following,
         added_sensor=sensor_to_add(subject, judgement.surviving, beyond=beyond) if ambiguous else None,

@@ -89,15 +89,23 @@ def search(
 
 
 def aliases(
-    subject: Subject, nominal: Fitted, candidates: Sequence[Fitted], scores: Sequence[Score]
+    subject: Subject, nominal: Fitted, candidates: Sequence[Fitted], scores: Sequence[Score], *, seen: float
 ) -> tuple[tuple[str, ...], ...]:
-    """Alias classes from the refitted effects' signatures where there are some, from the trials' elsewhere."""
+    """Return the classes of effects that could not be told apart if one of them were what the gap is.
+
+    That is: explaining a gap of this size, or one that would just be `seen` (as a drop of the cost), their
+    predictions would differ by fewer standard deviations than a preference takes. By the refitted effects'
+    signatures where there are some, by the trials' elsewhere.
+    """
+    base = stack(nominal.fit.residuals, subject.observed)
+    energy = max(float(base @ base) - base.size, seen)
     tried, refitted = _signatures(subject, nominal, candidates, scores)
     for score in scores:  # those that no data tell apart were scored once
         tried |= {
             name: refitted.get(score.effect, tried[score.effect]) for name in (twin.effect for twin in score.same)
         }
-    return alias_classes({**tried, **refitted})
+    alike = max(0.0, 1.0 - decide.SAME**2 / energy) ** 0.5
+    return alias_classes({**tried, **refitted}, threshold=alike)
 
 
 def _signatures(

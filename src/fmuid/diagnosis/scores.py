@@ -186,7 +186,7 @@ def similarity(a: FloatArray, b: FloatArray) -> float:
     return float(abs(a @ b))
 
 
-def alias_classes(signatures: Mapping[str, FloatArray], *, threshold: float = 0.95) -> tuple[tuple[str, ...], ...]:
+def alias_classes(signatures: Mapping[str, FloatArray], *, threshold: float) -> tuple[tuple[str, ...], ...]:
     """Group effects whose projected signatures these sensors and experiments cannot tell apart.
 
     Effects are joined when their canonical correlation exceeds `threshold`; classes of one are left out.

@@ -15,8 +15,9 @@ _ROWS = 6
 def summary(diagnosis: Mapping[str, Any]) -> list[str]:
     """Return the verdict, where the gap lies and how far it shrinks, one line each."""
     lines = [f"{fact.label}: {fact.value}" for fact in facts(diagnosis)]
-    for names in diagnosis["alias_classes"]:
-        lines.append(f"Cannot be distinguished with these sensors and experiments: {', '.join(names)}")
+    alike = [" or ".join(names) for names in diagnosis["alias_classes"]]
+    if alike:
+        lines.append(f"These runs and sensors cannot tell apart: {'; '.join(alike)}")
     following = diagnosis.get("next_experiment")
     if following:
         lines.append(

@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -26,6 +27,9 @@ from fmuid.identification.uncertainty.confidence import Uncertainty
 from fmuid.identification.uncertainty.posterior import Posterior
 from fmuid.identification.uncertainty.profiles import Profile
 from fmuid.identification.uncertainty.propagation import CriterionSpread
+
+if TYPE_CHECKING:
+    from fmuid.core.frames import Library
 
 FILE = "result.json"
 LEAST_SHOWN = 0.005  # share of a variance that is worth a column
@@ -198,6 +202,17 @@ class Result:
     def _repr_html_(self) -> str:
         title = f"<h3>{html.escape(self.title or self.campaign)}</h3>"
         return title + "".join(stage._repr_html_() for stage in self.stages)
+
+    def to_frame(self, library: Library = "pandas") -> Any:
+        """Return the estimates as a data frame of pandas, polars or pyarrow, one row for each parameter."""
+        from fmuid.core.frames import to_frame
+
+        found = self.estimates
+        simple = ("name", "value", "unit", "standard_error", "lower", "upper", "start", "truth", "description")
+        columns = {name: [getattr(e, name) for e in found] for name in simple}
+        for k, name in enumerate(("interval_from", "interval_to")):
+            columns[name] = [None if e.interval is None else e.interval[k] for e in found]
+        return to_frame(columns, library)
 
     def to_json(self, path: str | Path | None = None) -> str:
         """Return the result as JSON, and write it to `path` if given."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from fmuid.identification.problem.segments import observed, segmented
 from fmuid.identification.result import Result
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
+
+if TYPE_CHECKING:
+    from fmuid.core.frames import Library
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +87,13 @@ class Validation:
             rows.append([s.experiment, s.signal, s.unit or "", *(numbers if s.failure is None else [s.failure])])
             rows[-1] += [""] * (len(header) - len(rows[-1]))
         return rows
+
+    def to_frame(self, library: Library = "pandas") -> Any:
+        """Return the scores as a data frame of pandas, polars or pyarrow, one row for each run and signal."""
+        from fmuid.core.frames import to_frame
+
+        names = [f.name for f in fields(RunScore)]
+        return to_frame({name: [getattr(s, name) for s in self.scores] for name in names}, library)
 
     def to_dict(self) -> dict[str, object]:
         """Return the scores as plain values."""

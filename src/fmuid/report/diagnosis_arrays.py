@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.core.errors import SimulationError
+from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray
+from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.diagnose import Found
 from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.ports import Basis, Port, hats, quantile_knots, times
-from fmuid.diagnosis.regimes import Regime, folded
+from fmuid.diagnosis.refit import Refit
+from fmuid.diagnosis.regimes import Regime, folded, trajectories
 from fmuid.diagnosis.scores import stack
 from fmuid.report.diagnosis_figures import (
     Branch,
@@ -25,6 +28,10 @@ from fmuid.report.diagnosis_figures import (
 from fmuid.report.plots.figure_data import Axis
 
 _KNOTS = 11
+_CURVE_KNOTS = 25  # of what is estimated beside a law: standstill shows
+_CURVE = 400  # abscissas of a law's curve
+_PANELS = 3  # variables that explain most
+_QUANTITIES = {"rate": ("speed",), "p": ("position", "potential"), "through": ("flow",)}  # of a law: regimes
 _ONE_WAY = 0.05  # share of the samples that go the rarer way, below which directions are not told apart
 _PRIOR = 1.0 / 30.0  # an ordinate that no signal shows stays within thirty magnitudes of zero
 
@@ -49,7 +56,7 @@ def pictures_of(found: Found) -> DiagnosisPictures:
         if not isinstance(outcome, SimulationError)
     }
     after = next(iter(laws.values()), None)
-    missing = _missing(found, nominal, laws)
+    missing = _curves(found) or _missing(found, nominal, laws)
     return DiagnosisPictures(_residuals(found, nominal, after), _excess(found), missing, _steps(found))
 
 
@@ -100,6 +107,60 @@ def _excess(found: Found) -> ExcessEnergy | None:
     return ExcessEnergy(energy.rows, bins, share)
 
 
+def _curves(found: Found) -> tuple[MissingQuantity, ...]:
+    """Return the laws of the best answer as curves, and what the measurements say of them.
+
+    That is the law with what a free function of its variable adds beside the corrected model: a partial-residual
+    plot (Larsen and McCleary 1972). Empty unless every law is a function of one variable.
+    """
+    best, catalogue = found.surviving[0] if found.surviving else None, found.subject.catalogue
+    if best is None:
+        return ()
+    (after,) = found.subject.model.predict([best.fit.values])
+    effects = [e for e in found.subject.effects if e.id in best.names]
+    laws = [_law(e, best.fit.values, catalogue.regimes) for e in effects]
+    if isinstance(after, SimulationError):
+        return ()
+    curves = []
+    for effect, law in zip(effects, laws, strict=True):
+        port = catalogue.ports.get(effect.port)
+        if law is None or port is None or port.input is None:
+            return ()
+        regime, value = law
+        path = trajectories(found.subject.model, best.fit.values, {regime.name: regime})[regime.name]
+        turns = np.linspace(0.0, 2 * np.pi, _CURVE)
+        if regime.kind == "angle" and np.allclose(value(turns), value(turns + 2 * np.pi)):
+            path = tuple(p % (2 * np.pi) for p in path)
+        knots = quantile_knots(path, _CURVE_KNOTS)
+        columns = [k for k, u in enumerate(best.fit.unknowns) if u in found.subject.nominal]
+        solved = _ordinates(found, port, hats(path, knots), after, fit=best.fit, columns=columns)
+        if solved is None:
+            return ()
+        values, errors, _, _ = solved
+        x = np.linspace(knots[0], knots[-1], _CURVE)
+        line = (effect.id, x, value(x))
+        branch = Branch(knots, value(knots) + values, errors, (line,))
+        quantity = Axis(f"missing at {port.name}", port.unit)
+        curves.append(MissingQuantity(Axis(regime.name, regime.unit), quantity, (branch,)))
+    return tuple(curves)
+
+
+def _law(
+    effect: Effect, values: Mapping[str, float], regimes: Mapping[str, Regime]
+) -> tuple[Regime, Callable[[FloatArray], FloatArray]] | None:
+    """Return the variable that a law is a function of, and that function; None if there is no such variable."""
+    if not effect.expression or effect.acts != "flow" or effect.states:
+        return None
+    formula = parse(effect.expression.replace("^", "**"))
+    own = {u.name: np.asarray(values[u.name]) for u in effect.unknowns}
+    names = sorted(formula.names - own.keys())
+    found = [f"{effect.port} {word}" for name in names for word in _QUANTITIES.get(name, ())]
+    regime = next((regimes[name] for name in found if name in regimes), None)
+    if len(names) != 1 or regime is None:
+        return None
+    return regime, lambda x: formula.of_samples({names[0]: x, **own}) * np.ones_like(x)
+
+
 def _missing(found: Found, nominal: Prediction, laws: Mapping[str, Prediction]) -> tuple[MissingQuantity, ...]:
     """Return what a free function of each regime variable has to add at the verdict's port.
 
@@ -116,7 +177,10 @@ def _missing(found: Found, nominal: Prediction, laws: Mapping[str, Prediction]) 
             continue
         parts = _parts(found, regime)
         basis = tuple(b for _, _, own in parts for b in own)
-        solved = _ordinates(found, port, basis, nominal, list(laws.values()))
+        columns = range(len(found.nominal.fit.unknowns))
+        solved = _ordinates(
+            found, port, basis, nominal, fit=found.nominal.fit, columns=columns, laws=list(laws.values())
+        )
         if solved is None:
             continue
         values, errors, lines, explained = solved
@@ -124,10 +188,10 @@ def _missing(found: Found, nominal: Prediction, laws: Mapping[str, Prediction]) 
         branches = []
         for (direction, knots, _), end in zip(parts, ends, strict=True):
             own = slice(end - len(knots), end)
-            named = tuple((name, line[own]) for name, line in zip(laws, lines, strict=True))
+            named = tuple((name, knots, line[own]) for name, line in zip(laws, lines, strict=True))
             branches.append(Branch(knots, values[own], errors[own], named, direction))
         missing.append(MissingQuantity(Axis(regime.name, regime.unit), quantity, tuple(branches), explained))
-    return tuple(sorted(missing, key=lambda m: -(m.explained or 0.0)))
+    return tuple(sorted(missing, key=lambda m: -(m.explained or 0.0)))[:_PANELS]
 
 
 def _parts(found: Found, regime: Regime) -> list[tuple[str, FloatArray, Basis]]:
@@ -149,24 +213,32 @@ def _functions(path: Sequence[FloatArray], taken: Sequence[NDArray[np.bool_]]) -
 
 
 def _ordinates(
-    found: Found, port: Port, basis: Basis, nominal: Prediction, laws: Sequence[Prediction]
+    found: Found,
+    port: Port,
+    basis: Basis,
+    prediction: Prediction,
+    *,
+    fit: Refit,
+    columns: Sequence[int],
+    laws: Sequence[Prediction] = (),
 ) -> tuple[FloatArray, FloatArray, list[FloatArray], float] | None:
-    """Fit the (K,) ordinates of functions at a port beside the nominal parameters, linearly.
+    """Fit the (K,) ordinates of functions at a port beside the nominal parameters of a model, linearly.
 
-    Returns them with their standard errors, what the models with effects would have there, and the share of the
+    `prediction` is the model's at its `fit`, whose Jacobian has the nominal parameters in `columns`. Returns the
+    ordinates with their standard errors, what the models with effects would have there, and the share of the
     residual's energy that is explained; None if one cannot be simulated.
     """
-    observed, fit = found.subject.observed, found.nominal.fit
+    observed = found.subject.observed
     assert port.input is not None
     drives = [{port.input: [port.magnitude * b for b in one]} for one in basis]
     outcomes = found.subject.model.predict_driven(fit.values, drives)
     moved = [o for o in outcomes if not isinstance(o, SimulationError)]
     if len(moved) < len(outcomes):
         return None
-    base = observed.residuals(nominal)
-    columns = [stack([a - b for a, b in zip(observed.residuals(m), base, strict=True)], observed) for m in moved]
-    steps = np.array([u.step for u in fit.unknowns])
-    a = np.hstack([stack(fit.jacobian, observed) * steps, np.stack(columns, axis=1)])
+    base = observed.residuals(prediction)
+    shown = [stack([a - b for a, b in zip(observed.residuals(m), base, strict=True)], observed) for m in moved]
+    steps = np.array([fit.unknowns[k].step for k in columns])
+    a = np.hstack([stack(fit.jacobian, observed)[:, columns] * steps, np.stack(shown, axis=1)])
     prior = np.concatenate([np.full(len(steps), 1e-3), np.full(len(basis), _PRIOR)])
     covariance = np.linalg.inv(a.T @ a + np.diag(prior**2))
     residual = stack(base, observed)
@@ -176,6 +248,6 @@ def _ordinates(
     errors = port.magnitude * np.sqrt(max(1.0, left) * np.diag(covariance)[own])
     lines = []
     for law in laws:
-        change = stack(observed.whiten([p - q for p, q in zip(law, nominal, strict=True)]), observed)
+        change = stack(observed.whiten([p - q for p, q in zip(law, prediction, strict=True)]), observed)
         lines.append(port.magnitude * (covariance @ (a.T @ change))[own])
     return port.magnitude * solution[own], errors, lines, 1.0 - left / float(np.mean(residual**2))

@@ -76,7 +76,7 @@ class Branch:
     x, y, standard_error
         (n,) estimates by knots of the variable, and their standard errors (None if unknown).
     laws
-        (label, y (n,)) of models with effects; the first one is the corrected model.
+        (label, x, y) of models with effects, as lines; the first one is the corrected model.
     direction
         ``forward``, ``backward`` or empty.
     """
@@ -84,7 +84,7 @@ class Branch:
     x: FloatArray
     y: FloatArray
     standard_error: FloatArray | None = None
-    laws: tuple[tuple[str, FloatArray], ...] = ()
+    laws: tuple[tuple[str, FloatArray, FloatArray], ...] = ()
     direction: str = ""
 
 
@@ -186,8 +186,8 @@ def missing_figure(missing: Sequence[MissingQuantity]) -> LineFigure | None:
             label = "estimated, backward" if backward else "estimated"
             dots: Role = "before" if backward else "measurement"
             series.append(Series(label, branch.x, branch.y, dots, branch.standard_error, points=True))
-            for k, (name, y) in enumerate(branch.laws):
-                series.append(Series(name, branch.x, y, _LAWS[min(k, len(_LAWS) - 1)]))
+            for k, (name, x, y) in enumerate(branch.laws):
+                series.append(Series(name, x, y, _LAWS[min(k, len(_LAWS) - 1)]))
         panels.append(Panel(f"over {m.variable.name}", m.variable, m.quantity, tuple(series)))
     shares = ", ".join(
         f"{100 * m.explained:.0f} % by {m.variable.name}" for m in missing if m.explained is not None

@@ -93,11 +93,7 @@ def _excess(pictures: DiagnosisPictures) -> Figure | None:
 
 def _aliases(diagnosis: Mapping[str, Any]) -> str:
     classes = [" = ".join(c) for c in diagnosis["alias_classes"] if len(c) > 1]
-    return (
-        ""
-        if not classes
-        else "Cannot be distinguished with these sensors and experiments: " + "; ".join(classes) + "."
-    )
+    return "" if not classes else "These runs and sensors cannot tell apart: " + "; ".join(classes) + "."
 
 
 def _floors(diagnosis: Mapping[str, Any]) -> str:

@@ -10,7 +10,6 @@ import importlib
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from fmu_build.suggest import suggestion
 from fmuid.core.errors import MeasurementsError
 from fmuid.data.crosscheck_csv import read_csv
 from fmuid.data.isolated_reader import read_apart
@@ -64,7 +63,4 @@ def read_recording(path: str | Path, names: Collection[str] = (), columns: Seque
         found = Recording((table,), notes=table.notes)
     else:
         found = read_apart(importlib.import_module(f"fmuid.data.recordings.{module}").read, path)
-    for name in names:
-        if name not in found.columns:
-            raise MeasurementsError(f"has no signal '{name}'", where=path, fix=suggestion(name, found.columns))
-    return found.only(names) if names else found
+    return found.only(names, path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from fmuid.core.experiments import Causality, Experiment, Signal
 from fmuid.core.units import check_unit
 from fmuid.data.crosscheck_csv import Table
 from fmuid.data.recordings import read_recording
+from fmuid.data.recordings.frames import from_frame
 from fmuid.data.recordings.resampling import TimeBase, aliased, one_time_base
 
 
@@ -27,16 +29,25 @@ class Run:
 
 
 def read_run(
-    path: Path, signals: Collection[str] = (), base: TimeBase | None = None, columns: Sequence[str] = ()
+    log: Path | Any,
+    signals: Collection[str] = (),
+    base: TimeBase | None = None,
+    columns: Sequence[str] = (),
+    *,
+    name: str = "",
 ) -> Run:
-    """Read a file of one run, and bring it onto one time base as `base` says.
+    """Read one run, a file or a data frame called `name`, and bring it onto one time base as `base` says.
 
     Raises
     ------
     MeasurementsError
         As `fmuid.data.recordings.read_recording` and `fmuid.data.recordings.resampling.one_time_base` do.
     """
-    recording = read_recording(path, signals, columns)
+    path = log if isinstance(log, Path) else Path(name)
+    if log is path:
+        recording = read_recording(path, signals, columns)
+    else:
+        recording = from_frame(log, name).only(signals, path)
     table, resampled = one_time_base(recording, base, path)
     notes = [*recording.notes, *(f"'{name}' resampled: {how}" for name, how in resampled.items())]
     fast = aliased(table, recording, base) if base is not None else ()

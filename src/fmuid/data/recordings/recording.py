@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from fmu_build.suggest import suggestion
 from fmuid.core.errors import MeasurementsError, UnitError
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import conversion
@@ -35,8 +36,19 @@ class Recording:
         """Names of all signals."""
         return tuple(name for table in self.tables for name in table.columns)
 
-    def only(self, names: Collection[str]) -> Recording:
-        """Return the recording with the signals in `names` alone."""
+    def only(self, names: Collection[str], path: Path) -> Recording:
+        """Return the recording with the signals in `names` alone; with all of them if there are none.
+
+        Raises
+        ------
+        MeasurementsError
+            One of them is not in it.
+        """
+        if not names:
+            return self
+        for name in names:
+            if name not in self.columns:
+                raise MeasurementsError(f"has no signal '{name}'", where=path, fix=suggestion(name, self.columns))
         tables = (table.only([n for n in table.columns if n in names]) for table in self.tables)
         return Recording(tuple(t for t in tables if t.columns), self.notes)
 

@@ -1,0 +1,57 @@
+"""`fmuid.start`: from logs and a model in one call, files or data frames; frames of results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pytest
+
+import fmuid
+from fmuid.core.experiments import Measurements
+from fmuid.core.frames import to_frame
+
+
+def test_from_data_frames_to_estimates_and_back(
+    folder: Path, oscillator: Path, measurements: Measurements
+) -> None:
+    runs = list(measurements)
+    index = pd.to_timedelta(runs[0].time, unit="s") + pd.Timestamp("2026-01-01")
+    step = runs[0].to_frame().drop(columns="time [s]").set_index(index.rename("time"))
+    frames = {"step": step, "sine": runs[1].to_frame("polars"), "pulse": runs[2].to_frame("pyarrow")}
+    said: list[str] = []
+    campaign = fmuid.start(frames, model=oscillator, out="drive", say=said.append)
+    assert list(campaign.measurements.experiments) == ["step", "sine", "pulse"]
+    for made, given in zip(campaign.measurements, runs, strict=True):
+        np.testing.assert_allclose(made.time, given.time - given.time[0], atol=1e-9)
+        for name, signal in given.signals.items():
+            np.testing.assert_array_equal(made.signals[name].values, signal.values)
+            assert made.signals[name].unit == signal.unit
+    assert any(line.startswith("free parameters: ") for line in said)
+    result = fmuid.identify(campaign)
+    found = result.to_frame("polars")
+    assert isinstance(found, pl.DataFrame)
+    assert dict(zip(found["name"], found["value"], strict=True)) == {e.name: e.value for e in result.estimates}
+    scores = fmuid.validate(result, campaign).to_frame()
+    assert scores.loc[scores["experiment"] == "pulse", "nrmse"].max() < 0.1
+
+
+def test_a_campaign_is_replaced_only_if_asked_for(
+    folder: Path, oscillator: Path, measurements: Measurements
+) -> None:
+    frame = next(iter(measurements)).to_frame()
+    fmuid.start(frame, oscillator, say=lambda _: None)
+    with pytest.raises(fmuid.FmuidError, match="already exists"):
+        fmuid.start(frame, oscillator)
+    fmuid.start(frame, oscillator, replace=True, say=lambda _: None)
+
+
+def test_what_is_no_log_is_one_line(folder: Path, oscillator: Path) -> None:
+    with pytest.raises(fmuid.FmuidError, match="'int' is no data frame"):
+        fmuid.start({"a": 3}, oscillator)
+    with pytest.raises(fmuid.FmuidError, match="has no column 'time' or 't'"):
+        fmuid.start(pd.DataFrame({"x [m]": [1.0, 2.0]}), oscillator)
+    with pytest.raises(fmuid.FmuidError, match="no library 'excel' makes data frames"):
+        to_frame({}, "excel")  # type: ignore[arg-type]
