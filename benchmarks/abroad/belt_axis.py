@@ -6,10 +6,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from benchmarks.abroad.plant import Floats, Rig, delayed, integrate, random_steps
+from benchmarks.abroad.plant import Extra, Floats, Rig, acting, delayed, hidden_start, integrate, random_steps
 
 
-def _simulate(factors: Mapping[str, float], effect: Mapping[str, float], time: Floats, u: Floats) -> Floats:
+def _simulate(
+    factors: Mapping[str, float],
+    effect: Mapping[str, float],
+    time: Floats,
+    u: Floats,
+    extra: Extra | None = None,
+) -> Floats:
     k, r, j, c, m, v0 = (
         factors[name] * value
         for name, value in (("k", 0.12), ("r", 0.02), ("J", 1.2e-4), ("c", 6e4), ("m", 1.5), ("viscous", 4.0))
@@ -20,8 +26,8 @@ def _simulate(factors: Mapping[str, float], effect: Mapping[str, float], time: F
         **effect,
     }  # fmt: skip
 
-    def slope(x: Floats, i: float, _: float) -> list[float]:
-        phi, w, s, v, z = x
+    def slope(x: Floats, i: float, t: float) -> list[float]:
+        phi, w, s, v, z, *hidden = x
         stretch, rate = s - r * phi, v - r * w
         if e["gap"]:
             free = min(max(stretch, -e["gap"]), e["gap"])
@@ -30,10 +36,19 @@ def _simulate(factors: Mapping[str, float], effect: Mapping[str, float], time: F
         direction = np.tanh(v / 0.005)
         friction = v0 * v + 3.0 * direction + e["stribeck"] * direction * np.exp(-((v / e["speed"]) ** 2))
         friction += e["bristle"] * z
+        places = {
+            "carriage": {"p": s, "rate": v, "i": i},
+            "rotor": {"p": phi, "rate": w, "i": i},
+            "belt": {"p": stretch, "rate": rate, "i": i},  # flows from the carriage to the pulley
+        }
+        more, rates = acting(extra, places, hidden, t)
+        belt += more["belt"]
         torque = k * i + r * belt - e["cogging"] * np.sin(12 * phi + 0.7)
-        return [w, torque / j, v, (-belt - friction - e["weight"]) / m, (v - abs(v) * z) / 2e-3]
+        drive = torque - more["rotor"]
+        force = -belt - friction - e["weight"] - more["carriage"]
+        return [w, drive / j, v, force / m, (v - abs(v) * z) / 2e-3, *rates]
 
-    x = integrate(slope, [0.0] * 5, time, delayed(time, u, e["delay"]), steps=16)
+    x = integrate(slope, [0.0] * 5 + list(hidden_start(extra)), time, delayed(time, u, e["delay"]), steps=16)
     return x[[0, 2]]
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.abroad.plant import Rig
+from benchmarks.abroad.plant import Extra, Rig
 from fmuid.cli.app import run
 
 SPREAD = 0.2  # of the plant's parameters around the model's
@@ -54,13 +54,21 @@ class Outcome:
         return asdict(self)
 
 
-def write_logs(rig: Rig, effect: Mapping[str, float], folder: Path, *, seed: int, repeats: int) -> list[Path]:
-    """Write one CSV a run: every input, each several times with noise of its own."""
+def write_logs(
+    rig: Rig,
+    effect: Mapping[str, float],
+    folder: Path,
+    *,
+    seed: int,
+    repeats: int,
+    extras: Mapping[str, Extra] | None = None,
+) -> list[Path]:
+    """Write one CSV a run: every input, each several times with noise of its own, maybe with extras by input."""
     rng = np.random.default_rng(seed)
     factors = {name: float(np.exp(rng.uniform(-SPREAD, SPREAD))) for name in rig.parameters}
     files = []
     for name, u in rig.inputs.items():
-        y = rig.simulate(factors, effect, rig.time, u)
+        y = rig.simulate(factors, effect, rig.time, u, (extras or {}).get(name))
         for k in range(repeats):
             noisy = y + rng.normal(size=y.shape) * np.asarray(rig.noise)[:, None]
             header = ",".join(["time [s]", *(f"{n} [{unit}]" for n, unit in rig.signals.items())])

@@ -6,28 +6,44 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from benchmarks.abroad.plant import Floats, Rig, delayed, integrate, random_steps
+from benchmarks.abroad.plant import Extra, Floats, Rig, acting, delayed, hidden_start, integrate, random_steps
 
 
-def _simulate(factors: Mapping[str, float], effect: Mapping[str, float], time: Floats, u: Floats) -> Floats:
+def _simulate(
+    factors: Mapping[str, float],
+    effect: Mapping[str, float],
+    time: Floats,
+    u: Floats,
+    extra: Extra | None = None,
+) -> Floats:
     r, inductance, c = (factors[name] * value for name, value in (("R", 20.0), ("L", 0.02), ("C", 5e-6)))
     e = {"leak": 0.0, "limit": 0.0, "delay": 0.0, "share": 0.0, "stray": 0.0, "drop": 0.0, "offset": 0.0} | dict(
         effect
     )
     drive = np.clip(u, -e["limit"], e["limit"]) if e["limit"] else u
 
-    def slope(x: Floats, volts: float, _: float) -> list[float]:
-        v, i, middle = x
+    def slope(x: Floats, volts: float, t: float) -> list[float]:
+        v, i, middle, *hidden = x
+        places = {"capacitor": {"p": v, "u": volts}}
+        more, rates = acting(extra, places, hidden, t)
         drop = e["drop"] * np.tanh(i / 1e-3)
         if e["stray"]:  # between resistor and inductor
             return [
-                (i - e["leak"] * v) / c,
+                (i - e["leak"] * v - more["capacitor"]) / c,
                 (middle - v) / inductance,
                 ((volts - drop - middle) / r - i) / e["stray"],
+                *rates,
             ]
-        return [(i - e["leak"] * v) / c, (volts - drop - r * i - v) / inductance, 0.0]
+        return [
+            (i - e["leak"] * v - more["capacitor"]) / c,
+            (volts - drop - r * i - v) / inductance,
+            0.0,
+            *rates,
+        ]
 
-    x = integrate(slope, [0.0, 0.0, drive[0]], time, delayed(time, drive, e["delay"]), steps=20)
+    x = integrate(
+        slope, [0.0, 0.0, drive[0], *hidden_start(extra)], time, delayed(time, drive, e["delay"]), steps=20
+    )
     return np.stack([x[0] + e["share"] * u, x[1] + e["offset"]])
 
 

@@ -16,6 +16,25 @@ MODELS = Path(__file__).parent / "models"
 
 
 @dataclass(frozen=True)
+class Extra:
+    """A flow out of a place of the plant that none of the plant's effects is; it may have hidden states.
+
+    Attributes
+    ----------
+    place
+        Where it acts, as the model calls it.
+    flow, rates
+        Of the quantities there, the hidden states and time: the flow, and the states' derivatives.
+    start
+        Of the hidden states."""
+
+    place: str
+    flow: Callable[[Mapping[str, float], Sequence[float], float], float]
+    rates: Callable[[Mapping[str, float], Sequence[float], float], Sequence[float]] = lambda *_: ()
+    start: Sequence[float] = ()
+
+
+@dataclass(frozen=True)
 class Rig:
     """A rig: its plain model, and the plant.
 
@@ -38,7 +57,8 @@ class Rig:
     same
         Ids that no sensor of the rig tells from an effect, by physics.
     simulate
-        From factors on the parameters, the effect, time and input to the (outputs, N) readings without noise.
+        From factors on the parameters, the effect, time and input, and maybe an `Extra`, to the (outputs, N)
+        readings without noise.
     """
 
     name: str
@@ -49,7 +69,7 @@ class Rig:
     noise: Sequence[float]
     effects: Mapping[str, Mapping[str, float]]
     parameters: Sequence[str]
-    simulate: Callable[[Mapping[str, float], Mapping[str, float], Floats, Floats], Floats]
+    simulate: Callable[..., Floats]
     same: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     @property
@@ -103,3 +123,20 @@ def random_steps(time: Floats, hold: float, size: float, *, seed: int) -> Floats
     count = int(np.ceil((time[-1] - time[0]) / hold)) + 1
     levels = np.random.default_rng(seed).uniform(-size, size, count)
     return levels[((time - time[0]) / hold).astype(int)]
+
+
+def acting(
+    extra: Extra | None, places: Mapping[str, Mapping[str, float]], hidden: Sequence[float], t: float
+) -> tuple[Mapping[str, float], Sequence[float]]:
+    """Return the further flow out of each place, given what its quantities are, and the hidden states' rates."""
+    flows = dict.fromkeys(places, 0.0)
+    if extra is None:
+        return flows, ()
+    here = places[extra.place]
+    flows[extra.place] = extra.flow(here, hidden, t)
+    return flows, extra.rates(here, hidden, t)
+
+
+def hidden_start(extra: Extra | None) -> Sequence[float]:
+    """Return the hidden states at the start."""
+    return () if extra is None else extra.start

@@ -6,12 +6,18 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from benchmarks.abroad.plant import Floats, Rig, integrate, steps
+from benchmarks.abroad.plant import Extra, Floats, Rig, acting, hidden_start, integrate, steps
 
 _G = 9.81
 
 
-def _simulate(factors: Mapping[str, float], effect: Mapping[str, float], time: Floats, u: Floats) -> Floats:
+def _simulate(
+    factors: Mapping[str, float],
+    effect: Mapping[str, float],
+    time: Floats,
+    u: Floats,
+    extra: Extra | None = None,
+) -> Floats:
     k, s1, s2, lower_section = (
         factors[name] * value
         for name, value in (("pump", 3e-6), ("first", 8e-6), ("second", 8e-6), ("lower", 2e-3))
@@ -20,15 +26,26 @@ def _simulate(factors: Mapping[str, float], effect: Mapping[str, float], time: F
     drive = u - np.clip(u, -e["dead"], e["dead"])
     drive = np.minimum(drive, e["limit"]) if e["limit"] else drive
 
-    def slope(x: Floats, volts: float, _: float) -> list[float]:
-        upper, lower, flow = x
+    def slope(x: Floats, volts: float, t: float) -> list[float]:
+        upper, lower, flow, *hidden = x
+        places = {
+            "upper": {"p": upper, "u": volts},
+            "lower": {"p": lower, "u": volts},
+            "first": {"p": lower - upper, "u": volts},  # flows from the lower to the upper tank
+        }
+        more, rates = acting(extra, places, hidden, t)
         pumped = k * (flow if e["lag"] else volts)
         first, second = (s * np.sqrt(2 * _G * max(h, 0.0)) for s, h in ((s1, upper), (s2, lower)))
         out = 1e-3 * max(upper - e["rim"], 0.0) if e["rim"] else 0.0
         behind = (volts - flow) / e["lag"] if e["lag"] else 0.0
-        return [(pumped - first - out) / 2e-3, (first - second) / lower_section, behind]
+        return [
+            (pumped - first - out - more["upper"] + more["first"]) / 2e-3,
+            (first - second - more["lower"] - more["first"]) / lower_section,
+            behind,
+            *rates,
+        ]
 
-    upper, lower, _ = integrate(slope, [0.05, 0.05, drive[0]], time, drive, steps=2)
+    upper, lower, *_ = integrate(slope, [0.05, 0.05, drive[0], *hidden_start(extra)], time, drive, steps=2)
     return np.stack([upper + e["offset"], lower + e["drift"] * time])
 
 

@@ -6,12 +6,18 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from benchmarks.abroad.plant import Floats, Rig, integrate, lagged, steps
+from benchmarks.abroad.plant import Extra, Floats, Rig, acting, hidden_start, integrate, lagged, steps
 
 _ROOM = 293.15
 
 
-def _simulate(factors: Mapping[str, float], effect: Mapping[str, float], time: Floats, u: Floats) -> Floats:
+def _simulate(
+    factors: Mapping[str, float],
+    effect: Mapping[str, float],
+    time: Floats,
+    u: Floats,
+    extra: Extra | None = None,
+) -> Floats:
     c1, c2, g1, g2 = (
         factors[name] * value
         for name, value in (("body", 1500.0), ("casing", 2500.0), ("wall", 1.2), ("air", 0.8))
@@ -27,19 +33,26 @@ def _simulate(factors: Mapping[str, float], effect: Mapping[str, float], time: F
         "bend": 0.0,
     } | dict(effect)
 
-    def slope(x: Floats, power: float, _: float) -> list[float]:
-        body, casing, third = x
+    def slope(x: Floats, power: float, t: float) -> list[float]:
+        body, casing, third, *hidden = x
+        places = {
+            "body": {"p": body - _ROOM, "P": power},
+            "casing": {"p": casing - _ROOM, "P": power},
+            "wall": {"p": casing - body, "P": power},  # flows from the casing to the body
+        }
+        more, rates = acting(extra, places, hidden, t)
         through = g1 * (body - casing)
         beside = e["contact"] * (body - third) if e["hidden"] else 0.0
         out = g2 * (casing - _ROOM) + e["radiation"] * (casing**4 - _ROOM**4)
         heat = power / (1.0 + (e["bend"] * power) ** 4) ** 0.25
         return [
-            (heat - through - beside - e["loss"] * (body - _ROOM)) / c1,
-            (through - out) / c2,
+            (heat - through - beside - e["loss"] * (body - _ROOM) - more["body"] + more["wall"]) / c1,
+            (through - out - more["casing"] - more["wall"]) / c2,
             beside / e["hidden"] if e["hidden"] else 0.0,
+            *rates,
         ]
 
-    x = integrate(slope, [_ROOM] * 3, time, u, steps=4)
+    x = integrate(slope, [_ROOM] * 3 + list(hidden_start(extra)), time, u, steps=4)
     body = lagged(time, x[0], e["lag"]) if e["lag"] else x[0]
     return np.stack([body, x[1] + e["drift"] * time])
 

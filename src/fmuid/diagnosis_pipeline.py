@@ -20,10 +20,12 @@ from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.corrected import FOLDER, Corrected, write_corrected
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.effect_search import Say
-from fmuid.diagnosis.made_catalogue import with_catalogue
+from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.subject import Subject, carrier, subject_of
 from fmuid.diagnosis.summary import sentences
 from fmuid.diagnosis.verdict import Verdict
+from fmuid.discovery.find_law import Candidate, find_law
+from fmuid.discovery.injected import entry
 from fmuid.identification.continued import continued, is_run
 from fmuid.identification.result import Result
 from fmuid.simulation.pool.choice import runner_on
@@ -51,6 +53,7 @@ def diagnose(
     say: Say | None = None,
     seed: int = 0,
     calibrate: int = 0,
+    law: bool = True,
 ) -> Found:
     """Say where model and measurements part, which unmodelled effect causes it, and how far it shrinks with it.
 
@@ -88,6 +91,8 @@ def diagnose(
         Number of plants to simulate from the fitted model and its noise and to diagnose first, so that the
         probabilities are those of this model and set-up. What comes of it is kept in the user's cache and used
         again; without it they rest on the calibration that comes with the package.
+    law
+        Whether to look for an equation where the verdict is *unknown* or *partial*.
 
     Returns
     -------
@@ -140,10 +145,13 @@ def diagnose(
         if calibrate:
             calibration.keep(key, _calibrated(subject, calibrate, seed, telling))
         found = diagnose_subject(subject, **telling, seed=seed, calibration=calibration.kept(key))
+        discovery = find_law(found, campaign.models, load_simulator, **telling, seed=seed) if law else None
+        if discovery is not None:
+            found = replace(found, diagnosis=replace(found.diagnosis, law_found=discovery.found))
         if folder is not None:
             if say is not None:
                 say("drawing", 0.97)
-            _write(found, campaign, folder, seed)
+            _write(found, campaign, folder, seed, None if discovery is None else discovery.best)
     # The workers are gone: whoever simulates on does so in this process.
     return replace(found, subject=replace(subject, model=replace(subject.model, runner=in_process)))
 
@@ -214,7 +222,8 @@ def answer_of(found: Found, campaign: Campaign | None = None) -> dict[str, Any]:
     recordings = found.subject.recordings
     if campaign is not None and campaign.file is not None:
         answer["campaign"] = str(campaign.file)
-        answer["corrected"] = list(_into_the_model(found).effects)
+        law = found.diagnosis.law_found
+        answer["corrected"] = [law.id] if law is not None and law.id else list(_into_the_model(found).effects)
     answer["experiments"] = [{"id": name, "sha256": digest} for name, digest in recordings.items()]
     answer["nominal"] = {"parameters": found.subject.model.expanded(found.nominal.fit.values)}
     answer["verdict"]["text"] = " ".join(sentences(answer))
@@ -247,7 +256,9 @@ def _into_the_model(found: Found) -> Fitted:
     return min(alone, key=lambda fitted: fitted.fit.cost) if sure and alone else found.corrected
 
 
-def _write(found: Found, campaign: Campaign, out: Path, seed: int) -> Corrected | None:
+def _write(
+    found: Found, campaign: Campaign, out: Path, seed: int, law: Candidate | None = None
+) -> Corrected | None:
     from fmuid.report import write_diagnosis_report
     from fmuid.report.diagnosis_arrays import pictures_of
     from fmuid.report.provenance_table import hashes, versions
@@ -262,10 +273,13 @@ def _write(found: Found, campaign: Campaign, out: Path, seed: int) -> Corrected 
         pictures=pictures_of(found),
         provenance={**hashes(files, campaign.folder), **versions(), "seed": str(seed)},
     )
-    fitted = _into_the_model(found)
+    fitted, subject = _into_the_model(found), found.subject
+    if law is not None:
+        fitted, campaign = law.fitted, with_effect(campaign, law.effect.id, entry(law.effect))
+        subject = replace(subject, effects=(law.effect,))
     return write_corrected(
         campaign,
-        found.subject,
+        subject,
         fitted.effects,
         fitted.fit.values,
         folder=out / FOLDER,

@@ -301,7 +301,7 @@ WRONG: dict[str, tuple[str, str, str]] = {
     "no_expression": (
         "0.9*lossTable[2,4] + J_S",
         "open(1)",
-        "campaign.toml [stages.table] tie: 'open(1)' is not an arithmetic expression; use numbers, parameters, + - * / ** and abs, cos, exp, log, max, min, sin, sqrt, tan",
+        "campaign.toml [stages.table] tie: 'open(1)' is not an arithmetic expression; use numbers, parameters, + - * / ** and abs, cos, exp, log, max, min, sin, sqrt, tan, tanh",
     ),
     "circle": (
         "0.9*lossTable[2,4] + J_S",

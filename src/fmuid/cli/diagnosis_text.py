@@ -24,10 +24,12 @@ def print_diagnosis(diagnosis: Mapping[str, Any], printer: Printer) -> None:
 
 def print_validation(found: DiagnosisValidation, answer: Mapping[str, Any], printer: Printer) -> None:
     """Print what the corrected model is and which runs judge it, errors by run and signal, then gaps by run."""
-    from fmuid.diagnosis.validation import closure
+    from fmuid.diagnosis.validation import closure, law_of
 
-    verdict = answer["verdict"]
-    if verdict["one_of"]:
+    verdict, law = answer["verdict"], law_of(answer)
+    if law is not None:
+        printer.say(f"corrected: with {law['id']}, a flow of {law['formula']}")
+    elif verdict["one_of"]:
         named = [*verdict["effects"], *verdict["one_of"][0]]
         printer.say(f"corrected: with {' and '.join(named)}, one of {len(verdict['one_of'])} possible answers")
     elif verdict["effects"]:

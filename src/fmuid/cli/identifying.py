@@ -199,6 +199,9 @@ def diagnose(
         int,
         typer.Option(min=0, help="First diagnose this many plants simulated from the fitted model and its noise."),
     ] = 0,
+    law: Annotated[
+        bool, typer.Option(help="Look for an equation where no effect of the catalogue explains the gap.")
+    ] = True,
     trust: Trust = False,
     json: Json = None,
     quiet: Quiet = False,
@@ -222,7 +225,7 @@ def diagnose(
     printer = Printer(quiet, json)
     asked: dict[str, Any] = {"--from": from_, "--experiment": experiment, "--measurements": measurements}
     asked |= {"--seed": seed}
-    asked |= {"--calibrate": calibrate, "--trust": trust}
+    asked |= {"--calibrate": calibrate, "--no-law": not law, "--trust": trust}
     again = _again("diagnose", campaign, folder, asked)
     with (
         _told_how_to_go_on(folder / JOURNAL, again, printer),
@@ -241,6 +244,7 @@ def diagnose(
             say=lambda what, share: shown(share, what),
             seed=seed,
             calibrate=calibrate,
+            law=law,
         )
     answer = answer_of(found, loaded)
     print_diagnosis(answer, printer)

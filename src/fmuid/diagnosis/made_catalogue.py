@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -22,7 +23,7 @@ from fmuid.core.errors import CampaignError
 from fmuid.core.files import user_cache, write_atomically
 from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray
-from fmuid.core.toml_tables import Table, convert, toml_text
+from fmuid.core.toml_tables import Table, convert, read_toml, toml_document, toml_text
 from fmuid.diagnosis.catalogue import load_catalogue
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.variants import carrier
@@ -376,6 +377,16 @@ def with_catalogue(
         write_atomically(file, text)
         spec = replace(spec, catalogue=file)
     return replace(campaign, effects=spec, models=models)
+
+
+def with_effect(campaign: Campaign, id: str, table: Mapping[str, Any]) -> Campaign:
+    """Return a campaign with one more effect, a table of a catalogue; `with_catalogue` then builds its models."""
+    assert campaign.effects is not None
+    tables = {key: table for key, table in read_toml(campaign.effects.catalogue).items() if key != "models"}
+    text = toml_document({**tables, "effects": {**tables["effects"], id: table}})
+    file = user_cache() / "catalogues" / f"{_digest(text)}.toml"
+    write_atomically(file, text)
+    return replace(campaign, effects=replace(campaign.effects, catalogue=file))
 
 
 def _digest(text: str) -> str:

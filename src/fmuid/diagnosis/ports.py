@@ -83,12 +83,15 @@ class Decoy:
         As in its `Response`.
     held_out
         Its losses on experiments left out.
+    amounts
+        (B,) coefficients of its functions, in the port's magnitude.
     """
 
     port: str
     over: str
     alike: tuple[str, ...]
     held_out: HeldOut
+    amounts: tuple[float, ...] = ()
 
 
 def hats(values: Sequence[FloatArray], knots: FloatArray) -> Basis:
@@ -281,7 +284,8 @@ def _fit(response: Response, base: Refit, observed: Observed) -> Decoy:
     }
     cost = float(sum(n * (x @ x) for n, x in zip(observed.repeats, residuals, strict=True)))
     fit = Refit(_unbounded(unknowns), values, residuals, tuple(jacobian), cost, 0, True)
-    return Decoy(response.port, response.over, response.alike, leave_each_out(fit, observed))
+    amounts = tuple(map(float, solution[len(base.unknowns) :]))
+    return Decoy(response.port, response.over, response.alike, leave_each_out(fit, observed), amounts)
 
 
 def _unbounded(unknowns: Sequence[Unknown]) -> tuple[Unknown, ...]:

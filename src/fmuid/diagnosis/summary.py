@@ -66,7 +66,7 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
         found.append(Fact("Stable", "no: without one experiment another answer would be preferred", "warn"))
     if verdict["kind"] == "unknown":
         found += _closest(diagnosis)
-    return tuple(found)
+    return (*found, *_law_found(diagnosis))
 
 
 def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
@@ -88,6 +88,14 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
         said.append(f"What is left: {_rest_text(verdict['rest'])}.")
     if verdict["kind"] == "insufficient":
         said.append(f"{_more_data(diagnosis).capitalize()}.")
+    law = diagnosis.get("law_found") or {}
+    if law.get("formula"):
+        low, high = law["closure"]["interval"]
+        said.append(
+            f"A law found at {law['port']} explains it: a flow of {law['formula']}. With it,"
+            f" {law['closure']['held_out']:.2f} of the gap is gone on runs that were not used"
+            f" ({low:.2f} to {high:.2f})."
+        )
     return said
 
 
@@ -135,6 +143,20 @@ def _more_data(diagnosis: Mapping[str, Any]) -> str:
     if diagnosis["gap"]["present"] or diagnosis.get("power"):
         return "record a run with another input; a single one, even repeated, leaves nothing to judge on"
     return "record runs with other or larger inputs, and more repeats; no effect of a plausible size would be seen"
+
+
+def _law_found(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
+    """Return the equation that was found, or why there is none."""
+    law = diagnosis.get("law_found")
+    if not law:
+        return ()
+    if not law["formula"]:
+        return (Fact("Law found", f"none: {law['reason']}", "warn"),)
+    left = "no more than noise" if law["p_value"] >= SIGNIFICANCE else f"{law['gap']:.2g} times the noise"
+    return (
+        Fact(f"Law found at {law['port']}", f"a flow of {law['formula']}", "good"),
+        Fact("Closed on held-out data by the law found", f"{closure_text(law['closure'])}; {left} is left"),
+    )
 
 
 def _closest(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:

@@ -15,7 +15,7 @@ from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.cross_validation import closure_interval, losses
-from fmuid.diagnosis.made_catalogue import with_catalogue
+from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.observed import Observed, gap
 from fmuid.diagnosis.subject import model_of
 from fmuid.identification.problem.cases import experiments_of
@@ -102,8 +102,13 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
         apart = [[name] for name in verdict["effects"]] if verdict["kind"] == "ambiguous" else []
         verdict |= {"one_of": apart, "effects": [] if apart else verdict["effects"]}
     verdict.setdefault("one_of", [])
-    for part in ("nominal", "model"):
-        model = answer.get(part)
+    parts = {part: answer.get(part) for part in ("nominal", "model")}
+    law = law_of(answer)
+    if law is not None:
+        parts["law_found"] = law.get("model")
+        if not isinstance(law.get("id"), str) or not isinstance(law.get("effect"), dict):
+            raise FmuidError("'law_found' has no effect", where=path, fix="diagnose again")
+    for part, model in parts.items():
         values = model.get("parameters") if isinstance(model, dict) else None
         if not isinstance(values, dict) or not all(type(v) in (int, float) for v in values.values()):
             raise FmuidError(f"no parameter values in '{part}'", where=path, fix="diagnose again")
@@ -146,10 +151,14 @@ def validate_diagnosis(
     from fmuid.simulation.coupled.loading import load_simulator
 
     diagnosed = with_catalogue(campaign, load_simulator, runner=runner)  # its runs give the effects their sizes
+    law = law_of(answer)
+    if law is not None:
+        with_law = with_effect(diagnosed, law["id"], law["effect"])
+        diagnosed = with_catalogue(with_law, load_simulator, runner=runner)
     campaign = replace(others or campaign, effects=diagnosed.effects, models=diagnosed.models)
     chosen, used = _chosen(answer, campaign, experiments)
     model, catalogue, known, _ = model_of(campaign, load_simulator, chosen, runner=runner)
-    points = [answer["nominal"]["parameters"], answer["model"]["parameters"]]
+    points = [answer["nominal"]["parameters"], (law or answer)["model"]["parameters"]]
     known |= {*campaign.parameters, *(u.name for e in catalogue.effects.values() for u in e.unknowns)}
     foreign = sorted({name for point in points for name in point} - known)
     if foreign:
@@ -179,6 +188,12 @@ def validate_diagnosis(
             )
     gaps, interval = _gaps(floor, predictions), _interval(floor, predictions)
     return DiagnosisValidation(tuple(comparisons), gaps, interval, tuple(e.id for e in chosen), used)
+
+
+def law_of(answer: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the law that a diagnosis found, if it found one: the corrected model is then the one with it."""
+    law = answer.get("law_found")
+    return law if isinstance(law, dict) and law.get("formula") else None
 
 
 def _chosen(

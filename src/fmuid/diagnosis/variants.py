@@ -40,6 +40,18 @@ def carrier(source: ModelSource, catalogue: Catalogue) -> Path:
     return _built(source, flat, catalogue, frozenset())
 
 
+def built_with(model: ModelSpec, catalogue: Catalogue) -> Path:
+    """Build a model with all that a catalogue adds at its ports, effects that make variants too.
+
+    Raises
+    ------
+    ModelicaError, BuildError
+        It cannot be built.
+    """
+    assert model.source is not None
+    return _built(model.source, flat_model(model.source), catalogue, catalogue.effects)
+
+
 def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Collection[str]) -> Path:
     """Build a model with what a catalogue adds to it; of effects that make variants, with those that are tried."""
     known = {port.name for port in find_ports(flat)}

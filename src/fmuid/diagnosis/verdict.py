@@ -207,6 +207,85 @@ class AddedSensor:
 
 
 @dataclass(frozen=True, slots=True)
+class LawParameter:
+    """A parameter of a law found: value, unit, standard error and 95 % interval; None where not determined."""
+
+    value: float
+    unit: str
+    standard_error: float | None
+    interval: tuple[float, float] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A law over the quantity that it depends on, others at `held` values: (n,) values and flows."""
+
+    variable: str
+    unit: str
+    flow_unit: str
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+    held: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LawFound:
+    """An equation for what no effect explains, or the `reason` why there is none.
+
+    Attributes
+    ----------
+    id, port
+        Of the law as an effect, and where it acts: a flow out of a node, or from the second node of a branch to
+        the first.
+    formula
+        With numbers and units.
+    effect
+        As a table of a catalogue, with its Modelica `expression`, its parameters and the states of its own.
+    parameters
+        Of the law.
+    values
+        Of all parameters of the model that has it.
+    closure
+        Of the gap, as of an answer.
+    gap, p_value
+        What it leaves, in floors, and how likely noise alone leaves as much.
+    curve
+        Of a law of one quantity.
+    """
+
+    id: str = ""
+    port: str = ""
+    formula: str = ""
+    effect: Mapping[str, Any] = field(default_factory=dict)
+    parameters: Mapping[str, LawParameter] = field(default_factory=dict)
+    values: Mapping[str, float] = field(default_factory=dict)
+    closure: Closure | None = None
+    gap: float | None = None
+    p_value: float | None = None
+    curve: Curve | None = None
+    reason: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values."""
+        if self.reason:
+            return {"formula": None, "reason": self.reason}
+        return {
+            "id": self.id,
+            "port": self.port,
+            "formula": self.formula,
+            "modelica": self.effect["expression"],
+            "parameters": {name: asdict(p) for name, p in self.parameters.items()},
+            "effect": dict(self.effect),
+            "model": {"parameters": dict(self.values)},
+            "closure": None if self.closure is None else self.closure.to_dict(),
+            "gap": self.gap,
+            "p_value": self.p_value,
+            "curve": None if self.curve is None else asdict(self.curve),
+            "reason": None,
+        }
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnosis:
     """Everything a diagnosis found.
 
@@ -220,6 +299,8 @@ class Diagnosis:
         By port, the largest share of the gap that a free function there closes on held-out experiments.
     power
         By effect, the values of its parameters from which on it would have been seen.
+    law_found
+        Where the verdict is *unknown* or *partial* and a law was looked for.
     """
 
     verdict: Verdict
@@ -235,6 +316,7 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     power: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     outliers: tuple[LeftOut, ...] = ()
+    law_found: LawFound | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object that `diagnosis.schema.json` describes."""
@@ -278,6 +360,7 @@ class Diagnosis:
             "notes": list(self.notes),
             "power": {effect: dict(values) for effect, values in self.power.items()},
             "outliers": [asdict(o) for o in self.outliers],
+            "law_found": None if self.law_found is None else self.law_found.to_dict(),
         }
 
 

@@ -1,0 +1,70 @@
+"""One case: logs of a plant with a law of its own, and a campaign made of them and of the plain model."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.abroad.case import write_logs
+from benchmarks.abroad.plant import Extra, Rig
+from benchmarks.abroad.rigs import FOUND_ON
+from benchmarks.discovery.laws import course, late, law, oscillator
+from fmuid.cli.app import run
+
+CASES = Path(__file__).parent / "cases.toml"
+_RIGS = {rig.name: rig for rig in FOUND_ON}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A plant: its number, which is its seed as well, and its table in the list."""
+
+    number: int
+    expressible: bool
+    table: Mapping[str, Any]
+
+    @property
+    def rig(self) -> Rig:
+        return _RIGS[self.table["rig"]]
+
+    @property
+    def name(self) -> str:
+        return f"{self.number:02}-{self.rig.model}-{'law' if self.expressible else 'none'}"
+
+    def extra(self, experiment: int) -> Extra:
+        """Return what the plant has in a run."""
+        table, place = self.table, self.table["place"]
+        if self.expressible:
+            return law(place, table["terms"], table.get("hidden"))
+        if "course" in table:
+            return course(place, **table["course"], seed=1000 * self.number + experiment)
+        if "oscillator" in table:
+            return oscillator(place, **table["oscillator"])
+        return late(place, **table["late"])
+
+
+def cases() -> tuple[Case, ...]:
+    """Return the frozen list."""
+    tables = tomllib.loads(CASES.read_text())
+    found = [*((True, t) for t in tables["expressible"]), *((False, t) for t in tables["inexpressible"])]
+    return tuple(Case(k, expressible, table) for k, (expressible, table) in enumerate(found))
+
+
+def make_campaign(case: Case, folder: Path, *, repeats: int = 3) -> Path:
+    """Write the logs of a plant into a folder, and the campaign of them and the plain model."""
+    if folder.exists():
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True)
+    rig = case.rig
+    extras = {name: case.extra(k) for k, name in enumerate(rig.inputs)}
+    logs = write_logs(rig, {}, folder, seed=case.number, repeats=repeats, extras=extras)
+    campaign = folder / "campaign"
+    model = ["--model", str(rig.file), "--class", rig.model]
+    code = run(["init", *map(str, logs), *model, "--out", str(campaign), "--workers", "0", "--quiet"])
+    if code != 0:
+        raise RuntimeError(f"{case.name}: fmuid init ends with {code}")
+    return campaign

@@ -1,0 +1,282 @@
+"""The search: from an unknown or partly explained gap to a law at a port, or to the reason why there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fmu_build.errors import UserError
+from fmu_build.flat_model import FlatModel
+from fmuid.core.campaign import ModelSpec
+from fmuid.diagnosis import decide
+from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects
+from fmuid.diagnosis.catalogue import Effect
+from fmuid.diagnosis.cross_validation import advantage, closure, closure_interval
+from fmuid.diagnosis.diagnose import Found
+from fmuid.diagnosis.effect_search import Say
+from fmuid.diagnosis.null_distribution import NoiseDraws, draw_noise
+from fmuid.diagnosis.observed import excess
+from fmuid.diagnosis.ports import Decoy
+from fmuid.diagnosis.scores import nominal_basis
+from fmuid.diagnosis.subject import Subject
+from fmuid.diagnosis.verdict import Closure, Curve, LawFound, LawParameter
+from fmuid.discovery.injected import Law, entry, with_laws
+from fmuid.discovery.places import Spot, spot
+from fmuid.discovery.selection import Chosen, choose
+from fmuid.discovery.terms import HIDDEN, evaluated, names_in
+from fmuid.simulation.model_source import flat_model
+from fmuid.simulation.simulator import Simulator
+
+ID = "law_found"
+CLOSURE_THAT_HOLDS = 0.8  # of the gap, on experiments left out: from here on a law is one
+_PLACES = 3  # that are looked at, those where free functions close most
+_TRIED = (5, 4)  # laws of a round that are refitted in the rebuilt model: of one further term, and of two
+_TERMS = 3  # of a law, at the most
+_INTERVAL = 1.96  # standard errors: 95 %
+_POINTS = 101  # of a curve
+_NOTHING = 0.05  # floors that are left or not, whatever the law
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A law that was refitted in the model that carries it."""
+
+    law: Law
+    effect: Effect
+    subject: Subject
+    fitted: Fitted
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Discovery:
+    """What came of the search: a law and the model that carries it, or why there is none."""
+
+    found: LawFound
+    best: Candidate | None = None
+
+
+def find_law(
+    found: Found,
+    models: Mapping[str, ModelSpec],
+    load: Callable[[ModelSpec], Simulator],
+    *,
+    say: Say = lambda _, __: None,
+    seed: int = 0,
+) -> Discovery | None:
+    """Look for an equation where a diagnosis names no effect, or a part only; None if its verdict is another.
+
+    Terms of a library are chosen sparsely for what the nominal model leaves; the best few laws are put into the
+    model at the port, which is rebuilt, and refitted with all parameters. A law is extended as long as it leaves
+    more than noise, and further terms close enough of it on experiments left out.
+
+    Parameters
+    ----------
+    models
+        By setup; those with Modelica source can carry a law.
+    load
+        Loads a model.
+    say
+        Hears about progress.
+    seed
+        Of the null distribution and the bootstrap.
+    """
+    if found.diagnosis.verdict.kind not in ("unknown", "partial"):
+        return None
+    subject = found.subject
+    setups = {case.setup for case in subject.model.cases}
+    flats = {s: flat_model(source) for s in setups if s in models and (source := models[s].source) is not None}
+    if set(flats) != setups:
+        return _none("the campaign names no Modelica source of its model, so no law can be put into it")
+    search = _Search(found, models, load, flats, draw_noise(subject.observed, seed=seed))
+    spots = search.spots()
+    if not spots:
+        return _none("the gap enters where no flow of the model can be added, such as at a sensor")
+    best: Candidate | None = None
+    while best is None or (len(best.law.terms) < _TERMS and not search.finished(best)):
+        terms = 0 if best is None else len(best.law.terms)
+        say(f"looking for a law at {' or '.join(s.port.name for s in spots)}", 0.955 + 0.004 * terms)
+        try:
+            better = search.extended(best, spots)
+        except UserError as error:  # a model that cannot be built is no law
+            return _none(str(error))
+        if better is None:
+            break
+        best, spots = better, [better.law.spot]
+    if best is None:
+        return _none("no term of the library explains more than noise would")
+    reason = search.refused(best)
+    if reason:
+        return _none(reason)
+    best = search.named(best)
+    return Discovery(search.told(best, seed), best)
+
+
+def _none(reason: str) -> Discovery:
+    return Discovery(LawFound(reason=reason))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    found: Found
+    models: Mapping[str, ModelSpec]
+    load: Callable[[ModelSpec], Simulator]
+    flats: Mapping[str, FlatModel]
+    noise: NoiseDraws
+
+    def spots(self) -> list[Spot]:
+        """Return the places in question that can carry a law, those where free functions close most first."""
+        found, subject = self.found, self.found.subject
+        ports = subject.catalogue.ports
+        asked = dict.fromkeys([*found.diagnosis.verdict.ports, *decide.places(found.nominal, found.decoys)])
+        names = [n for n in asked if n in ports and ports[n].added and ports[n].input is not None]
+        flat = next(iter(self.flats.values()))
+        values = found.nominal.fit.values
+        return [s for n in names[:_PLACES] if (s := spot(n, flat, subject.model, values)) is not None]
+
+    def extended(self, law: Candidate | None, spots: Sequence[Spot]) -> Candidate | None:
+        """Return the best law of a further term (or of one or two, if there is none yet), if it is worth it."""
+        subject = self.found.subject if law is None else law.subject
+        before = self.found.nominal if law is None else law.fitted
+        chosen = [c for s in spots for c in choose(subject, before.fit, s, self.noise, pairs=law is None)]
+        chosen = sorted(chosen, key=lambda c: c.held_out.mean)
+        gained = [c for c in chosen if closure(before.held_out, c.held_out) > 0.0]
+        tried = [[c for c in gained if len(c.terms) == n][:most] for n, most in enumerate(_TRIED, 1)]
+        candidates = self._refitted(law, [c for group in tried for c in group])
+        if not candidates:
+            return None
+        best = self._simplest(candidates)
+        return best if decide.worth_adding(before, best.fitted) else None
+
+    def _refitted(self, law: Candidate | None, chosen: Sequence[Chosen]) -> list[Candidate]:
+        """Put laws into the model, each beside the others but off, and refit each with all parameters."""
+        laws, starts = [], []
+        for k, one in enumerate(chosen):
+            port = one.spot.port.name
+            terms = (*(law.law.terms if law is not None else ()), *one.terms)
+            new = Law(one.spot, terms, f"{port}.law{k + 1}")
+            sizes = list(one.sizes)
+            values = dict(self.found.nominal.fit.values)
+            if law is not None:
+                values |= {u.name: law.fitted.fit.values[u.name] for u in self.found.subject.nominal}
+                sizes = [law.fitted.fit.values[n] for n in law.law.sizes] + sizes
+                for i in range(len(law.law.terms)):
+                    own, theirs = new.shapes(i), law.law.shapes(i)
+                    values |= {own[n]: law.fitted.fit.values[theirs[n]] for n in own}
+            laws.append(new)
+            starts.append(values | dict(zip(new.sizes, sizes, strict=True)))
+        effects = [law.effect(f"{ID}{k + 1}@{law.spot.port.name}", "a law") for k, law in enumerate(laws)]
+        subject = with_laws(self.found.subject, self.models, self.load, effects, ())
+        unbent = {u.name: u.start for u in subject.nominal}
+        found = []
+        for new, effect, start in zip(laws, effects, starts, strict=True):
+            fitted = fit_effects(subject, [effect], [start, {**start, **unbent}] if law is None else [start])
+            if fitted is not None and not decide.strained(fitted, [effect]):
+                found.append(Candidate(new, effect, subject, fitted))
+        return found
+
+    def _simplest(self, candidates: Sequence[Candidate]) -> Candidate:
+        """Return the simplest of the laws that the data do not tell from the best one."""
+        observed = self.found.subject.observed
+        best = min(candidates, key=lambda c: c.fitted.held_out.mean)
+        most = decide.ABOUT_AS_WELL * best.fitted.held_out.gap + _NOTHING
+        alike = [
+            c
+            for c in candidates
+            if decide.separation(best.fitted, c.fitted, observed) < decide.SAME and c.fitted.held_out.gap <= most
+        ]
+        return min(alike, key=lambda c: (c.law.rank, c.fitted.held_out.mean))
+
+    def p_value(self, law: Candidate) -> float:
+        """Return how likely noise alone leaves as much as a law does."""
+        observed = self.found.subject.observed
+        null = self.noise.null(nominal_basis(law.fitted.fit, observed), ())
+        return null.p_value(excess(law.fitted.fit.residuals, observed))
+
+    def finished(self, law: Candidate) -> bool:
+        """Return whether a law leaves nothing that matters, or nothing that noise alone would not leave."""
+        return law.fitted.gap <= decide.GAP_THAT_MATTERS or self.p_value(law) >= decide.SIGNIFICANCE
+
+    def refused(self, law: Candidate) -> str:
+        """Return why the best law is none, or nothing if it holds."""
+        nominal = self.found.nominal
+        closed = closure(nominal.held_out, law.fitted.held_out)
+        gained, error = advantage(law.fitted.held_out, nominal.held_out)
+        weak = self.finished(law) and closed >= decide.CLOSURE_THAT_NAMES
+        formula = law.law.formula(law.fitted.fit.values)
+        said = f"the best law, {formula}, closes {closed:.2f} of the gap on experiments left out"
+        if gained <= error or (closed < CLOSURE_THAT_HOLDS and not weak):
+            return f"{said}, too little (from {CLOSURE_THAT_HOLDS:g} on)"
+        decoy = min(self.found.decoys, key=lambda d: d.held_out.mean, default=None)
+        if decoy is not None and not self.finished(law) and self._beaten(law, decoy):
+            free = closure(nominal.held_out, decoy.held_out)
+            return f"{said}, but a free function of {decoy.over} at {decoy.port} {free:.2f}"
+        return ""
+
+    def _beaten(self, law: Candidate, decoy: Decoy) -> bool:
+        gained, error = advantage(decoy.held_out, law.fitted.held_out)
+        return gained > error and decoy.held_out.gap < decide.DECOY_MARGIN * law.fitted.held_out.gap
+
+    def named(self, law: Candidate) -> Candidate:
+        """Return a law with the names that it goes by from here on."""
+        values, spot = law.fitted.fit.values, law.law.spot
+        final = replace(law.law, base=f"{spot.port.name}.law")
+        before = {u.name: values[u.name] for u in law.effect.unknowns}
+        after = final.effect("", "").unknowns
+        new = {old: u.name for old, u in zip(before, after, strict=True)}
+        found = {new.get(n, n): v for n, v in values.items()}
+        words = f"law found at {spot.port.name}: a flow of {final.formula(found)}"
+        effect = final.effect(f"{ID}@{spot.port.name}", words, found)
+        unknowns = tuple(replace(u, name=new.get(u.name, u.name)) for u in law.fitted.fit.unknowns)
+        fit = replace(law.fitted.fit, unknowns=unknowns, values=found)
+        fitted = replace(law.fitted, effects=(effect.id,), names=(effect.id,), fit=fit)
+        subject = with_laws(self.found.subject, self.models, self.load, [effect], ())
+        return Candidate(final, effect, subject, fitted)
+
+    def told(self, law: Candidate, seed: int) -> LawFound:
+        """Return a law in words and numbers."""
+        nominal, fitted, law_ = self.found.nominal, law.fitted, law.law
+        null = self.noise.null(nominal_basis(nominal.fit, self.found.subject.observed), ())
+        interval = closure_interval(nominal.held_out, fitted.held_out, noise=null.excess, seed=seed)
+        trained = 1.0 - fitted.gap / nominal.gap if nominal.gap > 0.0 else 0.0
+        parameters = {}
+        for name, estimate in estimates(fitted, law.subject).items():
+            if name in law.effect.units:
+                half = None if estimate.standard_error is None else _INTERVAL * estimate.standard_error
+                around = None if half is None else (estimate.value - half, estimate.value + half)
+                unit = law.effect.units[name]
+                parameters[name] = LawParameter(estimate.value, unit, estimate.standard_error, around)
+        return LawFound(
+            id=law.effect.id,
+            port=law_.spot.port.name,
+            formula=law_.formula(fitted.fit.values),
+            effect=entry(law.effect),
+            parameters=parameters,
+            values=dict(fitted.fit.values),
+            closure=Closure(trained, closure(nominal.held_out, fitted.held_out), interval),
+            gap=fitted.gap,
+            p_value=self.p_value(law),
+            curve=curve(law_, fitted.fit.values),
+        )
+
+
+def curve(law: Law, values: Mapping[str, float]) -> Curve:
+    """Return a law over the quantity that it is mainly a function of, the others at their root mean square."""
+    x, courses = law.terms[0].over, law.spot.courses
+    grid = np.linspace(min(c[x.name].min() for c in courses), max(c[x.name].max() for c in courses), _POINTS)
+    held = {n: float(np.sqrt(np.mean(np.concatenate([c[n] for c in courses]) ** 2))) for n in courses[0]}
+    columns = {n: np.full(_POINTS, v) for n, v in held.items()} | {x.name: grid, "time": np.zeros(_POINTS)}
+    flow = np.zeros(_POINTS)
+    used: dict[str, float] = {}
+    for k, (size, term) in enumerate(zip(law.sizes, law.terms, strict=True)):
+        own = {n: np.full(_POINTS, values[name]) for n, name in law.shapes(k).items()}
+        used |= {n: held[n] for n in names_in(term.text) & held.keys() - {x.name}}
+        if term.rate:
+            shapes = {n: float(v[0]) for n, v in own.items()}
+            course = [term.state(c, t, shapes) for c, t in zip(courses, law.spot.time, strict=True)]
+            used[HIDDEN] = float(np.sqrt(np.mean(np.concatenate(course) ** 2)))
+            own[HIDDEN] = np.full(_POINTS, used[HIDDEN])
+        flow = flow + values[size] * evaluated(term.text, columns | own)
+    words = ", ".join(f"{n} = {v:.3g}" for n, v in used.items())
+    return Curve(x.name, x.unit, law.spot.port.units[1], tuple(map(float, grid)), tuple(map(float, flow)), words)

@@ -1,0 +1,175 @@
+"""Laws as effects of a catalogue, and models that carry them: injected as a law that a user writes is."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from fmu_build.instrument import State
+from fmuid.core.campaign import ModelSpec
+from fmuid.diagnosis.catalogue import Effect
+from fmuid.diagnosis.refit import Unknown
+from fmuid.diagnosis.subject import Subject
+from fmuid.diagnosis.variants import built_with
+from fmuid.discovery.places import Spot
+from fmuid.discovery.terms import HIDDEN, Term
+from fmuid.simulation.simulator import Simulator
+
+_MOST = 20.0  # flows at the port: the largest coefficient
+_STEP = 2e-3  # of the flow at the port, and of a shape
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Law:
+    """Terms at a place, with the names of their parameters.
+
+    Attributes
+    ----------
+    spot
+        The place.
+    terms
+        Of the law.
+    base
+        What its parameters are called after.
+    """
+
+    spot: Spot
+    terms: tuple[Term, ...]
+    base: str
+
+    @property
+    def sizes(self) -> tuple[str, ...]:
+        """Names of the coefficients, one a term."""
+        return tuple(self._name("size", k) for k in range(len(self.terms)))
+
+    def shapes(self, k: int) -> dict[str, str]:
+        """Return the names of a term's shapes in the model, by those in its text."""
+        return {n: self._name(n, k) for n in self.terms[k].shapes}
+
+    def state(self, k: int) -> str:
+        """Return the name of a term's state in the model."""
+        return self._name(HIDDEN, k)
+
+    def _name(self, what: str, k: int) -> str:
+        return f"{self.base}_{what}" + (f"_{k + 1}" if len(self.terms) > 1 else "")
+
+    @property
+    def expression(self) -> str:
+        """Modelica of the law: a flow at its port."""
+        return " + ".join(
+            f"{size}*{_put_in(term.text, self._meant(k))}"
+            for k, (size, term) in enumerate(zip(self.sizes, self.terms, strict=True))
+        )
+
+    @property
+    def states(self) -> tuple[State, ...]:
+        """States of the law's own."""
+        return tuple(
+            State(self.state(k), _put_in(term.rate, self._meant(k)))
+            for k, term in enumerate(self.terms)
+            if term.rate
+        )
+
+    def formula(self, values: Mapping[str, float]) -> str:
+        """Return the law with numbers and units."""
+        flow, said = self.spot.port.units[1], ""
+        for k, (size, term) in enumerate(zip(self.sizes, self.terms, strict=True)):
+            numbers = {n: f"{values[name]:.4g} {term.shapes[n].unit}" for n, name in self.shapes(k).items()}
+            own = f"{abs(values[size]):.4g} {flow} * {_put_in(term.text, numbers)}"
+            sign = "-" if values[size] < 0.0 else "+"
+            said += f" {sign} {own}" if said else own if sign == "+" else f"-{own}"
+            if term.rate:
+                said += f" where der({HIDDEN}) = {_put_in(term.rate, numbers)}"
+        return said
+
+    def _meant(self, k: int) -> dict[str, str]:
+        return {**self.shapes(k), HIDDEN: self.state(k)}
+
+    @property
+    def rank(self) -> int:
+        """How complicated it is."""
+        return sum(t.rank + 1 for t in self.terms)
+
+    def effect(self, id: str, description: str, starts: Mapping[str, float] | None = None) -> Effect:
+        """Return it as an effect, off at its neutral values; shapes start from their own values or `starts`."""
+        flow, unit = self.spot.flow, self.spot.port.units[1]
+        unknowns = [Unknown(n, 0.0, -_MOST * flow, _MOST * flow, _STEP * flow) for n in self.sizes]
+        units = dict.fromkeys(self.sizes, unit)
+        for k, term in enumerate(self.terms):
+            for own, name in self.shapes(k).items():
+                shape = term.shapes[own]
+                start = min(max((starts or {}).get(name, shape.value), shape.lower), shape.upper)
+                unknowns.append(Unknown(name, start, shape.lower, shape.upper, 10.0 * _STEP * shape.value))
+                units[name] = shape.unit
+        return Effect(
+            id=id,
+            description=description,
+            port=self.spot.port.name,
+            unknowns=tuple(unknowns),
+            neutral={u.name: u.start for u in unknowns},
+            trials=(dict.fromkeys(self.sizes, 0.05 * flow),),
+            source="found from the measurements",
+            two_sided=True,
+            units=units,
+            shapes=frozenset(units) - frozenset(self.sizes),
+            expression=self.expression,
+            states=self.states,
+            variant=True,
+        )
+
+
+def _put_in(text: str, names: Mapping[str, str]) -> str:
+    return re.sub(r"(?<![\w.])[A-Za-z_]\w*(?![\w.(])", lambda m: names.get(m.group(), m.group()), text)
+
+
+def entry(effect: Effect) -> dict[str, Any]:
+    """Return the table of an effect in a catalogue."""
+    states = {s.name: {"derivative": s.derivative, "start": s.start} for s in effect.states}
+    return {
+        "description": effect.description,
+        "source": effect.source,
+        "port": effect.port,
+        "acts": effect.acts,
+        "expression": effect.expression,
+        "two_sided": effect.two_sided,
+        "variant": effect.variant,
+        "trials": [dict(t) for t in effect.trials],
+        **({"states": states} if states else {}),
+        "parameters": {
+            u.name: {
+                "start" if u.name in effect.shapes else "neutral": effect.neutral[u.name],
+                "lower": u.lower,
+                "upper": u.upper,
+                "step": u.step,
+                "unit": effect.units[u.name],
+            }
+            for u in effect.unknowns
+        },
+    }
+
+
+def with_laws(
+    subject: Subject,
+    models: Mapping[str, ModelSpec],
+    load: Callable[[ModelSpec], Simulator],
+    laws: Sequence[Effect],
+    beside: Sequence[str],
+) -> Subject:
+    """Return the subject with models that carry `laws` and the effects `beside` them, and no other effects.
+
+    Raises
+    ------
+    ModelicaError, BuildError
+        A model cannot be built with them.
+    """
+    kept = {id: e for id, e in subject.catalogue.effects.items() if id in beside}
+    catalogue = replace(subject.catalogue, effects=kept | {law.id: law for law in laws})
+    simulators = {
+        setup: load(replace(models[setup], fmu=built_with(models[setup], catalogue)))
+        for setup in {case.setup for case in subject.model.cases}
+    }
+    cases = tuple(replace(case, simulator=simulators[case.setup]) for case in subject.model.cases)
+    model = replace(subject.model, cases=cases, variant=lambda _, __: None)
+    return replace(subject, model=model, catalogue=catalogue, effects=(*kept.values(), *laws))

@@ -1,0 +1,153 @@
+"""Places of a model where a law may act, with the quantities there and their courses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmu_build.flat_model import FlatModel
+from fmu_build.model_ports import MECHANICAL, Port, find_ports
+from fmuid.core.immutable import FloatArray
+from fmuid.diagnosis.extended_model import CampaignModel
+from fmuid.discovery.terms import Kind, Quantity, Term, library
+
+_MOVES = 1e-6  # of its size: a quantity that moves no more is a constant
+_POSITION: Mapping[str, Kind] = {"rotational": "angle", "translational": "position"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spot:
+    """A port with what is at hand there.
+
+    Attributes
+    ----------
+    flow
+        The largest flow there.
+    courses
+        By the name that a law uses, (N,) samples: one mapping an experiment.
+    time
+        (N,) times of these samples.
+    terms
+        What a law there may be made of.
+    """
+
+    port: Port
+    flow: float
+    courses: tuple[Mapping[str, FloatArray], ...]
+    time: tuple[FloatArray, ...]
+    terms: tuple[Term, ...]
+
+
+def spot(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[str, float]) -> Spot | None:
+    """Return a place with its quantities along the trajectories at `values`; None if nothing moves or flows."""
+    ports = {port.name: port for port in find_ports(flat)}
+    port = ports.get(name)
+    if port is None or port.kind not in ("node", "branch"):
+        return None
+    load = _load_probe(port, list(ports.values())) if port.domain in MECHANICAL else ()
+    wanted = [n for group in (*port.probes.values(), load) for n in group]
+    known = set.intersection(*(set(case.simulator.variables) for case in model.cases))
+    wanted = [n for n in dict.fromkeys(wanted) if n in known]
+    rows = model.trajectories(values, wanted)
+    courses, flows = [], []
+    for case, row in zip(model.cases, rows, strict=True):
+        course = dict(zip(wanted, row, strict=True))
+        driven = {n: np.asarray(u)[case.lead :] for n, u in case.task.inputs.items()}
+        courses.append(_local(port, load, course, case.time) | driven)
+        flows += [float(np.abs(course[n]).max()) for n in port.probes.get("flow", ()) if n in course]
+    if "p" not in courses[0] or max(flows, default=0.0) == 0.0:
+        return None
+    free_inputs = [n for n in model.cases[0].task.inputs if n.isidentifier() and n not in port.quantities]
+    units = {n: v.unit or "1" for n, v in model.cases[0].simulator.variables.items()}
+    own = _quantities(port, courses)
+    inputs = [q for n in free_inputs if (q := _quantity(n, n, units.get(n, "1"), courses)) is not None]
+    time = tuple(case.time for case in model.cases)
+    terms = _distinct(library(own, inputs, time), courses, time)
+    return Spot(port, max(flows), tuple(courses), time, tuple(terms))
+
+
+def _load_probe(port: Port, ports: Sequence[Port]) -> tuple[str, ...]:
+    """Return the variable of the flow through the compliant neighbour of a node, if it has one."""
+    load = port.quantities.get("load")
+    near = [b for b in ports if b.kind == "branch" and b.quantities.get("through") == load]
+    return near[0].probes["flow"][:1] if load is not None and near else ()
+
+
+def _local(
+    port: Port, load: Sequence[str], course: Mapping[str, FloatArray], time: FloatArray
+) -> dict[str, FloatArray]:
+    """Return courses by the names that laws at a port use."""
+
+    def across(names: Sequence[str]) -> FloatArray | None:
+        own = [course[n] for n in names if n in course]
+        if not names or len(own) != len(names):
+            return None
+        return own[1] - own[0] if port.kind == "branch" else own[0]
+
+    p = across(port.probes["p"])
+    if p is None:
+        return {}
+    found = {"p": p}
+    if "rate" in port.quantities and port.domain in MECHANICAL:
+        rate = across(port.probes.get("rate", ()))
+        found["rate"] = np.gradient(p, time) if rate is None else rate
+    if port.kind == "branch" and (flow := course.get(port.probes["flow"][0])) is not None:
+        found["through"] = flow
+    if load and load[0] in course:
+        found["load"] = course[load[0]]
+    return found
+
+
+def _quantities(port: Port, courses: Sequence[Mapping[str, FloatArray]]) -> list[Quantity]:
+    potential, flow = port.units
+    start, p = float(courses[0]["p"][0]), "p"
+    if port.domain == "thermal" and port.kind == "node" and start != 0.0:
+        p = f"(p - {start:.6g})"  # above what it starts from
+    position = _POSITION.get(port.domain, "value") if port.kind == "node" else "value"
+    found = [
+        _quantity(p, "p", potential, courses, position, above=start if p != "p" else 0.0),
+        _quantity("rate", "rate", f"{potential}/s", courses, "speed"),
+        _quantity("load", "load", flow, courses, "flow"),
+    ]
+    return [q for q in found if q is not None]
+
+
+def _quantity(
+    text: str,
+    name: str,
+    unit: str,
+    courses: Sequence[Mapping[str, FloatArray]],
+    kind: Kind = "value",
+    *,
+    above: float = 0.0,
+) -> Quantity | None:
+    if not all(name in c for c in courses):
+        return None
+    low = min(float(c[name].min()) for c in courses) - above
+    high = max(float(c[name].max()) for c in courses) - above
+    size = max(abs(low), abs(high))
+    if high - low <= _MOVES * size:
+        return None
+    digits = 10.0 ** (np.floor(np.log10(size)) - 1)
+    return Quantity(text, name, unit, float(f"{np.ceil(size / digits) * digits:.2g}"), low, high, kind)
+
+
+def _distinct(
+    terms: Sequence[Term], courses: Sequence[Mapping[str, FloatArray]], time: Sequence[FloatArray]
+) -> list[Term]:
+    """Leave out terms that do, along these courses, what a simpler one does."""
+    kept: list[Term] = []
+    known = np.zeros((0, sum(map(len, time))))
+    for term in sorted(terms, key=lambda t: t.rank):
+        course = np.concatenate([term.course(c, t) for c, t in zip(courses, time, strict=True)])
+        length = float(np.linalg.norm(course))
+        if not np.isfinite(length) or length < 1e-6 * np.sqrt(len(course)):
+            continue
+        course /= length
+        if len(known) and float(np.abs(known @ course).max()) > 1.0 - 1e-6:
+            continue
+        kept.append(term)
+        known = np.vstack([known, course])
+    return kept

@@ -1,0 +1,135 @@
+"""Sparse selection: which few terms of a library explain what is left, by linear least squares.
+
+What each term does to the signals is simulated: the model's input at the port is driven by the term's course along
+the model's own trajectory. Few terms are chosen forward, beside the parameters that are fitted, and are judged on
+experiments left out. A second one must do more than noise alone would make any term of the library do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.core.errors import SimulationError
+from fmuid.core.immutable import FloatArray
+from fmuid.diagnosis import decide
+from fmuid.diagnosis.cross_validation import HeldOut
+from fmuid.diagnosis.null_distribution import NoiseDraws
+from fmuid.diagnosis.ports import Response, fit_decoys
+from fmuid.diagnosis.refit import Refit
+from fmuid.diagnosis.scores import nominal_basis, project_off, stack
+from fmuid.diagnosis.subject import Subject
+from fmuid.discovery.places import Spot
+from fmuid.discovery.terms import Term
+
+_DRIVEN = 0.05  # of the flow at the port: the size at which a term's response is taken
+_JUDGED = 40  # terms of a place that are judged on held-out experiments
+_BEGUN, _PARTNERS = 6, 4  # of which pairs are made
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chosen:
+    """Terms at a place with their coefficients (flows), and how they do on experiments left out."""
+
+    spot: Spot
+    terms: tuple[Term, ...]
+    sizes: tuple[float, ...]
+    held_out: HeldOut
+
+    @property
+    def rank(self) -> int:
+        """How complicated they are."""
+        return sum(t.rank + 1 for t in self.terms)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Column:
+    term: Term
+    parts: tuple[FloatArray, ...]
+    signature: FloatArray  # of unit length, beside the parameters that are fitted
+    drop: float
+
+
+def choose(subject: Subject, base: Refit, spot: Spot, noise: NoiseDraws, *, pairs: bool = True) -> list[Chosen]:
+    """Return single terms and pairs of them that explain what `base` leaves, the best of each family."""
+    observed = subject.observed
+    columns = _columns(subject, base, spot)
+    if not columns:
+        return []
+    basis = nominal_basis(base, observed)
+    residual = stack(base.residuals, observed)
+    columns.sort(key=lambda c: -c.drop)
+    found = [_judged(subject, base, spot, [c]) for c in columns[:_JUDGED]]
+    found = _best_of_families(found)
+    if pairs and len(columns) > 1:
+        threshold = decide.SCORE_MARGIN * noise.null(basis, [c.signature for c in columns]).threshold()
+        by_term = {id(c.term): c for c in columns}
+        for first in sorted(found, key=lambda f: f.held_out.mean)[:_BEGUN]:
+            own = by_term[id(first.terms[0])]
+            left = project_off(residual, own.signature[:, None])
+            partners = sorted(
+                ((_drop_beside(own, c, left), c) for c in columns if c is not own), key=lambda pair: -pair[0]
+            )
+            families: set[str] = set()
+            for drop, partner in partners:
+                if drop < threshold or len(families) == _PARTNERS:
+                    break
+                if partner.term.family not in families and partner.term.family != own.term.family:
+                    families.add(partner.term.family)
+                    found.append(_judged(subject, base, spot, [own, partner]))
+    return sorted(_best_of_families(found), key=lambda f: f.held_out.mean)
+
+
+def _columns(subject: Subject, base: Refit, spot: Spot) -> list[_Column]:
+    observed, model = subject.observed, subject.model
+    port = subject.catalogue.ports[spot.port.name]
+    assert port.input is not None
+    size = _DRIVEN * spot.flow
+    time = [case.time for case in model.cases]
+    drives = [
+        {port.input: [size * t.course(c, s) for c, s in zip(spot.courses, time, strict=True)]} for t in spot.terms
+    ]
+    basis, residual = nominal_basis(base, observed), stack(base.residuals, observed)
+    found = []
+    for term, outcome in zip(spot.terms, model.predict_driven(base.values, drives), strict=True):
+        if isinstance(outcome, SimulationError):
+            continue
+        moved = observed.residuals(outcome)
+        parts = tuple((m - r)[:, None] for m, r in zip(moved, base.residuals, strict=True))
+        whole = stack(parts, observed)[:, 0]
+        signature = project_off(whole, basis)
+        length = float(np.linalg.norm(signature))
+        if length > 1e-3 * float(np.linalg.norm(whole)) and length > 1.0:
+            signature /= length
+            found.append(_Column(term, parts, signature, float(signature @ residual) ** 2))
+    return found
+
+
+def _drop_beside(first: _Column, second: _Column, left: FloatArray) -> float:
+    """Return the fall of the cost by a second term, less what the first one can do of it."""
+    new = second.signature - first.signature * float(first.signature @ second.signature)
+    length = float(np.linalg.norm(new))
+    return float(new @ left / length) ** 2 if length > 1e-3 else 0.0
+
+
+def _judged(subject: Subject, base: Refit, spot: Spot, columns: Sequence[_Column]) -> Chosen:
+    joined = tuple(np.hstack(parts) for parts in zip(*(c.parts for c in columns), strict=True))
+    (decoy,) = fit_decoys([Response(spot.port.name, "law", (), joined)], base, subject.observed)
+    sizes = tuple(_DRIVEN * spot.flow * float(a) for a in decoy.amounts)
+    return Chosen(spot, tuple(c.term for c in columns), sizes, decoy.held_out)
+
+
+def _best_of_families(found: Sequence[Chosen]) -> list[Chosen]:
+    best: dict[frozenset[str], Chosen] = {}
+    for one in found:
+        family = frozenset(t.family for t in one.terms)
+        if family not in best or one.held_out.mean < best[family].held_out.mean:
+            best[family] = one
+    return list(best.values())
+
+
+def sizes_of(chosen: Chosen, names: Sequence[str]) -> Mapping[str, float]:
+    """Return the coefficients by the names of their parameters."""
+    return dict(zip(names, chosen.sizes, strict=True))

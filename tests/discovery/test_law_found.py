@@ -1,0 +1,75 @@
+"""From logs of a plant with a law that no catalogue has to its equation, and to the model that has it."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+
+import jsonschema
+import numpy as np
+import pytest
+
+from benchmarks.abroad.case import write_logs
+from benchmarks.abroad.plant import Extra
+from benchmarks.abroad.thermal_block import THERMAL_BLOCK as BLOCK
+from fmuid.cli.app import run
+
+SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cache(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+def diagnosed(extras, folder):
+    logs = write_logs(BLOCK, {}, folder, seed=5, repeats=2, extras=extras)
+    model = ["--model", str(BLOCK.file), "--class", BLOCK.model]
+    campaign, out = folder / "campaign", folder / "diagnosis"
+    assert run(["init", *map(str, logs), *model, "--out", str(campaign), "--workers", "0", "--quiet"]) == 0
+    assert run(["diagnose", str(campaign), "--out", str(out), "--workers", "0"]) == 0
+    answer = json.loads((out / "diagnosis.json").read_text())
+    jsonschema.Draft202012Validator(SCHEMA).validate(answer)
+    return answer, out
+
+
+@pytest.mark.slow
+def test_the_equation_of_an_unknown_law_is_found_and_goes_into_the_model(tmp_path, capsys):
+    law = Extra("body", lambda values, *_: 4.0 * np.tanh(values["p"] / 20.0))
+    answer, out = diagnosed(dict.fromkeys(BLOCK.inputs, law), tmp_path)
+    said = capsys.readouterr().out
+    found = answer["law_found"]
+    assert answer["verdict"]["kind"] == "unknown"
+    assert found["port"] == "body"
+    assert found["modelica"] == "body.law_size*tanh((p - 293.15)/body.law_width)"
+    assert found["parameters"]["body.law_size"]["value"] == pytest.approx(4.0, rel=0.02)
+    assert found["parameters"]["body.law_width"]["value"] == pytest.approx(20.0, rel=0.02)
+    assert found["closure"]["held_out"] > 0.95
+    assert found["p_value"] > 0.01
+    assert np.interp(313.15, found["curve"]["x"], found["curve"]["y"]) == pytest.approx(
+        4.0 * np.tanh(1.0), rel=0.02
+    )
+    assert "Law found at body: a flow of " in said
+
+    # The model with it explains a run that was kept back, and goes on.
+    validated, again = tmp_path / "v.json", tmp_path / "again"
+    assert run(["validate", str(out / "diagnosis.json"), "--json", str(validated), "--quiet"]) == 0
+    assert json.loads(validated.read_text())["gaps"]["all"]["closure"] > 0.9
+    assert answer["corrected"] == ["law_found@body"]
+    assert "tanh" in (out / "corrected" / "ThermalBlockCorrected.mo").read_text()
+    assert run(["diagnose", str(out / "corrected"), "--out", str(again), "--workers", "0", "--quiet"]) == 0
+    assert json.loads((again / "diagnosis.json").read_text())["verdict"]["kind"] == "complete"
+
+
+@pytest.mark.slow
+def test_a_course_that_nothing_in_the_model_knows_gets_no_equation_but_a_reason(tmp_path, capsys):
+    rng = np.random.default_rng(1)
+    walks = {name: np.cumsum(rng.normal(size=200)) / 3.0 for name in BLOCK.inputs}
+    extras = {n: Extra("body", lambda _, __, t, w=w: w[int(t / 100.0) % 200]) for n, w in walks.items()}
+    answer, out = diagnosed(extras, tmp_path)
+    assert answer["verdict"]["kind"] == "unknown"
+    assert answer["law_found"]["formula"] is None
+    assert answer["law_found"]["reason"] in capsys.readouterr().out
+    assert not (out / "corrected").exists()
