@@ -162,6 +162,7 @@ def campaign_from(
     *,
     measurements: Path | None = None,
     trust: bool = False,
+    planned: bool = False,
 ) -> Campaign:
     """Return the campaign that is meant, from the values of an identification if one is named; see `diagnose`.
 
@@ -175,7 +176,11 @@ def campaign_from(
     if isinstance(what, Result) or (not isinstance(what, Campaign) and is_run(Path(what))):
         found = what if isinstance(what, Result) else Result.from_json(what)
         what, start = found.source, start or found
-    campaign = what if isinstance(what, Campaign) else load_campaign(what, measurements=measurements, trust=trust)
+    campaign = (
+        what
+        if isinstance(what, Campaign)
+        else load_campaign(what, measurements=measurements, trust=trust, planned=planned)
+    )
     if start is None:
         return campaign
     return continued(campaign, start if isinstance(start, Result) else Result.from_json(start))

@@ -20,7 +20,9 @@ from fmuid.core.campaign import (
     AnalysisSpec,
     Campaign,
     CriterionSpec,
+    DesignSpec,
     EffectsSpec,
+    Limit,
     ModelSource,
     ModelSpec,
     ParameterSpec,
@@ -140,6 +142,22 @@ class _EffectsTable(Table):
     experiments: list[str] = []
 
 
+class _LimitTable(Table):
+    min: float | None = None
+    max: float | None = None
+    rate: float | None = None
+    unit: str | None = None
+
+
+class _DesignTable(Table):
+    setup: str | None = None
+    families: list[str] = []
+    phases: Literal["random", "optimised"] = "random"
+    sample_time: float | None = None
+    repeats: int = 1
+    sigma: dict[str, Any] = {}
+
+
 class _Document(Table):
     campaign: dict[str, Any] = {}
     signals: dict[str, dict[str, Any]] = {}
@@ -149,11 +167,18 @@ class _Document(Table):
     stages: dict[str, dict[str, Any]] = {}
     roles: dict[str, Any] = {}
     effects: dict[str, Any] | None = None
+    limits: dict[str, Any] = {}
+    design: dict[str, Any] = {}
     published: dict[str, Any] = {}
 
 
 def load_campaign(
-    path: str | Path, *, measurements: str | Path | None = None, judged: bool = False, trust: bool = False
+    path: str | Path,
+    *,
+    measurements: str | Path | None = None,
+    judged: bool = False,
+    trust: bool = False,
+    planned: bool = False,
 ) -> Campaign:
     """Read and check a campaign: its `campaign.toml` and the measurement file that it names.
 
@@ -167,6 +192,8 @@ def load_campaign(
         Every run is for validation, whatever the file says of roles: those of `measurements` are others.
     trust
         Whether functions that it names (criteria of kind ``user``) may be imported and called later on.
+    planned
+        Whether its runs may be still to come: without a measurement file it then has none, and no stages.
 
     Raises
     ------
@@ -188,7 +215,10 @@ def load_campaign(
     folder = file.parent
     source = folder / head.measurements if measurements is None else Path(measurements)
     make = f"make it with: {head.make}" if head.make and measurements is None else None
-    recorded = read_measurements(source, fix_missing=make)
+    planned = planned and not source.exists()
+    recorded = Measurements({}) if planned else read_measurements(source, fix_missing=make)
+    if planned:
+        document.signals, document.roles, document.stages, document.effects = {}, {}, {}, None
     outliers: tuple[Outliers, ...] = ()
     if head.outliers == "leave_out":
         recorded, outliers = without_outliers(recorded)
@@ -201,11 +231,12 @@ def load_campaign(
         )
     if judged:
         _have_every_run_judged(document, recorded)
-    roles = _Roles.from_table(document.roles, recorded, str(file))
+    roles = _Roles((), ()) if planned else _Roles.from_table(document.roles, recorded, str(file))
     if judged:
         roles = _Roles(roles.identification, roles.identification)
     models = {s: _model(s, t, folder, f"{file} [models.{s}]") for s, t in document.models.items()}
-    _check_models(models, recorded, roles=roles, parameters=parameters, settings=settings, file=str(file))
+    if not planned:
+        _check_models(models, recorded, roles=roles, parameters=parameters, settings=settings, file=str(file))
     for n in document.stages:
         if n in ("", ".", "..") or "/" in n or not n.isprintable():  # groups and files are called so
             fix = "use letters, digits, spaces, . - _"
@@ -237,6 +268,7 @@ def load_campaign(
         identification=roles.identification,
         validation=roles.validation,
         effects=effects,
+        design=_design(document, models, str(file)),
         published=frozen_mapping(document.published),
         filters=frozen_mapping(filters),
         outliers=outliers,
@@ -332,6 +364,58 @@ def _effects(
     unseen = tuple(name for name in measurements.experiments if name not in validation)
     experiments = expand(table.experiments or ["*"], measurements, unseen, f"{where} experiments")
     return EffectsSpec(folder / table.catalogue, tuple(nominal), frozen_mapping(table.tie), experiments)
+
+
+def _design(document: _Document, models: Collection[str], file: str) -> DesignSpec:
+    where = f"{file} [limits]"
+    limits = dict(document.limits)
+    duration = limits.pop("duration", None)
+    if duration is not None:
+        _positive("duration", duration, where)
+    table = convert(document.design, _DesignTable, f"{file} [design]")
+    where = f"{file} [design]"
+    if table.setup is not None and table.setup not in models:
+        raise CampaignError(
+            f"no model for setup '{table.setup}'", where=where, fix=suggestion(table.setup, models)
+        )
+    known = DesignSpec().families
+    for family in table.families:
+        if family not in known:
+            raise CampaignError(f"no family '{family}'", where=f"{where} families", fix=suggestion(family, known))
+    if table.sample_time is not None:
+        _positive("sample_time", table.sample_time, where)
+    if table.repeats < 1:
+        raise CampaignError(f"repeats is {table.repeats}", where=where, fix="write 1 or more")
+    sigma = numbers(table.sigma, f"{where} sigma")
+    for name, value in sigma.items():
+        _positive(name, value, f"{where} sigma")
+    return DesignSpec(
+        limits=frozen_mapping(
+            {name: _limit(name, raw, f"{file} [limits] {name}") for name, raw in limits.items()}
+        ),
+        duration=duration,
+        setup=table.setup,
+        families=tuple(f for f in known if f in table.families) or known,
+        phases=table.phases,
+        sample_time=table.sample_time,
+        repeats=table.repeats,
+        sigma=frozen_mapping(sigma),
+    )
+
+
+def _limit(name: str, raw: Any, where: str) -> Limit:
+    table = convert(raw, _LimitTable, where)
+    low, high = (-math.inf if table.min is None else table.min), (math.inf if table.max is None else table.max)
+    if not low < high:
+        raise CampaignError(f"min {low:g} is not below max {high:g}", where=where, fix="swap them")
+    if table.rate is not None:
+        _positive("rate", table.rate, where)
+    return Limit(name, low, high, math.inf if table.rate is None else table.rate, table.unit)
+
+
+def _positive(key: str, value: Any, where: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not (math.isfinite(value) and value > 0):
+        raise CampaignError(f"{key} is {value!r}", where=where, fix="write a positive number")
 
 
 def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:

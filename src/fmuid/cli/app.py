@@ -11,7 +11,7 @@ from contextlib import suppress
 import typer
 
 from fmu_build.errors import UserError
-from fmuid.cli import building, cataloguing, checking, comparing, demonstrating, importing, simulating
+from fmuid.cli import building, cataloguing, checking, comparing, demonstrating, designing, importing, simulating
 from fmuid.cli import identifying as identification
 from fmuid.cli.interruption import INTERRUPTED
 
@@ -34,6 +34,7 @@ app.command("identify")(identification.identify)
 app.command("validate")(identification.validate)
 app.command("effects")(cataloguing.effects)
 app.command("diagnose")(identification.diagnose)
+app.command("design")(designing.design)
 app.command("compare")(comparing.compare)
 app.command("import")(importing.import_)
 app.command("export")(importing.export)

@@ -265,6 +265,62 @@ class EffectsSpec:
     experiments: tuple[str, ...] = ()
 
 
+Family = Literal["multisine", "chirp", "steps", "prbs"]
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """What a quantity of the rig may not leave, in `unit` (the model's where it is None).
+
+    Parameters
+    ----------
+    lower, upper
+        Range of an input that is driven, of an output, or of a value that a run can set, such as a payload.
+    rate
+        Largest slope of an input, a second.
+    """
+
+    name: str
+    lower: float = -np.inf
+    upper: float = np.inf
+    rate: float = np.inf
+    unit: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DesignSpec:
+    """Within which limits experiments are designed, and how.
+
+    Parameters
+    ----------
+    limits
+        By signal or FMU variable. Inputs that it does not name stay at rest.
+    duration
+        Of a run, s; None for that of the longest recorded run.
+    setup
+        The setup to design for; None for the first one that has been recorded, or else the first model.
+    families
+        Of excitations that are tried.
+    phases
+        Whether the phases of a multisine are drawn, or searched as well.
+    sample_time
+        Time between samples of the input, s; None for that of the recorded runs.
+    repeats
+        How often the run will be made.
+    sigma
+        Standard deviations of the noise by output, in the model's units, of outputs that no run has measured.
+    """
+
+    limits: Mapping[str, Limit] = field(default_factory=dict)
+    duration: float | None = None
+    setup: str | None = None
+    families: tuple[Family, ...] = ("multisine", "chirp", "steps", "prbs")
+    phases: Literal["random", "optimised"] = "random"
+    sample_time: float | None = None
+    repeats: int = 1
+    sigma: Mapping[str, float] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, slots=True)
 class Campaign:
     """Everything of one identification question, as `fmuid.load_campaign` reads it.
@@ -291,6 +347,8 @@ class Campaign:
         Ids of the runs that may be fitted, and of those that are kept back.
     effects
         What a diagnosis starts from, if the campaign says.
+    design
+        Within which limits experiments are designed.
     published
         Free-form figures to put beside the estimates.
     filters
@@ -313,6 +371,7 @@ class Campaign:
     identification: tuple[str, ...]
     validation: tuple[str, ...]
     effects: EffectsSpec | None = None
+    design: DesignSpec = DesignSpec()
     published: Mapping[str, Any] = field(default_factory=dict)
     filters: Mapping[str, float] = field(default_factory=dict)
     outliers: tuple[Outliers, ...] = ()

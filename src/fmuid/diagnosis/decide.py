@@ -43,13 +43,20 @@ def separation(a: Fitted, b: Fitted, observed: Observed, *, without: int | None 
     difference = float(np.linalg.norm(ra - rb))
     if difference == 0.0:
         return 0.0
-    left = float(np.mean(observed.repeats)) * min(a.gap, b.gap) ** 2
-    spread = 1.0 + _BLOCK * left
+    wider = spread(float(np.mean(observed.repeats)) * min(a.gap, b.gap) ** 2)
     costs = float(ra @ ra), float(rb @ rb)
     if observed.bounded:  # what is left may be noise as well, and is not even
         better = ra if costs[0] <= costs[1] else rb
-        spread *= max(1.0, float((ra - rb) ** 2 @ better**2) / difference**2)
-    return (costs[1] - costs[0]) / (2.0 * difference * float(np.sqrt(spread)))
+        wider *= float(np.sqrt(max(1.0, float((ra - rb) ** 2 @ better**2) / difference**2)))
+    return (costs[1] - costs[0]) / (2.0 * difference * wider)
+
+
+def spread(left: float) -> float:
+    """Return how many times wider a separation scatters than under noise alone.
+
+    `left` is the energy that a model leaves unexplained, in that of the noise.
+    """
+    return float(np.sqrt(1.0 + _BLOCK * left))
 
 
 def _stacked(fitted: Fitted, observed: Observed, without: int | None) -> FloatArray:

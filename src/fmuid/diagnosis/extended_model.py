@@ -14,7 +14,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.identification.problem.cases import Case
 from fmuid.simulation.predictor import Predictor
-from fmuid.simulation.runners import Job, Runner, in_process
+from fmuid.simulation.runners import Job, Outcome, Runner, in_process
 from fmuid.simulation.signal_effects import (
     Disturbed,
     Effects,
@@ -31,6 +31,17 @@ _WIDTH = 1e-4  # of the differences around a simulation, relative: ties and sens
 Direction = tuple[dict[str, float], float]
 """How a model's variables move with one parameter: their proportions, and their size."""
 _Key = tuple[int, frozenset[tuple[str, float]], tuple[tuple[str, bytes], ...]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Differentiated:
+    """The runs that give tangents; by parameter its difference and the points at its ends, by run its moves."""
+
+    jobs: Sequence[Job] = ()
+    names: Sequence[str] = ()
+    widths: Sequence[float] = ()
+    ends: Sequence[Sequence[Mapping[str, float]]] = ()
+    moves: Sequence[Sequence[Direction]] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,10 +127,22 @@ class CampaignModel:
 
         Empty where a model cannot differentiate its runs by these parameters, or signals are disturbed.
         """
+        return self.tangents_at([values], names)[0]
+
+    def tangents_at(
+        self, points: Sequence[Mapping[str, float]], names: Sequence[str]
+    ) -> list[dict[str, Prediction]]:
+        """Return the `tangents` at several points, which are simulated at once."""
+        posed = [self._differentiated(values, names) for values in points]
+        outcomes = iter(self.runner([job for one in posed for job in one.jobs]))
+        return [self._tangents(one, [next(outcomes) for _ in one.jobs]) for one in posed]
+
+    def _differentiated(self, values: Mapping[str, float], names: Sequence[str]) -> _Differentiated:
+        """Return the runs that give the tangents at a point, none where they cannot be had."""
         plain, disturbed = self._split(values)
         names = [name for name in names if name in plain]
         if disturbed or not names:
-            return {}
+            return _Differentiated()
         widths = [_WIDTH * (abs(plain[name]) or 1.0) for name in names]
         ends = [
             [{**plain, name: plain[name] + sign * width} for sign in (0.5, -0.5)]
@@ -135,16 +158,19 @@ class CampaignModel:
             point = self.start_values(case, plain)
             simulator = self._simulator(case, point)
             if moved and not differentiates(simulator, moved):
-                return {}
+                return _Differentiated()
             jobs.append((simulator, self._task_along(k, case, own), point))
             moves.append(own)
-        found: dict[str, list[FloatArray]] = {name: [] for name in names}
-        for case, own, outcome in zip(self.cases, moves, self.runner(jobs), strict=True):
+        return _Differentiated(jobs, names, widths, ends, moves)
+
+    def _tangents(self, posed: _Differentiated, outcomes: Sequence[Outcome]) -> dict[str, Prediction]:
+        found: dict[str, list[FloatArray]] = {name: [] for name in posed.names}
+        for case, own, outcome in zip(self.cases if outcomes else (), posed.moves, outcomes, strict=True):
             if isinstance(outcome, SimulationError):
                 return {}
             n = len(case.task.outputs)
             base, slopes = outcome[:n], iter(outcome[n:].reshape(-1, n, outcome.shape[1]))
-            for name, pair, width, (along, size) in zip(names, ends, widths, own, strict=True):
+            for name, pair, width, (along, size) in zip(posed.names, posed.ends, posed.widths, own, strict=True):
                 half = 0.5 * width * size * next(slopes) if along else np.zeros_like(base)
                 above, below = case.sensed(base + half, pair[0]), case.sensed(base - half, pair[1])
                 found[name].append((above - below) / width)

@@ -1,13 +1,15 @@
-"""Which run to make next, or which sensor to add: what tells apart by the most noise sigmas what is still open.
+"""How far apart a run to come sets rival answers, in standard deviations, and which run or sensor to add.
 
-The library of safe experiments is made of the campaign's own: their inputs scaled down, up and turned round, and
-never beyond what the campaign has already driven the rig to by more than half. Sensors are those of the catalogue.
+A rival that is wrong is refitted once the run is made, and bends as far as the recorded runs let it: of what two
+predictions differ by only that part counts that the rival's parameters cannot follow at less cost.
+`fmuid.design` searches for the run; what a diagnosis itself suggests is one of its own, scaled, and never beyond
+what the campaign has already driven the rig to by more than half. Sensors are those of the catalogue.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,13 +18,129 @@ from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.level import NoiseLevel
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.catalogue import Sensor
+from fmuid.diagnosis.decide import spread
 from fmuid.diagnosis.extended_model import CampaignModel, Prediction
-from fmuid.diagnosis.scores import project_off, stack
+from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.refit import Unknown
+from fmuid.diagnosis.scores import stack
+from fmuid.diagnosis.slopes import Linear, linear_at, predicted
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import AddedSensor, NextExperiment
 from fmuid.identification.problem.cases import Case, Channel
+from fmuid.simulation.simulator import default_tolerance
 
 _SCALES = (-1.0, 0.25, 0.5, 1.25, 1.5)
+_NINE_OF_TEN = 1.2816  # standard deviations
+_PRECISELY, _USUAL = 1e-2, 1e-4  # of a diagnosis' own solver tolerance: nearly equal models are compared
+_UNBOUNDED = 10.0  # standard deviation, in values, of a parameter without bounds that no run has told of
+
+Whiten = Callable[[Prediction], FloatArray]
+"""Differences of predictions to one vector in standard deviations of the noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """An answer that may be right, and how sure the recorded runs are of its parameters.
+
+    Attributes
+    ----------
+    told
+        (P, P) triangular factor of the information there is: a change d of the parameters costs ``|told d|^2``.
+    draws
+        Values that the parameters may have, the estimate first.
+    left
+        Energy of what it leaves unexplained in the recorded runs, in that of their noise.
+    """
+
+    names: tuple[str, ...]
+    unknowns: tuple[Unknown, ...]
+    told: FloatArray
+    draws: tuple[Mapping[str, float], ...]
+    left: float = 0.0
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """The estimate."""
+        return self.draws[0]
+
+
+def rival_of(fitted: Fitted, observed: Observed, *, draws: int = 1, seed: int = 0) -> Rival:
+    """Return a refitted model as a rival, with so many draws of what its parameters may be."""
+    unknowns, fit = fitted.fit.unknowns, fitted.fit
+    here = np.array([fit.values[u.name] for u in unknowns])
+    width = [(u.upper - u.lower) / np.sqrt(12.0) for u in unknowns]
+    loose = [_UNBOUNDED * max(abs(x), u.step) for x, u in zip(here.tolist(), unknowns, strict=True)]
+    spread = np.minimum(np.minimum(width, loose), [u.sd for u in unknowns])
+    rows = np.vstack([stack(fit.jacobian, observed), np.diag(1.0 / spread)])
+    told = np.asarray(np.linalg.qr(rows * spread, mode="r") / spread)
+    lower, upper = np.array([u.lower for u in unknowns]), np.array([u.upper for u in unknowns])
+    errors = np.random.default_rng(seed).standard_normal((draws - 1, len(here)))
+    points = [here, *(here + spread * np.linalg.solve(told * spread, e) for e in errors)]
+    names = [u.name for u in unknowns]
+    drawn = tuple(dict(zip(names, np.clip(x, lower, upper).tolist(), strict=True)) for x in points)
+    left = float(np.mean(observed.repeats)) * fitted.gap**2
+    return Rival(fitted.names, unknowns, told, drawn, left)
+
+
+def separation(distance: float) -> float:
+    """Return by how many standard deviations the data will prefer the right one of two answers, or more.
+
+    That is in nine cases of ten: with a distance D their costs differ by D^2 on average, with a standard deviation
+    of 2 D (see `decide.separation`).
+    """
+    return max(0.0, 0.5 * distance - _NINE_OF_TEN)
+
+
+def distances(
+    model: CampaignModel, rivals: Sequence[Rival], whiten: Whiten
+) -> tuple[FloatArray, list[Prediction]]:
+    """Return by how many standard deviations rivals differ in runs, whatever the wrong one is refitted to.
+
+    What even the better of two leaves unexplained counts as noise, as in a diagnosis.
+
+    Returns
+    -------
+    array
+        (R, R): if the first is true, from the second; the least over its draws.
+    list of Prediction
+        Of every draw of every rival, in their order.
+
+    Raises
+    ------
+    SimulationError
+        A run failed.
+    """
+    linear = linear_at(model, [r.values for r in rivals], [r.unknowns for r in rivals])
+    drawn = predicted(model, [values for r in rivals for values in r.draws])
+    return distance_matrix(linear, drawn, rivals, whiten), drawn
+
+
+def distance_matrix(
+    linear: Sequence[Linear], drawn: Sequence[Prediction], rivals: Sequence[Rival], whiten: Whiten
+) -> FloatArray:
+    """Return the (R, R) distances from what was simulated; see `distances`."""
+    found = np.zeros((len(rivals), len(rivals)))
+    of = [k for k, rival in enumerate(rivals) for _ in rival.draws]
+    for b, (wrong, here) in enumerate(zip(rivals, linear, strict=True)):
+        differences = np.stack(
+            [
+                whiten(tuple(p - q for p, q in zip(prediction, here.prediction, strict=True)))
+                for a, prediction in zip(of, drawn, strict=True)
+                if a != b
+            ],
+            axis=1,
+        )
+        columns = [whiten(here.slopes[u.name]) for u in wrong.unknowns]
+        bent = np.vstack([np.stack(columns, axis=1) if columns else np.zeros((len(differences), 0)), wrong.told])
+        size = np.linalg.norm(bent, axis=0)
+        basis, _ = np.linalg.qr(bent / np.where(size > 0.0, size, 1.0))
+        whole = np.vstack([differences, np.zeros((len(bent) - len(differences), differences.shape[1]))])
+        left = np.linalg.norm(whole - basis @ (basis.T @ whole), axis=0)
+        others = [a for a in of if a != b]
+        for a in set(others):
+            least = min(x for x, other in zip(left.tolist(), others, strict=True) if other == a)
+            found[a, b] = least / spread(min(rivals[a].left, wrong.left))
+    return found
 
 
 def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
@@ -32,28 +150,29 @@ def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
     """
     if len(alike) < 2:
         return None
-    a, b = alike[0], alike[1]
+    observed, (a, b) = subject.observed, alike[:2]
+    rivals = [rival_of(f, observed) for f in (a, b)]
     best: NextExperiment | None = None
     for scale in _SCALES:
-        cases = tuple(
-            replace(c, task=replace(c.task, inputs={n: scale * u for n, u in c.task.inputs.items()}))
-            for c in subject.model.cases
-        )
-        model = replace(subject.model, cases=cases)
-        predictions = _predicted(subject, model, a, b)
-        if predictions is None:
-            continue
-        whitened = [subject.observed.whiten(p) for p in predictions]
-        for k, case in enumerate(cases):
-            sigma = float(np.sqrt(subject.observed.repeats[k])) * _separation([w[k] for w in whitened])
+        for k, case in enumerate(subject.model.cases):
+            tolerance = _PRECISELY * (case.task.tolerance or default_tolerance(case.simulator) or _USUAL)
+            inputs = {n: scale * u for n, u in case.task.inputs.items()}
+            task = replace(case.task, inputs=inputs, tolerance=tolerance)
+            model = replace(subject.model, cases=(replace(case, task=task),))
+            weight, whitener = np.sqrt(observed.repeats[k]), observed.whiteners[k]
+            try:
+                apart, _ = distances(model, rivals, lambda d, w=weight, by=whitener: w * by(d[0]).ravel())  # type: ignore[misc]
+            except SimulationError:
+                continue
+            sigma = separation(float(min(apart[0, 1], apart[1, 0])))
             if best is None or sigma > best.separation_sigma:
                 best = NextExperiment(
                     case.setup, f"as {case.id}, with its input times {scale:g}", sigma, (a.id, b.id)
                 )
-    return best if best is not None and best.separation_sigma > 1.0 else None
+    return best if best is not None and best.separation_sigma > 0.0 else None
 
 
-def sensor_to_add(subject: Subject, alike: Sequence[Fitted], *, beyond: float = 1.0) -> AddedSensor | None:
+def sensor_to_add(subject: Subject, alike: Sequence[Fitted], *, beyond: float = 0.0) -> AddedSensor | None:
     """Return the sensor that separates the first two of `alike` best in the experiments as they are.
 
     None if none does by more than `beyond` sigma: what the best of further experiments would.
@@ -61,30 +180,36 @@ def sensor_to_add(subject: Subject, alike: Sequence[Fitted], *, beyond: float = 
     if len(alike) < 2:
         return None
     a, b = alike[0], alike[1]
+    rivals = [rival_of(f, subject.observed) for f in (a, b)]
     best: AddedSensor | None = None
     for sensor in subject.catalogue.sensors.values():
-        new = [_is_new(c, sensor) for c in subject.model.cases]
-        cases = tuple(_with(c, sensor) if n else c for c, n in zip(subject.model.cases, new, strict=True))
-        predictions = _predicted(subject, replace(subject.model, cases=cases), a, b) if any(new) else None
-        if predictions is None:
+        new = [_is_new(c, sensor.variable) for c in subject.model.cases]
+        cases = tuple(with_sensors(c, [sensor]) if n else c for c, n in zip(subject.model.cases, new, strict=True))
+        model = replace(subject.model, cases=cases)
+        try:
+            apart, _ = distances(model, rivals, lambda d, s=sensor, n=new: _in_sigmas(subject, d, s, n))  # type: ignore[misc]
+        except SimulationError:
             continue
-        sigma = _separation([_in_sigmas(subject, p, sensor, new) for p in predictions])
+        sigma = separation(float(min(apart[0, 1], apart[1, 0]))) if any(new) else 0.0
         if sigma > (beyond if best is None else best.separation_sigma):
             best = AddedSensor(sensor.name, sensor.description or sensor.variable, sigma, (a.id, b.id))
     return best
 
 
-def _is_new(case: Case, sensor: Sensor) -> bool:
+def _is_new(case: Case, variable: str) -> bool:
     read = {channel.variable for channel in case.channels}
-    return sensor.variable in case.simulator.variables and sensor.variable not in read
+    return variable in case.simulator.variables and variable not in read
 
 
-def _with(case: Case, sensor: Sensor) -> Case:
+def with_sensors(case: Case, sensors: Sequence[Sensor]) -> Case:
+    """Return a case that has further sensors below its own."""
     shape = case.channels[0].repeats.shape
-    noise = NoiseLevel(sensor.noise**2, source="given")
-    channel = Channel(sensor.name, sensor.variable, sensor.unit, np.zeros(shape), noise)
-    task = replace(case.task, outputs=(*case.task.outputs, sensor.variable))
-    return replace(case, task=task, channels=(*case.channels, channel))
+    more = tuple(
+        Channel(s.name, s.variable, s.unit, np.zeros(shape), NoiseLevel(s.noise**2, source="given"))
+        for s in sensors
+    )
+    task = replace(case.task, outputs=(*case.task.outputs, *(s.variable for s in sensors)))
+    return replace(case, task=task, channels=(*case.channels, *more))
 
 
 def _in_sigmas(subject: Subject, prediction: Prediction, sensor: Sensor, new: Sequence[bool]) -> FloatArray:
@@ -97,23 +222,3 @@ def _in_sigmas(subject: Subject, prediction: Prediction, sensor: Sensor, new: Se
         if n
     ]
     return np.concatenate([stack(known, observed), *read])
-
-
-def _predicted(subject: Subject, model: CampaignModel, a: Fitted, b: Fitted) -> list[Prediction] | None:
-    """Return the predictions of `a`, of `b`, and of `a` with each nominal parameter moved; None if one fails."""
-    steps = [{**a.fit.values, u.name: a.fit.values[u.name] + u.step} for u in subject.nominal]
-    outcomes = model.predict([a.fit.values, b.fit.values, *steps])
-    good = [o for o in outcomes if not isinstance(o, SimulationError)]
-    return good if len(good) == len(outcomes) else None
-
-
-def _separation(whitened: Sequence[FloatArray]) -> float:
-    """Return how far the second is from the first, less what the others, moved parameters, can imitate."""
-    base, other, *moved = whitened
-    moves = np.stack([m - base for m in moved], axis=1)
-    norms = np.linalg.norm(moves, axis=0)
-    difference = other - base
-    if (norms > 0).any():
-        q, _ = np.linalg.qr(moves[:, norms > 0] / norms[norms > 0])
-        difference = project_off(difference, q)
-    return float(np.linalg.norm(difference))

@@ -264,11 +264,12 @@ def _nominal(campaign: Campaign, spec: EffectsSpec, *, cases_parameters: set[str
             raise CampaignError(
                 f"nominal parameter '{name}' acts on no model", where="[effects]", fix="drop it or tie to it"
             )
-        unknowns.append(_unknown(campaign.parameters[name]))
+        unknowns.append(unknown_of(campaign.parameters[name]))
     return tuple(unknowns)
 
 
-def _unknown(p: ParameterSpec) -> Unknown:
+def unknown_of(p: ParameterSpec) -> Unknown:
+    """Return a parameter of the campaign as one that is searched."""
     width = p.upper - p.lower
     step = 0.02 * abs(p.start) if p.start != 0.0 else (1e-3 * width if np.isfinite(width) else 1e-3)
     return Unknown(p.name, p.start, p.lower, p.upper, step)

@@ -121,7 +121,7 @@ def _next_experiment(diagnosis: Mapping[str, Any]) -> str:
         text += f" would separate {between}"
     if proposal.get("separation_sigma") is not None:
         text += f" by {proposal['separation_sigma']:.3g} standard deviations"
-    return text + "."
+    return text + ". `fmuid design --for diagnosis` searches for a better one within the rig's limits."
 
 
 def _added_sensor(diagnosis: Mapping[str, Any]) -> str:

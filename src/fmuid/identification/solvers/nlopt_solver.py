@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -208,6 +209,38 @@ class NloptSolver:
             inner.set_population(int(self.options["population"]))
         if opt is not inner:
             opt.set_local_optimizer(inner)
+
+
+def minimised(
+    function: Callable[[FloatArray], float], start: FloatArray, *, step: float, evaluations: int
+) -> None:
+    """Search the unit cube for the least value of a function by Subplex (Rowan 1990), from (n,) `start`.
+
+    The function keeps what it was asked; what it raises is raised here once NLopt's C code has ended.
+    """
+    import nlopt
+
+    opt = nlopt.opt(nlopt.LN_SBPLX, len(start))
+    raised: list[BaseException] = []
+
+    def guarded(x: FloatArray, _: FloatArray) -> float:
+        try:
+            return function(x)
+        except BaseException as error:
+            raised.append(error)
+            opt.force_stop()
+            return float("inf")
+
+    opt.set_min_objective(guarded)
+    opt.set_lower_bounds(0.0)
+    opt.set_upper_bounds(1.0)
+    opt.set_initial_step(step)
+    opt.set_xtol_abs(1e-4)
+    opt.set_maxeval(evaluations)
+    with suppress(nlopt.exception):  # RoundoffLimited and ForcedStop among them
+        opt.optimize(np.clip(start, 0.0, 1.0))
+    if raised:
+        raise raised[0]
 
 
 def _optimized(opt: Any, functions: _Functions, start: FloatArray) -> Outcome | None:

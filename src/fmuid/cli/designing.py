@@ -1,0 +1,91 @@
+"""`fmuid design`."""
+
+from __future__ import annotations
+
+import shlex
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fmuid.cli.interruption import INTERRUPTED
+from fmuid.cli.output import Json, Printer, Quiet, Trust
+from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, in_bytes
+
+
+class For(StrEnum):
+    """What an experiment is for."""
+
+    DIAGNOSIS = "diagnosis"
+    PARAMETERS = "parameters"
+
+
+class Optimality(StrEnum):
+    """What becomes least."""
+
+    D = "D"
+    A = "A"
+
+
+def design(
+    campaign: Annotated[
+        Path,
+        typer.Argument(metavar="CAMPAIGN|RUN", help="A campaign, or what identify or diagnose made of it."),
+    ],
+    for_: Annotated[For, typer.Option("--for", help="Answers of a diagnosis, to tell them apart, or parameters.")],
+    from_: Annotated[
+        Path | None, typer.Option("--from", metavar="RUN", help="What identify or diagnose made of the campaign.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder; runs/<campaign>-design by default.")] = None,
+    stage: Annotated[str | None, typer.Option(help="Parameters of this stage; all free ones by default.")] = None,
+    optimality: Annotated[
+        Optimality, typer.Option(help="D: least volume of what parameters may be; A: least sum of squared errors.")
+    ] = Optimality.D,
+    evaluations: Annotated[int, typer.Option(min=8, help="Excitations to try.")] = 200,
+    seed: Annotated[int, typer.Option(help="Of the search and of drawn phases.")] = 0,
+    workers: Workers = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
+    trust: Trust = False,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> int:
+    """Design the next experiment within the campaign's limits: an input as CSV, and what it will tell.
+
+    Limits are in `[limits]` of campaign.toml. For parameters nothing need be measured yet.
+
+    Example: fmuid design campaigns/drive --for parameters --out runs/next
+    Example: fmuid design runs/drive-diagnosis --for diagnosis
+    """
+    from fmuid.design_pipeline import INPUT, campaign_and_diagnosis
+    from fmuid.design_pipeline import design as run
+
+    printer = Printer(quiet, json)
+    loaded, _ = campaign_and_diagnosis(campaign, from_, trust=trust)
+    folder = out or Path("runs") / f"{loaded.name}-design"
+    with printer.working("") as shown:
+        designed = run(
+            campaign,
+            for_.value,
+            start=from_,
+            out=folder,
+            stage=stage,
+            optimality=optimality.value,
+            evaluations=evaluations,
+            seed=seed,
+            workers=workers,
+            time_limit=time_limit,
+            memory_limit=in_bytes(memory_limit),
+            say=lambda what, share: shown(share, what),
+            trust=trust,
+        )
+    printer.say(str(designed))
+    printer.say(f"\n{folder / INPUT}\npage: {folder / 'index.html'}")
+    command = ["fmuid", "import", "RECORDED.csv", "--setup", str(designed.answer["setup"])]
+    command += [word for name in designed.inputs for word in ("--input", name)]
+    command += ["--out", str(loaded.measurements_file or "measurements.h5")]
+    command += ["--append"] if len(loaded.measurements) else []
+    printer.next(shlex.join(command), f"once the rig has played {INPUT} and RECORDED.csv is what it measured")
+    printer.write(designed.answer)
+    return INTERRUPTED if designed.interrupted else 0

@@ -1,0 +1,135 @@
+"""The search for an excitation: a few of every family, then the best ones bettered without derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from fmuid.core.errors import FmuidError
+from fmuid.core.immutable import FloatArray
+from fmuid.design.excitation import Shape
+from fmuid.identification.solvers.nlopt_solver import minimised
+
+_BARRIER = 1e3  # above every cost of a run within limits
+_FIRST = 0.4  # share of the evaluations that goes to a few of every family
+_SHRUNK = 0.5  # size of the next trial of a run that leaves its limits
+_STEP = 0.15  # of the local search
+_BETTERED = 2  # families
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """What one excitation is worth.
+
+    Attributes
+    ----------
+    cost
+        The less the better.
+    violation
+        By how much limits are left, as a share of their range; 0 within them, infinite where the run cannot be
+        simulated.
+    worst
+        The limit that is left by most.
+    """
+
+    cost: float
+    violation: float = 0.0
+    worst: str = ""
+
+    @property
+    def total(self) -> float:
+        """One number to compare by: every run within limits is better than any that is not."""
+        return self.cost if self.violation <= 0.0 else _BARRIER * (1.0 + min(self.violation, 1e6))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Excitation:
+    """The best excitation that was found: (inputs, N) samples, what they are worth, and what they are."""
+
+    samples: FloatArray
+    judged: Judged
+    description: str
+    evaluations: int
+    interrupted: bool = False
+
+
+def search(
+    shapes: Sequence[Shape],
+    time: FloatArray,
+    judge: Callable[[FloatArray], Judged],
+    *,
+    evaluations: int,
+    seed: int = 0,
+    say: Callable[[float], None] = lambda _: None,
+) -> Excitation:
+    """Return the excitation of the least cost that keeps every limit.
+
+    Every family is begun from as many points of a Sobol' sequence; one that leaves a limit is made smaller. The
+    best of the best families is bettered by Subplex. Interrupted, the search returns what it has reached.
+
+    Parameters
+    ----------
+    judge
+        Of (inputs, N) samples.
+    evaluations
+        Calls of it.
+    say
+        Hears the share that is behind.
+
+    Raises
+    ------
+    FmuidError
+        No excitation that was tried keeps every limit.
+    """
+    tried: list[tuple[Judged, int, FloatArray]] = []
+
+    def cost(k: int, x: FloatArray) -> float:
+        judged = judge(shapes[k](x, time))
+        tried.append((judged, k, np.array(x)))
+        say(len(tried) / evaluations)
+        return judged.total
+
+    interrupted = False
+    try:
+        each = max(2, int(_FIRST * evaluations / len(shapes)))
+        for k, shape in enumerate(shapes):
+            _begin(shape, each, seed, lambda x, k=k: cost(k, x))  # type: ignore[misc]
+        families = sorted(range(len(shapes)), key=lambda k: min(j.total for j, of, _ in tried if of == k))
+        for n, k in enumerate(families[:_BETTERED]):
+            left = (evaluations - len(tried)) // (min(_BETTERED, len(families)) - n)
+            start = min((t for t in tried if t[1] == k), key=lambda t: t[0].total)[2]
+            if left > 0:
+                minimised(lambda x, k=k: cost(k, x), start, step=_STEP, evaluations=left)  # type: ignore[misc]
+    except KeyboardInterrupt:
+        interrupted = True
+        if not tried or min(j.total for j, _, _ in tried) >= _BARRIER:
+            raise
+    judged, k, x = min(tried, key=lambda t: t[0].total)
+    if judged.violation > 0.0:
+        reason = f"each left {judged.worst}" if np.isfinite(judged.violation) else "none could be simulated"
+        raise FmuidError(
+            f"none of {len(tried)} excitations keeps every limit: {reason}",
+            where="[limits]",
+            fix="widen it, or shorten the run",
+        )
+    shape = shapes[k]
+    return Excitation(shape(x, time), judged, shape.words(x, time), len(tried), interrupted)
+
+
+def _begin(shape: Shape, count: int, seed: int, cost: Callable[[FloatArray], float]) -> None:
+    """Try points of a Sobol' sequence, `count` in all; one that leaves a limit again at smaller sizes."""
+    points = qmc.Sobol(shape.size, rng=seed).random_base2(max(1, int(np.ceil(np.log2(count)))))
+    sizes = np.arange(0, shape.size, shape.size // len(shape.bounds))
+    points[:, sizes] = 1.0 - 0.3 * points[:, sizes]  # information grows with size
+    left = count
+    for point in points:
+        shrunk = 0
+        while left > 0:
+            left -= 1
+            if cost(point) < _BARRIER or shrunk == 4:
+                break
+            shrunk += 1
+            point = np.where(np.isin(np.arange(shape.size), sizes), _SHRUNK * point, point)

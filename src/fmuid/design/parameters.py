@@ -1,0 +1,303 @@
+"""The excitation that tells most of the parameters: D- or A-optimal, on average over what they may be.
+
+The information of a run is ``J' J`` with J the whitened derivatives of its predictions by the parameters, each
+taken relative to its value; what recorded runs and bounds say adds to it (Fedorov 1972; Pronzato and Pazman 2013).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from fmuid.core.campaign import Campaign, ModelSpec, StageSpec
+from fmuid.core.errors import CampaignError, SimulationError
+from fmuid.core.formulas import parse
+from fmuid.core.immutable import FloatArray
+from fmuid.data.noise.spectrum import SetupNoise, estimate_noise
+from fmuid.design.excitation import shapes
+from fmuid.design.excitation_search import Excitation, Judged, search
+from fmuid.design.planned import Planned, planned_run, template_of
+from fmuid.diagnosis.extended_model import CampaignModel
+from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.refit import Unknown
+from fmuid.diagnosis.slopes import linear_at, predicted
+from fmuid.diagnosis.subject import unknown_of
+from fmuid.identification.problem.cases import Case, from_campaign
+from fmuid.identification.problem.solver_error import solver_accuracy
+from fmuid.simulation.runners import Runner
+from fmuid.simulation.simulator import Simulator
+
+Optimality = Literal["D", "A"]
+_DRAWS = 3  # of the parameters, the start values among them
+_SPREAD = 0.3  # relative, of parameters that no run has determined any better
+_UNBOUNDED = 10.0  # relative standard deviation of a parameter of which nothing is known
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterDesign:
+    """A designed run, and what it tells of the parameters.
+
+    Attributes
+    ----------
+    planned, excitation
+        The run.
+    values
+        Of the parameters, where it was designed.
+    before, after
+        Relative standard error of each parameter, by name, from the recorded runs and with the designed one;
+        infinite where nothing is known.
+    repeated
+        The same with the best of the recorded runs made once more in its place, and which; None without one.
+    """
+
+    planned: Planned
+    excitation: Excitation
+    values: Mapping[str, float]
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+    repeated: tuple[str, Mapping[str, float]] | None = None
+
+    @property
+    def gain(self) -> float:
+        """How many times smaller the sum of squared relative standard errors becomes."""
+        return _sum_of_squares(self.before) / _sum_of_squares(self.after)
+
+
+def _sum_of_squares(errors: Mapping[str, float]) -> float:
+    return float(np.sum(np.square(list(errors.values()))))
+
+
+def design_for_parameters(
+    campaign: Campaign,
+    load: Callable[[ModelSpec], Simulator],
+    runner: Runner,
+    *,
+    stage: str | None = None,
+    optimality: Optimality = "D",
+    evaluations: int = 200,
+    seed: int = 0,
+    say: Callable[[str, float], None] = lambda _, __: None,
+) -> ParameterDesign:
+    """Design the run that tells most of a campaign's free parameters beside what its runs have told.
+
+    Parameters
+    ----------
+    load
+        Loads the model of a setup.
+    stage
+        Whose parameters, ties and signals are meant; all free parameters by default.
+    optimality
+        ``D``: the volume of what the parameters may be becomes least; ``A``: the sum of their squared relative
+        standard errors.
+    evaluations
+        Excitations that are tried.
+
+    Raises
+    ------
+    CampaignError, FmuError
+        The campaign has no limits, or they do not fit its model.
+    FmuidError
+        No excitation keeps every limit.
+    """
+    posed = _posed(campaign, stage)
+    setup = campaign.design.setup or next(iter(_setups(campaign, posed)), None)
+    if setup is None:
+        raise CampaignError(
+            "has no model", where=campaign.file or campaign.folder, fix='write [models.<setup>] fmu = "..."'
+        )
+    say("recorded runs", 0.0)
+    runs = [e for e in campaign.measurements if e.id in posed.experiments]
+    simulators = {s: load(campaign.models[s]) for s in dict.fromkeys([setup, *(e.setup for e in runs)])}
+    cases = from_campaign(campaign, runs, posed.criteria, simulators) if runs else ()
+    template = next((c for c in cases if c.setup == setup), None) or template_of(
+        campaign, simulators[setup], setup
+    )
+    fixed = {p.name: posed.start.get(p.name, p.start) for p in campaign.parameters.values()}
+    model = CampaignModel(cases, runner, fixed, {n: parse(text) for n, text in posed.tie.items()})
+    unknowns = _unknowns(campaign, posed, template, cases, fixed)
+    values = {u.name: u.start for u in unknowns}
+    if cases:
+        starts = [model.start_values(case, fixed) for case in cases]
+        cases = solver_accuracy(cases, fixed, starts, runner).applied(cases)
+        model = replace(model, cases=cases)
+        template = next((c for c in cases if c.setup == setup), template)
+    told, noise = _recorded(model, unknowns, values)
+    known = sum(told.values(), _beforehand(campaign, unknowns))
+    planned = planned_run(campaign, model, template, noise.get(_kind(template)))
+    families = shapes(campaign.design, [d.bounds for d in planned.driven], seed=seed)
+    planned = planned.solved_well_enough(families, [values])
+    criterion = Information(planned, unknowns, _draws(unknowns, known, seed), known, optimality)
+    found = search(
+        families,
+        planned.time,
+        criterion,
+        evaluations=evaluations,
+        seed=seed,
+        say=lambda share: say("trying excitations", 0.05 + 0.9 * share),
+    )
+    names, sizes = [u.name for u in unknowns], _sizes(unknowns)
+    errors = [
+        dict(zip(names, _errors(m, sizes), strict=True))
+        for m in (known, known + criterion.told(found.samples, values))
+    ]
+    # One more run like a recorded one, made as often as the designed one will be.
+    again = {
+        c.id: known + campaign.design.repeats * told[c.id] / len(c.channels[0].repeats)
+        for c in cases
+        if c.setup == setup
+    }
+    best = min(again, key=lambda id: criterion.cost_of(again[id]), default=None)
+    repeated = None if best is None else (best, dict(zip(names, _errors(again[best], sizes), strict=True)))
+    return ParameterDesign(planned, found, values, errors[0], errors[1], repeated)
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """What an excitation tells, as the cost of a search.
+
+    Attributes
+    ----------
+    draws
+        Values of the parameters; the cost is the mean over them.
+    known
+        (P, P) information there is already, in the parameters' units.
+    """
+
+    planned: Planned
+    unknowns: tuple[Unknown, ...]
+    draws: Sequence[Mapping[str, float]]
+    known: FloatArray
+    optimality: Optimality = "D"
+
+    def __call__(self, samples: FloatArray) -> Judged:
+        """Return what (inputs, N) samples are worth."""
+        model = self.planned.under(samples)
+        try:
+            violation, worst = self.planned.violation(model, self.draws, predicted(model, self.draws))
+            if violation > 0.0:
+                return Judged(np.inf, violation, worst)
+            told = self._told(model, self.draws)
+        except SimulationError:
+            return Judged(np.inf, np.inf)
+        return Judged(float(np.mean([self.cost_of(self.known + m) for m in told])))
+
+    def told(self, samples: FloatArray, values: Mapping[str, float]) -> FloatArray:
+        """Return the (P, P) information of the run at some values, in the parameters' units."""
+        return self._told(self.planned.under(samples), [values])[0]
+
+    def _told(self, model: CampaignModel, points: Sequence[Mapping[str, float]]) -> list[FloatArray]:
+        found = []
+        for here in linear_at(model, points, [self.unknowns] * len(points)):
+            jacobian = np.stack([self.planned.whiten(here.slopes[u.name][0]) for u in self.unknowns], axis=1)
+            found.append(np.asarray(jacobian.T @ jacobian))
+        return found
+
+    def cost_of(self, information: FloatArray) -> float:
+        """Return the cost of all there is to know, (P, P) in the parameters' units."""
+        sizes = _sizes(self.unknowns)
+        relative = information * np.outer(sizes, sizes)
+        if self.optimality == "D":
+            return float(-0.5 * np.linalg.slogdet(relative)[1] / len(sizes))
+        return float(0.5 * np.log(np.trace(np.linalg.pinv(relative, hermitian=True)) / len(sizes)))
+
+
+def _posed(campaign: Campaign, stage: str | None) -> StageSpec:
+    """Return whose parameters are meant, as a stage."""
+    if stage is not None:
+        if stage not in campaign.stages:
+            known = ", ".join(campaign.stages) or "none"
+            raise CampaignError(f"no stage '{stage}'", where="--stage", fix=f"the campaign has: {known}")
+        return campaign.stages[stage]
+    if len(campaign.stages) == 1:
+        return next(iter(campaign.stages.values()))
+    free = tuple(p.name for p in campaign.parameters.values() if p.free)
+    return StageSpec("all", campaign.identification, free)
+
+
+def _setups(campaign: Campaign, posed: StageSpec) -> list[str]:
+    recorded = [campaign.measurements[id].setup for id in posed.experiments]
+    return list(dict.fromkeys(recorded or campaign.models))
+
+
+def _unknowns(
+    campaign: Campaign, posed: StageSpec, template: Case, cases: Sequence[Case], fixed: Mapping[str, float]
+) -> tuple[Unknown, ...]:
+    helpers = {n for text in posed.tie.values() for n in parse(text).names}
+    reached = helpers.union(*(c.setting for c in (template, *cases)))
+    free = [replace(campaign.parameters[n], start=fixed[n]) for n in posed.free if n in reached]
+    for spec in free:
+        if spec.per != "campaign":
+            raise CampaignError(
+                f"is one value for each {spec.per}, which a run to come does not have yet",
+                where=f"{campaign.file or campaign.folder} [parameters.{spec.name}] per",
+                fix="hold it (free = false), or name a --stage without it",
+            )
+    if not free:
+        raise CampaignError(
+            "no free parameter acts on the model",
+            where=campaign.file or campaign.folder,
+            fix="free one in [parameters]",
+        )
+    return tuple(unknown_of(spec) for spec in free)
+
+
+def _kind(case: Case) -> tuple[object, ...]:
+    """Return what runs must share for their noise to be pooled."""
+    return (
+        case.setup,
+        tuple(c.signal for c in case.channels),
+        round(float(np.log(np.median(np.diff(case.time)))), 3),
+    )
+
+
+def _recorded(
+    model: CampaignModel, unknowns: Sequence[Unknown], values: Mapping[str, float]
+) -> tuple[dict[str, FloatArray], dict[tuple[object, ...], SetupNoise]]:
+    """Return the (P, P) information of every recorded run, by id, and the noise of every kind of run."""
+    told, noise = dict[str, FloatArray](), dict[tuple[object, ...], SetupNoise]()
+    for kind in dict.fromkeys(map(_kind, model.cases)):
+        own = replace(model, cases=tuple(c for c in model.cases if _kind(c) == kind))
+        noise[kind] = estimate_noise(own.runs)
+        observed = Observed(own.runs, {own.cases[0].setup: noise[kind]})
+        (here,) = linear_at(own, [values], [unknowns])
+        columns = [observed.whiten(here.slopes[u.name]) for u in unknowns]
+        for e, case in enumerate(own.cases):
+            jacobian = np.stack([column[e] for column in columns], axis=1)
+            told[case.id] = observed.repeats[e] * jacobian.T @ jacobian
+    return told, noise
+
+
+def _sizes(unknowns: Sequence[Unknown]) -> FloatArray:
+    """(P,) what a parameter's error is held against: its value; where that is 0, its range."""
+    width = [u.upper - u.lower if np.isfinite(u.upper - u.lower) else 1.0 for u in unknowns]
+    return np.array([abs(u.start) or w for u, w in zip(unknowns, width, strict=True)])
+
+
+def _beforehand(campaign: Campaign, unknowns: Sequence[Unknown]) -> FloatArray:
+    """Return the (P, P) information of bounds and priors."""
+    spread = []
+    for u, size in zip(unknowns, _sizes(unknowns).tolist(), strict=True):
+        prior = campaign.parameters[u.name].prior
+        width = (u.upper - u.lower) / np.sqrt(12.0)
+        spread.append(prior.sd if prior is not None else min(width, _UNBOUNDED * size))
+    return np.diag(1.0 / np.square(spread))
+
+
+def _draws(unknowns: Sequence[Unknown], known: FloatArray, seed: int) -> list[dict[str, float]]:
+    """Return values that the parameters may have, their start first."""
+    sizes, start = _sizes(unknowns), np.array([u.start for u in unknowns])
+    lower, upper = np.array([u.lower for u in unknowns]), np.array([u.upper for u in unknowns])
+    covariance = np.linalg.inv(known + np.diag(1.0 / np.square(_SPREAD * sizes)))
+    rng = np.random.default_rng(seed)
+    drawn = rng.multivariate_normal(start, covariance, size=_DRAWS - 1, method="cholesky")
+    names = [u.name for u in unknowns]
+    return [dict(zip(names, np.clip(x, lower, upper).tolist(), strict=True)) for x in (start, *drawn)]
+
+
+def _errors(information: FloatArray, sizes: FloatArray) -> list[float]:
+    """Return relative standard errors."""
+    relative = information * np.outer(sizes, sizes)
+    return [float(e) for e in np.sqrt(np.diag(np.linalg.inv(relative)))]

@@ -1,0 +1,349 @@
+"""The run that is to be designed: a setup's model with its sensors, what drives it, and what it may not leave."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fmu_build.suggest import suggestion
+from fmuid.core.campaign import Campaign, Limit, ModelSpec
+from fmuid.core.errors import CampaignError, FmuError
+from fmuid.core.experiments import Experiment, Measurements, Signal
+from fmuid.core.immutable import FloatArray, read_only
+from fmuid.core.units import Conversion
+from fmuid.data.noise.level import conversion_at
+from fmuid.data.noise.runs import RepeatedRuns
+from fmuid.data.noise.spectrum import SetupNoise, Whitener, estimate_noise, whitener
+from fmuid.design.excitation import Bounds, Shape
+from fmuid.diagnosis.extended_model import CampaignModel, Prediction
+from fmuid.identification.problem.cases import Case, from_campaign
+from fmuid.identification.problem.solver_error import solver_accuracy
+from fmuid.simulation.simulator import Simulator
+
+DESIGNED = "designed"
+_BEYOND = 0.5  # of what recorded runs reached: how far a designed one may go where the user gives no limit
+_SAMPLES = 1000  # of a run where nothing says how often to sample
+_LOOSEST = (1e-3, 1e-4)  # solver tolerances to begin with
+_TYPICAL = 0.7  # of every number that makes an excitation
+_FEWEST = 20  # samples of a run that a design makes sense for
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """An input that is designed: its name in measurements, FMU variable, and bounds in the variable's unit.
+
+    `written` converts from the variable's unit to `unit`, that of the file that is written.
+    """
+
+    name: str
+    variable: str
+    bounds: Bounds
+    unit: str
+    written: Conversion
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """A quantity that may not leave its range (in the model's unit), read by a sensor or inside the model."""
+
+    name: str
+    variable: str
+    lower: float
+    upper: float
+    channel: int | None = None
+
+    def left(self, values: FloatArray) -> float:
+        """Return by how much of its range (or of its bound) the values leave it, 0 if they do not."""
+        over = max(float(np.max(values)) - self.upper, self.lower - float(np.min(values)))
+        finite = [abs(b) for b in (self.lower, self.upper) if np.isfinite(b)]
+        width = self.upper - self.lower if len(finite) == 2 else max(finite, default=1.0)
+        return max(0.0, over) / (width or 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Settable:
+    """A value that a run can set on the model, such as a payload, in the model's unit."""
+
+    name: str
+    variable: str
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """A run without its excitation.
+
+    Attributes
+    ----------
+    model
+        With the one run, at rest.
+    whiten
+        Whitens (C, N) differences of predictions by the noise of the mean of the run's repeats.
+    sigma
+        (C,) standard deviation of a sample.
+    """
+
+    model: CampaignModel
+    whitener: Whitener
+    repeats: int
+    driven: tuple[Driven, ...]
+    watched: tuple[Watched, ...]
+    settable: tuple[Settable, ...]
+    sigma: FloatArray
+    assumed: tuple[str, ...] = ()
+
+    @property
+    def case(self) -> Case:
+        """The run."""
+        return self.model.cases[0]
+
+    @property
+    def time(self) -> FloatArray:
+        """(N,) times of its samples, s."""
+        return self.case.time
+
+    def whiten(self, difference: FloatArray) -> FloatArray:
+        """Whiten (C, N) differences by the noise of the mean of the repeats, to (C * N,)."""
+        return np.asarray(np.sqrt(self.repeats) * self.whitener(difference).ravel())
+
+    def under(self, samples: FloatArray) -> CampaignModel:
+        """Return the model with its inputs driven by (inputs, N) samples in the model's units."""
+        return replace(self.model, cases=(self.driven_case(samples),))
+
+    def driven_case(self, samples: FloatArray) -> Case:
+        """Return the run driven by (inputs, N) samples in the model's units."""
+        own = {d.variable: u for d, u in zip(self.driven, samples, strict=True)}
+        if self.case.lead:
+            own = {name: np.append(u, u[-1]) for name, u in own.items()}
+        return replace(self.case, task=replace(self.case.task, inputs={**self.case.task.inputs, **own}))
+
+    def solved_well_enough(self, shapes: Sequence[Shape], points: Sequence[Mapping[str, float]]) -> Planned:
+        """Return the run with a solver tolerance whose errors no measurement would show, whatever drives it.
+
+        One excitation of each shape is tried at every point.
+        """
+        cases, starts = [], []
+        for k, (shape, values) in enumerate((shape, values) for shape in shapes for values in points):
+            case = self.driven_case(shape(np.full(shape.size, _TYPICAL), self.time))
+            starts.append(self.model.start_values(case, {**self.model.fixed, **values}))
+            simulator = self.model.variant(case.setup, starts[-1]) or case.simulator
+            cases.append(replace(case, id=f"{k}", simulator=simulator))
+        sigma = [self.sigma / np.sqrt(self.repeats)] * len(cases)
+        found = solver_accuracy(cases, points[0], starts, self.model.runner, sigma=sigma, loosest=_LOOSEST)
+        tightest = min(found.tolerances.values(), default=self.case.task.tolerance)
+        task = replace(self.case.task, tolerance=tightest)
+        return replace(self, model=replace(self.model, cases=(replace(self.case, task=task),)))
+
+    def violation(
+        self, model: CampaignModel, points: Sequence[Mapping[str, float]], predictions: Sequence[Prediction]
+    ) -> tuple[float, str]:
+        """Return by how much the runs leave the limits at worst, and which one.
+
+        Raises
+        ------
+        SimulationError
+            A run failed.
+        """
+        worst, name = 0.0, ""
+        hidden = [w for w in self.watched if w.channel is None]
+        for values, (prediction,) in zip(points, predictions, strict=True):
+            inside = model.trajectories(values, [w.variable for w in hidden])[0] if hidden else ()
+            rows = dict(zip((w.name for w in hidden), inside, strict=True))
+            for w in self.watched:
+                over = w.left(rows[w.name] if w.channel is None else prediction[w.channel])
+                if over > worst:
+                    worst, name = over, w.name
+        return worst, name
+
+
+def template_of(campaign: Campaign, simulator: Simulator, setup: str) -> Case:
+    """Return a run of a setup that nobody has made yet, at rest, with the outputs whose noise the user gives.
+
+    Raises
+    ------
+    CampaignError
+        No duration, or no standard deviation is given.
+    FmuError
+        An output is none of the model's.
+    """
+    spec, model = campaign.design, campaign.models[setup]
+    where = f"{campaign.file or campaign.folder}"
+    if spec.duration is None:
+        raise CampaignError(
+            "has no duration, and no run is recorded", where=f"{where} [limits]", fix="write duration = ..."
+        )
+    if not spec.sigma:
+        raise CampaignError(
+            "says no output's noise, and no run is recorded",
+            where=f"{where} [design]",
+            fix="write sigma = { output = ... }",
+        )
+    time = _times(spec.duration, spec.sample_time or spec.duration / _SAMPLES)
+    signals = {}
+    for name, sigma in spec.sigma.items():
+        variable = model.variable(name)
+        if variable not in simulator.variables:
+            raise FmuError(
+                f"{model.fmu.name} has no variable '{variable}'",
+                where=f"{where} [design] sigma",
+                fix=suggestion(
+                    variable, [v.name for v in simulator.variables.values() if v.causality == "output"]
+                ),
+            )
+        unit = simulator.variables[variable].unit or "1"
+        unit = f"({unit})/s" if model.differentiates(name) else unit
+        signals[name] = Signal(name, np.zeros(len(time)), unit, "output", sigma)
+    back = {variable: name for name, variable in model.map.items()}
+    for driven in (v for v in simulator.variables.values() if v.causality == "input"):
+        name = back.get(driven.name, driven.name)
+        signals[name] = Signal(name, np.full(len(time), driven.start or 0.0), driven.unit or "1", "input")
+    run = Experiment(DESIGNED, setup, time, signals)
+    campaign = replace(campaign, measurements=Measurements({DESIGNED: run}))
+    return from_campaign(campaign, [run], (), {setup: simulator})[0]
+
+
+def planned_run(
+    campaign: Campaign, model: CampaignModel, template: Case, noise: SetupNoise | None = None
+) -> Planned:
+    """Return the run that is to be designed.
+
+    Parameters
+    ----------
+    model
+        What simulates it; its own runs say how far the rig has been driven.
+    template
+        A run of the same setup.
+    noise
+        Of the setup; by default what the user gave for the template's outputs.
+
+    Raises
+    ------
+    CampaignError, FmuError, UnitError
+        A limit is none of the model's quantities, or cannot be kept.
+    """
+    spec, of_setup = campaign.design, campaign.models[template.setup]
+    step = spec.sample_time or float(np.median(np.diff(template.time)))
+    time = _times(spec.duration or float(np.ptp(template.time)), step)
+    channels = tuple(replace(c, repeats=read_only(np.zeros((1, len(time))))) for c in template.channels)
+    rest = {n: float(u[0]) for n, u in template.task.inputs.items()}
+    recorded = [c for c in model.cases if c.setup == template.setup]
+    limits, assumed = _limits(campaign, template, recorded)
+    driven, watched, settable = _resolved(campaign, of_setup, template, limits, rest)
+    if not driven:
+        inputs = [v.name for v in template.simulator.variables.values() if v.causality == "input"]
+        raise CampaignError(
+            f"no input of setup '{template.setup}' may be driven",
+            where=f"{campaign.file or campaign.folder} [limits]",
+            fix=f"give min and max of {' or '.join(inputs) or 'an input'}",
+        )
+    full = np.concatenate([[2 * time[0] - time[1]], time]) if template.lead else time
+    task = replace(
+        template.task, time=full, inputs={n: np.full(len(full), at) for n, at in rest.items()}, along=()
+    )
+    case = replace(template, id=DESIGNED, task=task, channels=channels, criteria=(), experiments=(DESIGNED,))
+    given = np.array([c.noise.sigma if c.noise.source == "given" else np.nan for c in channels])
+    run = RepeatedRuns(
+        DESIGNED,
+        case.setup,
+        time,
+        tuple(c.signal for c in channels),
+        np.zeros((1, len(channels), len(time))),
+        given,
+    )
+    if noise is None:
+        noise = estimate_noise([run])
+    sigma = np.where(np.isfinite(given), given, np.sqrt(noise.variance + noise.repeating))
+    whitened = whitener(run, replace(noise, pieces=1))
+    designed = replace(model, cases=(case,))
+    return Planned(designed, whitened, spec.repeats, driven, watched, settable, sigma, assumed)
+
+
+def _times(duration: float, step: float) -> FloatArray:
+    count = int(np.floor(duration / step * (1 + 1e-9)))
+    if count < _FEWEST:
+        raise CampaignError(
+            f"a run of {duration:g} s has {count} samples of {step:g} s",
+            where="[limits] duration",
+            fix="make it longer, or give a shorter sample_time in [design]",
+        )
+    return np.asarray(step * np.arange(count + 1))
+
+
+def _limits(
+    campaign: Campaign, template: Case, recorded: Sequence[Case]
+) -> tuple[dict[str, Limit], tuple[str, ...]]:
+    """Return the user's limits; where no input has one, what recorded runs reached, in the model's units."""
+    limits, model = dict(campaign.design.limits), campaign.models[template.setup]
+    variables = template.simulator.variables
+    asked = {model.variable(name) for name in limits}
+    if any(v in asked for v in template.task.inputs) or not recorded:
+        return limits, ()
+    assumed = []
+    back = {model.variable(n): n for e in campaign.measurements for n in e.inputs}
+    for name in template.task.inputs:
+        ranges = [c.task.inputs[name] for c in recorded if name in c.task.inputs]
+        slopes = [
+            np.max(np.abs(np.diff(c.task.inputs[name]) / np.diff(c.task.time)))
+            for c in recorded
+            if name in c.task.inputs
+        ]
+        low, high = min(float(u.min()) for u in ranges), max(float(u.max()) for u in ranges)
+        if low < high:
+            limits[back.get(name, name)] = Limit(name, low, high, float(max(slopes)), variables[name].unit)
+            assumed.append(
+                f"{back.get(name, name)} from {low:.4g} to {high:.4g}, at most {max(slopes):.4g} a second"
+            )
+    for k, channel in enumerate(template.channels):
+        if channel.signal in limits:
+            continue
+        means = [
+            c.channels[k].mean for c in recorded if len(c.channels) > k and c.channels[k].signal == channel.signal
+        ]
+        low, high = min(float(np.nanmin(m)) for m in means), max(float(np.nanmax(m)) for m in means)
+        margin = _BEYOND * (high - low)
+        limits[channel.signal] = Limit(channel.signal, low - margin, high + margin, unit=channel.unit)
+        assumed.append(f"{channel.signal} from {low - margin:.4g} to {high + margin:.4g}")
+    return limits, tuple(assumed)
+
+
+def _resolved(
+    campaign: Campaign, model: ModelSpec, template: Case, limits: Mapping[str, Limit], rest: Mapping[str, float]
+) -> tuple[tuple[Driven, ...], tuple[Watched, ...], tuple[Settable, ...]]:
+    variables = template.simulator.variables
+    recorded = {n: s for e in campaign.measurements for n, s in e.inputs.items() if e.setup == template.setup}
+    driven, watched, settable = [], [], []
+    for name, limit in limits.items():
+        where = f"{campaign.file or campaign.folder} [limits] {name}"
+        variable = model.variable(name)
+        if variable not in variables:
+            known = [v.name for v in variables.values() if v.causality in ("input", "output")]
+            raise FmuError(
+                f"{model.fmu.name} has no variable '{variable}'", where=where, fix=suggestion(name, known)
+            )
+        unit = variables[variable].unit
+        if model.differentiates(name):
+            unit = f"{unit or '1'}/s"
+        convert = conversion_at(limit.unit, unit, where)
+        low, high = sorted(convert.factor * b + convert.offset for b in (limit.lower, limit.upper))
+        match variables[variable].causality:
+            case "input":
+                if not (np.isfinite(low) and np.isfinite(high)):
+                    raise CampaignError("an input needs both of its ends", where=where, fix="give min and max")
+                at = float(np.clip(rest.get(variable, variables[variable].start or 0.0), low, high))
+                written = recorded[name].unit if name in recorded else limit.unit or unit or "1"
+                back = conversion_at(unit, written, where) if unit else Conversion()
+                bounds = Bounds(low, high, abs(convert.factor) * limit.rate, at)
+                driven.append(Driven(name, variable, bounds, written, back))
+            case "parameter":
+                settable.append(Settable(name, variable, low, high))
+            case _:
+                if np.isfinite(limit.rate):
+                    raise CampaignError("only an input has a rate", where=where, fix="leave rate out")
+                channel = next(
+                    (k for k, c in enumerate(template.channels) if name in (c.signal, c.variable)), None
+                )
+                watched.append(Watched(name, variable, low, high, channel))
+    return tuple(driven), tuple(watched), tuple(settable)

@@ -1,0 +1,304 @@
+"""The excitation that tells the answers of a diagnosis apart (T-optimal: Atkinson and Fedorov 1975).
+
+A run settles it if in nine cases of ten a diagnosis will prefer the right answer by as many standard deviations as
+it takes to name one alone (`decide.SAME`). By noise alone the wrong one would then fit better in fewer than one
+case of a million: what else models leave unexplained, and that rivals are taken to be linear, needs that margin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import log_ndtr, logsumexp
+
+from fmuid.core.campaign import Campaign
+from fmuid.core.errors import CampaignError, SimulationError
+from fmuid.core.immutable import FloatArray
+from fmuid.design.excitation import shapes
+from fmuid.design.excitation_search import Excitation, Judged, search
+from fmuid.design.planned import Planned, planned_run
+from fmuid.diagnosis.candidates import Fitted, fit_effects
+from fmuid.diagnosis.catalogue import Sensor
+from fmuid.diagnosis.decide import SAME
+from fmuid.diagnosis.extended_model import CampaignModel, Prediction
+from fmuid.diagnosis.next_experiment import Rival, distance_matrix, distances, rival_of, separation, with_sensors
+from fmuid.diagnosis.slopes import linear_at, predicted
+from fmuid.diagnosis.subject import Subject
+
+SETTLED = SAME
+_DRAWS = 3  # of every rival's parameters, the estimate among them
+_MOST = 4  # rivals
+_WIDER = 2.0  # by which limits are widened to say what that would give
+_SENSORS = (1e-6, 1.0)  # of its own range, between which the noise of an added sensor is looked for
+
+
+@dataclass(frozen=True, slots=True)
+class Beyond:
+    """What no excitation within the limits gives, and the separation (sigma) with it.
+
+    `kind` is ``sensor``, ``setting`` or ``limits``.
+    """
+
+    kind: str
+    what: str
+    separation: float
+
+
+@dataclass(frozen=True, eq=False)
+class DiagnosisDesign:
+    """A designed run, and how far apart it sets the rivals.
+
+    Attributes
+    ----------
+    distances
+        (R, R) standard deviations: if the first is true, from the second.
+    beyond
+        What else would help.
+    """
+
+    planned: Planned
+    excitation: Excitation
+    rivals: tuple[Rival, ...]
+    distances: FloatArray
+    beyond: tuple[Beyond, ...] = ()
+
+    @property
+    def pairs(self) -> list[tuple[Rival, Rival, float]]:
+        """Every two rivals, and their separation: the smaller of both ways."""
+        return [
+            (self.rivals[i], self.rivals[j], separation(float(min(self.distances[i, j], self.distances[j, i]))))
+            for i in range(len(self.rivals))
+            for j in range(i + 1, len(self.rivals))
+        ]
+
+    @property
+    def least(self) -> float:
+        """Separation of the two that are closest together."""
+        return min(s for *_, s in self.pairs)
+
+
+def rivals_of(subject: Subject, answer: Mapping[str, object]) -> list[Fitted]:
+    """Refit what a diagnosis (its JSON) left open, from what it found, at most four answers.
+
+    Where it left fewer than two, the likeliest effects join them; and *none*, where it doubts that there is any.
+
+    Raises
+    ------
+    CampaignError
+        Fewer than two answers can be simulated.
+    """
+    effects, answers, verdict = (answer[key] for key in ("effects", "answers", "verdict"))
+    assert isinstance(effects, list) and isinstance(answers, list) and isinstance(verdict, dict)  # noqa: PT018
+    found = {
+        name: entry["value"]
+        for effect in effects
+        for name, entry in effect.get("parameters", {}).items()
+        if entry["value"] is not None
+    }
+    nominal = answer["nominal"]
+    assert isinstance(nominal, dict)
+    by_id = {e.id: e for e in subject.effects}
+    wanted = [tuple(a["effects"]) for a in answers if set(a["effects"]) <= by_id.keys()]
+    if verdict["kind"] in ("complete", "insufficient"):
+        wanted = [(), *wanted]
+    scored = sorted((e for e in effects if e["id"] in by_id and "closure" in e), key=_promise)
+    for effect in scored:
+        if len(wanted) >= (2 if verdict["kind"] in ("effect", "ambiguous") else 3):
+            break
+        if not any(effect["id"] in names for names in wanted):
+            wanted.append((effect["id"],))
+    rivals = []
+    for names in wanted[:_MOST]:
+        trials = {k: v for n in names for k, v in by_id[n].trials[0].items()}
+        starts = [{**nominal["parameters"], **own} for own in (found, trials)]
+        fitted = fit_effects(subject, [by_id[n] for n in names], starts)
+        if fitted is not None:
+            rivals.append(fitted)
+    if len(rivals) < 2:
+        raise CampaignError(
+            "the diagnosis leaves nothing open that a run could tell apart",
+            where="--for diagnosis",
+            fix="design for parameters: --for parameters",
+        )
+    return rivals
+
+
+def _promise(effect: Mapping[str, object]) -> float:
+    closure = effect["closure"]
+    assert isinstance(closure, dict)
+    return -float(closure["held_out"])
+
+
+def design_for_diagnosis(
+    campaign: Campaign,
+    subject: Subject,
+    answers: Sequence[Fitted],
+    *,
+    evaluations: int = 200,
+    seed: int = 0,
+    say: Callable[[str, float], None] = lambda _, __: None,
+) -> DiagnosisDesign:
+    """Design the run that tells refitted answers apart.
+
+    Raises
+    ------
+    CampaignError, FmuError
+        The campaign's limits do not fit its model.
+    FmuidError
+        No excitation keeps every limit.
+    """
+    setups = list(dict.fromkeys(case.setup for case in subject.model.cases))
+    setup = campaign.design.setup or setups[0]
+    if setup not in setups:
+        raise CampaignError(
+            f"the diagnosis has no run of setup '{setup}'",
+            where="[design] setup",
+            fix=f"it has: {', '.join(setups)}",
+        )
+    template = next(case for case in subject.model.cases if case.setup == setup)
+    planned = planned_run(campaign, subject.model, template, subject.observed.noise[setup])
+    rivals = tuple(rival_of(f, subject.observed, draws=_DRAWS, seed=seed + k) for k, f in enumerate(answers))
+    families = shapes(campaign.design, [d.bounds for d in planned.driven], seed=seed)
+    planned = planned.solved_well_enough(families, [r.values for r in rivals])
+    criterion = Apart(planned, rivals)
+    found = search(
+        families,
+        planned.time,
+        criterion,
+        evaluations=evaluations,
+        seed=seed,
+        say=lambda share: say("trying excitations", 0.1 + 0.8 * share),
+    )
+    apart = criterion.distances(found.samples)
+    designed = DiagnosisDesign(planned, found, rivals, apart)
+    if found.interrupted or designed.least >= SETTLED:
+        return designed
+    say("what else would help", 0.92)
+    return replace(designed, beyond=tuple(_beyond(designed, subject, campaign)))
+
+
+@dataclass(frozen=True, eq=False)
+class Apart:
+    """How far apart an excitation sets rivals, as the cost of a search: how often a wrong one fits better."""
+
+    planned: Planned
+    rivals: tuple[Rival, ...]
+
+    def __call__(self, samples: FloatArray) -> Judged:
+        """Return what (inputs, N) samples are worth."""
+        model = self.planned.under(samples)
+        points = [values for r in self.rivals for values in r.draws]
+        try:
+            violation, worst = self.planned.violation(model, points, predicted(model, points))
+            if violation > 0.0:
+                return Judged(np.inf, violation, worst)
+            apart = self._distances(model)
+        except SimulationError:
+            return Judged(np.inf, np.inf)
+        return Judged(_misjudged(apart))
+
+    def distances(self, samples: FloatArray) -> FloatArray:
+        """Return the (R, R) distances that (inputs, N) samples give.
+
+        Raises
+        ------
+        SimulationError
+            A run failed.
+        """
+        return self._distances(self.planned.under(samples))
+
+    def _distances(self, model: CampaignModel) -> FloatArray:
+        return distances(model, self.rivals, lambda d: self.planned.whiten(d[0]))[0]
+
+
+def _misjudged(apart: FloatArray) -> float:
+    """Return the logarithm of how often a wrong one of two rivals fits better, the mean over all of them."""
+    pairs = apart[~np.eye(len(apart), dtype=bool)]
+    return float(logsumexp(log_ndtr(-0.5 * pairs)) - np.log(len(pairs)))
+
+
+def _least(apart: FloatArray) -> float:
+    return separation(float(np.min(apart[~np.eye(len(apart), dtype=bool)])))
+
+
+def _beyond(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) -> list[Beyond]:
+    """Return what would tell the rivals apart that no excitation within the limits does, the best first."""
+    planned, samples, rivals = designed.planned, designed.excitation.samples, designed.rivals
+    criterion = Apart(planned, rivals)
+    found = _sensors(designed, subject, campaign)
+    for s in planned.settable:
+        for value in (s.lower, s.upper):
+            if np.isfinite(value):
+                task = replace(
+                    planned.case.task, start_values={**planned.case.task.start_values, s.variable: value}
+                )
+                setting = {n: to for n, to in planned.case.setting.items() if to[0] != s.variable}
+                case = replace(planned.case, task=task, setting=setting)
+                moved = replace(planned, model=replace(planned.model, cases=(case,)))
+                found += _tried("setting", f"{s.name} = {value:g}", Apart(moved, rivals), samples)
+    rest = np.array([[d.bounds.rest] for d in planned.driven])
+    names = " and ".join(d.name for d in planned.driven)
+    found += _tried(
+        "limits", f"{_WIDER:g} times the range of {names}", criterion, rest + _WIDER * (samples - rest)
+    )
+    better = [b for b in found if b.separation > designed.least + 1.0]
+    return sorted(better, key=lambda b: -b.separation)
+
+
+def _tried(kind: str, what: str, criterion: Apart, samples: FloatArray) -> list[Beyond]:
+    try:
+        return [Beyond(kind, what, _least(criterion.distances(samples)))]
+    except SimulationError:
+        return []
+
+
+def _sensors(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) -> list[Beyond]:
+    """Return the outputs that nothing reads yet: their noise is the user's, or what would be enough."""
+    planned, rivals = designed.planned, designed.rivals
+    case = planned.driven_case(designed.excitation.samples)
+    read = {c.variable for c in case.channels}
+    sensors = [s for s in subject.catalogue.sensors.values() if s.variable in case.simulator.variables]
+    known = {s.variable for s in sensors}
+    model = campaign.models[case.setup]
+    given = {model.variable(name): sigma for name, sigma in campaign.design.sigma.items()}
+    for v in case.simulator.variables.values():
+        if v.causality == "output" and v.name not in known:
+            sensors.append(Sensor(v.name, v.name, given.get(v.name, 0.0), v.unit or ""))
+    sensors = [s for s in sensors if s.variable not in read]
+    if not sensors:
+        return []
+    further = replace(planned.model, cases=(with_sensors(case, sensors),))
+    try:
+        linear = linear_at(further, [r.values for r in rivals], [r.unknowns for r in rivals])
+    except SimulationError:
+        return []
+    drawn = [
+        p for p in further.predict([v for r in rivals for v in r.draws]) if not isinstance(p, SimulationError)
+    ]
+    if len(drawn) < sum(len(r.draws) for r in rivals):
+        return []
+    n, weight, found = len(case.channels), np.sqrt(planned.repeats), []
+
+    def least(row: int, sigma: float) -> float:
+        def whiten(d: Prediction) -> FloatArray:
+            return np.concatenate([planned.whiten(d[0][:n]), weight * d[0][row] / sigma])
+
+        return _least(distance_matrix(linear, drawn, rivals, whiten))
+
+    for row, sensor in enumerate(sensors, n):
+        what = f"a sensor of {sensor.description or sensor.name}"
+        unit = f" {sensor.unit}" if sensor.unit else ""
+        if sensor.noise > 0.0:
+            found.append(Beyond("sensor", f"{what} (noise {sensor.noise:.3g}{unit})", least(row, sensor.noise)))
+            continue
+        span = float(np.ptp([p[0][row] for p in drawn])) or 1.0
+        low, high = (share * span for share in _SENSORS)
+        if least(row, low) < SETTLED:
+            continue
+        for _ in range(20):
+            middle = float(np.sqrt(low * high))
+            low, high = (middle, high) if least(row, middle) >= SETTLED else (low, middle)
+        found.append(Beyond("sensor", f"{what} with a noise below {low:.2g}{unit}", SETTLED))
+    return found

@@ -1,0 +1,326 @@
+"""Designing an experiment: load, search in worker processes, write what the rig is to play."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from fmuid.core.campaign import Campaign
+from fmuid.core.errors import FmuidError, SimulationError
+from fmuid.core.files import write_atomically
+from fmuid.core.folder_lock import claim
+from fmuid.core.formatting import counted
+from fmuid.core.immutable import FloatArray
+from fmuid.data.crosscheck_csv import Table, write_csv
+from fmuid.design.excitation_search import Excitation
+from fmuid.design.parameters import Optimality, ParameterDesign, design_for_parameters
+from fmuid.design.planned import Planned
+from fmuid.design.rivals import SETTLED, DiagnosisDesign, design_for_diagnosis, rivals_of
+from fmuid.diagnosis.made_catalogue import with_catalogue
+from fmuid.diagnosis.subject import subject_of
+from fmuid.diagnosis.validation import read_diagnosis
+from fmuid.diagnosis_pipeline import FILE_NAME as DIAGNOSIS
+from fmuid.diagnosis_pipeline import campaign_from
+from fmuid.identification.result import FILE as RESULT
+from fmuid.identification.result import Result
+from fmuid.simulation.pool.choice import runner_on
+
+FILE_NAME, INPUT = "design.json", "input.csv"
+Purpose = Literal["diagnosis", "parameters"]
+Say = Callable[[str, float], None]
+_SAID = 3  # of what would help beyond an excitation
+_FURTHER = {"sensor": "It takes", "setting": "Or set", "limits": "Or allow"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Designed:
+    """A designed experiment: the value of its JSON, and the samples (N,) at (N,) times that the rig plays."""
+
+    answer: Mapping[str, Any]
+    time: FloatArray
+    inputs: Mapping[str, FloatArray]
+    units: Mapping[str, str]
+    interrupted: bool
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        return "\n".join(f"{label}: {value}" for label, value, *_ in self.answer["facts"])
+
+
+def design(
+    campaign: Campaign | Result | str | Path,
+    purpose: Purpose,
+    *,
+    start: Result | str | Path | None = None,
+    out: str | Path | None = None,
+    stage: str | None = None,
+    optimality: Optimality = "D",
+    evaluations: int = 200,
+    seed: int = 0,
+    workers: int | None = 0,
+    time_limit: float | None = None,
+    memory_limit: int | None = None,
+    say: Say = lambda _, __: None,
+    trust: bool = False,
+) -> Designed:
+    """Design the next experiment within the limits that a campaign gives.
+
+    Parameters
+    ----------
+    campaign
+        A campaign, or its folder; nothing need be measured yet. Or an identification's result or run folder.
+    purpose
+        ``parameters``: the run that tells most of the free parameters. ``diagnosis``: the run that tells the
+        answers of a diagnosis apart.
+    start
+        An identification of the campaign: parameters have the values found. Or its diagnosis, the folder or
+        ``diagnosis.json``; `campaign` may be that as well.
+    out
+        Folder for ``input.csv``, ``design.json`` and the page ``index.html``. Nothing is written without it.
+    stage, optimality
+        Of a design for parameters: whose parameters, and whether the volume (``D``) or the sum of squares (``A``)
+        of what they may be becomes least.
+    evaluations
+        Excitations that are tried.
+    workers, time_limit, memory_limit
+        As in `fmuid.diagnose`.
+    say
+        Hears what is being done and the share that is behind.
+
+    Raises
+    ------
+    CampaignError, FmuError
+        The campaign's limits do not fit its model.
+    FmuidError
+        No excitation keeps every limit.
+    """
+    from fmuid.simulation.coupled.loading import load_simulator
+
+    loaded, left_open = campaign_and_diagnosis(campaign, start, trust=trust)
+    if purpose == "diagnosis" and left_open is None:
+        raise FmuidError(
+            "there is no diagnosis to go on from",
+            where="--for diagnosis",
+            fix="name what `fmuid diagnose` wrote, as CAMPAIGN or with --from",
+        )
+    made: ParameterDesign | DiagnosisDesign
+    with runner_on(workers, time_limit=time_limit, memory_limit=memory_limit) as runner:
+        if purpose == "diagnosis" and left_open is not None:
+            say("what the diagnosis left open", 0.0)
+            loaded = with_catalogue(loaded, load_simulator, runner=runner)
+            runs = [e["id"] for e in left_open["experiments"]]
+            subject = subject_of(loaded, load_simulator, runner=runner, experiments=runs)
+            answers = rivals_of(subject, left_open)
+            made = design_for_diagnosis(loaded, subject, answers, evaluations=evaluations, seed=seed, say=say)
+            told = _of_diagnosis(made)
+            predicted = {_words(r.names): _predicted(made.planned, made.excitation, r.values) for r in made.rivals}
+        else:
+            made = design_for_parameters(
+                loaded,
+                load_simulator,
+                runner,
+                stage=stage,
+                optimality=optimality,
+                evaluations=evaluations,
+                seed=seed,
+                say=say,
+            )
+            told = {"optimality": optimality, **_of_parameters(made)}
+            predicted = {"at these parameter values": _predicted(made.planned, made.excitation, made.values)}
+    answer = {**_head(loaded, purpose, made.planned, made.excitation), **told}
+    designed = _designed(answer, made.planned, made.excitation)
+    if out is not None:
+        say("drawing", 0.97)
+        _write(designed, made.planned, predicted, loaded, Path(out), seed)
+    return designed
+
+
+def campaign_and_diagnosis(
+    what: Campaign | Result | str | Path, start: Result | str | Path | None = None, *, trust: bool = False
+) -> tuple[Campaign, dict[str, Any] | None]:
+    """Return the campaign that is meant, and the JSON of its diagnosis if one is named; see `design`.
+
+    Raises
+    ------
+    CampaignError, ResultError, FmuidError
+        One of them cannot be read, or they do not belong together.
+    """
+    found = _diagnosis_file(what) or _diagnosis_file(start)
+    if found is None:
+        return campaign_from(what, start, trust=trust, planned=True), None
+    answer = read_diagnosis(found)
+    if _diagnosis_file(what) is None:
+        return campaign_from(what, trust=trust), answer
+    if not answer.get("campaign"):
+        raise FmuidError("names no campaign", where=found, fix="give the campaign, and this with --from")
+    own = start if start is not None and _diagnosis_file(start) is None else None
+    return campaign_from(answer["campaign"], own, trust=trust), answer
+
+
+def _diagnosis_file(what: object) -> Path | None:
+    """Return the JSON file that a diagnosis wrote, if that is what is meant."""
+    if not isinstance(what, str | Path):
+        return None
+    path = Path(what)
+    if path.suffix == ".json" and path.is_file() and path.name != RESULT:
+        return path
+    return path / DIAGNOSIS if (path / DIAGNOSIS).is_file() else None
+
+
+def _head(campaign: Campaign, purpose: Purpose, planned: Planned, found: Excitation) -> dict[str, Any]:
+    time, case = planned.time, planned.case
+    inputs = {
+        d.name: {
+            "unit": d.unit,
+            "min": float(np.min(d.written(u))),
+            "max": float(np.max(d.written(u))),
+            "rate": float(np.max(np.abs(np.diff(d.written(u)) / np.diff(time)))),
+        }
+        for d, u in zip(planned.driven, found.samples, strict=True)
+    }
+    return {
+        "format": "fmuid-design",
+        "version": 1,
+        "purpose": purpose,
+        "campaign": None if campaign.file is None else str(campaign.file),
+        "setup": case.setup,
+        "description": found.description,
+        "duration": float(time[-1] - time[0]),
+        "sample_time": float(time[1] - time[0]),
+        "repeats": planned.repeats,
+        "tried": found.evaluations,
+        "interrupted": found.interrupted,
+        "inputs": inputs,
+        "sigma": {c.signal: float(s) for c, s in zip(case.channels, planned.sigma, strict=True)},
+        "assumed_limits": list(planned.assumed),
+    }
+
+
+def _of_parameters(made: ParameterDesign) -> dict[str, Any]:
+    entries = {n: {"value": made.values[n], "before": made.before[n], "after": made.after[n]} for n in made.values}
+    facts = _run_facts(made.planned, made.excitation)
+    errors = ", ".join(f"{name} {100 * error:.2g} %" for name, error in made.after.items())
+    facts.append(("Standard errors with it", errors))
+    answer: dict[str, Any] = {"parameters": entries, "gain": None, "repeated_run": None}
+    if made.repeated is not None:
+        name, again = made.repeated
+        squares = [sum(e**2 for e in es.values()) for es in (again, made.after)]
+        answer["gain"] = made.gain
+        answer["repeated_run"] = {"experiment": name, "parameters": dict(again), "gain": squares[0] / squares[1]}
+        share = squares[0] / squares[1]
+        less = f"{made.gain:.3g} times smaller than without it, {share:.3g} times than with {name}"
+        facts.append(("Sum of their squares", less))
+    return {**answer, "facts": facts, "text": _text(facts)}
+
+
+def _of_diagnosis(made: DiagnosisDesign) -> dict[str, Any]:
+    facts = _run_facts(made.planned, made.excitation)
+    settled = made.least >= SETTLED
+    if settled:
+        facts.append(("What it settles", f"every pair of answers is {made.least:.3g} sigma apart or more", "good"))
+    else:
+        facts.append(("What it settles", "no run within these limits settles it", "warn"))
+    for a, b, s in made.pairs:
+        facts.append((f"{_words(a.names)} or {_words(b.names)}", f"{s:.3g} sigma"))
+    for further in made.beyond[:_SAID]:
+        facts.append((_FURTHER[further.kind], f"{further.what}: {further.separation:.3g} sigma"))
+    return {
+        "settled": settled,
+        "separation_sigma": made.least,
+        "needed_sigma": SETTLED,
+        "pairs": [{"between": [list(a.names), list(b.names)], "separation_sigma": s} for a, b, s in made.pairs],
+        "beyond": [{"kind": b.kind, "what": b.what, "separation_sigma": b.separation} for b in made.beyond],
+        "facts": facts,
+        "text": _text(facts),
+    }
+
+
+def _words(names: Sequence[str]) -> str:
+    return " and ".join(names) or "nothing missing"
+
+
+def _text(facts: Sequence[tuple[str, ...]]) -> str:
+    return " ".join(f"{label}: {value}." for label, value, *_ in facts)
+
+
+def _run_facts(planned: Planned, found: Excitation) -> list[tuple[str, ...]]:
+    time = planned.time
+    made = "" if planned.repeats == 1 else f", made {planned.repeats} times"
+    facts: list[tuple[str, ...]] = [
+        ("Run", f"{found.description}, {time[-1] - time[0]:.4g} s, setup {planned.case.setup}{made}"),
+        *(
+            ("Input", f"{d.name} from {np.min(d.written(u)):.4g} to {np.max(d.written(u)):.4g} {d.unit}")
+            for d, u in zip(planned.driven, found.samples, strict=True)
+        ),
+    ]
+    if planned.assumed:
+        facts.append(("Limits, as none are given, are what recorded runs reached", "; ".join(planned.assumed)))
+    if found.interrupted:
+        facts.append(("Interrupted", f"the best of {counted(found.evaluations, 'excitation')}", "warn"))
+    return facts
+
+
+def _predicted(planned: Planned, found: Excitation, values: Mapping[str, float]) -> FloatArray:
+    (outcome,) = planned.under(found.samples).predict([values])
+    if isinstance(outcome, SimulationError):
+        raise outcome
+    return outcome[0]
+
+
+def _designed(answer: Mapping[str, Any], planned: Planned, found: Excitation) -> Designed:
+    inputs = {d.name: d.written(u) for d, u in zip(planned.driven, found.samples, strict=True)}
+    return Designed(answer, planned.time, inputs, {d.name: d.unit for d in planned.driven}, found.interrupted)
+
+
+def _write(
+    designed: Designed,
+    planned: Planned,
+    predicted: Mapping[str, FloatArray],
+    campaign: Campaign,
+    out: Path,
+    seed: int,
+) -> None:
+    from fmuid.report.design_page import PlannedSignal, write_design_page
+    from fmuid.report.provenance_table import hashes, versions
+
+    with claim(out):
+        write_csv(Table(designed.time, designed.inputs, designed.units), out / INPUT)
+        write_atomically(out / FILE_NAME, json.dumps(designed.answer, indent=2) + "\n")
+        limit = {w.channel: w for w in planned.watched}
+        inputs = [
+            PlannedSignal(
+                d.name,
+                d.unit,
+                designed.time,
+                {d.name: designed.inputs[d.name]},
+                None,
+                *(float(d.written(np.array(b))) for b in (d.bounds.lower, d.bounds.upper)),
+            )
+            for d in planned.driven
+        ]
+        outputs = [
+            PlannedSignal(
+                c.signal,
+                c.unit or "",
+                designed.time,
+                {label: rows[k] for label, rows in predicted.items()},
+                float(planned.sigma[k]),
+                *((limit[k].lower, limit[k].upper) if k in limit else ()),
+            )
+            for k, c in enumerate(planned.case.channels)
+        ]
+        files = [] if campaign.file is None else [campaign.file]
+        files += [file for model in campaign.models.values() for file in model.files]
+        write_design_page(
+            designed.answer,
+            out,
+            campaign=campaign.title,
+            inputs=inputs,
+            outputs=outputs,
+            provenance={**hashes(files, campaign.folder), **versions(), "seed": str(seed)},
+        )
