@@ -8,6 +8,7 @@ SEALED_ABROAD ?= ../shared/data/sealed_abroad
 # The blind check: cases in the grid, and a folder outside this one for what the diagnosis must not see.
 COUNT ?= 200
 LABELS ?= ../blind-labels
+LABELS_ABROAD ?= ../blind-labels-abroad
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DEVELOPER := $(VENV)/.developer
@@ -29,7 +30,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed sealed-abroad blind bench coverage fuzz kills standard-library docs clean
+.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed sealed-abroad blind blind-abroad bench coverage fuzz kills standard-library docs clean
 all: identify
 
 setup: $(READY)
@@ -106,6 +107,13 @@ blind: $(FMUS)
 	$(BIN)/python -m benchmarks.blind.blind_check --labels $(LABELS) --count $(COUNT) \
 	  $(FIRST:%=--first %) $(SEED:%=--seed %) --page docs/blind.md --notes docs/blind_notes.md \
 	  --command "make blind COUNT=$(COUNT)$(FIRST:%= FIRST=%)$(SEED:%= SEED=%)"
+
+# The same on eight rigs that no rule was found on. Goes on where it was interrupted. CASES=100: the first so many of the
+# grid, a fair sample of it; WORKERS=2: cases at the same time. LABELS_ABROAD has to be empty for a new grid.
+blind-abroad: | $(READY)
+	$(BIN)/python -m benchmarks.abroad.blind --labels $(LABELS_ABROAD) --page docs/blind_abroad.md \
+	  --notes docs/blind_abroad_notes.md $(CASES:%=--cases %) $(WORKERS:%=--workers %) \
+	  --command "make blind-abroad$(CASES:%= CASES=%)"
 
 # How often 95 % intervals of the linear stage hold the truth, under white and under coloured noise: ten minutes.
 DRAWS ?= 200

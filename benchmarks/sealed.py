@@ -57,22 +57,23 @@ def diagnose_folder(
     *,
     workers: int | None = None,
     diagnose: Callable[[Path | None, Path, Path], str] = diagnose_case,
+    file: str = "measurements.h5",
 ) -> list[str]:
-    """Diagnose every case of `folder` that has no result in `out` yet; cases run side by side.
+    """Diagnose every case of `folder`, which has `file`, without a result in `out` yet; cases run side by side.
 
     Returns
     -------
     list
         What failed, one line a case.
     """
-    cases = sorted(p.parent for p in folder.glob("*/measurements.h5"))
+    cases = sorted(p.parent for p in folder.glob(f"*/{file}"))
     if not cases:
-        raise FmuidError("no */measurements.h5", where=folder, fix="name the folder of the sealed campaigns")
+        raise FmuidError(f"no */{file}", where=folder, fix="name the folder of the sealed campaigns")
     waiting = [c for c in cases if not (out / f"{c.name}.json").is_file()]
     print(f"{len(cases)} cases, {len(cases) - len(waiting)} of them done before", flush=True)
     failures, begun = [], time.monotonic()
     with WorkerPool(workers, time_limit=None) as pool:
-        jobs = {pool.submit(diagnose, template, c / "measurements.h5", out / f"{c.name}.json"): c for c in waiting}
+        jobs = {pool.submit(diagnose, template, c / file, out / f"{c.name}.json"): c for c in waiting}
         for done, job in enumerate(as_completed(jobs), 1):
             name = jobs[job].name
             try:

@@ -11,10 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.abroad.plant import Extra, Rig
+from benchmarks.abroad.logs import Recording, drawn_factors, write_logs
+from benchmarks.abroad.plant import Rig
 from fmuid.cli.app import run
-
-SPREAD = 0.2  # of the plant's parameters around the model's
 
 
 @dataclass(frozen=True)
@@ -54,38 +53,14 @@ class Outcome:
         return asdict(self)
 
 
-def write_logs(
-    rig: Rig,
-    effect: Mapping[str, float],
-    folder: Path,
-    *,
-    seed: int,
-    repeats: int,
-    extras: Mapping[str, Extra] | None = None,
-) -> list[Path]:
-    """Write one CSV a run: every input, each several times with noise of its own, maybe with extras by input."""
-    rng = np.random.default_rng(seed)
-    factors = {name: float(np.exp(rng.uniform(-SPREAD, SPREAD))) for name in rig.parameters}
-    files = []
-    for name, u in rig.inputs.items():
-        y = rig.simulate(factors, effect, rig.time, u, (extras or {}).get(name))
-        for k in range(repeats):
-            noisy = y + rng.normal(size=y.shape) * np.asarray(rig.noise)[:, None]
-            header = ",".join(["time [s]", *(f"{n} [{unit}]" for n, unit in rig.signals.items())])
-            file = folder / f"{name}_{k}.csv"
-            np.savetxt(
-                file, np.vstack([rig.time, u, noisy]).T, delimiter=",", header=header, comments="", fmt="%.9g"
-            )
-            files.append(file)
-    return files
-
-
 def diagnose(rig: Rig, truth: str, folder: Path, *, seed: int = 0, repeats: int = 3) -> Outcome:
     """Make a case in a folder and diagnose it, with nothing but the logs and the plain model."""
     if folder.exists():
         shutil.rmtree(folder)
     folder.mkdir(parents=True)
-    logs = write_logs(rig, rig.effects.get(truth, {}), folder, seed=seed, repeats=repeats)
+    rng = np.random.default_rng(seed)
+    effect = rig.effects.get(truth, {})
+    logs = write_logs(rig, drawn_factors(rig, rng), effect, folder, Recording(repeats), rng)
     campaign, out = folder / "campaign", folder / "diagnosis"
     begin = time.process_time()
     model = ["--model", str(rig.file), "--class", rig.model]

@@ -43,11 +43,11 @@ class Rig:
     name, model
         Of the rig, and its Modelica class; the file is called like the class.
     inputs
-        Experiment -> (N,) samples of the one input.
+        Experiment -> (N,) samples of the input, or (inputs, N).
     time
         (N,), s.
     signals
-        Column of the log -> unit, the input first.
+        Column of the log -> unit, inputs first.
     noise
         Standard deviations of the outputs.
     effects
@@ -56,6 +56,8 @@ class Rig:
         Names of the plant's parameters that differ from the model's by up to a fifth; the others are as modelled.
     same
         Ids that no sensor of the rig tells from an effect, by physics.
+    outside
+        Those of the effects that no catalogue has.
     simulate
         From factors on the parameters, the effect, time and input, and maybe an `Extra`, to the (outputs, N)
         readings without noise.
@@ -71,6 +73,7 @@ class Rig:
     parameters: Sequence[str]
     simulate: Callable[..., Floats]
     same: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    outside: Sequence[str] = ()
 
     @property
     def file(self) -> Path:

@@ -64,7 +64,7 @@ class Check:
         """Carry it out."""
         self._make()
         closed = self._diagnose(self.out / "campaigns", self.out / "answers")
-        labels = self._checked_labels()
+        labels = checked_labels(self.labels, self.out / "campaigns" / DIGEST)
         answers = {n: json.loads(p.read_text()) for n in labels if (p := self._answer(n)).is_file()}
         closures = self._closures(answers)
         second = self._second_round({n: a for n, a in answers.items() if a.get("next_experiment")})
@@ -100,25 +100,11 @@ class Check:
             say=lambda line: print(line, flush=True),
         )
 
-    def _checked_labels(self) -> dict[str, Mapping[str, Any]]:
-        """Return the labels by case, once their hash is found to be the one written before the diagnoses."""
-        text = (self.labels / LABELS).read_bytes()
-        written = (self.out / "campaigns" / DIGEST).read_text().split()[0]
-        if hashlib.sha256(text).hexdigest() != written:
-            raise FmuidError(f"is not the hash of {LABELS}", where=DIGEST, fix="start again in empty folders")
-        return {label["case"]: label for label in json.loads(text)}
-
     def _diagnose(self, campaigns: Path, answers: Path) -> bool:
         command = [sys.executable, "-m", "benchmarks.blind.blind_case", str(campaigns)]
         command += ["--campaign", str(self.template), "--out", str(answers)]
         command += [] if self.workers is None else ["--workers", str(self.workers)]
-        with out_of_reach(self.labels) as closed:
-            done = subprocess.run(command, env=_environment(self.labels), check=False, preexec_fn=_keep_out)
-        if done.returncode not in (0, 1):  # 1: some cases failed and have no answer
-            raise FmuidError(
-                f"the diagnosing process ended with {done.returncode}", where=campaigns, fix="see above"
-            )
-        return closed
+        return diagnosed_apart(command, self.labels)
 
     def _closures(self, answers: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
         """Measure on held-out runs what every answer that names an effect closes."""
@@ -154,6 +140,23 @@ class Check:
         self._diagnose(campaigns, self.out / "second_answers")
         found = {n: self._answer(n, "second_answers") for n in answers}
         return {n: json.loads(p.read_text()) for n, p in found.items() if p.is_file()}
+
+
+def checked_labels(labels: Path, digest: Path) -> dict[str, Mapping[str, Any]]:
+    """Return the labels by case, once their hash is found to be the one written before the diagnoses."""
+    text = (labels / LABELS).read_bytes()
+    if hashlib.sha256(text).hexdigest() != digest.read_text().split()[0]:
+        raise FmuidError(f"is not the hash of {LABELS}", where=digest, fix="start again in empty folders")
+    return {label["case"]: label for label in json.loads(text)}
+
+
+def diagnosed_apart(command: Sequence[str], labels: Path) -> bool:
+    """Run the diagnosing process while the labels are out of reach; return whether that keeps its user out."""
+    with out_of_reach(labels) as closed:
+        done = subprocess.run(command, env=_environment(labels), check=False, preexec_fn=_keep_out)
+    if done.returncode not in (0, 1):  # 1: some cases failed and have no answer
+        raise FmuidError(f"the diagnosing process ended with {done.returncode}", where=command[2], fix="see above")
+    return closed
 
 
 def _keep_out() -> None:

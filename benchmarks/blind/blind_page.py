@@ -37,7 +37,7 @@ folder has mode 000. {closed}
 A case is *sizeable* if the gap in the rig's own signals, after the nominal refit, is at least {floor:g} noise
 floors (gaps are set to within 5 %), *large* from {large:g}. Intervals hold 90 %.
 """
-_CLOSED = {
+CLOSED = {
     True: "A process with the same rights was tried first and could not open it (of a superuser's, the right to "
     "pass over file modes is taken away).",
     False: "The user who made it can open it all the same: here the path alone is withheld.",
@@ -67,46 +67,51 @@ def page(outcome: Outcome, command: str, notes: str = "") -> str:
         count=outcome.count,
         seed=outcome.seed,
         digest=outcome.digest,
-        closed=_CLOSED[outcome.closed],
+        closed=CLOSED[outcome.closed],
         floor=FLOOR,
         large=LARGE,
     )
-    parts = [introduction, _aims(figures(cases, outcome.ports)), _NOTES, *([notes] if notes else [])]
+    parts = [introduction, aims(figures(cases, outcome.ports)), _NOTES, *([notes] if notes else [])]
     parts += [_baselines(cases), _power(cases)]
     return "\n".join([*parts, _confusion(cases), _failures(cases)])
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown."""
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]) + "\n"
 
 
-def _number(value: float | None) -> str:
+def number(value: float | None) -> str:
+    """Return a figure with two decimals."""
     return "not measured" if value is None else f"{value:.2f}"
 
 
-def _aims(found: Sequence[Figure]) -> str:
+def aims(found: Sequence[Figure], *, verdicts: bool = False) -> str:
+    """Return the table of figures; with `verdicts`, whether each aim is met stands in place of by how much not."""
     rows = []
     for f in found:
         bounds = [f"≥ {f.lower:g}" if f.lower is not None else "", f"≤ {f.upper:g}" if f.upper is not None else ""]
         interval = "" if f.interval is None else "{:.2f} … {:.2f}".format(*f.interval)
         missed = "" if f.value is None else f"by {f.missed_by:.2f}" if f.missed_by > 0.0 else "no"
-        rows.append([f.name, ", ".join(b for b in bounds if b), _number(f.value), interval, str(f.count), missed])
-    return _table(("figure", "aim", "measured", "interval", "cases", "missed"), rows)
+        met = "" if f.value is None else "yes" if f.met else "no"
+        aim = ", ".join(b for b in bounds if b)
+        rows.append([f.name, aim, number(f.value), interval, str(f.count), met if verdicts else missed])
+    return table(("figure", "aim", "measured", "interval", "cases", "met" if verdicts else "missed"), rows)
 
 
 def _baselines(cases: Sequence[Scored]) -> str:
     ours = verdict_figures(cases, lambda c: c.named)
     columns = [ours, *(baseline_figures(cases, name) for name in BASELINES)]
     rows = [
-        [f"{ours[k].name} ({ours[k].count})", *(_number(column[k].value) for column in columns)]
+        [f"{ours[k].name} ({ours[k].count})", *(number(column[k].value) for column in columns)]
         for k in range(len(ours))
     ]
     return (
         "## Beside simpler methods\n\n"
         "Shares of (so many) sizeable cases, with the same refits: of the best-scored effects only, which\n"
         "flatters the baselines. *Named* is what the verdict names, also if it is ambiguous.\n\n"
-    ) + _table(("share", "fmuid", *BASELINES.values()), rows)
+    ) + table(("share", "fmuid", *BASELINES.values()), rows)
 
 
 def _power(cases: Sequence[Scored]) -> str:
@@ -122,7 +127,7 @@ def _power(cases: Sequence[Scored]) -> str:
             gap = f"{p.low:g} … {p.high:g}"
             rows.append([title, gap, str(p.count), *(f"{x:.2f}" for x in (p.detected, p.named, p.right))])
     head = ("cases", "gap in floors", "number", "gap seen", "true effect named", "named alone")
-    return "## Power\n\nCases with one effect of the catalogue.\n\n" + _table(head, rows)
+    return "## Power\n\nCases with one effect of the catalogue.\n\n" + table(head, rows)
 
 
 def _confusion(cases: Sequence[Scored]) -> str:
@@ -130,7 +135,7 @@ def _confusion(cases: Sequence[Scored]) -> str:
         [truth, ", ".join(f"{verdict}: {n}" for verdict, n in given.most_common())]
         for truth, given in confusion(cases).items()
     ]
-    return "## Truth and verdicts\n\n" + _table(("truth", "verdicts and how often"), rows)
+    return "## Truth and verdicts\n\n" + table(("truth", "verdicts and how often"), rows)
 
 
 def _failures(cases: Sequence[Scored]) -> str:
@@ -153,4 +158,4 @@ def _failures(cases: Sequence[Scored]) -> str:
             )
     what = ("case", "truth", "gaps", "noise, repeats, load encoder")
     head = (*what, "verdict", "probability of the truth", "gap found", "held-out closure")
-    return "## Every case that is not exactly right\n\n" + _table(head, rows)
+    return "## Every case that is not exactly right\n\n" + table(head, rows)

@@ -13,13 +13,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import norm
 
 from fmuid.diagnosis.summary import named, probability
 
 FLOOR = 0.95
 LARGE = 3 * FLOOR
 _NO_EFFECT = (["none"], ["unknown"])
+_NEAR = 0.03  # of an aim: how far an interval may reach beyond it
 _BINS = 10  # of the probability, for the calibration error
 
 
@@ -144,6 +145,17 @@ class Figure:
     interval: tuple[float, float] | None = None
 
     @property
+    def met(self) -> bool | None:
+        """Whether the value is inside its aim, and the worse end of the interval no more than 0.03 outside."""
+        if self.value is None:
+            return None
+        low, high = self.interval or (self.value, self.value)
+        near = (self.lower is None or low >= self.lower - _NEAR) and (
+            self.upper is None or high <= self.upper + _NEAR
+        )
+        return self.missed_by == 0.0 and near
+
+    @property
     def missed_by(self) -> float:
         """How far the value is outside its aim; 0 inside or where there is no value."""
         if self.value is None:
@@ -156,14 +168,13 @@ class Figure:
 def share(
     name: str, hits: Sequence[bool], *, lower: float | None = None, upper: float | None = None, level: float = 0.9
 ) -> Figure:
-    """Return the share of hits with its exact binomial interval (Clopper and Pearson 1934)."""
+    """Return the share of hits with its interval (Wilson 1927)."""
     n, k = len(hits), sum(hits)
     if n == 0:
         return Figure(name, None, 0, lower, upper)
-    tail = (1 - level) / 2
-    low = float(beta.ppf(tail, k, n - k + 1)) if k else 0.0
-    high = float(beta.ppf(1 - tail, k + 1, n - k)) if k < n else 1.0
-    return Figure(name, k / n, n, lower, upper, (low, high))
+    z = float(norm.ppf(0.5 + level / 2))
+    centre, half = (k + z**2 / 2) / (n + z**2), z / (n + z**2) * np.sqrt(k * (n - k) / n + z**2 / 4)
+    return Figure(name, k / n, n, lower, upper, (max(float(centre - half), 0.0), min(float(centre + half), 1.0)))
 
 
 def figures(cases: Sequence[Scored], ports: Sequence[str]) -> tuple[Figure, ...]:

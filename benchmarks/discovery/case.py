@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.abroad.case import write_logs
+import numpy as np
+
+from benchmarks.abroad.logs import Recording, drawn_factors, write_logs
 from benchmarks.abroad.plant import Extra, Rig
 from benchmarks.abroad.rigs import FOUND_ON
 from benchmarks.discovery.laws import course, late, law, oscillator
@@ -61,7 +63,8 @@ def make_campaign(case: Case, folder: Path, *, repeats: int = 3) -> Path:
     folder.mkdir(parents=True)
     rig = case.rig
     extras = {name: case.extra(k) for k, name in enumerate(rig.inputs)}
-    logs = write_logs(rig, {}, folder, seed=case.number, repeats=repeats, extras=extras)
+    rng = np.random.default_rng(case.number)
+    logs = write_logs(rig, drawn_factors(rig, rng), {}, folder, Recording(repeats), rng, extras=extras)
     campaign = folder / "campaign"
     model = ["--model", str(rig.file), "--class", rig.model]
     code = run(["init", *map(str, logs), *model, "--out", str(campaign), "--workers", "0", "--quiet"])

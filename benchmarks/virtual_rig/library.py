@@ -8,7 +8,7 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
@@ -56,9 +56,11 @@ def _cache_folder() -> Path:
     return Path(root) / "fmuid"
 
 
-def _compile(source: Path) -> Path:
-    key = hashlib.sha256(source.read_bytes() + " ".join(_FLAGS).encode()).hexdigest()[:16]
-    target = _cache_folder() / f"virtual_rig-{key}.so"
+def compiled(name: str, *sources: Path, beside: Sequence[Path] = ()) -> Path:
+    """Return the shared library of C sources, compiled if it is not in the cache; headers lie `beside` them."""
+    text = b"".join(source.read_bytes() for source in (*sources, *beside))
+    key = hashlib.sha256(text + " ".join(_FLAGS).encode()).hexdigest()[:16]
+    target = _cache_folder() / f"{name}-{key}.so"
     if target.exists():
         return target
     compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
@@ -67,18 +69,18 @@ def _compile(source: Path) -> Path:
     target.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=target.parent) as folder:
         built = Path(folder) / target.name
-        command = [compiler, *_FLAGS, "-o", str(built), str(source), "-lm"]
+        command = [compiler, *_FLAGS, "-o", str(built), *map(str, sources), "-lm"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             first = (done.stderr.strip() or "no message").splitlines()[0]
-            raise BuildError(f"the C compiler refused the virtual rig: {first}", where=source.name)
+            raise BuildError(f"the C compiler refused the virtual rig: {first}", where=sources[0].name)
         built.replace(target)  # atomic: a second process sees all of it or nothing
     return target
 
 
 @cache
 def _library() -> ctypes.CDLL:
-    library = ctypes.CDLL(str(_compile(Path(__file__).with_name("rig.c"))))
+    library = ctypes.CDLL(str(compiled("virtual_rig", Path(__file__).with_name("rig.c"))))
     for name in ("rig_name", "rig_unit", "rig_text"):
         getattr(library, name).restype = ctypes.c_char_p
     library.rig_neutral.restype = ctypes.c_double

@@ -9,7 +9,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from benchmarks.abroad.case import write_logs
+from benchmarks.abroad.logs import Recording, drawn_factors, write_logs
 from benchmarks.abroad.plant import Extra
 from benchmarks.abroad.thermal_block import THERMAL_BLOCK as BLOCK
 from fmuid.cli.app import run
@@ -25,7 +25,8 @@ def cache(tmp_path_factory):
 
 
 def diagnosed(extras, folder):
-    logs = write_logs(BLOCK, {}, folder, seed=5, repeats=2, extras=extras)
+    rng = np.random.default_rng(5)
+    logs = write_logs(BLOCK, drawn_factors(BLOCK, rng), {}, folder, Recording(2), rng, extras=extras)
     model = ["--model", str(BLOCK.file), "--class", BLOCK.model]
     campaign, out = folder / "campaign", folder / "diagnosis"
     assert run(["init", *map(str, logs), *model, "--out", str(campaign), "--workers", "0", "--quiet"]) == 0

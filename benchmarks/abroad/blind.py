@@ -1,0 +1,260 @@
+"""`python -m benchmarks.abroad.blind`: make the grid of the check abroad, diagnose it blind, score it.
+
+Labels are found first, for the whole grid; their SHA-256, that of the list of effects outside every catalogue and
+the commit of the code go into a file that is committed (``--freeze`` ends there). Then logs are written, and
+another process diagnoses them while nobody can open the labels. Everything goes on where it was interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.abroad.blind_case import ORDER, campaign_of
+from benchmarks.abroad.check_rigs import CHECKED_ON, OUTSIDE
+from benchmarks.abroad.grid import COUNT, Case, label, plan
+from benchmarks.abroad.logs import UNITS, write_logs
+from benchmarks.abroad.plant import Rig
+from benchmarks.abroad.score import Abroad, scored
+from benchmarks.blind.blind_check import checked_labels, diagnosed_apart
+from benchmarks.study_command import ended
+from benchmarks.virtual_rig.blind import DIGEST, LABELS, kept_seed
+from fmuid.core.errors import FmuidError
+from fmuid.core.files import write_atomically
+from fmuid.core.formatting import counted
+
+FROZEN = Path(__file__).with_name("frozen.json")
+_SPARE = """
+model {model}WithSpare "Two stores at rest that nothing else touches"
+  extends {model};
+  connector SparePort
+    Real T(unit="K");
+    flow Real Q(unit="W");
+  end SparePort;
+  model SpareStore
+    SparePort port;
+    parameter Real C(unit="J/K", min=0) = 500;
+    Real T(unit="K", start=300, fixed=true);
+  equation
+    T = port.T;
+    C*der(T) = port.Q;
+  end SpareStore;
+  model SpareWall
+    SparePort a, b;
+    parameter Real G(unit="W/K", min=0) = 2;
+  equation
+    a.Q = G*(a.T - b.T);
+    b.Q = -a.Q;
+  end SpareWall;
+  SpareStore spare; SpareWall between; SpareStore other;
+equation
+  connect(spare.port, between.a);
+  connect(between.b, other.port);
+end {model}WithSpare;
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """A check abroad: its grid and its folders.
+
+    Attributes
+    ----------
+    out
+        Logs, campaigns, answers and what they are worth; nothing in it tells a label.
+    labels
+        Labels of the whole grid, and the seed.
+    frozen
+        File that tells what was frozen, to be committed.
+    cases
+        How many of the grid to make, twins among them.
+    """
+
+    out: Path
+    labels: Path
+    frozen: Path = FROZEN
+    cases: int | None = None
+    count: int = COUNT
+    seed: int | None = None
+    workers: int | None = None
+    rigs: Sequence[Rig] = CHECKED_ON
+
+    @property
+    def _seed(self) -> int:
+        return kept_seed(self.labels) if self.seed is None else self.seed
+
+    def _plan(self) -> tuple[Case, ...]:
+        return plan(self._seed, self.count, self.rigs)
+
+    def freeze(self) -> None:
+        """Find the labels, and write down what is frozen; what is written already has to agree."""
+        if self.labels.is_dir():
+            self.labels.chmod(0o700)  # an interrupted diagnosis may have left it closed
+        if not (self.labels / LABELS).is_file():
+            planned = self._plan()
+            with ThreadPoolExecutor(2) as pool:  # the plants compute outside Python's lock
+                found = []
+                for one in pool.map(partial(label, seed=self._seed), planned):
+                    found.append(one)
+                    if len(found) % 100 == 0:
+                        print(f"{len(found)} of {len(planned)} labels found", flush=True)
+            write_atomically(self.labels / LABELS, json.dumps(found, indent=1, sort_keys=True) + "\n")
+        digest = hashlib.sha256((self.labels / LABELS).read_bytes()).hexdigest()
+        if not self.frozen.is_file():
+            frozen = {"labels": digest, "outside": _sha(OUTSIDE), "rules": _commit()}
+            write_atomically(self.frozen, json.dumps(frozen, indent=1) + "\n")
+        if json.loads(self.frozen.read_text())["labels"] != digest:
+            raise FmuidError(
+                "the labels are others than those that were frozen",
+                where=self.labels,
+                fix=f"name their folder, or remove {self.frozen} to freeze new ones",
+            )
+        write_atomically(self.out / DIGEST, f"{digest}  {LABELS}\n")
+
+    def run(self) -> Abroad:
+        """Carry it out from the labels on."""
+        self.freeze()
+        planned = self._plan()
+        chosen = planned if self.cases is None else planned[: self.cases]
+        labels = checked_labels(self.labels, self.out / DIGEST)
+        for case in chosen:
+            if not (self.out / "cases" / case.name / ORDER).is_file():
+                write_case(case, labels[case.name], self.out / "cases" / case.name, seed=self._seed)
+        answers = self.out / "answers"
+        command = [
+            sys.executable,
+            "-m",
+            "benchmarks.abroad.blind_case",
+            str(self.out / "cases"),
+            "--out",
+            str(answers),
+        ]
+        command += [] if self.workers is None else ["--workers", str(self.workers)]
+        closed = diagnosed_apart(command, self.labels)
+        return self.score(closed=closed)
+
+    def score(self, *, closed: bool = True) -> Abroad:
+        """Score what has been answered so far."""
+        labels = checked_labels(self.labels, self.out / DIGEST)
+        cases = {}
+        for name, truth in labels.items():
+            file = self.out / "answers" / f"{name}.json"
+            if file.is_file():
+                answer = json.loads(file.read_text())
+                case = scored(truth, answer)
+                if case.right and case.named and truth["twin"] is None:
+                    case = scored(truth, answer, self._closure(name, answer))
+                cases[name] = case
+        frozen = json.loads(self.frozen.read_text())
+        rules = {
+            "SHA-256 of the list of what is outside": frozen["outside"],
+            "Commit of the rules": frozen["rules"],
+        }
+        made = len(list((self.out / "cases").glob(f"*/{ORDER}")))
+        pairs = [(labels[n]["twin_of"], n) for n in cases if labels[n]["twin"]]
+        return Abroad(
+            tuple(c for n, c in cases.items() if labels[n]["twin"] is None),
+            tuple((cases[a], cases[b]) for a, b in pairs if a in cases),
+            made, len(labels), frozen["labels"], rules, closed,
+        )  # fmt: skip
+
+    def _closure(self, name: str, answer: Mapping[str, Any]) -> float | None:
+        """Return what the answer's model closes of the gap on the run that the diagnosis did not see."""
+        from fmuid.campaigns.campaign_toml import load_campaign
+        from fmuid.diagnosis.validation import closure, validate_diagnosis
+
+        kept = self.out / "held_out" / f"{name}.json"
+        if not kept.is_file():
+            campaign = load_campaign(campaign_of(self.out / "cases" / name / ORDER))
+            gaps = validate_diagnosis(answer, campaign).gaps
+            write_atomically(kept, json.dumps({n: list(g) for n, g in gaps.items()}) + "\n")
+        return closure(*json.loads(kept.read_text())["all"])
+
+
+def write_case(case: Case, truth: Mapping[str, Any], folder: Path, *, seed: int) -> None:
+    """Write logs, model and how to call ``fmuid init``: what a user would have, and no more."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rig, how = case.rig, case.recording
+    rng = np.random.default_rng([seed, case.number, 1])
+    logs = write_logs(rig, truth["factors"], truth["sizes"], folder, how, rng)
+    idle = case.twin == "idle"
+    text = rig.file.read_text() + (_SPARE.format(model=rig.model) if idle else "")
+    write_atomically(folder / rig.file.name, text)
+    outputs = list(rig.signals)[len(rig.signals) - len(rig.noise) :]
+    scale = {n: UNITS.get(rig.signals[n], ("", 1.0))[1] if how.other_units else 1.0 for n in outputs}
+    sigmas = {n: s * scale[n] / how.quieter for n, s in zip(outputs, rig.noise, strict=True)} if case.sigma else {}
+    order = {
+        "logs": [log.name for log in logs], "model": rig.file.name,
+        "class": rig.model + "WithSpare" * idle, "sigmas": sigmas,
+    }  # fmt: skip
+    write_atomically(folder / ORDER, json.dumps(order, indent=1) + "\n")
+
+
+def _sha(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _commit() -> str:
+    """Return the commit of this code, and whether files differ from it."""
+    git = ["git", "-C", str(FROZEN.parent)]
+    head = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
+    changed = subprocess.run(
+        [*git, "status", "--porcelain", "--", ".", "../../src"], capture_output=True, text=True, check=False
+    )
+    if head.returncode != 0:
+        return "unknown"
+    return head.stdout.strip() + (" with changes" if changed.stdout.strip() else "")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return the exit code."""
+    from benchmarks.abroad.page import page
+
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.abroad.blind", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("runs/blind_abroad"), help="logs and answers")
+    parser.add_argument("--labels", type=Path, required=True, help="folder of the labels, elsewhere")
+    parser.add_argument("--frozen", type=Path, default=FROZEN, help="what was frozen, as JSON")
+    parser.add_argument("--cases", type=int, help="only the first so many of the grid")
+    parser.add_argument("--count", type=int, default=COUNT, help="cases in the grid, without twins")
+    parser.add_argument("--seed", type=int, help="default: drawn, and kept with the labels")
+    parser.add_argument("--workers", type=int, help="cases at the same time; one per processor by default")
+    parser.add_argument("--freeze", action="store_true", help="end when the labels are found")
+    parser.add_argument("--score", action="store_true", help="score what has been answered, diagnose nothing")
+    parser.add_argument("--page", type=Path, help="Markdown page to write")
+    parser.add_argument("--notes", type=Path, help="Markdown sections to put on the page as they are")
+    parser.add_argument("--command", default="make blind-abroad", help="what the page says it was made by")
+    given = parser.parse_args(arguments)
+    if given.labels.resolve().is_relative_to(Path.cwd()):
+        print("error: the labels would lie where the diagnosis works; name a folder elsewhere", file=sys.stderr)
+        return 2
+    check = Check(given.out, given.labels, given.frozen, given.cases, given.count, given.seed, given.workers)
+
+    def work() -> Sequence[str]:
+        if given.freeze:
+            check.freeze()
+            return []
+        found = check.score() if given.score else check.run()
+        notes = "" if given.notes is None or not given.notes.is_file() else given.notes.read_text(encoding="utf-8")
+        text = page(found, given.command, notes)
+        print(text)
+        if given.page is not None:
+            write_atomically(given.page, text)
+        unanswered = found.made - len(found.cases) - len(found.pairs)
+        return [f"{counted(unanswered, 'case')} without an answer"] if unanswered else []
+
+    return ended(work, resumes=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,531 @@
+"""The rigs that the check abroad is made on; no rule may be found on them."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.abroad.compiled import SHAPE, CompiledPlant, Place
+from benchmarks.abroad.plant import Floats, Rig, random_steps, steps
+
+OUTSIDE = Path(__file__).with_name("outside.toml")
+_DIRECTED = {  # laws whose sign is open
+    "asymmetry",
+    "weight",
+    "thermal_friction",
+    "gain",
+    "offset",
+    "drift",
+    "crosstalk",
+    "hardening",
+    "pulsation",
+    "chaos",
+    "product",
+    "slip",
+    "value",
+}
+# What shapes a law, by the usual potential and rate at its place and the run's length.
+_SHAPES: Mapping[str, Callable[[Place, float], float]] = {
+    "stribeck": lambda at, _: 0.15 * at.rate,
+    "cogging": lambda at, _: max(round(12.0 / at.range), 1.0),
+    "presliding": lambda at, _: 0.01 * at.range,
+    "hysteresis": lambda at, _: 0.2 * at.range,
+    "thermal_friction": lambda _, duration: 0.3 * duration,
+    "capacity": lambda _, duration: 0.08 * duration,
+    "resonator": lambda _, duration: 2 * np.pi * 9.0 / duration,
+    "pulsation": lambda _, __: 5.3,
+    "relay": lambda _, duration: 0.02 * duration,
+    "chaos": lambda _, duration: duration / 40.0,
+    "slip": lambda _, __: 0.55,
+}
+
+
+def directed(effect: str) -> bool:
+    """Return whether an effect's size may have either sign."""
+    return effect.partition("@")[0] in _DIRECTED
+
+
+def _outside() -> Mapping[str, Sequence[str]]:
+    rigs: Mapping[str, Sequence[str]] = tomllib.loads(OUTSIDE.read_text())["rigs"]
+    return rigs
+
+
+def _rig(
+    name: str,
+    plant: CompiledPlant,
+    step: float,
+    runs: Mapping[str, Floats],
+    *,
+    units: Mapping[str, str],
+    noise: Mapping[str, float],
+    inside: Sequence[str],
+    held: Sequence[str],
+    redundant: Sequence[str] = (),
+    same: Mapping[str, Sequence[str]] = {},
+) -> Rig:
+    """Make a rig whose effects have a size of 1, to be scaled; inputs are held for two samples each.
+
+    `held` and `redundant` are the parameters that a first campaign does not free: the former have an effect of
+    their own, what the latter do others can do.
+    """
+    samples = 2 * np.shape(next(iter(runs.values())))[-1]
+    time = step * np.arange(samples)
+    outside = tuple(_outside()[plant.name])
+
+    def unit(effect: str) -> dict[str, float]:
+        law, _, where = effect.partition("@")
+        if where not in plant.places or law == "value":
+            return {effect: 1.0}
+        shape = _SHAPES.get(law)
+        return {effect: 1.0, effect + SHAPE: 1.0 if shape is None else float(shape(plant.places[where], time[-1]))}
+
+    return Rig(
+        name,
+        plant.name,
+        time,
+        {n: np.repeat(u, 2, axis=-1) for n, u in runs.items()},
+        units,
+        [noise[n] for n in plant.outputs],
+        {e: unit(e) for e in (*inside, *outside, *(f"value@{h}" for h in held))},
+        [p for p in plant.parameters if p not in (*held, *redundant)],
+        plant,
+        same,
+        outside,
+    )
+
+
+def _times(step: float, samples: int) -> Floats:
+    return 2 * step * np.arange(samples // 2)
+
+
+def _chirp(time: Floats, slow: float, fast: float) -> Floats:
+    """Return a sine whose frequency rises in proportion to time."""
+    end = time[-1]
+    return np.sin(2 * np.pi * (slow + 0.5 * (fast - slow) * time / end) * time)
+
+
+def _gantry_crane() -> Rig:
+    plant = CompiledPlant(
+        "GantryCrane",
+        {
+            "drive.k": 30.0,
+            "trolley.M": 12.0,
+            "trolley.d": 25.0,
+            "trolley.F": 6.0,
+            "payload.m": 5.0,
+            "payload.L": 0.8,
+            "payload.b": 0.15,
+            "buffer.c": 400.0,
+        },
+        ("u",),
+        ("s", "theta"),
+        {"trolley": Place(0, 1.0, 1.0)},
+        substeps=40,
+    )
+    t = _times(0.04, 400)
+    runs = {
+        "steps": steps(
+            t, [1.0, -1.0, -1.8, 1.8, 0.4, -0.4, -1.2, 1.2, 2.0, -2.0, -0.7, 0.7, 1.5, -1.5, -2.2, 2.2]
+        ),
+        "sine": 2.0 * np.sin(2 * np.pi * 0.45 * t),
+        "sweep": 1.5 * _chirp(t, 0.2, 1.2),
+        "far": 2.6 * np.sin(2 * np.pi * 0.125 * t),
+        "cycle": steps(t, np.repeat([1.3, -1.3, -0.6, 0.6, 1.9, -1.9, -1.1, 1.1, 0.3, -0.3], 2)),
+    }
+    return _rig(
+        "gantry crane",
+        plant,
+        0.04,
+        runs,
+        units={"u": "V", "s": "m", "theta": "rad"},
+        noise={"s": 3e-3, "theta": 3e-3},
+        inside=(
+            "stribeck@trolley",
+            "asymmetry@trolley",
+            "quadratic@trolley",
+            "presliding@trolley",
+            "weight@trolley",
+            "delay@u",
+            "dead_zone@u",
+            "lag@theta",
+            "offset@theta",
+        ),
+        held=("buffer.c",),
+        redundant=("trolley.F",),
+        same={"weight@trolley": ("offset@u",)},
+    )
+
+
+def _ball_screw() -> Rig:
+    plant = CompiledPlant(
+        "BallScrew",
+        {
+            "motor.k": 0.3,
+            "screw.J": 4e-4,
+            "screw.d": 2e-3,
+            "nut.c": 4e6,
+            "nut.d": 3000.0,
+            "table.m": 40.0,
+            "table.d": 200.0,
+            "table.F": 40.0,
+            "table.stop": 2e4,
+        },
+        ("i",),
+        ("phi", "s"),
+        {
+            "screw.shaft": Place(0, 20.0, 100.0, turning=True),
+            "table": Place(1, 0.04, 0.2),
+            "nut": Place(2, 1e-4, 0.005),
+        },
+        substeps=24,
+    )
+    t = _times(0.001, 600)
+    runs = {
+        "steps": random_steps(t, 0.04, 4.0, seed=21),
+        "sine": 4.0 * np.sin(2 * np.pi * 6.0 * t),
+        "sweep": 5.0 * _chirp(t, 5.0, 60.0),
+        "far": 3.2 * np.sign(np.sin(2 * np.pi * 2.0 * t)),
+        "cycle": random_steps(t, 0.025, 4.5, seed=22),
+    }
+    return _rig(
+        "ball screw",
+        plant,
+        0.001,
+        runs,
+        units={"i": "A", "phi": "rad", "s": "m"},
+        noise={"phi": 2e-3, "s": 2e-6},
+        inside=(
+            "stribeck@table",
+            "backlash@nut",
+            "hardening@nut",
+            "hysteresis@nut",
+            "cogging@screw.shaft",
+            "weight@table",
+            "delay@i",
+            "lag@i",
+            "presliding@table",
+        ),
+        held=("table.stop",),
+        redundant=("screw.d", "table.d"),
+        same={"weight@table": ("weight@screw.thread", "offset@i")},
+    )
+
+
+def _two_link_arm() -> Rig:
+    plant = CompiledPlant(
+        "TwoLinkArm",
+        {
+            "links.I1": 1.2,
+            "links.I2": 0.25,
+            "links.h": 0.3,
+            "shoulder.d": 1.5,
+            "shoulder.F": 1.0,
+            "elbow.d": 0.5,
+            "elbow.F": 0.4,
+            "stop.c": 25.0,
+        },
+        ("tau1", "tau2"),
+        ("q1", "q2"),
+        {"links.shoulder": Place(0, 1.5, 2.0, turning=True), "links.elbow": Place(1, 2.0, 4.0, turning=True)},
+        substeps=10,
+    )
+    t = _times(0.01, 400)
+    sines = (6.0 * np.sin(2 * np.pi * 1.0 * t), 1.8 * np.sin(2 * np.pi * 1.7 * t + 1.0))
+    runs = {
+        "steps": np.stack([random_steps(t, 0.3, 5.0, seed=31), random_steps(t, 0.2, 1.8, seed=32)]),
+        "sines": np.stack(sines),
+        "sweep": np.stack([7.0 * _chirp(t, 0.5, 3.0), -2.0 * _chirp(t, 0.7, 4.0)]),
+        "far": np.stack([7.5 * np.sin(2 * np.pi * 0.3 * t), 0.3 * sines[1]]),
+        "cycle": np.stack([random_steps(t, 0.25, 6.0, seed=33), random_steps(t, 0.25, 2.0, seed=34)]),
+    }
+    return _rig(
+        "two-link arm",
+        plant,
+        0.01,
+        runs,
+        units={"tau1": "N.m", "tau2": "N.m", "q1": "rad", "q2": "rad"},
+        noise={"q1": 3e-3, "q2": 3e-3},
+        inside=(
+            "weight@links.shoulder",
+            "position_friction@links.shoulder",
+            "stribeck@links.elbow",
+            "asymmetry@links.shoulder",
+            "cogging@links.elbow",
+            "quadratic@links.elbow",
+            "delay@tau1",
+            "offset@tau2",
+            "saturation@tau2",
+            "lag@q2",
+        ),
+        held=("stop.c",),
+    )
+
+
+def _heat_exchanger() -> Rig:
+    plant = CompiledPlant(
+        "HeatExchanger",
+        {
+            "hot.C": 3e5,
+            "wall.C": 8e4,
+            "cold.C": 2.5e5,
+            "film.G": 1500.0,
+            "skin.G": 1200.0,
+            "mains.flow_rate": 0.3,
+            "bleed.K": 600.0,
+        },
+        ("m_hot", "T_in"),
+        ("T_hot", "T_cold"),
+        {"hot": Place(0, 45.0, 45.0), "wall": Place(1, 25.0, 25.0), "cold": Place(2, 15.0, 15.0)},
+        substeps=8,
+        zero=288.15,
+    )
+    t = _times(20.0, 400)
+    runs = {
+        "steps": np.stack([0.2 + random_steps(t, 700.0, 0.15, seed=41), np.full(t.shape, 338.15)]),
+        "warming": np.stack([np.full(t.shape, 0.25), steps(t, [318.15, 340.15, 328.15, 343.15, 310.15])]),
+        "both": np.stack([steps(t, [0.1, 0.35, 0.05, 0.25, 0.4]), 328.15 + random_steps(t, 900.0, 14.0, seed=42)]),
+        "hot": np.stack([np.full(t.shape, 0.45), steps(t, [358.15, 374.15, 345.15, 376.15])]),
+        "cycle": np.stack(
+            [0.22 + random_steps(t, 500.0, 0.16, seed=43), 333.15 + random_steps(t, 800.0, 9.0, seed=44)]
+        ),
+    }
+    return _rig(
+        "heat exchanger",
+        plant,
+        20.0,
+        runs,
+        units={"m_hot": "kg/s", "T_in": "K", "T_hot": "K", "T_cold": "K"},
+        noise={"T_hot": 0.1, "T_cold": 0.05},
+        inside=(
+            "loss@hot",
+            "radiation@hot",
+            "capacity@cold",
+            "capacity@wall",
+            "lag@T_cold",
+            "offset@T_hot",
+            "drift@T_cold",
+            "gain@m_hot",
+            "offset@T_in",
+            "delay@T_in",
+            "lag@T_in",
+        ),
+        held=("bleed.K",),
+        redundant=("film.G",),
+    )
+
+
+def _buck_converter() -> Rig:
+    plant = CompiledPlant(
+        "BuckConverter",
+        {"bridge.V": 24.0, "choke.L": 1e-3, "choke.R": 0.3, "capacitor.C": 2e-4, "load.R": 6.0, "clamp.G": 0.8},
+        ("duty",),
+        ("v", "i"),
+        {"choke.n": Place(0, 12.0, 12.0), "choke": Place(1, 2.5, 2.5)},
+        substeps=12,
+        crosstalk={"v": "i"},
+    )
+    t = _times(2e-5, 500)
+    runs = {
+        "steps": 0.3 + random_steps(t, 6e-4, 0.2, seed=51),
+        "sine": 0.3 + 0.15 * np.sin(2 * np.pi * 400.0 * t),
+        "sweep": 0.3 + 0.2 * _chirp(t, 100.0, 2000.0),
+        "high": 0.65 + random_steps(t, 1e-3, 0.2, seed=52),
+        "cycle": 0.28 + random_steps(t, 4e-4, 0.22, seed=53),
+    }
+    return _rig(
+        "buck converter",
+        plant,
+        2e-5,
+        runs,
+        units={"duty": "1", "v": "V", "i": "A"},
+        noise={"v": 0.04, "i": 0.01},
+        inside=(
+            "voltage_drop@choke",
+            "capacity@choke.n",
+            "saturation@duty",
+            "delay@duty",
+            "lag@duty",
+            "dead_zone@duty",
+            "lag@i",
+            "offset@v",
+            "drift@i",
+            "crosstalk@v",
+        ),
+        held=("clamp.G",),
+        same={"voltage_drop@choke": ("voltage_drop@bridge",)},
+    )
+
+
+def _pneumatic_cylinder() -> Rig:
+    plant = CompiledPlant(
+        "PneumaticCylinder",
+        {
+            "valve.k": 1e-4,
+            "chamber.C": 1.5e-9,
+            "throttle.G": 2e-9,
+            "cylinder.A": 1.2e-3,
+            "piston.m": 2.0,
+            "piston.d": 60.0,
+            "piston.F": 8.0,
+            "springs.c": 2500.0,
+            "springs.cushion": 8000.0,
+        },
+        ("u",),
+        ("p", "s"),
+        {"chamber": Place(0, 1e5, 1e5), "piston": Place(1, 0.05, 0.5)},
+        substeps=16,
+    )
+    t = _times(0.006, 500)
+    runs = {
+        "steps": random_steps(t, 0.2, 2.5, seed=61),
+        "sine": 2.5 * np.sin(2 * np.pi * 1.5 * t),
+        "sweep": 4.0 * _chirp(t, 1.0, 8.0),
+        "far": 7.5 * np.sin(2 * np.pi * 0.5 * t),
+        "cycle": random_steps(t, 0.12, 3.0, seed=62),
+    }
+    return _rig(
+        "pneumatic cylinder",
+        plant,
+        0.006,
+        runs,
+        units={"u": "V", "p": "Pa", "s": "m"},
+        noise={"p": 300.0, "s": 1e-4},
+        inside=(
+            "stribeck@piston",
+            "weight@piston",
+            "asymmetry@piston",
+            "presliding@piston",
+            "quadratic@piston",
+            "outflow@chamber",
+            "capacity@chamber",
+            "dead_zone@u",
+            "delay@u",
+            "lag@p",
+            "offset@p",
+        ),
+        held=("springs.cushion",),
+        redundant=("cylinder.A",),
+    )
+
+
+def _magnetic_bearing() -> Rig:
+    plant = CompiledPlant(
+        "MagneticBearing",
+        {
+            "magnets.k": 8e-6,
+            "rotor.m": 3.0,
+            "magnets.R": 2.0,
+            "magnets.L": 1e-3,
+            "controller.kp": 3e4,
+            "controller.kd": 30.0,
+            "rotor.touch": 3e5,
+        },
+        ("r",),
+        ("x", "i"),
+        {"rotor": Place(0, 3e-5, 0.02), "controller": Place(1, 0.2, 0.2)},
+        substeps=20,
+        crosstalk={"x": "i"},
+    )
+    t = _times(1e-4, 600)
+    runs = {
+        "steps": random_steps(t, 3e-3, 1.5e-5, seed=71),
+        "sine": 1.5e-5 * np.sin(2 * np.pi * 60.0 * t),
+        "sweep": 1.5e-5 * _chirp(t, 20.0, 300.0),
+        "wide": 5e-5 * np.sin(2 * np.pi * 40.0 * t),
+        "cycle": random_steps(t, 2e-3, 1.8e-5, seed=72),
+    }
+    return _rig(
+        "magnetic bearing",
+        plant,
+        1e-4,
+        runs,
+        units={"r": "m", "x": "m", "i": "A"},
+        noise={"x": 1e-7, "i": 2e-3},
+        inside=(
+            "weight@rotor",
+            "viscous@rotor",
+            "voltage_drop@controller",
+            "offset@x",
+            "lag@x",
+            "crosstalk@x",
+            "gain@r",
+            "delay@r",
+            "saturation@r",
+            "drift@i",
+        ),
+        held=("rotor.touch", "magnets.L"),
+        redundant=("rotor.m",),
+    )
+
+
+def _ship_drive() -> Rig:
+    plant = CompiledPlant(
+        "ShipDrive",
+        {
+            "engine.J": 400.0,
+            "coupling.c": 6000.0,
+            "coupling.d": 300.0,
+            "propeller.J": 900.0,
+            "propeller.Q": 25.0,
+            "propeller.q": 30.0,
+            "propeller.T": 80.0,
+            "hull.m": 3e4,
+            "hull.R": 900.0,
+            "hull.waves": 4000.0,
+        },
+        ("tau",),
+        ("w_engine", "w_propeller", "U"),
+        {
+            "engine": Place(0, 1500.0, 10.0, turning=True),
+            "propeller.shaft": Place(1, 1500.0, 10.0, turning=True),
+            "coupling": Place(2, 0.4, 1.0),
+            "hull": Place(3, 400.0, 3.0),
+        },
+        substeps=16,
+    )
+    t = _times(0.4, 500)
+    runs = {
+        "steps": 1200.0 + random_steps(t, 10.0, 900.0, seed=81),
+        "sine": 1200.0 + 900.0 * np.sin(2 * np.pi * 0.08 * t),
+        "sweep": 1000.0 + 1000.0 * _chirp(t, 0.02, 0.9),
+        "full": 4500.0 + random_steps(t, 15.0, 1500.0, seed=82),
+        "cycle": 1300.0 + random_steps(t, 6.0, 1000.0, seed=83),
+    }
+    return _rig(
+        "ship's drive train",
+        plant,
+        0.4,
+        runs,
+        units={"tau": "N.m", "w_engine": "rad/s", "w_propeller": "rad/s", "U": "m/s"},
+        noise={"w_engine": 0.03, "w_propeller": 0.03, "U": 0.01},
+        inside=(
+            "backlash@coupling",
+            "hardening@coupling",
+            "quadratic@engine",
+            "coulomb@propeller.shaft",
+            "viscous@engine",
+            "viscous@hull",
+            "load_friction@engine",
+            "lag@U",
+            "delay@tau",
+            "offset@U",
+            "saturation@tau",
+        ),
+        held=("hull.waves",),
+        redundant=("hull.R",),
+    )
+
+
+CHECKED_ON: tuple[Rig, ...] = (
+    _gantry_crane(),
+    _ball_screw(),
+    _two_link_arm(),
+    _heat_exchanger(),
+    _buck_converter(),
+    _pneumatic_cylinder(),
+    _magnetic_bearing(),
+    _ship_drive(),
+)
