@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.blind.blind_check import Check, _environment, main, out_of_reach
+from benchmarks.blind.blind_check import Check, _environment, checked_labels, main, out_of_reach
 from benchmarks.blind.blind_page import page
 from benchmarks.blind.blind_score import Outcome, Scored, calibration, confusion, figures, power_curve, share
 from benchmarks.virtual_rig.blind_cases import find_truth, plan_cases, record_case
@@ -185,13 +185,11 @@ def test_labels_inside_the_working_folder_are_refused(tmp_path, monkeypatch, cap
 
 
 def test_labels_that_are_not_those_of_the_hash_are_refused(tmp_path):
-    check = Check(tmp_path / "out", tmp_path / "labels", ROOT / "campaigns" / "sealed", count=4, seed=1)
-    (tmp_path / "labels").mkdir()
-    (tmp_path / "out" / "campaigns").mkdir(parents=True)
-    (tmp_path / "labels" / "labels.json").write_text(json.dumps([]))
-    (tmp_path / "out" / "campaigns" / "labels.sha256").write_text("0" * 64 + "  labels.json\n")
+    (tmp_path / "labels.json").write_text(json.dumps([]))
+    digest = tmp_path / "labels.sha256"
+    digest.write_text("0" * 64 + "  labels.json\n")
     with pytest.raises(FmuidError, match="hash"):
-        check._checked_labels()
+        checked_labels(tmp_path, digest)
 
 
 def test_the_suggested_run_is_made_on_the_case_s_own_actuator_and_repeated_as_often(tmp_path):
