@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import CampaignError, FmuidError
@@ -28,9 +28,13 @@ from fmuid.discovery.find_law import Candidate, find_law
 from fmuid.discovery.injected import entry
 from fmuid.identification.continued import continued, is_run
 from fmuid.identification.result import Result
+from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.pool.choice import runner_on
 from fmuid.simulation.recorded import RecordedSimulations
 from fmuid.simulation.runners import in_process
+
+if TYPE_CHECKING:
+    from fmuid.report.document import Drawing
 
 FILE_NAME, JOURNAL = "diagnosis.json", "diagnosis.journal"
 _BOUNDED = (
@@ -261,6 +265,18 @@ def _into_the_model(found: Found) -> Fitted:
     return min(alone, key=lambda fitted: fitted.fit.cost) if sure and alone else found.corrected
 
 
+def _drawing(campaign: Campaign, found: Found) -> Drawing | None:
+    """Return the picture of the first model that has the verdict's place; of the first, if none has it."""
+    from fmuid.report.model_graph import drawing, graph_of
+
+    used = dict.fromkeys(run.setup for run in found.subject.observed.runs)
+    sources = [m.source for name in used if (m := campaign.models[name]).source is not None]
+    graphs = [graph_of(flat_model(source)) for source in sources if source is not None]
+    ports = found.diagnosis.verdict.ports
+    graphs.sort(key=lambda g: not any(p in g.ports or p in g.parts for p in ports))
+    return drawing(graphs[0], ports) if graphs else None
+
+
 def _write(
     found: Found, campaign: Campaign, out: Path, seed: int, law: Candidate | None = None
 ) -> Corrected | None:
@@ -276,6 +292,7 @@ def _write(
         out,
         campaign=campaign.title,
         pictures=pictures_of(found),
+        model=_drawing(campaign, found),
         provenance={**hashes(files, campaign.folder), **versions(), "seed": str(seed)},
     )
     fitted, subject = _into_the_model(found), found.subject

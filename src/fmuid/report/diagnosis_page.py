@@ -9,7 +9,7 @@ from typing import Any
 from fmuid.diagnosis.summary import facts
 from fmuid.report import diagnosis_figures as pictures_of
 from fmuid.report.diagnosis_figures import DiagnosisPictures
-from fmuid.report.document import Document, Section, write_document
+from fmuid.report.document import Document, Drawing, Item, Section, write_document
 from fmuid.report.plots import Format
 from fmuid.report.plots.figure_data import Figure, Table
 from fmuid.report.provenance_table import provenance_table
@@ -23,6 +23,7 @@ def write_diagnosis_report(
     *,
     campaign: str,
     pictures: DiagnosisPictures = _NOTHING,
+    model: Drawing | None = None,
     provenance: Mapping[str, str] | None = None,
     formats: tuple[Format, ...] = ("png",),
 ) -> Path:
@@ -38,6 +39,8 @@ def write_diagnosis_report(
         Title of the campaign.
     pictures
         The arrays behind the pictures.
+    model
+        The model's components, with the place marked.
     provenance
         Name and value of what the result depends on: hashes, versions, commands.
     formats
@@ -49,7 +52,7 @@ def write_diagnosis_report(
         The folder cannot be written.
     """
     sections = (
-        Section("Where", _present(_excess(pictures), pictures_of.where_table(diagnosis))),
+        Section("Where", _present(model, _excess(pictures), pictures_of.where_table(diagnosis))),
         Section(
             "What",
             _present(
@@ -83,7 +86,7 @@ def write_diagnosis_report(
     return write_document(document, Path(out), formats)
 
 
-def _present(*items: Figure | Table | None) -> tuple[Figure | Table, ...]:
+def _present(*items: Item | None) -> tuple[Item, ...]:
     return tuple(i for i in items if i is not None and not (isinstance(i, Table) and not i.rows))
 
 

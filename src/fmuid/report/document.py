@@ -22,13 +22,26 @@ _PLACEHOLDER = "@plotly.js@"
 
 
 @dataclass(frozen=True, slots=True)
+class Drawing:
+    """A picture that is no plot: an SVG element, also written as ``figures/NAME.svg``."""
+
+    name: str
+    title: str
+    svg: str
+    caption: str = ""
+
+
+Item = Figure | Table | Drawing
+
+
+@dataclass(frozen=True, slots=True)
 class Section:
     """A heading, a paragraph, and the figures and tables under it; `details` are folded on the screen."""
 
     title: str
-    items: tuple[Figure | Table, ...]
+    items: tuple[Item, ...]
     text: str = ""
-    details: tuple[Figure | Table, ...] = ()
+    details: tuple[Item, ...] = ()
     details_title: str = "Details"
 
     @property
@@ -72,6 +85,8 @@ def write_document(
                 if isinstance(item, Table):
                     if item.name:
                         write_atomically(out / "data" / f"{item.name}.csv", item.csv())
+                elif isinstance(item, Drawing):
+                    write_atomically(out / "figures" / f"{item.name}.svg", item.svg)
                 else:
                     drawn.append(item)
                     save_data(item, out / "data")
@@ -93,6 +108,7 @@ def rendered(document: Document) -> str:
     )
     environment.filters["cell"] = shown
     environment.tests["table"] = lambda item: isinstance(item, Table)
+    environment.tests["drawing"] = lambda item: isinstance(item, Drawing)
     environment.tests["webgl"] = lambda item: isinstance(item, ParallelFigure)
     environment.filters["json"] = _json
     page = environment.get_template("report.html.jinja").render(

@@ -15,7 +15,7 @@ from fmuid.core.experiments import Causality, Experiment, Signal
 from fmuid.core.units import check_unit
 from fmuid.data.crosscheck_csv import Table
 from fmuid.data.recordings import read_recording
-from fmuid.data.recordings.frames import from_frame
+from fmuid.data.recordings.dataframe import from_frame
 from fmuid.data.recordings.resampling import TimeBase, aliased, one_time_base
 
 

@@ -1,0 +1,146 @@
+"""The model as its components and what connects them, with the place marked where the gap enters."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+
+from fmu_build.flat_model import FlatModel
+from fmu_build.model_ports import find_ports, flat_name
+from fmu_build.syntax import Reference, references
+from fmuid.report.document import Drawing
+
+_BOX, _GAP = (132, 40), (44, 26)  # width and height, px
+_ACROSS = 4  # layers that fit beside each other on a telephone; more go downwards
+_MOST = 40  # parts that can still be read
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A component, an input or an output, and the name of its class."""
+
+    name: str
+    kind: str
+
+
+@dataclass(frozen=True, slots=True)
+class ModelGraph:
+    """Components, inputs and outputs of a model, and which of them are connected.
+
+    Attributes
+    ----------
+    parts
+        By name, in the order of their declarations.
+    links
+        Pairs of names.
+    ports
+        Names of parts by port.
+    """
+
+    parts: dict[str, Part]
+    links: frozenset[tuple[str, str]]
+    ports: dict[str, tuple[str, ...]]
+
+
+def graph_of(flat: FlatModel) -> ModelGraph:
+    """Return the components that a model declares itself, with its inputs and outputs."""
+    parts = {v.name: Part(v.name, v.causality) for v in flat.variables.values() if v.causality == "input"}
+    parts |= {
+        c.path: Part(c.path, c.class_name.rpartition(".")[2])
+        for c in flat.components.values()
+        if c.path and not c.parent and c.path not in parts
+    }
+    parts |= {v.name: Part(v.name, v.causality) for v in flat.variables.values() if v.causality == "output"}
+    links = set()
+    for equation in flat.equations:
+        if equation.origin.kind == "potential":
+            links.add(_pair(_parts_of(equation.origin.connectors, parts)))
+        elif equation.origin.component == "" and equation.origin.kind in ("class", "binding"):
+            used = [*references(equation.left), *references(equation.right)]
+            links.add(_pair(_parts_of((flat_name(n) for n in used if isinstance(n, Reference)), parts)))
+    linked = {name for pair in links if pair for name in pair}
+    found = {n: p for n, p in parts.items() if n in linked}
+    ports = {p.name: tuple(dict.fromkeys(_parts_of(p.connectors, found))) for p in find_ports(flat)}
+    return ModelGraph(found, frozenset(pair for pair in links if pair is not None), ports)
+
+
+def drawing(graph: ModelGraph, ports: Collection[str]) -> Drawing | None:
+    """Return the picture of a model with `ports` marked; None if it has nothing to show, or too much."""
+    layers = _layers(graph)
+    if not 2 <= len(graph.parts) <= _MOST:
+        return None
+    marked = {part for port in ports for part in graph.ports.get(port, (port,))} & graph.parts.keys()
+    across = len(layers) <= _ACROSS
+    place = {}
+    for i, layer in enumerate(layers):
+        for k, name in enumerate(layer):
+            column, row = (i, k) if across else (k, i)
+            place[name] = column * (_BOX[0] + _GAP[0]), row * (_BOX[1] + _GAP[1])
+    width = max(x for x, _ in place.values()) + _BOX[0]
+    height = max(y for _, y in place.values()) + _BOX[1]
+    lines = [_line(place[a], place[b]) for a, b in sorted(graph.links)]
+    boxes = [_box(part, place[part.name], marked=part.name in marked) for part in graph.parts.values()]
+    svg = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" class="model" viewBox="-3 -3 {width + 6} {height + 6}" '
+        f'style="max-width: {width + 6}px; width: 100%" font-family="sans-serif" role="img" '
+        f'aria-label="components of the model">{"".join(lines)}{"".join(boxes)}</svg>'
+    )
+    names = ", ".join(sorted(marked))
+    said = f" Framed: where the gap enters ({names})." if marked else ""
+    return Drawing("model", "The model", svg, f"Components of the model and what connects them.{said}")
+
+
+def _parts_of(names: Iterable[str], parts: Collection[str]) -> list[str]:
+    """Return the parts that variables or connectors belong to."""
+    heads = ((name, name.partition(".")[0].partition("[")[0]) for name in names)
+    return [name if name in parts else head for name, head in heads if name in parts or head in parts]
+
+
+def _pair(names: Sequence[str]) -> tuple[str, str] | None:
+    """Return two different names in their order; None if there are not two."""
+    different = sorted(set(names))
+    return (different[0], different[1]) if len(different) == 2 else None
+
+
+def _layers(graph: ModelGraph) -> list[list[str]]:
+    """Return the parts by their distance from the first, which is an input if there is one."""
+    beside: dict[str, set[str]] = {name: set() for name in graph.parts}
+    for a, b in graph.links:
+        beside[a].add(b)
+        beside[b].add(a)
+    layers: list[list[str]] = []
+    left = dict.fromkeys(graph.parts)
+    while left:
+        reached, depth = [next(iter(left))], 0
+        while reached:
+            for name in reached:
+                left.pop(name)
+            if depth == len(layers):
+                layers.append([])
+            layers[depth] += reached
+            near = {other for name in reached for other in beside[name]}
+            reached, depth = [name for name in left if name in near], depth + 1
+    return layers
+
+
+def _line(a: tuple[int, int], b: tuple[int, int]) -> str:
+    (x1, y1), (x2, y2) = ((x + _BOX[0] / 2, y + _BOX[1] / 2) for x, y in (a, b))
+    return f'<line x1="{x1:g}" y1="{y1:g}" x2="{x2:g}" y2="{y2:g}" stroke="#888" stroke-width="1.5"/>'
+
+
+def _box(part: Part, place: tuple[int, int], *, marked: bool) -> str:
+    x, y = place
+    frame = 'stroke="#d55e00" stroke-width="4"' if marked else 'stroke="#888" stroke-width="1"'
+    signal = part.kind in ("input", "output")
+    shape = f'rx="{_BOX[1] / 2:g}"' if signal else 'rx="3"'
+    text = f'x="{x + _BOX[0] / 2:g}" text-anchor="middle" fill="#222"'
+    return (
+        f'<rect x="{x}" y="{y}" width="{_BOX[0]}" height="{_BOX[1]}" {shape} fill="white" {frame}/>'
+        f'<text {text} y="{y + 17}" font-size="13" font-weight="600">{_short(part.name)}</text>'
+        f'<text {text} y="{y + 32}" font-size="11" fill-opacity="0.7">{_short(part.kind)}</text>'
+    )
+
+
+def _short(text: str) -> str:
+    return html.escape(text if len(text) <= 18 else f"{text[:17]}…")
