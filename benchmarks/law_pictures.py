@@ -1,4 +1,4 @@
-"""What each law looks like: ``python benchmarks/law_pictures.py docs/figures/laws.png`` draws it for `docs/laws.md`."""
+"""What each law looks like, for `docs/laws.md`: ``python benchmarks/law_pictures.py docs/figures/laws.png``."""
 
 from __future__ import annotations
 
