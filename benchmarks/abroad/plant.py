@@ -26,12 +26,16 @@ class Extra:
     flow, rates
         Of the quantities there, the hidden states and time: the flow, and the states' derivatives.
     start
-        Of the hidden states."""
+        Of the hidden states.
+    heard
+        Hears time, the quantities of every place, and the flow.
+    """
 
     place: str
     flow: Callable[[Mapping[str, float], Sequence[float], float], float]
     rates: Callable[[Mapping[str, float], Sequence[float], float], Sequence[float]] = lambda *_: ()
     start: Sequence[float] = ()
+    heard: Callable[[float, Mapping[str, Mapping[str, float]], float], None] | None = None
 
 
 @dataclass(frozen=True)
@@ -137,6 +141,8 @@ def acting(
         return flows, ()
     here = places[extra.place]
     flows[extra.place] = extra.flow(here, hidden, t)
+    if extra.heard is not None:
+        extra.heard(t, places, flows[extra.place])
     return flows, extra.rates(here, hidden, t)
 
 

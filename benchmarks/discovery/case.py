@@ -49,11 +49,14 @@ class Case:
         return late(place, **table["late"])
 
 
-def cases() -> tuple[Case, ...]:
-    """Return the frozen list."""
+def cases(first: int | None = None) -> tuple[Case, ...]:
+    """Return the frozen list, or its `first` expressible cases and a third as many of the others."""
     tables = tomllib.loads(CASES.read_text())
     found = [*((True, t) for t in tables["expressible"]), *((False, t) for t in tables["inexpressible"])]
-    return tuple(Case(k, expressible, table) for k, (expressible, table) in enumerate(found))
+    every = [Case(k, expressible, table) for k, (expressible, table) in enumerate(found)]
+    parts = [c for c in every if c.expressible], [c for c in every if not c.expressible]
+    most = (first, None if first is None else -(-first // 3))
+    return tuple(c for part, count in zip(parts, most, strict=True) for c in part[:count])
 
 
 def make_campaign(case: Case, folder: Path, *, repeats: int = 3) -> Path:

@@ -9,6 +9,7 @@ import numpy as np
 
 from fmu_build.errors import UserError
 from fmu_build.flat_model import FlatModel
+from fmu_build.model_ports import find_ports
 from fmuid.core.campaign import ModelSpec
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects
@@ -31,7 +32,7 @@ from fmuid.simulation.simulator import Simulator
 
 ID = "law_found"
 CLOSURE_THAT_HOLDS = 0.8  # of the gap, on experiments left out: from here on a law is one
-_PLACES = 3  # that are looked at, those where free functions close most
+_PLACES = 4  # that are looked at, those where free functions close most
 _TRIED = (5, 4)  # laws of a round that are refitted in the rebuilt model: of one further term, and of two
 _TERMS = 3  # of a law, at the most
 _INTERVAL = 1.96  # standard errors: 95 %
@@ -90,24 +91,11 @@ def find_law(
     if set(flats) != setups:
         return _none("the campaign names no Modelica source of its model, so no law can be put into it")
     search = _Search(found, models, load, flats, draw_noise(subject.observed, seed=seed))
-    spots = search.spots()
-    if not spots:
-        return _none("the gap enters where no flow of the model can be added, such as at a sensor")
-    best: Candidate | None = None
-    while best is None or (len(best.law.terms) < _TERMS and not search.finished(best)):
-        terms = 0 if best is None else len(best.law.terms)
-        say(f"looking for a law at {' or '.join(s.port.name for s in spots)}", 0.955 + 0.004 * terms)
-        try:
-            better = search.extended(best, spots)
-        except UserError as error:  # a model that cannot be built is no law
-            return _none(str(error))
-        if better is None:
-            break
-        best, spots = better, [better.law.spot]
-    if best is None:
-        return _none("no term of the library explains more than noise would")
-    reason = search.refused(best)
-    if reason:
+    try:
+        best, reason = search.best(say)
+    except UserError as error:  # a model that cannot be built or simulated is no law
+        return _none(str(error))
+    if best is None or reason:
         return _none(reason)
     best = search.named(best)
     return Discovery(search.told(best, seed), best)
@@ -125,12 +113,39 @@ class _Search:
     flats: Mapping[str, FlatModel]
     noise: NoiseDraws
 
+    def best(self, say: Say) -> tuple[Candidate | None, str]:
+        """Return the best law, and why it is none if it does not hold."""
+        spots = self.spots()
+        if not spots:
+            return None, "no flow can be added to the model where the gap enters"
+        best: Candidate | None = None
+        while best is None or (len(best.law.terms) < _TERMS and not self.finished(best)):
+            terms = 0 if best is None else len(best.law.terms)
+            say(f"looking for a law at {' or '.join(s.port.name for s in spots)}", 0.955 + 0.004 * terms)
+            better = self.extended(best, spots)
+            if better is None:
+                break
+            best, spots = better, [self.along(better)]
+        if best is None:
+            return None, "no term of the library explains more than noise would"
+        return best, self.refused(best)
+
+    def along(self, law: Candidate) -> Spot:
+        """Return the place of a law with its quantities along the trajectories that the law gives."""
+        name, flat = law.law.spot.port.name, next(iter(self.flats.values()))
+        return spot(name, flat, law.subject.model, law.fitted.fit.values) or law.law.spot
+
     def spots(self) -> list[Spot]:
-        """Return the places in question that can carry a law, those where free functions close most first."""
+        """Return the places in question that can carry a law, those where free functions leave least first.
+
+        A function of two quantities may look like hardly any free function of one, wherever it acts.
+        """
         found, subject = self.found, self.found.subject
         ports = subject.catalogue.ports
-        asked = dict.fromkeys([*found.diagnosis.verdict.ports, *decide.places(found.nominal, found.decoys)])
-        names = [n for n in asked if n in ports and ports[n].added and ports[n].input is not None]
+        decoys = sorted(found.decoys, key=lambda d: d.held_out.mean)
+        asked = dict.fromkeys([*found.diagnosis.verdict.ports, *(p for d in decoys for p in (d.port, *d.alike))])
+        here = set.intersection(*({p.name for p in find_ports(flat)} for flat in self.flats.values()))
+        names = [n for n in asked if n in here and n in ports and ports[n].added and ports[n].input is not None]
         flat = next(iter(self.flats.values()))
         values = found.nominal.fit.values
         return [s for n in names[:_PLACES] if (s := spot(n, flat, subject.model, values)) is not None]

@@ -14,6 +14,7 @@ from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.discovery.terms import Kind, Quantity, Term, library
 
 _MOVES = 1e-6  # of its size: a quantity that moves no more is a constant
+_SAME = 1e-4  # courses whose correlation is nearer to 1 are the same
 _POSITION: Mapping[str, Kind] = {"rotational": "angle", "translational": "position"}
 
 
@@ -146,7 +147,7 @@ def _distinct(
         if not np.isfinite(length) or length < 1e-6 * np.sqrt(len(course)):
             continue
         course /= length
-        if len(known) and float(np.abs(known @ course).max()) > 1.0 - 1e-6:
+        if len(known) and float(np.abs(known @ course).max()) > 1.0 - _SAME:
             continue
         kept.append(term)
         known = np.vstack([known, course])

@@ -274,6 +274,31 @@ def gap_figure(diagnosis: Mapping[str, Any], steps: Mapping[str, float] | None =
     )
 
 
+def law_figure(diagnosis: Mapping[str, Any]) -> LineFigure | None:
+    """Return the law found over the quantity that it depends on."""
+    law = diagnosis.get("law_found") or {}
+    curve = law.get("curve")
+    if not curve:
+        return None
+    at = f" with {curve['held']}" if curve["held"] else ""
+    line = Series(law["id"], np.array(curve["x"]), np.array(curve["y"]), "final")
+    quantity = Axis(f"flow at {law['port']}", curve["flow_unit"])
+    panel = Panel(law["port"], Axis(f"{curve['variable']} at {law['port']}{at}", curve["unit"]), quantity, (line,))
+    caption = f"A flow of {law['formula']}, over what these runs reached{at}."
+    return LineFigure("law-found", "The law found", (panel,), caption)
+
+
+def law_table(diagnosis: Mapping[str, Any]) -> Table | None:
+    """Return the parameters of the law found."""
+    law = diagnosis.get("law_found") or {}
+    rows = tuple(
+        (name, p["value"], p["unit"], p["standard_error"], *(p["interval"] or (None, None)))
+        for name, p in law.get("parameters", {}).items()
+    )
+    header = ("parameter", "value", "unit", "standard error", "95 % from", "to")
+    return Table(header, rows, "law-found-parameters", "Its parameters") if rows else None
+
+
 def effects_table(diagnosis: Mapping[str, Any]) -> Table:
     """Return every candidate with probability, score and closures."""
     rows = []

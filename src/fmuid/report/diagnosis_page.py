@@ -64,6 +64,11 @@ def write_diagnosis_report(
             _aliases(diagnosis),
         ),
         Section(
+            "A law found",
+            _present(pictures_of.law_figure(diagnosis), pictures_of.law_table(diagnosis)),
+            _law(diagnosis),
+        ),
+        Section(
             "How much",
             _present(
                 pictures_of.gap_figure(diagnosis, pictures.steps),
@@ -97,6 +102,15 @@ def _excess(pictures: DiagnosisPictures) -> Figure | None:
 def _aliases(diagnosis: Mapping[str, Any]) -> str:
     classes = [" = ".join(c) for c in diagnosis["alias_classes"] if len(c) > 1]
     return "" if not classes else "These runs and sensors cannot tell apart: " + "; ".join(classes) + "."
+
+
+def _law(diagnosis: Mapping[str, Any]) -> str:
+    law = diagnosis.get("law_found")
+    if not law:
+        return ""
+    if not law["formula"]:
+        return f"None: {law['reason']}."
+    return f"In Modelica, a flow at {law['port']}: {law['modelica']}."
 
 
 def _floors(diagnosis: Mapping[str, Any]) -> str:

@@ -1,0 +1,156 @@
+"""Diagnose plants with laws that no catalogue has: ``python -m benchmarks.discovery``.
+
+Goes on where it was interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.abroad.logs import drawn_factors
+from benchmarks.discovery.case import Case, cases, make_campaign
+from benchmarks.discovery.score import RIGHT, difference, true_course
+from fmuid.campaigns.campaign_toml import load_campaign
+from fmuid.cli.app import run
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a diagnosis said of a plant; a law is asked for where it ends with *unknown* or *partial*.
+
+    Attributes
+    ----------
+    kind, named
+        Of the verdict.
+    port, formula, reason
+        Of the law found, or why there is none.
+    difference
+        How far the law is from the true one, in the run that was kept back; None at another place.
+    held_out, validated
+        Closure of the law on experiments left out, and in the run that was kept back.
+    seconds
+        Processor time of the diagnosis.
+    """
+
+    case: str
+    rig: str
+    expressible: bool
+    kind: str
+    named: Sequence[str]
+    port: str = ""
+    formula: str = ""
+    reason: str = ""
+    difference: float | None = None
+    held_out: float | None = None
+    validated: float | None = None
+    seconds: float = 0.0
+
+    @property
+    def right(self) -> bool:
+        """Whether the law is within 5 % of the true one."""
+        return self.difference is not None and self.difference <= RIGHT
+
+
+def diagnosed(case: Case, folder: Path) -> Outcome:
+    """Diagnose a case in a folder."""
+    campaign, out = make_campaign(case, folder), folder / "diagnosis"
+    begin = time.process_time()
+    code = run(["diagnose", str(campaign), "--out", str(out), "--workers", "0", "--quiet"])
+    seconds = time.process_time() - begin
+    known = (case.name, case.rig.name, case.expressible)
+    if code != 0:
+        return Outcome(*known, "error", (), reason=f"exit code {code}", seconds=seconds)
+    answer = json.loads((out / "diagnosis.json").read_text())
+    verdict, law = answer["verdict"], answer.get("law_found") or {}
+    named = tuple(dict.fromkeys([*verdict["effects"], *(n for one in verdict["one_of"] for n in one)]))
+    if not law.get("formula"):
+        return Outcome(*known, verdict["kind"], named, reason=law.get("reason", ""), seconds=seconds)
+    checked = folder / "validation.json"
+    code = run(["validate", str(out / "diagnosis.json"), "--json", str(checked), "--quiet"])
+    validated = json.loads(checked.read_text())["gaps"]["all"]["closure"] if code == 0 else None
+    return Outcome(
+        *known,
+        verdict["kind"],
+        named,
+        law["port"],
+        law["formula"],
+        difference=_difference(case, law, campaign) if case.expressible else None,
+        held_out=law["closure"]["held_out"],
+        validated=validated,
+        seconds=seconds,
+    )
+
+
+def _difference(case: Case, law: dict[str, Any], campaign: Path) -> float | None:
+    kept_back = load_campaign(campaign).validation[0].rpartition("_")[0]
+    course, flow = true_course(case, kept_back, drawn_factors(case.rig, np.random.default_rng(case.number)))
+    return difference(case, law, course, flow)
+
+
+def table(outcomes: Sequence[Outcome]) -> str:
+    """Return the figures by rig, in Markdown."""
+    lines = [
+        "| rig | expressible | asked | law found | right form | closure, held out | closure, run kept back"
+        " | inexpressible | law found |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for rig in [*dict.fromkeys(o.rig for o in outcomes), "all"]:
+        own = [o for o in outcomes if rig in (o.rig, "all")]
+        have, lack = [o for o in own if o.expressible], [o for o in own if not o.expressible]
+        asked, found = [o for o in have if o.kind in ("unknown", "partial")], [o for o in have if o.formula]
+        right = [o for o in found if o.right]
+        held = _median([o.held_out for o in right]), _median([o.validated for o in right])
+        lines.append(
+            f"| {rig} | {len(have)} | {len(asked)} | {len(found)} | {len(right)} | {held[0]} | {held[1]}"
+            f" | {len(lack)} | {sum(bool(o.formula) for o in lack)} |"
+        )
+    return "\n".join(lines)
+
+
+def _median(values: Sequence[float | None]) -> str:
+    known = [v for v in values if v is not None]
+    return f"{np.median(known):.3f} (least {min(known):.3f})" if known else ""
+
+
+def line(o: Outcome) -> str:
+    """Return an outcome in one line."""
+    off = "" if o.difference is None else f" off by {100 * o.difference:.1f} %"
+    mark = "right" if o.right else "found" if o.formula else "none "
+    said = f"{o.formula} at {o.port}, closes {o.held_out:.2f}, {o.validated}" if o.formula else o.reason
+    return f"{o.case:26} {mark}{off} {o.seconds:5.1f} s  {o.kind} {', '.join(o.named)}: {said}"
+
+
+def main() -> None:
+    """Diagnose the cases that are left, then print figures by rig."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, help="folder for the cases and their outcomes")
+    parser.add_argument("--first", type=int, help="the first ones of the expressible and of the others only")
+    parser.add_argument("--share", default="1/1", help="K/N: every N-th case from the K-th on, to run N abreast")
+    parser.add_argument("--page", type=Path, help="write the table into this page, after its mark")
+    given = parser.parse_args()
+    which, of = map(int, given.share.split("/"))
+    outcomes = []
+    for k, case in enumerate(cases(given.first)):
+        file = given.out / f"{case.name}.json"
+        if not file.is_file():
+            if k % of != which - 1:
+                continue
+            outcome = diagnosed(case, given.out / case.name)
+            file.write_text(json.dumps(asdict(outcome), indent=2) + "\n")
+            print(line(outcome), flush=True)
+        outcomes.append(Outcome(**json.loads(file.read_text())))
+    print(table(outcomes))
+    if given.page is not None:
+        given.page.write_text(table(outcomes) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,114 @@
+"""Whether a law that was found is the plant's: both along the plant's trajectory in a run that was kept back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.abroad.plant import Floats
+from benchmarks.discovery.case import Case
+from fmuid.discovery.terms import evaluated, names_in
+
+RIGHT = 0.05  # of the true law: root mean square difference
+_ROOM = 293.15
+Course = Mapping[str, Floats]
+"""``place.quantity`` -> samples; ``time``."""
+
+# What a law at a port of the model sees in the plant, and the sign of its flow at the plant's place.
+_PORTS: Mapping[tuple[str, str], tuple[str, float, Callable[[Course], Course]]] = {
+    ("ThermalBlock", "body"): ("body", 1.0, lambda c: {"p": c["body.p"] + _ROOM}),
+    ("ThermalBlock", "casing"): ("casing", 1.0, lambda c: {"p": c["casing.p"] + _ROOM}),
+    ("ThermalBlock", "air"): ("casing", -1.0, lambda c: {"p": -c["casing.p"]}),
+    ("ThermalBlock", "wall"): ("wall", 1.0, lambda c: {"p": c["wall.p"]}),
+    ("Tanks", "upper"): ("upper", 1.0, lambda c: {"p": c["upper.p"]}),
+    ("Tanks", "lower"): ("lower", 1.0, lambda c: {"p": c["lower.p"]}),
+    ("Tanks", "second"): ("lower", -1.0, lambda c: {"p": -c["lower.p"]}),
+    ("Tanks", "first"): ("first", 1.0, lambda c: {"p": c["first.p"]}),
+    ("Circuit", "inductor.n"): ("capacitor", 1.0, lambda c: {"p": c["capacitor.p"]}),
+    ("Circuit", "capacitor"): ("capacitor", -1.0, lambda c: {"p": -c["capacitor.p"]}),
+    ("BeltAxis", "carriage"): ("carriage", 1.0, lambda c: {"p": c["carriage.p"], "rate": c["carriage.rate"]}),
+    ("BeltAxis", "rotor"): ("rotor", 1.0, lambda c: {"p": c["rotor.p"], "rate": c["rotor.rate"]}),
+    ("BeltAxis", "belt"): ("belt", 1.0, lambda c: {"p": c["belt.p"], "rate": c["belt.rate"]}),
+}
+
+# What the nominal parameters do at a place: a law is found but for it.
+_NOMINAL: Mapping[tuple[str, str], Callable[[Course], list[Floats]]] = {
+    ("ThermalBlock", "body"): lambda c: [_rate(c, "body.p"), c["wall.p"]],
+    ("ThermalBlock", "casing"): lambda c: [_rate(c, "casing.p"), c["wall.p"], c["casing.p"], 0 * c["time"] + 1.0],
+    ("ThermalBlock", "wall"): lambda c: [c["wall.p"]],
+    ("Tanks", "upper"): lambda c: [_rate(c, "upper.p"), np.sqrt(np.maximum(c["upper.p"], 0.0)), c["upper.u"]],
+    ("Tanks", "lower"): lambda c: [
+        _rate(c, "lower.p"),
+        np.sqrt(np.maximum(c["upper.p"], 0.0)),
+        np.sqrt(np.maximum(c["lower.p"], 0.0)),
+    ],
+    ("Tanks", "first"): lambda c: [np.sqrt(np.maximum(c["upper.p"], 0.0))],
+    ("Circuit", "capacitor"): lambda c: [_rate(c, "capacitor.p")],
+    ("BeltAxis", "carriage"): lambda c: [
+        _rate(c, "carriage.rate"),
+        c["carriage.rate"],
+        np.tanh(c["carriage.rate"] / 0.005),
+    ],
+    ("BeltAxis", "rotor"): lambda c: [_rate(c, "rotor.rate"), c["rotor.i"]],
+    ("BeltAxis", "belt"): lambda c: [c["belt.p"], c["belt.rate"]],
+}
+
+
+def _rate(c: Course, name: str) -> Floats:
+    return np.gradient(c[name], c["time"])
+
+
+def true_course(case: Case, experiment: str, factors: Mapping[str, float]) -> tuple[Course, Floats]:
+    """Return the quantities of every place of the plant in a run, and the true flow."""
+    rig = case.rig
+    rows: dict[float, tuple[dict[str, float], float]] = {}
+
+    def heard(t: float, places: Mapping[str, Mapping[str, float]], flow: float) -> None:
+        values = {f"{place}.{n}": float(v) for place, own in places.items() for n, v in own.items()}
+        rows.setdefault(round(t, 12), (values, flow))  # the first of a step: at its begin
+
+    index = list(rig.inputs).index(experiment)
+    extra = replace(case.extra(index), heard=heard)
+    rig.simulate(factors, {}, rig.time, rig.inputs[experiment], extra)
+    kept = [rows[t] for t in (round(float(t), 12) for t in rig.time[:-1]) if t in rows]
+    course = {n: np.array([values[n] for values, _ in kept]) for n in kept[0][0]}
+    return course | {"time": rig.time[: len(kept)]}, np.array([flow for _, flow in kept])
+
+
+def difference(case: Case, law: Mapping[str, Any], course: Course, flow: Floats) -> float | None:
+    """Return how far a law is from the true one, relative to it, but for what nominal parameters do at the place.
+
+    None if it acts at another place, or on what no sensor of the score knows.
+    """
+    known = _PORTS.get((case.rig.model, law["port"]))
+    if known is None or known[0] != case.table["place"]:
+        return None
+    place, sign, quantities = known
+    inputs = {n.partition(".")[2]: v for n, v in course.items() if n.startswith(f"{place}.")}
+    columns = {**inputs, **quantities(course), "time": course["time"]}
+    columns |= {n: np.full(len(flow), p["value"]) for n, p in law["parameters"].items()}
+    effect = law["effect"]
+    for name, state in effect.get("states", {}).items():
+        columns[name] = _state(state["derivative"], name, columns)
+    if not names_in(effect["expression"]) <= columns.keys():
+        return None
+    found = sign * evaluated(effect["expression"], columns)
+    own = np.stack(_NOMINAL[case.rig.model, place](course), axis=1)
+    own = own / np.linalg.norm(own, axis=0)
+    left, true = (x - own @ np.linalg.lstsq(own, x, rcond=None)[0] for x in (found - flow, flow))
+    return float(np.linalg.norm(left) / np.linalg.norm(true))
+
+
+def _state(rate: str, name: str, columns: Mapping[str, Floats]) -> Floats:
+    """Return a state from zero, whose derivative is ``f - a*state``, by exact steps."""
+    time = columns["time"]
+    f, with_one = (evaluated(rate, {**columns, name: np.full(len(time), x)}) for x in (0.0, 1.0))
+    decay = max(float(np.mean(f - with_one)), 1e-12)
+    out = [0.0]
+    for k, step in enumerate(np.diff(time)):
+        keep = float(np.exp(-decay * step))
+        out.append(keep * out[-1] + (1.0 - keep) / decay * 0.5 * float(f[k] + f[k + 1]))
+    return np.array(out)
