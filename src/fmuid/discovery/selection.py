@@ -2,12 +2,12 @@
 
 What each term does to the signals is simulated: the model's input at the port is driven by the term's course along
 the model's own trajectory. Few terms are chosen forward, beside the parameters that are fitted, and are judged on
-experiments left out. A second one must do more than noise alone would make any term of the library do.
+experiments left out. Each must do more than noise alone would make any term of the library do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,17 +31,16 @@ _BEGUN, _PARTNERS = 6, 4  # of which pairs are made
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
-    """Terms at a place with their coefficients (flows), and how they do on experiments left out."""
+    """Terms at a place with their coefficients (flows), and how they do on experiments left out.
+
+    `drop` is the fall of the cost on those that they were fitted to.
+    """
 
     spot: Spot
     terms: tuple[Term, ...]
     sizes: tuple[float, ...]
     held_out: HeldOut
-
-    @property
-    def rank(self) -> int:
-        """How complicated they are."""
-        return sum(t.rank + 1 for t in self.terms)
+    drop: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,26 +59,24 @@ def choose(subject: Subject, base: Refit, spot: Spot, noise: NoiseDraws, *, pair
         return []
     basis = nominal_basis(base, observed)
     residual = stack(base.residuals, observed)
-    columns.sort(key=lambda c: -c.drop)
-    found = [_judged(subject, base, spot, [c]) for c in columns[:_JUDGED]]
-    found = _best_of_families(found)
-    if pairs and len(columns) > 1:
-        threshold = decide.SCORE_MARGIN * noise.null(basis, [c.signature for c in columns]).threshold()
-        by_term = {id(c.term): c for c in columns}
-        for first in sorted(found, key=lambda f: f.held_out.mean)[:_BEGUN]:
-            own = by_term[id(first.terms[0])]
-            left = project_off(residual, own.signature[:, None])
-            partners = sorted(
-                ((_drop_beside(own, c, left), c) for c in columns if c is not own), key=lambda pair: -pair[0]
-            )
-            families: set[str] = set()
-            for drop, partner in partners:
-                if drop < threshold or len(families) == _PARTNERS:
-                    break
-                if partner.term.family not in families and partner.term.family != own.term.family:
-                    families.add(partner.term.family)
-                    found.append(_judged(subject, base, spot, [own, partner]))
-    return sorted(_best_of_families(found), key=lambda f: f.held_out.mean)
+    threshold = decide.SCORE_MARGIN * noise.null(basis, [c.signature for c in columns]).threshold()
+    columns = sorted((c for c in columns if c.drop >= threshold), key=lambda c: -c.drop)
+    found = _best_of_families([_judged(subject, base, spot, [c], c.drop) for c in columns[:_JUDGED]])
+    by_term = {id(c.term): c for c in columns}
+    for first in sorted(found, key=lambda f: f.held_out.mean)[: _BEGUN if pairs else 0]:
+        own = by_term[id(first.terms[0])]
+        left = project_off(residual, own.signature[:, None])
+        partners = sorted(
+            ((_drop_beside(own, c, left), c) for c in columns if c is not own), key=lambda pair: -pair[0]
+        )
+        families = {own.term.family}
+        for drop, partner in partners:
+            if drop < threshold or len(families) > _PARTNERS:
+                break
+            if partner.term.family not in families:
+                families.add(partner.term.family)
+                found.append(_judged(subject, base, spot, [own, partner], own.drop + drop))
+    return _best_of_families(found)
 
 
 def _columns(subject: Subject, base: Refit, spot: Spot) -> list[_Column]:
@@ -114,11 +111,11 @@ def _drop_beside(first: _Column, second: _Column, left: FloatArray) -> float:
     return float(new @ left / length) ** 2 if length > 1e-3 else 0.0
 
 
-def _judged(subject: Subject, base: Refit, spot: Spot, columns: Sequence[_Column]) -> Chosen:
+def _judged(subject: Subject, base: Refit, spot: Spot, columns: Sequence[_Column], drop: float) -> Chosen:
     joined = tuple(np.hstack(parts) for parts in zip(*(c.parts for c in columns), strict=True))
     (decoy,) = fit_decoys([Response(spot.port.name, "law", (), joined)], base, subject.observed)
     sizes = tuple(_DRIVEN * spot.flow * float(a) for a in decoy.amounts)
-    return Chosen(spot, tuple(c.term for c in columns), sizes, decoy.held_out)
+    return Chosen(spot, tuple(c.term for c in columns), sizes, decoy.held_out, drop)
 
 
 def _best_of_families(found: Sequence[Chosen]) -> list[Chosen]:
@@ -128,8 +125,3 @@ def _best_of_families(found: Sequence[Chosen]) -> list[Chosen]:
         if family not in best or one.held_out.mean < best[family].held_out.mean:
             best[family] = one
     return list(best.values())
-
-
-def sizes_of(chosen: Chosen, names: Sequence[str]) -> Mapping[str, float]:
-    """Return the coefficients by the names of their parameters."""
-    return dict(zip(names, chosen.sizes, strict=True))
