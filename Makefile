@@ -30,7 +30,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed sealed-abroad blind blind-abroad discovery bench coverage fuzz kills standard-library docs clean
+.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed sealed-abroad blind designed-experiments blind-abroad discovery bench coverage fuzz kills standard-library docs clean
 all: identify
 
 setup: $(READY)
@@ -119,6 +119,12 @@ blind-abroad: | $(READY)
 # interrupted; an hour or two on two quiet cores. FIRST=20: the first twenty, and seven of the others.
 discovery: | $(READY)
 	$(BIN)/python -m benchmarks.discovery --out build/discovery $(FIRST:%=--first %)
+
+# Whether designed runs settle what they say they will, on rigs abroad and on the actuator: about two hours. Goes on
+# where it was interrupted.
+designed-experiments: $(DEVELOPER) $(FMUS)
+	$(BIN)/python -m benchmarks.designed_actuator
+	$(BIN)/python -m benchmarks.designed_experiments build/designed_experiments
 
 # How often 95 % intervals of the linear stage hold the truth, under white and under coloured noise: ten minutes.
 DRAWS ?= 200

@@ -33,6 +33,7 @@ from fmuid.simulation.pool.choice import runner_on
 FILE_NAME, INPUT = "design.json", "input.csv"
 Purpose = Literal["diagnosis", "parameters"]
 Say = Callable[[str, float], None]
+_SETTLES = "Does it settle the question"
 _SAID = 3  # of what would help beyond an excitation
 _FURTHER = {"sensor": "It takes", "setting": "Or set", "limits": "Or allow"}
 
@@ -220,17 +221,20 @@ def _of_parameters(made: ParameterDesign) -> dict[str, Any]:
 
 def _of_diagnosis(made: DiagnosisDesign) -> dict[str, Any]:
     facts = _run_facts(made.planned, made.excitation)
-    settled = made.least >= SETTLED
-    if settled:
-        facts.append(("What it settles", f"every pair of answers is {made.least:.3g} sigma apart or more", "good"))
+    settled = [_words(rival.names) for rival in made.settled_for]
+    if len(settled) == len(made.rivals):
+        facts.append((_SETTLES, "yes, whichever answer is right", "good"))
+    elif settled:
+        facts.append((_SETTLES, f"yes, if the right answer is {' or '.join(settled)}; else not"))
     else:
-        facts.append(("What it settles", "no run within these limits settles it", "warn"))
+        facts.append((_SETTLES, "no run within these limits settles it", "warn"))
     for a, b, s in made.pairs:
         facts.append((f"{_words(a.names)} or {_words(b.names)}", f"{s:.3g} sigma"))
     for further in made.beyond[:_SAID]:
         facts.append((_FURTHER[further.kind], f"{further.what}: {further.separation:.3g} sigma"))
     return {
-        "settled": settled,
+        "settled": len(settled) == len(made.rivals),
+        "settled_for": [list(rival.names) for rival in made.settled_for],
         "separation_sigma": made.least,
         "needed_sigma": SETTLED,
         "pairs": [{"between": [list(a.names), list(b.names)], "separation_sigma": s} for a, b, s in made.pairs],

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.signal import max_len_seq
 
 from fmuid.core.campaign import DesignSpec, Family
 from fmuid.core.immutable import FloatArray
 
 _LINES = 8  # of a multisine
 _LEVELS = 8  # of steps
-_FASTEST = 8.0  # samples a period of the highest frequency
+_FASTEST = 2.5  # samples a period of the highest frequency
+_CLIPPED = 0.95  # of the crest of a wave, at most
 _ORDER = 9  # of the shift register
 
 
@@ -60,7 +60,7 @@ class Shape:
 
     @property
     def _each(self) -> int:
-        own = {"multisine": 5 + _LINES * self.optimised, "chirp": 4, "steps": 1 + _LEVELS, "prbs": 4}
+        own = {"multisine": 6 + _LINES * self.optimised, "chirp": 5, "steps": 1 + _LEVELS, "prbs": 4}
         return own[self.family]
 
     def __call__(self, x: FloatArray, time: FloatArray) -> FloatArray:
@@ -113,16 +113,16 @@ def _lines(part: FloatArray, time: FloatArray) -> FloatArray:
 
 
 def _clock(x: float, time: FloatArray) -> float:
-    """Return how long a bit lasts: two samples to a quarter of the record, s."""
+    """Return how long a bit lasts: a sample to a quarter of the record, s."""
     span = float(time[-1] - time[0])
-    shortest = 2.0 * span / (len(time) - 1)
+    shortest = span / (len(time) - 1)
     return float(shortest * max(1.0, 0.25 * span / shortest) ** x)
 
 
 def _multisine(part: FloatArray, time: FloatArray, b: Bounds, rng: np.random.Generator) -> FloatArray:
     lines = _lines(part, time)
-    phases = 2 * np.pi * (part[5:] if len(part) > 5 else rng.random(_LINES))[: len(lines)]
-    weights = (lines / lines[0]) ** (1.0 - 3.0 * part[4])  # from velocity-like to acceleration-like spectra
+    phases = 2 * np.pi * (part[6:] if len(part) > 6 else rng.random(_LINES))[: len(lines)]
+    weights = (lines / lines[0]) ** (1.0 - 3.0 * part[5])  # from velocity-like to acceleration-like spectra
     wave = weights @ np.sin(2 * np.pi * lines[:, None] * time + phases[:, None])
     return _oscillation(part, time, b, wave)
 
@@ -135,9 +135,10 @@ def _chirp(part: FloatArray, time: FloatArray, b: Bounds, _: np.random.Generator
 
 
 def _oscillation(part: FloatArray, time: FloatArray, b: Bounds, wave: FloatArray) -> FloatArray:
-    """Return a wave of the size and around the mean that two numbers say, no steeper than allowed."""
+    """Return a wave of the size, around the mean and clipped as three numbers say, no steeper than allowed."""
     size = part[0] * 0.5 * (b.upper - b.lower)
-    wave = wave * (size / max(float(np.max(np.abs(wave))), 1e-300))
+    crest = max(float(np.max(np.abs(wave))), 1e-300) * (1.0 - _CLIPPED * part[4])
+    wave = size * np.clip(wave / crest, -1.0, 1.0)
     steepest = float(np.max(np.abs(np.diff(wave)) / np.diff(time)))
     wave *= min(1.0, b.rate / steepest) if steepest > 0.0 else 1.0
     low, high = (b.rest + part[0] * (end - b.rest) for end in (b.lower, b.upper))
@@ -174,6 +175,8 @@ def _prbs(part: FloatArray, time: FloatArray, b: Bounds, _: np.random.Generator)
 
 @cache
 def _bits() -> FloatArray:
+    from scipy.signal import max_len_seq  # takes a second to import
+
     return np.asarray(max_len_seq(_ORDER)[0], dtype=np.float64)
 
 

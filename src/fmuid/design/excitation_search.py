@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from fmuid.core.errors import FmuidError
 from fmuid.core.immutable import FloatArray
@@ -121,6 +120,8 @@ def search(
 
 def _begin(shape: Shape, count: int, seed: int, cost: Callable[[FloatArray], float]) -> None:
     """Try points of a Sobol' sequence, `count` in all; one that leaves a limit again at smaller sizes."""
+    from scipy.stats import qmc  # takes a second to import
+
     points = qmc.Sobol(shape.size, rng=seed).random_base2(max(1, int(np.ceil(np.log2(count)))))
     sizes = np.arange(0, shape.size, shape.size // len(shape.bounds))
     points[:, sizes] = 1.0 - 0.3 * points[:, sizes]  # information grows with size

@@ -44,6 +44,8 @@ class ParameterDesign:
     ----------
     planned, excitation
         The run.
+    criterion
+        What it was judged by.
     values
         Of the parameters, where it was designed.
     before, after
@@ -55,6 +57,7 @@ class ParameterDesign:
 
     planned: Planned
     excitation: Excitation
+    criterion: Information
     values: Mapping[str, float]
     before: Mapping[str, float]
     after: Mapping[str, float]
@@ -151,7 +154,7 @@ def design_for_parameters(
     }
     best = min(again, key=lambda id: criterion.cost_of(again[id]), default=None)
     repeated = None if best is None else (best, dict(zip(names, _errors(again[best], sizes), strict=True)))
-    return ParameterDesign(planned, found, values, errors[0], errors[1], repeated)
+    return ParameterDesign(planned, found, criterion, values, errors[0], errors[1], repeated)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,13 +23,13 @@ from fmuid.diagnosis.candidates import Fitted, fit_effects
 from fmuid.diagnosis.catalogue import Sensor
 from fmuid.diagnosis.decide import SAME
 from fmuid.diagnosis.extended_model import CampaignModel, Prediction
-from fmuid.diagnosis.next_experiment import Rival, distance_matrix, distances, rival_of, separation, with_sensors
+from fmuid.diagnosis.next_experiment import Rival, distance_matrix, distances, rival_of, separations, with_sensors
 from fmuid.diagnosis.slopes import linear_at, predicted
 from fmuid.diagnosis.subject import Subject
 
 SETTLED = SAME
 _DRAWS = 3  # of every rival's parameters, the estimate among them
-_MOST = 4  # rivals
+_MOST = 6  # rivals
 _WIDER = 2.0  # by which limits are widened to say what that would give
 _SENSORS = (1e-6, 1.0)  # of its own range, between which the noise of an added sensor is looked for
 
@@ -52,8 +52,8 @@ class DiagnosisDesign:
 
     Attributes
     ----------
-    distances
-        (R, R) standard deviations: if the first is true, from the second.
+    separations
+        (R, R) standard deviations by which a diagnosis will prefer the first, if it is right, to the second.
     beyond
         What else would help.
     """
@@ -61,14 +61,14 @@ class DiagnosisDesign:
     planned: Planned
     excitation: Excitation
     rivals: tuple[Rival, ...]
-    distances: FloatArray
+    separations: FloatArray
     beyond: tuple[Beyond, ...] = ()
 
     @property
     def pairs(self) -> list[tuple[Rival, Rival, float]]:
         """Every two rivals, and their separation: the smaller of both ways."""
         return [
-            (self.rivals[i], self.rivals[j], separation(float(min(self.distances[i, j], self.distances[j, i]))))
+            (self.rivals[i], self.rivals[j], float(min(self.separations[i, j], self.separations[j, i])))
             for i in range(len(self.rivals))
             for j in range(i + 1, len(self.rivals))
         ]
@@ -76,11 +76,17 @@ class DiagnosisDesign:
     @property
     def least(self) -> float:
         """Separation of the two that are closest together."""
-        return min(s for *_, s in self.pairs)
+        return _least(self.separations)
+
+    @property
+    def settled_for(self) -> list[Rival]:
+        """The rivals that the run leaves alone, should they be right."""
+        own = np.where(np.eye(len(self.rivals), dtype=bool), np.inf, self.separations)
+        return [rival for rival, row in zip(self.rivals, own, strict=True) if row.min() >= SETTLED]
 
 
 def rivals_of(subject: Subject, answer: Mapping[str, object]) -> list[Fitted]:
-    """Refit what a diagnosis (its JSON) left open, from what it found, at most four answers.
+    """Refit what a diagnosis (its JSON) left open, from what it found, at most six answers.
 
     Where it left fewer than two, the likeliest effects join them; and *none*, where it doubts that there is any.
 
@@ -171,8 +177,7 @@ def design_for_diagnosis(
         seed=seed,
         say=lambda share: say("trying excitations", 0.1 + 0.8 * share),
     )
-    apart = criterion.distances(found.samples)
-    designed = DiagnosisDesign(planned, found, rivals, apart)
+    designed = DiagnosisDesign(planned, found, rivals, separations(criterion.distances(found.samples), rivals))
     if found.interrupted or designed.least >= SETTLED:
         return designed
     say("what else would help", 0.92)
@@ -219,8 +224,8 @@ def _misjudged(apart: FloatArray) -> float:
     return float(logsumexp(log_ndtr(-0.5 * pairs)) - np.log(len(pairs)))
 
 
-def _least(apart: FloatArray) -> float:
-    return separation(float(np.min(apart[~np.eye(len(apart), dtype=bool)])))
+def _least(found: FloatArray) -> float:
+    return float(np.min(found[~np.eye(len(found), dtype=bool)]))
 
 
 def _beyond(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) -> list[Beyond]:
@@ -249,7 +254,7 @@ def _beyond(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) -> 
 
 def _tried(kind: str, what: str, criterion: Apart, samples: FloatArray) -> list[Beyond]:
     try:
-        return [Beyond(kind, what, _least(criterion.distances(samples)))]
+        return [Beyond(kind, what, _least(separations(criterion.distances(samples), criterion.rivals)))]
     except SimulationError:
         return []
 
@@ -285,7 +290,7 @@ def _sensors(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) ->
         def whiten(d: Prediction) -> FloatArray:
             return np.concatenate([planned.whiten(d[0][:n]), weight * d[0][row] / sigma])
 
-        return _least(distance_matrix(linear, drawn, rivals, whiten))
+        return _least(separations(distance_matrix(linear, drawn, rivals, whiten), rivals))
 
     for row, sensor in enumerate(sensors, n):
         what = f"a sensor of {sensor.description or sensor.name}"

@@ -48,15 +48,18 @@ class Rival:
         (P, P) triangular factor of the information there is: a change d of the parameters costs ``|told d|^2``.
     draws
         Values that the parameters may have, the estimate first.
+    residual
+        (M,) what it leaves of the recorded runs, whitened.
     left
-        Energy of what it leaves unexplained in the recorded runs, in that of their noise.
+        Energy of what it leaves unexplained there, in that of the noise.
     """
 
     names: tuple[str, ...]
     unknowns: tuple[Unknown, ...]
     told: FloatArray
     draws: tuple[Mapping[str, float], ...]
-    left: float = 0.0
+    residual: FloatArray
+    left: float
 
     @property
     def values(self) -> Mapping[str, float]:
@@ -70,33 +73,48 @@ def rival_of(fitted: Fitted, observed: Observed, *, draws: int = 1, seed: int = 
     here = np.array([fit.values[u.name] for u in unknowns])
     width = [(u.upper - u.lower) / np.sqrt(12.0) for u in unknowns]
     loose = [_UNBOUNDED * max(abs(x), u.step) for x, u in zip(here.tolist(), unknowns, strict=True)]
-    spread = np.minimum(np.minimum(width, loose), [u.sd for u in unknowns])
-    rows = np.vstack([stack(fit.jacobian, observed), np.diag(1.0 / spread)])
-    told = np.asarray(np.linalg.qr(rows * spread, mode="r") / spread)
+    wide = np.minimum(np.minimum(width, loose), [u.sd for u in unknowns])
+    rows = np.vstack([stack(fit.jacobian, observed), np.diag(1.0 / wide)])
+    told = np.asarray(np.linalg.qr(rows * wide, mode="r") / wide)
     lower, upper = np.array([u.lower for u in unknowns]), np.array([u.upper for u in unknowns])
     errors = np.random.default_rng(seed).standard_normal((draws - 1, len(here)))
-    points = [here, *(here + spread * np.linalg.solve(told * spread, e) for e in errors)]
+    points = [here, *(here + wide * np.linalg.solve(told * wide, e) for e in errors)]
     names = [u.name for u in unknowns]
     drawn = tuple(dict(zip(names, np.clip(x, lower, upper).tolist(), strict=True)) for x in points)
     left = float(np.mean(observed.repeats)) * fitted.gap**2
-    return Rival(fitted.names, unknowns, told, drawn, left)
+    return Rival(fitted.names, unknowns, told, drawn, stack(fit.residuals, observed), left)
 
 
-def separation(distance: float) -> float:
-    """Return by how many standard deviations the data will prefer the right one of two answers, or more.
+def separations(apart: FloatArray, rivals: Sequence[Rival]) -> FloatArray:
+    """Return by how many standard deviations a diagnosis will prefer the right one of two rivals, or more.
 
-    That is in nine cases of ten: with a distance D their costs differ by D^2 on average, with a standard deviation
-    of 2 D (see `decide.separation`).
+    That is in nine cases of ten, by recorded runs and the new one: by a distance D the new one makes their costs
+    differ by D^2 on average, with a standard deviation of 2 D (see `decide.separation`).
+
+    Parameters
+    ----------
+    apart
+        (R, R) distances in the new run.
+
+    Returns
+    -------
+    (R, R): of the first, if it is right, to the second.
     """
-    return max(0.0, 0.5 * distance - _NINE_OF_TEN)
+    found = np.zeros_like(apart)
+    for a, right in enumerate(rivals):
+        for b, wrong in enumerate(rivals):
+            so_far = float(wrong.residual @ wrong.residual - right.residual @ right.residual)
+            distance = float(np.hypot(np.linalg.norm(right.residual - wrong.residual), apart[a, b]))
+            if distance > 0.0:
+                gained = so_far + apart[a, b] ** 2 - 2.0 * _NINE_OF_TEN * apart[a, b]
+                found[a, b] = gained / (2.0 * distance * spread(min(right.left, wrong.left)))
+    return found
 
 
 def distances(
     model: CampaignModel, rivals: Sequence[Rival], whiten: Whiten
 ) -> tuple[FloatArray, list[Prediction]]:
     """Return by how many standard deviations rivals differ in runs, whatever the wrong one is refitted to.
-
-    What even the better of two leaves unexplained counts as noise, as in a diagnosis.
 
     Returns
     -------
@@ -138,8 +156,7 @@ def distance_matrix(
         left = np.linalg.norm(whole - basis @ (basis.T @ whole), axis=0)
         others = [a for a in of if a != b]
         for a in set(others):
-            least = min(x for x, other in zip(left.tolist(), others, strict=True) if other == a)
-            found[a, b] = least / spread(min(rivals[a].left, wrong.left))
+            found[a, b] = min(x for x, other in zip(left.tolist(), others, strict=True) if other == a)
     return found
 
 
@@ -164,12 +181,12 @@ def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
                 apart, _ = distances(model, rivals, lambda d, w=weight, by=whitener: w * by(d[0]).ravel())  # type: ignore[misc]
             except SimulationError:
                 continue
-            sigma = separation(float(min(apart[0, 1], apart[1, 0])))
-            if best is None or sigma > best.separation_sigma:
+            sigma = _new(apart, rivals)
+            if sigma > (0.0 if best is None else best.separation_sigma):
                 best = NextExperiment(
                     case.setup, f"as {case.id}, with its input times {scale:g}", sigma, (a.id, b.id)
                 )
-    return best if best is not None and best.separation_sigma > 0.0 else None
+    return best
 
 
 def sensor_to_add(subject: Subject, alike: Sequence[Fitted], *, beyond: float = 0.0) -> AddedSensor | None:
@@ -190,10 +207,17 @@ def sensor_to_add(subject: Subject, alike: Sequence[Fitted], *, beyond: float = 
             apart, _ = distances(model, rivals, lambda d, s=sensor, n=new: _in_sigmas(subject, d, s, n))  # type: ignore[misc]
         except SimulationError:
             continue
-        sigma = separation(float(min(apart[0, 1], apart[1, 0]))) if any(new) else 0.0
+        sigma = _new(apart, rivals) if any(new) else 0.0
         if sigma > (beyond if best is None else best.separation_sigma):
             best = AddedSensor(sensor.name, sensor.description or sensor.variable, sigma, (a.id, b.id))
     return best
+
+
+def _new(apart: FloatArray, rivals: Sequence[Rival]) -> float:
+    """Return the smaller separation of two rivals; 0 if a further run adds nothing but chance to it."""
+    told = min(apart[0, 1], apart[1, 0]) > 2.0 * _NINE_OF_TEN
+    found = separations(apart, rivals)
+    return max(0.0, float(min(found[0, 1], found[1, 0]))) if told else 0.0
 
 
 def _is_new(case: Case, variable: str) -> bool:

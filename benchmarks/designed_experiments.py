@@ -1,0 +1,228 @@
+"""Does a designed run settle what it says it will? ``python -m benchmarks.designed_experiments FOLDER``.
+
+Plants of the rigs abroad are driven so weakly that their diagnosis ends with "A or B". `fmuid design` looks for
+the run that settles it within the rig's full range; the case's own plant plays it once, and the campaign with that
+run is diagnosed again. Where the design says that no run settles it, one of the rig's own runs at full size has
+its try, too. Effects and sizes are those that often leave a diagnosis open; cases where they do not are left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.abroad.belt_axis import BELT_AXIS
+from benchmarks.abroad.case import SPREAD, diagnose
+from benchmarks.abroad.circuit import CIRCUIT
+from benchmarks.abroad.plant import Floats, Rig
+from benchmarks.abroad.tanks import TANKS
+from benchmarks.abroad.thermal_block import THERMAL_BLOCK
+from fmuid.cli.app import run
+
+OPEN = (  # rig, effect, and size of the rig's own inputs in the runs that are diagnosed first
+    (THERMAL_BLOCK, "lag@T_body", 0.2),
+    (CIRCUIT, "capacity@resistor.n", 0.2),
+    (BELT_AXIS, "delay@i", 0.2),
+    (THERMAL_BLOCK, "radiation@casing", 0.4),
+    (CIRCUIT, "voltage_drop@source", 0.4),
+    (CIRCUIT, "leakage@capacitor", 0.2),
+    (THERMAL_BLOCK, "lag@T_body", 0.1),
+    (TANKS, "lag@u", 0.2),
+    (CIRCUIT, "delay@u", 0.1),
+)
+REPEATS = 2
+_MARGIN = 0.3  # of what the rig's outputs do at full size: how far a designed run may go beyond
+
+
+def main() -> None:
+    """Make and judge cases until there are enough; what is in the folder already is not made again."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--cases", type=int, default=40, help="ambiguous ones")
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(20)))
+    given = parser.parse_args()
+    found: list[dict[str, Any]] = []
+    for rig, truth, size, seed in draws(given.seeds):
+        if len(found) == given.cases:
+            break
+        judged = case(rig, truth, size, seed, given.folder)
+        if judged is not None:
+            found.append(judged)
+            print(line(judged), flush=True)
+    print("\n".join(summary(found)))
+
+
+def draws(seeds: list[int]) -> Iterator[tuple[Rig, str, float, int]]:
+    """Yield rig, effect, size of the inputs and seed of every case that may be ambiguous."""
+    for seed in seeds:
+        for rig, truth, size in OPEN:
+            yield rig, truth, size, seed
+
+
+def case(rig: Rig, truth: str, size: float, seed: int, folder: Path) -> dict[str, Any] | None:
+    """Return what came of a case; None if its first diagnosis is not ambiguous."""
+    place = folder / f"{rig.model}-{truth.replace('@', '-at-')}-{size}-{seed}"
+    kept = place / "judged.json"
+    if kept.is_file():
+        judged: dict[str, Any] = json.loads(kept.read_text())
+        return judged
+    first = place / "outcome.json"
+    if not first.is_file():
+        names = list(rig.inputs)
+        weak = {n: size * rig.inputs[n] for n in (names[(seed + i) % len(names)] for i in (0, 1))}
+        outcome = diagnose(replace(rig, inputs=weak), truth, place, seed=seed, repeats=REPEATS)
+        first.write_text(json.dumps(outcome.to_dict()))
+    if json.loads(first.read_text())["kind"] != "ambiguous":
+        return None
+    before = json.loads((place / "diagnosis" / "diagnosis.json").read_text())["verdict"]
+    answers = [(*before["effects"], *others) for others in before["one_of"]]
+    alike = {truth, *rig.same.get(truth, ())}
+    _limit(rig, place / "campaign" / "campaign.toml")
+    design = ["design", str(place / "diagnosis"), "--for", "diagnosis", "--out", str(place / "design")]
+    if run([*design, "--evaluations", "120", "--workers", "0", "--quiet"]) != 0:
+        return None
+    answer = json.loads((place / "design" / "design.json").read_text())
+    time, u = np.loadtxt(place / "design" / "input.csv", delimiter=",", skiprows=1, unpack=True)
+    after = _again(rig, truth, seed, place, "designed", time, u)
+    pairs = [
+        {
+            "between": pair["between"],
+            "predicted": pair["separation_sigma"],
+            "apart": _apart(after, *map(set, pair["between"])),
+        }
+        for pair in answer["pairs"]
+    ]
+    right = [a for a in answers if set(a) & alike]
+    others = {}
+    if not answer["settled_for"]:
+        name = next(n for n in rig.inputs if not list(place.glob(f"{n}_*.csv")))
+        own = _again(rig, truth, seed, place, "full", rig.time, rig.inputs[name])
+        others = {"by": name, "verdict": own["verdict"], "settled": _one_left(own)}
+    judged = {
+        "rig": rig.name,
+        "truth": truth,
+        "size": size,
+        "seed": seed,
+        "answers": answers,
+        "holds_truth": bool(right),
+        "predicted": answer["separation_sigma"],
+        "settles": answer["settled"],
+        "settles_if_right": any(set(a) & alike for a in answer["settled_for"]),
+        "hopeless": not answer["settled_for"],
+        "pairs": pairs,
+        "after": after["verdict"]["kind"],
+        "named": _named(after),
+        "settled": _one_left(after),
+        "truth_kept": any(set(a) & alike for a in _named(after)),
+        "own_run": others,
+    }
+    kept.write_text(json.dumps(judged, indent=1) + "\n")
+    return judged
+
+
+def _limit(rig: Rig, campaign: Path) -> None:
+    """Write the rig's full range into the campaign."""
+    name, *outputs = rig.signals
+    full = np.stack(list(rig.inputs.values()))
+    seen = np.concatenate(
+        [rig.simulate(dict.fromkeys(rig.parameters, 1.0), {}, rig.time, u) for u in full], axis=1
+    )
+    lines = ["[limits]", f"duration = {float(rig.time[-1])!r}"]
+    lines.append(f"{name} = {{ min = {float(full.min())!r}, max = {float(full.max())!r} }}")
+    for output, y in zip(outputs, seen, strict=True):
+        margin = _MARGIN * float(np.ptp(y))
+        lines.append(f"{output} = {{ min = {float(y.min()) - margin!r}, max = {float(y.max()) + margin!r} }}")
+    text = campaign.read_text()
+    if "[limits]" not in text:
+        campaign.write_text("\n".join([text, *lines, ""]))
+
+
+def _again(rig: Rig, truth: str, seed: int, place: Path, name: str, time: Floats, u: Floats) -> dict[str, Any]:
+    """Have the case's plant play a run, and diagnose the campaign with it."""
+    rng = np.random.default_rng(seed)
+    factors = {n: float(np.exp(rng.uniform(-SPREAD, SPREAD))) for n in rig.parameters}
+    y = rig.simulate(factors, rig.effects.get(truth, {}), time, u)
+    noise = np.random.default_rng([seed, 1]).normal(size=y.shape) * np.asarray(rig.noise)[:, None]
+    folder = place / name
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    header = ",".join(["time [s]", *(f"{n} [{unit}]" for n, unit in rig.signals.items())])
+    np.savetxt(
+        folder / f"{name}.csv",
+        np.vstack([time, u, y + noise]).T,
+        delimiter=",",
+        header=header,
+        comments="",
+        fmt="%.9g",
+    )
+    logs = [*sorted(place.glob("*.csv")), folder / f"{name}.csv"]
+    model = ["--model", str(rig.file), "--class", rig.model, "--workers", "0", "--quiet"]
+    run(["init", *map(str, logs), *model, "--out", str(folder / "campaign")])
+    toml = folder / "campaign" / "campaign.toml"
+    text = re.sub(r"(?m)^identification = .*$", 'identification = ["*"]', toml.read_text())
+    toml.write_text(re.sub(r"(?m)^validation = .*$", "validation = []", text))
+    out = folder / "diagnosis"
+    run(["diagnose", str(folder / "campaign"), "--out", str(out), "--workers", "0", "--quiet"])
+    answer: dict[str, Any] = json.loads((out / "diagnosis.json").read_text())
+    return answer
+
+
+def _named(answer: Mapping[str, Any]) -> list[list[str]]:
+    """Return the answers that a diagnosis leaves open."""
+    verdict = answer["verdict"]
+    if verdict["kind"] == "ambiguous":
+        return [[*verdict["effects"], *others] for others in verdict["one_of"]]
+    return [verdict["effects"]] if verdict["effects"] else []
+
+
+def _one_left(answer: Mapping[str, Any]) -> bool:
+    return answer["verdict"]["kind"] in ("effect", "partial") and len(_named(answer)) == 1
+
+
+def _apart(answer: Mapping[str, Any], a: set[str], b: set[str]) -> bool:
+    """Return whether a diagnosis no longer has both of two answers."""
+    named = [set(n) for n in _named(answer)]
+    return not (a in named and b in named)
+
+
+def line(judged: Mapping[str, Any]) -> str:
+    """Return a row of the table."""
+    says = (
+        "no run settles"
+        if judged["hopeless"]
+        else f"{judged['predicted']:6.2f} sigma" + " for some" * (not judged["settles"])
+    )
+    end = "settled" if judged["settled"] else judged["after"]
+    kept = "truth kept" if judged["truth_kept"] else "truth lost" if judged["holds_truth"] else "truth not among"
+    own = f", own run {'settles' if judged['own_run']['settled'] else 'neither'}" if judged["own_run"] else ""
+    case = f"{judged['rig']:14} {judged['truth']:22} {judged['size']:3} {judged['seed']:2}"
+    return f"{case} {says:14} {end:10} {kept}{own}"
+
+
+def summary(found: list[dict[str, Any]]) -> list[str]:
+    """Return what the cases amount to."""
+    rows = [f"{len(found)} ambiguous cases, the truth among the answers of {sum(f['holds_truth'] for f in found)}"]
+    for words, own in (
+        ("settled whichever answer is right", [f for f in found if f["settles"]]),
+        ("settled if the true answer is right", [f for f in found if f["settles_if_right"]]),
+        ("settled for another answer only", [f for f in found if not (f["settles_if_right"] or f["hopeless"])]),
+    ):
+        settled = [f for f in own if f["settled"]]
+        kept = sum(f["truth_kept"] for f in settled)
+        rows.append(f"predicted to be {words}: {len(own)}; settled {len(settled)}, with the truth left {kept}")
+    hopeless = [f for f in found if f["hopeless"]]
+    right = sum(not f["settled"] and not f["own_run"]["settled"] for f in hopeless)
+    rows.append(f"no run was said to settle {len(hopeless)}: right in {right}")
+    return rows
+
+
+if __name__ == "__main__":
+    main()
