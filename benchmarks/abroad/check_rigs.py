@@ -65,6 +65,7 @@ def _rig(
     held: Sequence[str],
     redundant: Sequence[str] = (),
     same: Mapping[str, Sequence[str]] = {},
+    near: Mapping[str, Sequence[str]] = {},
 ) -> Rig:
     """Make a rig whose effects have a size of 1, to be scaled; inputs are held for two samples each.
 
@@ -94,6 +95,7 @@ def _rig(
         plant,
         same,
         outside,
+        {e: {o: unit(o) for o in others} for e, others in near.items()},
     )
 
 
@@ -156,6 +158,16 @@ def _gantry_crane() -> Rig:
         held=("buffer.c",),
         redundant=("trolley.F",),
         same={"weight@trolley": ("offset@u",)},
+        near={
+            "weight@trolley": ("asymmetry@trolley",),
+            "asymmetry@trolley": (
+                "weight@trolley",
+                "offset@u",
+            ),
+            "delay@u": ("lag@u",),
+            "lag@theta": ("delay@theta",),
+            "presliding@trolley": ("coulomb@trolley",),
+        },
     )
 
 
@@ -211,6 +223,20 @@ def _ball_screw() -> Rig:
         held=("table.stop",),
         redundant=("screw.d", "table.d"),
         same={"weight@table": ("weight@screw.thread", "offset@i")},
+        near={
+            "weight@table": (
+                "asymmetry@table",
+                "asymmetry@screw.shaft",
+            ),
+            "presliding@table": (
+                "presliding@screw.shaft",
+                "coulomb@table",
+                "coulomb@screw.shaft",
+            ),
+            "delay@i": ("lag@i",),
+            "lag@i": ("delay@i",),
+            "stribeck@table": ("stribeck@screw.shaft",),
+        },
     )
 
 
@@ -261,6 +287,14 @@ def _two_link_arm() -> Rig:
             "lag@q2",
         ),
         held=("stop.c",),
+        same={"weight@links.shoulder": ("imbalance@links.shoulder",)},
+        near={
+            "asymmetry@links.shoulder": ("offset@tau1",),
+            "offset@tau2": ("asymmetry@links.elbow",),
+            "delay@tau1": ("lag@tau1",),
+            "lag@q2": ("delay@q2",),
+            "position_friction@links.shoulder": ("coulomb@links.shoulder",),
+        },
     )
 
 
@@ -314,6 +348,15 @@ def _heat_exchanger() -> Rig:
         ),
         held=("bleed.K",),
         redundant=("film.G",),
+        near={
+            "loss@hot": ("radiation@hot",),
+            "radiation@hot": ("loss@hot",),
+            "offset@T_in": ("gain@T_in",),
+            "offset@T_hot": ("gain@T_hot",),
+            "delay@T_in": ("lag@T_in",),
+            "lag@T_in": ("delay@T_in",),
+            "lag@T_cold": ("delay@T_cold",),
+        },
     )
 
 
@@ -356,6 +399,12 @@ def _buck_converter() -> Rig:
         ),
         held=("clamp.G",),
         same={"voltage_drop@choke": ("voltage_drop@bridge",)},
+        near={
+            "delay@duty": ("lag@duty",),
+            "lag@duty": ("delay@duty",),
+            "lag@i": ("delay@i",),
+            "dead_zone@duty": ("offset@duty",),
+        },
     )
 
 
@@ -408,6 +457,13 @@ def _pneumatic_cylinder() -> Rig:
         ),
         held=("springs.cushion",),
         redundant=("cylinder.A",),
+        near={
+            "asymmetry@piston": ("weight@piston",),
+            "weight@piston": ("asymmetry@piston",),
+            "delay@u": ("lag@u",),
+            "lag@p": ("delay@p",),
+            "presliding@piston": ("coulomb@piston",),
+        },
     )
 
 
@@ -458,6 +514,11 @@ def _magnetic_bearing() -> Rig:
         ),
         held=("rotor.touch", "magnets.L"),
         redundant=("rotor.m",),
+        near={
+            "weight@rotor": ("asymmetry@rotor",),
+            "lag@x": ("delay@x",),
+            "delay@r": ("lag@r",),
+        },
     )
 
 
@@ -516,6 +577,25 @@ def _ship_drive() -> Rig:
         ),
         held=("hull.waves",),
         redundant=("hull.R",),
+        near={
+            "viscous@engine": ("viscous@propeller.shaft",),
+            "quadratic@engine": ("quadratic@propeller.shaft",),
+            "load_friction@engine": (
+                "load_friction@propeller.shaft",
+                "gain@tau",
+            ),
+            "coulomb@propeller.shaft": (
+                "coulomb@engine",
+                "asymmetry@engine",
+                "asymmetry@propeller.shaft",
+                "offset@tau",
+                "dead_zone@tau",
+                "presliding@engine",
+                "presliding@propeller.shaft",
+            ),
+            "delay@tau": ("lag@tau",),
+            "lag@U": ("delay@U",),
+        },
     )
 
 

@@ -30,7 +30,8 @@ class SizedPlant:
             (self._whitened({name: _STEP}, {}) - self._whitened({name: -_STEP}, {})) / (2 * _STEP)
             for name in rig.parameters
         ]
-        self._inverse = np.linalg.pinv(np.column_stack(columns))
+        self._columns = np.column_stack(columns)
+        self._inverse = np.linalg.pinv(self._columns)
 
     def _whitened(self, moved: Mapping[str, float], effect: Mapping[str, float]) -> Floats:
         """Return all readings in units of the floor; parameters are `moved` in their logarithms."""
@@ -53,13 +54,28 @@ class SizedPlant:
             return np.inf
         return best
 
-    def sized(self, effect: str, target: float, *, sign: float, shape: float) -> tuple[dict[str, float], float]:
-        """Return the effect at the size whose gap comes close to `target`, and that gap.
+    def separation(self, effect: Mapping[str, float], other: Mapping[str, float], recordings: float) -> float:
+        """Return by how many standard deviations an effect differs from the best size of another beside it.
+
+        Both responses are taken to be linear in small changes, and the noise to be white.
+        """
+        one, two = (self._left(e) for e in (effect, other))
+        apart = one - two * float(one @ two) / max(float(two @ two), 1e-300)
+        return float(np.linalg.norm(apart)) * float(np.sqrt(recordings))
+
+    def _left(self, effect: Mapping[str, float]) -> Floats:
+        moved = self._whitened({}, effect) - self._plain
+        return np.asarray(moved - self._columns @ (self._inverse @ moved))
+
+    def sized(
+        self, unit: Mapping[str, float], target: float, *, sign: float = 1.0, shape: float = 1.0
+    ) -> tuple[dict[str, float], float]:
+        """Return an effect, given at unit size, at the size whose gap comes close to `target`, and that gap.
 
         Where no plausible size is large enough, the largest is taken.
         """
-        unit = {n: v * (shape if n.endswith(SHAPE) else sign) for n, v in self._rig.effects[effect].items()}
-        most = _MOST.get(effect.partition("@")[0], np.inf)
+        most = _MOST.get(next(iter(unit)).partition("@")[0], np.inf)
+        unit = {n: v * (shape if n.endswith(SHAPE) else sign) for n, v in unit.items()}
 
         def at(size: float) -> dict[str, float]:
             return {n: v if n.endswith(SHAPE) else size * v for n, v in unit.items()}

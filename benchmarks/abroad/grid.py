@@ -29,6 +29,7 @@ _NOISE: tuple[Noise, ...] = ("white",) * 8 + 2 * (
 _EVERY = (1, 2)
 _SIGMA = (True, False)  # whether the user states the noise of white single runs
 _GAPS = (1.0, 10.0)  # floors
+_TOLD_APART = 3.0  # standard deviations
 _WHOLE = "cogging"  # whose shape is a whole number
 Twin = Literal["rate", "units", "idle"]
 _TWINS: tuple[Twin, ...] = ("rate", "units", "idle")
@@ -94,21 +95,35 @@ def label(case: Case, seed: int) -> dict[str, Any]:
     factors = drawn_factors(case.rig, rng)
     plant = SizedPlant(case.rig, factors)
     effect: dict[str, float] = {}
-    gaps = []
+    gaps: list[float] = []
+    same: dict[str, list[str]] = {}
     for name, gap in zip(case.effects, case.gaps, strict=True):
         shape = 1.0 if name.startswith(_WHOLE) else float(np.exp(rng.uniform(-0.4, 0.4)))
         sign = float(rng.choice([-1.0, 1.0])) if directed(name) else 1.0
-        sized, found = plant.sized(name, gap, sign=sign, shape=shape)
+        sized, found = plant.sized(case.rig.effects[name], gap, sign=sign, shape=shape)
         effect |= sized
         gaps.append(found)
+        same[name] = [*case.rig.same.get(name, ()), *_hidden_by_noise(case, name, plant, sized, found)]
     how = case.recording
     return {
         "case": case.name, "rig": case.rig.name, "kind": case.stratum, "effects": list(case.effects),
         "sizes": effect, "gaps": gaps, "gap": plant.gap(effect) if len(gaps) > 1 else sum(gaps),
-        "same": {e: list(case.rig.same.get(e, ())) for e in case.effects}, "factors": factors,
+        "same": same, "factors": factors,
         "repeats": how.repeats, "noise": how.noise, "every": how.every, "quieter": how.quieter,
         "sigma": case.sigma, "twin": case.twin, "twin_of": f"c{case.drawn:04d}" if case.twin else None,
     }  # fmt: skip
+
+
+def _hidden_by_noise(
+    case: Case, name: str, plant: SizedPlant, effect: Mapping[str, float], gap: float
+) -> Iterator[str]:
+    """Yield the effects that this case's recordings cannot tell from one of its own."""
+    how = case.recording
+    recordings = how.repeats * how.quieter**2 / how.every
+    for other, unit in case.rig.near.get(name, {}).items():
+        rival, reached = plant.sized(unit, gap)
+        if np.isfinite(reached) and plant.separation(effect, rival, recordings) < _TOLD_APART:
+            yield other
 
 
 def _rounds(values: Sequence[_T], rng: np.random.Generator) -> Iterator[_T]:

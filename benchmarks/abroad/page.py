@@ -29,9 +29,10 @@ SHA-256 of `labels.json`, written and committed before the first diagnosis and f
 {closed}
 
 A gap is in noise floors of a sample, after a refit of the free parameters, without the run that is kept for
-validation. An effect is *sizeable* from {floor:g} on. Effects that no sensor of a rig tells apart by its
-physics (a weight and an offset of the motor's current, say) count as one. Intervals hold 90 % (Wilson). An aim
-is met if the figure meets it and the worse end of its interval is within 0.03 of it.
+validation. An effect is *sizeable* from {floor:g} on. Effects that the sensors cannot tell apart count as one:
+by physics (a weight and an offset of the motor's current, say), or because in this case's recordings they would
+differ by less than 3 standard deviations; the plant says so before the diagnosis. Intervals hold 90 % (Wilson).
+An aim is met if the figure meets it and the worse end of its interval is within 0.03 of it.
 """
 _NOTES = """\
 - *Wrong* is an effect named that the plant does not have: in what the verdict names outright, or in each of the

@@ -62,6 +62,8 @@ class Rig:
         Ids that no sensor of the rig tells from an effect, by physics.
     outside
         Those of the effects that no catalogue has.
+    near
+        Effect -> others, as in `effects`, that look so much like it that noise may hide which one it is.
     simulate
         From factors on the parameters, the effect, time and input, and maybe an `Extra`, to the (outputs, N)
         readings without noise.
@@ -78,6 +80,7 @@ class Rig:
     simulate: Callable[..., Floats]
     same: Mapping[str, Sequence[str]] = field(default_factory=dict)
     outside: Sequence[str] = ()
+    near: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
 
     @property
     def file(self) -> Path:

@@ -1,6 +1,6 @@
 """The score of the check abroad: answers held against labels, figure by figure of its table of aims.
 
-Effects that no sensor of a rig tells apart, by its physics, count as one. *Sizeable* is a gap of a floor or more
+Effects that a case's recordings cannot tell apart count as one. *Sizeable* is a gap of a floor or more
 (0.95: gaps are set to 5 %).
 """
 
