@@ -1,8 +1,9 @@
 """`python -m benchmarks.abroad.blind`: make the grid of the check abroad, diagnose it blind, score it.
 
-Labels are found first, for the whole grid; their SHA-256, that of the list of effects outside every catalogue and
-the commit of the code go into a file that is committed (``--freeze`` ends there). Then logs are written, and
-another process diagnoses them while nobody can open the labels. Everything goes on where it was interrupted.
+Seed and code decide every case: the SHA-256 of the seed, that of the list of effects outside every catalogue and
+the commit of the code go into a file that is committed (``--freeze`` ends there). Then labels are found and
+hashed, logs are written, and another process diagnoses them while nobody can open the labels. Everything goes on
+where it was interrupted.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -95,54 +95,54 @@ class Check:
         return kept_seed(self.labels) if self.seed is None else self.seed
 
     def _plan(self) -> tuple[Case, ...]:
-        return plan(self._seed, self.count, self.rigs)
+        planned = plan(self._seed, self.count, self.rigs)
+        return planned if self.cases is None else planned[: self.cases]
 
     def freeze(self) -> None:
-        """Find the labels, and write down what is frozen; what is written already has to agree."""
+        """Write down what is frozen; what is written already has to agree."""
         if self.labels.is_dir():
             self.labels.chmod(0o700)  # an interrupted diagnosis may have left it closed
-        if not (self.labels / LABELS).is_file():
-            planned = self._plan()
-            with ThreadPoolExecutor(2) as pool:  # the plants compute outside Python's lock
-                found = []
-                for one in pool.map(partial(label, seed=self._seed), planned):
-                    found.append(one)
-                    if len(found) % 100 == 0:
-                        print(f"{len(found)} of {len(planned)} labels found", flush=True)
-            write_atomically(self.labels / LABELS, json.dumps(found, indent=1, sort_keys=True) + "\n")
-        digest = hashlib.sha256((self.labels / LABELS).read_bytes()).hexdigest()
+        seed = hashlib.sha256(f"{self._seed}\n".encode()).hexdigest()
         if not self.frozen.is_file():
-            frozen = {"labels": digest, "outside": _sha(OUTSIDE), "rules": _commit()}
+            frozen = {"seed": seed, "outside": _sha(OUTSIDE), "rules": _commit()}
             write_atomically(self.frozen, json.dumps(frozen, indent=1) + "\n")
-        if json.loads(self.frozen.read_text())["labels"] != digest:
+        if json.loads(self.frozen.read_text())["seed"] != seed:
             raise FmuidError(
-                "the labels are others than those that were frozen",
+                "the seed is another than the one that was frozen",
                 where=self.labels,
-                fix=f"name their folder, or remove {self.frozen} to freeze new ones",
+                fix=f"name its folder, or remove {self.frozen} to freeze a new one",
             )
-        write_atomically(self.out / DIGEST, f"{digest}  {LABELS}\n")
+
+    def _label(self) -> None:
+        """Find the labels, keep each, and write the hash of all of them."""
+        found = []
+        with ThreadPoolExecutor(2) as pool:  # the plants compute outside Python's lock
+            for one in pool.map(self._kept_label, self._plan()):
+                found.append(one)
+                if len(found) % 50 == 0:
+                    print(f"{len(found)} labels", flush=True)
+        write_atomically(self.labels / LABELS, json.dumps(found, indent=1, sort_keys=True) + "\n")
+        write_atomically(self.out / DIGEST, f"{_sha(self.labels / LABELS)}  {LABELS}\n")
+
+    def _kept_label(self, case: Case) -> dict[str, Any]:
+        file = self.labels / "cases" / f"{case.name}.json"
+        if not file.is_file():
+            write_atomically(file, json.dumps(label(case, self._seed)))
+        kept: dict[str, Any] = json.loads(file.read_text())
+        return kept
 
     def run(self) -> Abroad:
-        """Carry it out from the labels on."""
+        """Carry it out."""
         self.freeze()
-        planned = self._plan()
-        chosen = planned if self.cases is None else planned[: self.cases]
+        self._label()
         labels = checked_labels(self.labels, self.out / DIGEST)
-        for case in chosen:
+        for case in self._plan():
             if not (self.out / "cases" / case.name / ORDER).is_file():
                 write_case(case, labels[case.name], self.out / "cases" / case.name, seed=self._seed)
         answers = self.out / "answers"
-        command = [
-            sys.executable,
-            "-m",
-            "benchmarks.abroad.blind_case",
-            str(self.out / "cases"),
-            "--out",
-            str(answers),
-        ]
-        command += [] if self.workers is None else ["--workers", str(self.workers)]
-        closed = diagnosed_apart(command, self.labels)
-        return self.score(closed=closed)
+        command = [sys.executable, "-m", "benchmarks.abroad.blind_case", str(self.out / "cases")]
+        command += ["--out", str(answers)] + ([] if self.workers is None else ["--workers", str(self.workers)])
+        return self.score(closed=diagnosed_apart(command, self.labels))
 
     def score(self, *, closed: bool = True) -> Abroad:
         """Score what has been answered so far."""
@@ -158,15 +158,17 @@ class Check:
                 cases[name] = case
         frozen = json.loads(self.frozen.read_text())
         rules = {
+            "SHA-256 of the seed": frozen["seed"],
             "SHA-256 of the list of what is outside": frozen["outside"],
-            "Commit of the rules": frozen["rules"],
+            "commit of the rules": frozen["rules"],
         }
+        digest = (self.out / DIGEST).read_text().split()[0]
         made = len(list((self.out / "cases").glob(f"*/{ORDER}")))
         pairs = [(labels[n]["twin_of"], n) for n in cases if labels[n]["twin"]]
         return Abroad(
             tuple(c for n, c in cases.items() if labels[n]["twin"] is None),
             tuple((cases[a], cases[b]) for a, b in pairs if a in cases),
-            made, len(labels), frozen["labels"], rules, closed,
+            made, len(plan(self._seed, self.count, self.rigs)), digest, rules, closed,
         )  # fmt: skip
 
     def _closure(self, name: str, answer: Mapping[str, Any]) -> float | None:
@@ -229,7 +231,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--count", type=int, default=COUNT, help="cases in the grid, without twins")
     parser.add_argument("--seed", type=int, help="default: drawn, and kept with the labels")
     parser.add_argument("--workers", type=int, help="cases at the same time; one per processor by default")
-    parser.add_argument("--freeze", action="store_true", help="end when the labels are found")
+    parser.add_argument("--freeze", action="store_true", help="draw the seed, write down what is frozen, and end")
     parser.add_argument("--score", action="store_true", help="score what has been answered, diagnose nothing")
     parser.add_argument("--page", type=Path, help="Markdown page to write")
     parser.add_argument("--notes", type=Path, help="Markdown sections to put on the page as they are")

@@ -125,7 +125,7 @@ def _gantry_crane() -> Rig:
         ("u",),
         ("s", "theta"),
         {"trolley": Place(0, 1.0, 1.0)},
-        substeps=40,
+        substeps=16,
     )
     t = _times(0.04, 400)
     runs = {
@@ -192,7 +192,7 @@ def _ball_screw() -> Rig:
             "table": Place(1, 0.04, 0.2),
             "nut": Place(2, 1e-4, 0.005),
         },
-        substeps=24,
+        substeps=12,
     )
     t = _times(0.001, 600)
     runs = {
@@ -425,7 +425,7 @@ def _pneumatic_cylinder() -> Rig:
         ("u",),
         ("p", "s"),
         {"chamber": Place(0, 1e5, 1e5), "piston": Place(1, 0.05, 0.5)},
-        substeps=16,
+        substeps=8,
     )
     t = _times(0.006, 500)
     runs = {
@@ -482,7 +482,7 @@ def _magnetic_bearing() -> Rig:
         ("r",),
         ("x", "i"),
         {"rotor": Place(0, 3e-5, 0.02), "controller": Place(1, 0.2, 0.2)},
-        substeps=20,
+        substeps=10,
         crosstalk={"x": "i"},
     )
     t = _times(1e-4, 600)

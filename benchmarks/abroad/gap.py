@@ -11,7 +11,7 @@ from benchmarks.abroad.plant import Floats, Rig
 from fmuid.core.errors import SimulationError
 
 _STEP = 1e-3  # of a parameter's logarithm, for derivatives
-_REFITS = 3  # Gauss-Newton steps
+_REFITS = 2  # Gauss-Newton steps
 _CLOSE = 0.05
 _MOST = {"saturation": 0.8, "value": 0.7, "gain": 0.5}  # sizes that are plausible at all
 _FIRST = 1e-7

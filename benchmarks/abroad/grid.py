@@ -30,6 +30,7 @@ _EVERY = (1, 2)
 _SIGMA = (True, False)  # whether the user states the noise of white single runs
 _GAPS = (1.0, 10.0)  # floors
 _TOLD_APART = 3.0  # standard deviations
+_NOTHING = 0.05  # floors
 _WHOLE = "cogging"  # whose shape is a whole number
 Twin = Literal["rate", "units", "idle"]
 _TWINS: tuple[Twin, ...] = ("rate", "units", "idle")
@@ -120,7 +121,8 @@ def _hidden_by_noise(
     """Yield the effects that this case's recordings cannot tell from one of its own."""
     how = case.recording
     recordings = how.repeats * how.quieter**2 / how.every
-    for other, unit in case.rig.near.get(name, {}).items():
+    rivals = case.rig.near.get(name, {}) if gap > _NOTHING else {}
+    for other, unit in rivals.items():
         rival, reached = plant.sized(unit, gap)
         if np.isfinite(reached) and plant.separation(effect, rival, recordings) < _TOLD_APART:
             yield other

@@ -24,9 +24,9 @@ that no catalogue has, or with a held parameter that is wrong. The diagnosis get
 made this page: {answered} of {made} cases answered, the first ones of a grid of {planned}. Cases come in an
 order in which the first so many are a fair sample: by stratum, rig, effect, repeats, noise and rate.
 
-SHA-256 of `labels.json`, written and committed before the first diagnosis and found the same after the last:
-`{digest}`. {frozen} The diagnoses are made by a process of its own, while the labels' folder has mode 000.
-{closed}
+Seed and code decide every case. Before the first diagnosis these were committed: {frozen}
+SHA-256 of `labels.json`, written before the first diagnosis of these cases and found the same after the last:
+`{digest}`. The diagnoses are made by a process of its own, while the labels' folder has mode 000. {closed}
 
 A gap is in noise floors of a sample, after a refit of the free parameters, without the run that is kept for
 validation. An effect is *sizeable* from {floor:g} on. Effects that the sensors cannot tell apart count as one:
@@ -56,7 +56,7 @@ def page(outcome: Abroad, command: str, notes: str = "") -> str:
         made=outcome.made,
         planned=outcome.planned,
         digest=outcome.digest,
-        frozen=" ".join(f"{what}: `{value}`." for what, value in outcome.rules.items()),
+        frozen=", ".join(f"{what} `{value}`" for what, value in outcome.rules.items()) + ".",
         closed=CLOSED[outcome.closed],
         floor=0.95,
     )

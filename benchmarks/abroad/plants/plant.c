@@ -102,8 +102,13 @@ long plant_run(int number, const double *p, double zero, int count, const Extra 
         for (int s = 0; s < substeps; s++) {
             double held[8];
             for (int i = 0; i < m; i++) {
-                const long late = (long)floor(k + (s + 0.5) / substeps - delay[i] / dt);
-                held[i] = u[(late < 0 ? 0 : late) * m + i];
+                /* Mean over the step, so that results follow the delay continuously. */
+                const double from = k + (double)s / substeps - delay[i] / dt, to = from + 1.0 / substeps;
+                const double change = fmax(floor(to), from), after = (to - change) * substeps;
+                const long first = (long)floor(from), last = (long)floor(to);
+                held[i] = first == last ? u[(first < 0 ? 0 : first) * m + i]
+                                        : (1.0 - after) * u[(first < 0 ? 0 : first) * m + i] +
+                                              after * u[(last < 0 ? 0 : last) * m + i];
             }
             for (int j = 0; j < 4; j++) {
                 memset(slopes[j], 0, sizeof slopes[j]);
