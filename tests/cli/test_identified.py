@@ -94,6 +94,9 @@ def test_a_damaged_file_of_start_values_is_said(original: Path, tmp_path: Path) 
 
 
 def test_an_identification_is_written_back(folder: Path, fmuid) -> None:
+    Path("arm.urdf").write_text('<robot name="arm"><joint name="slide" type="prismatic"/></robot>')
+    with (folder / "campaign.toml").open("a") as file:
+        file.write('\n[robot]\nfile = "../arm.urdf"\njoints.slide = { damping = "2*d" }\n')
     code, out, err = fmuid("identify", folder, "--out", "run", "--no-report")
     assert code == 0, err
     assert "parameters.ssv" in out
@@ -109,6 +112,8 @@ def test_an_identification_is_written_back(folder: Path, fmuid) -> None:
     assert listed == values
     assert {p.get("name"): p[0].get("unit") for p in document.getroot()[0]}["m"] == "kg"
     assert [u.get("name") for u in document.getroot().iterfind("{*}Units/{*}Unit")] == ["N.s/m", "N/m", "kg"]
+    dynamics = etree.parse("run/identified/arm.urdf").find("joint/dynamics")
+    assert float(dynamics.get("damping")) == pytest.approx(2 * values["d"])
 
 
 @pytest.mark.parametrize("status", [Status.FAILED, Status.INTERRUPTED])

@@ -28,6 +28,7 @@ from fmuid.core.campaign import (
     ParameterSpec,
     ParetoSpec,
     Prior,
+    RobotSpec,
     StageSpec,
 )
 from fmuid.core.errors import CampaignError, MeasurementsError, ProblemError
@@ -158,6 +159,17 @@ class _DesignTable(Table):
     sigma: dict[str, Any] = {}
 
 
+class _JointTable(Table):
+    friction: str | None = None
+    damping: str | None = None
+    armature: str | None = None
+
+
+class _RobotTable(Table):
+    file: str
+    joints: dict[str, dict[str, Any]]
+
+
 class _Document(Table):
     campaign: dict[str, Any] = {}
     signals: dict[str, dict[str, Any]] = {}
@@ -169,6 +181,7 @@ class _Document(Table):
     effects: dict[str, Any] | None = None
     limits: dict[str, Any] = {}
     design: dict[str, Any] = {}
+    robot: dict[str, Any] | None = None
     published: dict[str, Any] = {}
 
 
@@ -269,6 +282,7 @@ def load_campaign(
         validation=roles.validation,
         effects=effects,
         design=_design(document, models, str(file)),
+        robot=_robot(document.robot, folder, parameters, f"{file} [robot]"),
         published=frozen_mapping(document.published),
         filters=frozen_mapping(filters),
         outliers=outliers,
@@ -276,6 +290,24 @@ def load_campaign(
         file=file,
         measurements_file=source,
     )
+
+
+def _robot(
+    raw: _Table | None, folder: Path, parameters: Mapping[str, ParameterSpec], where: str
+) -> RobotSpec | None:
+    if raw is None:
+        return None
+    table = convert(raw, _RobotTable, where)
+    joints = {}
+    for name, entry in table.joints.items():
+        here = f"{where[:-1]}.joints.{name}]"
+        given = msgspec.to_builtins(convert(entry, _JointTable, here))
+        joints[name] = frozen_mapping({quantity: text for quantity, text in given.items() if text is not None})
+        for quantity, text in joints[name].items():
+            for used in sorted(parse(text, where=f"{here} {quantity}").names - parameters.keys()):
+                fix = suggestion(used, parameters)
+                raise CampaignError(f"'{used}' is no parameter", where=f"{here} {quantity}", fix=fix)
+    return RobotSpec(folder / table.file, frozen_mapping(joints))
 
 
 def _have_every_run_judged(document: _Document, recorded: Measurements) -> None:

@@ -324,10 +324,13 @@ def _write_back(
     from fmuid.identification.identified_models import write_identified
 
     written = write_identified(result, campaign, folder / "identified", runner)
-    printer.say(f"identified: {folder / 'identified'} (FMUs with these values, and parameters.ssv)")
+    more = [f.name for f in (*written.modelica, written.robot) if f is not None]
+    contents = ", ".join(["FMUs with these values", "parameters.ssv", *more])
+    printer.say(f"identified: {folder / 'identified'} ({contents})")
     for warning in written.warnings:
         printer.say(f"! {warning}")
-    return {"identified": {"fmus": written.fmus, "parameters": written.parameters}}
+    files = {"fmus": written.fmus, "parameters": written.parameters, "modelica": written.modelica}
+    return {"identified": files | ({} if written.robot is None else {"robot": written.robot})}
 
 
 def _again(command: str, campaign: Path, folder: Path, options: Mapping[str, Any]) -> str:

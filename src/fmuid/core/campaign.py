@@ -322,6 +322,22 @@ class DesignSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class RobotSpec:
+    """A robot's description, URDF or MJCF, and what its joints get from the parameters.
+
+    Parameters
+    ----------
+    file
+        The description; it is not changed.
+    joints
+        By name of the joint: ``friction``, ``damping`` and ``armature`` as formulas of the campaign's parameters.
+    """
+
+    file: Path
+    joints: Mapping[str, Mapping[str, str]]
+
+
+@dataclass(frozen=True, slots=True)
 class Campaign:
     """Everything of one identification question, as `fmuid.load_campaign` reads it.
 
@@ -349,6 +365,8 @@ class Campaign:
         What a diagnosis starts from, if the campaign says.
     design
         Within which limits experiments are designed.
+    robot
+        The robot's description that the values found go into.
     published
         Free-form figures to put beside the estimates.
     filters
@@ -372,6 +390,7 @@ class Campaign:
     validation: tuple[str, ...]
     effects: EffectsSpec | None = None
     design: DesignSpec = DesignSpec()
+    robot: RobotSpec | None = None
     published: Mapping[str, Any] = field(default_factory=dict)
     filters: Mapping[str, float] = field(default_factory=dict)
     outliers: tuple[Outliers, ...] = ()

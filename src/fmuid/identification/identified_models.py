@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fmuid.core.campaign import Campaign
@@ -11,8 +11,10 @@ from fmuid.core.errors import ProblemError
 from fmuid.core.files import write_atomically
 from fmuid.data.noise.level import conversion_at
 from fmuid.identification.check import load_models
+from fmuid.identification.modelica_class import short_class
 from fmuid.identification.parameter_set import parameter_set
 from fmuid.identification.result import Result
+from fmuid.identification.robot_description import described
 from fmuid.identification.solvers import Status
 from fmuid.simulation.coupled.coupled_model import CoupledModel
 from fmuid.simulation.coupled.loading import load_model
@@ -25,17 +27,25 @@ from fmuid.simulation.simulator import Simulator
 
 @dataclass(frozen=True, slots=True)
 class Identified:
-    """What was written: FMUs (or SSP files) by setup, the parameter set, and what the user should know."""
+    """What was written: FMUs (or SSP files) by setup, the parameter set, and what the user should know.
+
+    `modelica` are short classes, one for each Modelica model; `robot` is the robot's description.
+    """
 
     fmus: Mapping[str, Path]
     parameters: Path
     warnings: tuple[str, ...] = ()
+    modelica: tuple[Path, ...] = ()
+    robot: Path | None = None
 
 
 def write_identified(
     result: Result, campaign: Campaign, folder: str | Path, runner: Runner = in_process
 ) -> Identified:
     """Write ``<model>.fmu``, one for each FMU of the campaign, and ``parameters.ssv``; coupled FMUs as ``.ssp``.
+
+    Of models with Modelica source also ``<model>Identified.mo``, a short class with the values; and the robot's
+    description, where the campaign names one.
 
     Start values of a copy are what all runs of its setup have in common: the result's parameters, the
     campaign's settings and initial values; not the settings of a run, nor parameters that each run has its own
@@ -51,6 +61,8 @@ def write_identified(
     ------
     ProblemError
         The result is of an identification that failed or was interrupted.
+    CampaignError
+        The robot's description cannot be read, or lacks a joint.
     FmuError
         A value cannot be a start value of its variable.
     """
@@ -58,7 +70,23 @@ def write_identified(
         raise ProblemError(f"the identification is {result.status.value}", fix="finish it first")
     models = {setup: load_model(campaign.models[setup]) for setup in load_models(campaign)}
     values = {s: start_values(campaign, result.parameters, s, model) for s, model in models.items()}
-    return write_models(campaign.name, values, models, Path(folder), runner)
+    folder = Path(folder)
+    written = write_models(campaign.name, values, models, folder, runner)
+    modelica = {}
+    for setup, model in models.items():
+        source = campaign.models[setup].source
+        if source is not None:
+            name = f"{source.class_name.rpartition('.')[2]}Identified"
+            starts = {n: v.start for n, v in model.variables.items() if v.start is not None}
+            own = {n: v for n, v in values[setup].items() if model.variables[n].causality == "parameter"}
+            modelica[folder / f"{name}.mo"] = short_class(name, source.class_name, own, starts)
+    for file, text in modelica.items():
+        write_atomically(file, text)
+    robot = None
+    if campaign.robot is not None:
+        robot = folder / campaign.robot.file.name
+        write_atomically(robot, described(campaign.robot, result.parameters))
+    return replace(written, modelica=tuple(modelica), robot=robot)
 
 
 def write_models(
