@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.abroad.logs import drawn_factors
 from benchmarks.discovery.case import Case, cases, make_campaign
-from benchmarks.discovery.score import RIGHT, difference, true_course
+from benchmarks.discovery.score import RIGHT, SAME, difference, true_course
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.cli.app import run
 
@@ -34,6 +34,8 @@ class Outcome:
         Of the law found, or why there is none.
     difference
         How far the law is from the true one, in the run that was kept back; None at another place.
+    refitted
+        The same with its coefficients fitted to the true one: small if the terms are the same.
     held_out, validated
         Closure of the law on experiments left out, and in the run that was kept back.
     seconds
@@ -49,47 +51,62 @@ class Outcome:
     formula: str = ""
     reason: str = ""
     difference: float | None = None
+    refitted: float | None = None
     held_out: float | None = None
     validated: float | None = None
     seconds: float = 0.0
 
     @property
     def right(self) -> bool:
+        """Whether the law has the same terms as the true one, or is within 5 % of it."""
+        return self.close or (self.refitted is not None and self.refitted <= SAME)
+
+    @property
+    def close(self) -> bool:
         """Whether the law is within 5 % of the true one."""
         return self.difference is not None and self.difference <= RIGHT
 
 
 def diagnosed(case: Case, folder: Path) -> Outcome:
-    """Diagnose a case in a folder."""
+    """Diagnose a case in a folder, and score what was said."""
     campaign, out = make_campaign(case, folder), folder / "diagnosis"
     begin = time.process_time()
     code = run(["diagnose", str(campaign), "--out", str(out), "--workers", "0", "--quiet"])
     seconds = time.process_time() - begin
-    known = (case.name, case.rig.name, case.expressible)
     if code != 0:
+        known = (case.name, case.rig.name, case.expressible)
         return Outcome(*known, "error", (), reason=f"exit code {code}", seconds=seconds)
+    return scored(case, folder, seconds)
+
+
+def scored(case: Case, folder: Path, seconds: float) -> Outcome:
+    """Hold what was said of a case against the truth."""
+    campaign, out = folder / "campaign", folder / "diagnosis"
+    known = (case.name, case.rig.name, case.expressible)
     answer = json.loads((out / "diagnosis.json").read_text())
     verdict, law = answer["verdict"], answer.get("law_found") or {}
     named = tuple(dict.fromkeys([*verdict["effects"], *(n for one in verdict["one_of"] for n in one)]))
     if not law.get("formula"):
         return Outcome(*known, verdict["kind"], named, reason=law.get("reason", ""), seconds=seconds)
     checked = folder / "validation.json"
-    code = run(["validate", str(out / "diagnosis.json"), "--json", str(checked), "--quiet"])
+    code = run(["validate", str(out / "diagnosis.json"), "--json", str(checked), "--workers", "0", "--quiet"])
     validated = json.loads(checked.read_text())["gaps"]["all"]["closure"] if code == 0 else None
+    difference, refitted = _difference(case, law, campaign) if case.expressible else (None, None)
     return Outcome(
         *known,
         verdict["kind"],
         named,
         law["port"],
         law["formula"],
-        difference=_difference(case, law, campaign) if case.expressible else None,
+        difference=difference,
+        refitted=refitted,
         held_out=law["closure"]["held_out"],
         validated=validated,
         seconds=seconds,
     )
 
 
-def _difference(case: Case, law: dict[str, Any], campaign: Path) -> float | None:
+def _difference(case: Case, law: dict[str, Any], campaign: Path) -> tuple[float, float] | tuple[None, None]:
     kept_back = load_campaign(campaign).validation[0].rpartition("_")[0]
     course, flow = true_course(case, kept_back, drawn_factors(case.rig, np.random.default_rng(case.number)))
     return difference(case, law, course, flow)
@@ -98,20 +115,28 @@ def _difference(case: Case, law: dict[str, Any], campaign: Path) -> float | None
 def table(outcomes: Sequence[Outcome]) -> str:
     """Return the figures by rig, in Markdown."""
     lines = [
-        "| rig | expressible | asked | law found | right form | closure, held out | closure, run kept back"
-        " | inexpressible | law found |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| rig | expressible | asked | law found | right form | of these within 5 % | closure, held out"
+        " | closure, run kept back | inexpressible | law found |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for rig in [*dict.fromkeys(o.rig for o in outcomes), "all"]:
         own = [o for o in outcomes if rig in (o.rig, "all")]
         have, lack = [o for o in own if o.expressible], [o for o in own if not o.expressible]
         asked, found = [o for o in have if o.kind in ("unknown", "partial")], [o for o in have if o.formula]
         right = [o for o in found if o.right]
-        held = _median([o.held_out for o in right]), _median([o.validated for o in right])
-        lines.append(
-            f"| {rig} | {len(have)} | {len(asked)} | {len(found)} | {len(right)} | {held[0]} | {held[1]}"
-            f" | {len(lack)} | {sum(bool(o.formula) for o in lack)} |"
-        )
+        cells = [
+            rig,
+            len(have),
+            len(asked),
+            len(found),
+            len(right),
+            sum(o.close for o in right),
+            _median([o.held_out for o in right]),
+            _median([o.validated for o in right]),
+            len(lack),
+            sum(bool(o.formula) for o in lack),
+        ]
+        lines.append(f"| {' | '.join(map(str, cells))} |")
     return "\n".join(lines)
 
 
@@ -133,12 +158,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder for the cases and their outcomes")
     parser.add_argument("--first", type=int, help="the first ones of the expressible and of the others only")
+    parser.add_argument("--rig", action="append", help="name of a rig, all by default")
     parser.add_argument("--share", default="1/1", help="K/N: every N-th case from the K-th on, to run N abreast")
     parser.add_argument("--page", type=Path, help="write the table into this page, after its mark")
     given = parser.parse_args()
     which, of = map(int, given.share.split("/"))
     outcomes = []
-    for k, case in enumerate(cases(given.first)):
+    chosen = [c for c in cases(given.first) if not given.rig or c.rig.name in given.rig]
+    for k, case in enumerate(chosen):
         file = given.out / f"{case.name}.json"
         if not file.is_file():
             if k % of != which - 1:

@@ -13,6 +13,7 @@ from benchmarks.discovery.case import Case
 from fmuid.discovery.terms import evaluated, names_in
 
 RIGHT = 0.05  # of the true law: root mean square difference
+SAME = 0.01  # the same with coefficients fitted anew: the terms are the same
 _ROOM = 293.15
 Course = Mapping[str, Floats]
 """``place.quantity`` -> samples; ``time``."""
@@ -78,14 +79,17 @@ def true_course(case: Case, experiment: str, factors: Mapping[str, float]) -> tu
     return course | {"time": rig.time[: len(kept)]}, np.array([flow for _, flow in kept])
 
 
-def difference(case: Case, law: Mapping[str, Any], course: Course, flow: Floats) -> float | None:
+def difference(
+    case: Case, law: Mapping[str, Any], course: Course, flow: Floats
+) -> tuple[float, float] | tuple[None, None]:
     """Return how far a law is from the true one, relative to it, but for what nominal parameters do at the place.
 
-    None if it acts at another place, or on what no sensor of the score knows.
+    As it was found, and with its coefficients fitted to the true one. None if it acts at another place, or depends
+    on what the score does not know.
     """
     known = _PORTS.get((case.rig.model, law["port"]))
     if known is None or known[0] != case.table["place"]:
-        return None
+        return None, None
     place, sign, quantities = known
     inputs = {n.partition(".")[2]: v for n, v in course.items() if n.startswith(f"{place}.")}
     columns = {**inputs, **quantities(course), "time": course["time"]}
@@ -94,12 +98,21 @@ def difference(case: Case, law: Mapping[str, Any], course: Course, flow: Floats)
     for name, state in effect.get("states", {}).items():
         columns[name] = _state(state["derivative"], name, columns)
     if not names_in(effect["expression"]) <= columns.keys():
-        return None
-    found = sign * evaluated(effect["expression"], columns)
+        return None, None
     own = np.stack(_NOMINAL[case.rig.model, place](course), axis=1)
-    own = own / np.linalg.norm(own, axis=0)
-    left, true = (x - own @ np.linalg.lstsq(own, x, rcond=None)[0] for x in (found - flow, flow))
-    return float(np.linalg.norm(left) / np.linalg.norm(true))
+    sizes = [n for n in law["parameters"] if "size" in n]
+    off = {n: np.zeros(len(flow)) for n in sizes}
+    terms = [sign * evaluated(effect["expression"], {**columns, **off, n: columns[n]}) for n in sizes]
+    true = _beyond(own, flow)
+    left = _beyond(own, flow - np.sum(terms, axis=0)), _beyond(np.column_stack([own, *terms]), flow)
+    as_found, fitted = (float(np.linalg.norm(x) / np.linalg.norm(true)) for x in left)
+    return as_found, fitted
+
+
+def _beyond(own: Floats, values: Floats) -> Floats:
+    """Return what is left of values when a combination of columns is taken off."""
+    scaled = own / np.linalg.norm(own, axis=0)
+    return values - scaled @ np.linalg.lstsq(scaled, values, rcond=None)[0]
 
 
 def _state(rate: str, name: str, columns: Mapping[str, Floats]) -> Floats:

@@ -232,7 +232,8 @@ def answer_of(found: Found, campaign: Campaign | None = None) -> dict[str, Any]:
     if campaign is not None and campaign.file is not None:
         answer["campaign"] = str(campaign.file)
         law = found.diagnosis.law_found
-        answer["corrected"] = [law.id] if law is not None and law.id else list(_into_the_model(found).effects)
+        named = [*law.beside, law.id] if law is not None and law.id else _into_the_model(found).effects
+        answer["corrected"] = list(named)
     answer["experiments"] = [{"id": name, "sha256": digest} for name, digest in recordings.items()]
     answer["nominal"] = {"parameters": found.subject.model.expanded(found.nominal.fit.values)}
     answer["verdict"]["text"] = " ".join(sentences(answer))
@@ -298,7 +299,7 @@ def _write(
     fitted, subject = _into_the_model(found), found.subject
     if law is not None:
         fitted, campaign = law.fitted, with_effect(campaign, law.effect.id, entry(law.effect))
-        subject = replace(subject, effects=(law.effect,))
+        subject = replace(subject, effects=(*subject.effects, law.effect))
     return write_corrected(
         campaign,
         subject,

@@ -56,7 +56,9 @@ def test_the_equation_of_an_unknown_law_is_found_and_goes_into_the_model(tmp_pat
 
     # The model with it explains a run that was kept back, and goes on.
     validated, again = tmp_path / "v.json", tmp_path / "again"
-    assert run(["validate", str(out / "diagnosis.json"), "--json", str(validated), "--quiet"]) == 0
+    assert (
+        run(["validate", str(out / "diagnosis.json"), "--json", str(validated), "--workers", "0", "--quiet"]) == 0
+    )
     assert json.loads(validated.read_text())["gaps"]["all"]["closure"] > 0.9
     assert answer["corrected"] == ["law_found@body"]
     assert "tanh" in (out / "corrected" / "ThermalBlockCorrected.mo").read_text()

@@ -194,3 +194,59 @@ def test_a_diagnosis_of_version_1_is_read_as_one_of_version_2(tmp_path):
         "one_of": [["a"], ["b"]],
         "port": None,
     }
+
+
+def found_law():
+    return {
+        "id": "law_found@body",
+        "port": "body",
+        "formula": "3 W * tanh((p - 293.15)/15 K)",
+        "modelica": "body.law_size*tanh((p - 293.15)/body.law_width)",
+        "parameters": {
+            "body.law_size": {"value": 3.0, "unit": "W", "standard_error": 0.1, "interval": [2.8, 3.2]},
+            "body.law_width": {"value": 15.0, "unit": "K", "standard_error": None, "interval": None},
+        },
+        "effect": {},
+        "model": {"parameters": {}},
+        "closure": {"train": 0.97, "held_out": 0.96, "interval": [0.9, 1.0], "physical": {}},
+        "gap": 0.1,
+        "p_value": 0.4,
+        "curve": {
+            "variable": "p",
+            "unit": "K",
+            "flow_unit": "W",
+            "x": [290.0, 300.0],
+            "y": [0.0, 2.0],
+            "held": "",
+        },
+        "reason": None,
+    }
+
+
+def unknown(law):
+    kind = {"kind": "unknown", "effects": [], "one_of": [], "port": "body", "ports": ["body"], "stable": None}
+    return samples.diagnosis() | {"verdict": kind, "law_found": law}
+
+
+def test_a_law_found_is_said_with_its_formula_and_drawn(tmp_path):
+    diagnosis = unknown(found_law())
+    page = Page(write_diagnosis_report(diagnosis, tmp_path, campaign="Block").read_text())
+    text = " ".join(page.text.split())
+    assert "a flow of 3 W * tanh((p - 293.15)/15 K)" in text
+    assert "body.law_size*tanh((p - 293.15)/body.law_width)" in text
+    assert (tmp_path / "figures" / "law-found.png").is_file()
+    assert "Closed on held-out data by the law found: 0.96 (0.90 to 1.00); no more than noise is left" in summary(
+        diagnosis
+    )
+    assert sentences(diagnosis)[-1] == (
+        "A law found at body explains it: a flow of 3 W * tanh((p - 293.15)/15 K). With it, 0.96 of the gap is gone"
+        " on runs that were not used (0.90 to 1.00)."
+    )
+
+
+def test_without_a_law_the_reason_is_said(tmp_path):
+    diagnosis = unknown({"formula": None, "reason": "no term of the library explains more than noise would"})
+    page = Page(write_diagnosis_report(diagnosis, tmp_path, campaign="Block").read_text())
+    assert "no term of the library explains more than noise would" in " ".join(page.text.split())
+    assert "Law found: none: no term of the library explains more than noise would" in summary(diagnosis)
+    assert not (tmp_path / "figures" / "law-found.png").exists()

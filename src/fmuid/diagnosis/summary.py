@@ -92,7 +92,7 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
     if law.get("formula"):
         low, high = law["closure"]["interval"]
         said.append(
-            f"A law found at {law['port']} explains it: a flow of {law['formula']}. With it,"
+            f"A law found at {law['port']}{_beside(law)} explains it: a flow of {law['formula']}. With it,"
             f" {law['closure']['held_out']:.2f} of the gap is gone on runs that were not used"
             f" ({low:.2f} to {high:.2f})."
         )
@@ -154,9 +154,13 @@ def _law_found(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
         return (Fact("Law found", f"none: {law['reason']}", "warn"),)
     left = "no more than noise" if law["p_value"] >= SIGNIFICANCE else f"{law['gap']:.2g} times the noise"
     return (
-        Fact(f"Law found at {law['port']}", f"a flow of {law['formula']}", "good"),
+        Fact(f"Law found at {law['port']}{_beside(law)}", f"a flow of {law['formula']}", "good"),
         Fact("Closed on held-out data by the law found", f"{closure_text(law['closure'])}; {left} is left"),
     )
+
+
+def _beside(law: Mapping[str, Any]) -> str:
+    return f" beside {_listed(law['beside'], 'and')}" if law.get("beside") else ""
 
 
 def _closest(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:

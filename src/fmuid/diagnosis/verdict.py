@@ -237,6 +237,8 @@ class LawFound:
     id, port
         Of the law as an effect, and where it acts: a flow out of a node, or from the second node of a branch to
         the first.
+    beside
+        Effects of the verdict that the model with the law has, too.
     formula
         With numbers and units.
     effect
@@ -255,6 +257,7 @@ class LawFound:
 
     id: str = ""
     port: str = ""
+    beside: tuple[str, ...] = ()
     formula: str = ""
     effect: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, LawParameter] = field(default_factory=dict)
@@ -272,6 +275,7 @@ class LawFound:
         return {
             "id": self.id,
             "port": self.port,
+            "beside": list(self.beside),
             "formula": self.formula,
             "modelica": self.effect["expression"],
             "parameters": {name: asdict(p) for name, p in self.parameters.items()},

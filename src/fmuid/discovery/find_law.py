@@ -30,7 +30,6 @@ from fmuid.discovery.terms import HIDDEN, evaluated, names_in
 from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.simulator import Simulator
 
-ID = "law_found"
 CLOSURE_THAT_HOLDS = 0.8  # of the gap, on experiments left out: from here on a law is one
 _PLACES = 4  # that are looked at, those where free functions close most
 _TRIED = (6, 4)  # laws of a round that are refitted in the rebuilt model: of one further term, and of two
@@ -70,7 +69,8 @@ def find_law(
 
     Terms of a library are chosen sparsely for what the nominal model leaves; the best few laws are put into the
     model at the port, which is rebuilt, and refitted with all parameters. A law is extended as long as it leaves
-    more than noise, and further terms close enough of it on experiments left out.
+    more than noise, and further terms close enough of it on experiments left out. Where effects explain a part, a
+    law is first looked for in their place, then beside them.
 
     Parameters
     ----------
@@ -90,15 +90,21 @@ def find_law(
     flats = {s: flat_model(source) for s in setups if s in models and (source := models[s].source) is not None}
     if set(flats) != setups:
         return _none("the campaign names no Modelica source of its model, so no law can be put into it")
-    search = _Search(found, models, load, flats, draw_noise(subject.observed, seed=seed))
-    try:
-        best, reason = search.best(say)
-    except UserError as error:  # a model that cannot be built or simulated is no law
-        return _none(str(error))
-    if best is None or reason:
-        return _none(reason)
-    best = search.named(best)
-    return Discovery(search.told(best, seed), best)
+    noise = draw_noise(subject.observed, seed=seed)
+    # In place of the effects that explain a part, then beside them.
+    bases = [found.nominal, *(found.surviving[:1] if found.diagnosis.verdict.kind == "partial" else ())]
+    reasons = []
+    for base in bases:
+        search = _Search(found, base, models, load, flats, noise)
+        try:
+            best, reason = search.best(say)
+            if best is not None and not reason:
+                best = search.named(best)
+                return Discovery(search.told(best, seed), best)
+        except UserError as error:  # a model that cannot be built or simulated is no law
+            reason = str(error)
+        reasons.append(reason if not base.effects else f"beside {base.id}, {reason}")
+    return _none("; ".join(reasons))
 
 
 def _best(chosen: Sequence[Chosen], terms: int, most: int) -> list[Chosen]:
@@ -119,6 +125,7 @@ def _none(reason: str) -> Discovery:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Search:
     found: Found
+    base: Fitted
     models: Mapping[str, ModelSpec]
     load: Callable[[ModelSpec], Simulator]
     flats: Mapping[str, FlatModel]
@@ -158,13 +165,13 @@ class _Search:
         here = set.intersection(*({p.name for p in find_ports(flat)} for flat in self.flats.values()))
         names = [n for n in asked if n in here and n in ports and ports[n].added and ports[n].input is not None]
         flat = next(iter(self.flats.values()))
-        values = found.nominal.fit.values
+        values = self.base.fit.values
         return [s for n in names[:_PLACES] if (s := spot(n, flat, subject.model, values)) is not None]
 
     def extended(self, law: Candidate | None, spots: Sequence[Spot]) -> Candidate | None:
         """Return the best law of a further term (or of one or two, if there is none yet), if it is worth it."""
         subject = self.found.subject if law is None else law.subject
-        before = self.found.nominal if law is None else law.fitted
+        before = self.base if law is None else law.fitted
         chosen = [c for s in spots for c in choose(subject, before.fit, s, self.noise, pairs=law is None)]
         candidates = self._refitted(law, [c for n, most in enumerate(_TRIED, 1) for c in _best(chosen, n, most)])
         if not candidates:
@@ -178,23 +185,26 @@ class _Search:
         for k, one in enumerate(chosen):
             port = one.spot.port.name
             terms = (*(law.law.terms if law is not None else ()), *one.terms)
-            new = Law(one.spot, terms, f"{port}.law{k + 1}")
+            new = Law(one.spot, terms, f"{port}.tried{k + 1}")
             sizes = list(one.sizes)
-            values = dict(self.found.nominal.fit.values)
+            values = dict(self.base.fit.values)
             if law is not None:
-                values |= {u.name: law.fitted.fit.values[u.name] for u in self.found.subject.nominal}
+                values = {n: law.fitted.fit.values[n] for n in values}
                 sizes = [law.fitted.fit.values[n] for n in law.law.sizes] + sizes
                 for i in range(len(law.law.terms)):
                     own, theirs = new.shapes(i), law.law.shapes(i)
                     values |= {own[n]: law.fitted.fit.values[theirs[n]] for n in own}
             laws.append(new)
             starts.append(values | dict(zip(new.sizes, sizes, strict=True)))
-        effects = [law.effect(f"{ID}{k + 1}@{law.spot.port.name}", "a law") for k, law in enumerate(laws)]
-        subject = with_laws(self.found.subject, self.models, self.load, effects, ())
+        effects = [law.effect(f"tried{k + 1}@{law.spot.port.name}", "a law") for k, law in enumerate(laws)]
+        subject = with_laws(self.found.subject, self.models, self.load, effects, self.base.effects)
+        beside = [e for e in subject.effects if e.id in self.base.effects]
         unbent = {u.name: u.start for u in subject.nominal}
         found = []
         for new, effect, start in zip(laws, effects, starts, strict=True):
-            fitted = fit_effects(subject, [effect], [start, {**start, **unbent}] if law is None else [start])
+            fitted = fit_effects(
+                subject, [*beside, effect], [start, {**start, **unbent}] if law is None else [start]
+            )
             if fitted is not None and not decide.strained(fitted, [effect]):
                 found.append(Candidate(new, effect, subject, fitted))
         return found
@@ -223,9 +233,9 @@ class _Search:
 
     def refused(self, law: Candidate) -> str:
         """Return why the best law is none, or nothing if it holds."""
-        nominal = self.found.nominal
-        closed = closure(nominal.held_out, law.fitted.held_out)
-        gained, error = advantage(law.fitted.held_out, nominal.held_out)
+        base = self.base
+        closed = closure(base.held_out, law.fitted.held_out)
+        gained, error = advantage(law.fitted.held_out, base.held_out)
         weak = self.finished(law) and closed >= decide.CLOSURE_THAT_NAMES
         formula = law.law.formula(law.fitted.fit.values)
         said = f"the best law, {formula}, closes {closed:.2f} of the gap on experiments left out"
@@ -233,7 +243,7 @@ class _Search:
             return f"{said}, too little (from {CLOSURE_THAT_HOLDS:g} on)"
         decoy = min(self.found.decoys, key=lambda d: d.held_out.mean, default=None)
         if decoy is not None and not self.finished(law) and self._beaten(law, decoy):
-            free = closure(nominal.held_out, decoy.held_out)
+            free = closure(base.held_out, decoy.held_out)
             return f"{said}, but a free function of {decoy.over} at {decoy.port} {free:.2f}"
         return ""
 
@@ -244,17 +254,21 @@ class _Search:
     def named(self, law: Candidate) -> Candidate:
         """Return a law with the names that it goes by from here on."""
         values, spot = law.fitted.fit.values, law.law.spot
-        final = replace(law.law, base=f"{spot.port.name}.law")
+        # A model that has laws of earlier diagnoses keeps them.
+        taken = {n for flat in self.flats.values() for n in flat.variables}
+        words = (f"law{k or ''}" for k in (0, *range(2, len(taken) + 3)))
+        name = next(w for w in words if not any(n.startswith(f"{spot.port.name}.{w}_") for n in taken))
+        final = replace(law.law, base=f"{spot.port.name}.{name}")
         before = {u.name: values[u.name] for u in law.effect.unknowns}
         after = final.effect("", "").unknowns
         new = {old: u.name for old, u in zip(before, after, strict=True)}
         found = {new.get(n, n): v for n, v in values.items()}
-        words = f"law found at {spot.port.name}: a flow of {final.formula(found)}"
-        effect = final.effect(f"{ID}@{spot.port.name}", words, found)
+        said = f"law found at {spot.port.name}: a flow of {final.formula(found)}"
+        effect = final.effect(f"{name}_found@{spot.port.name}", said, found)
         unknowns = tuple(replace(u, name=new.get(u.name, u.name)) for u in law.fitted.fit.unknowns)
         fit = replace(law.fitted.fit, unknowns=unknowns, values=found)
-        fitted = replace(law.fitted, effects=(effect.id,), names=(effect.id,), fit=fit)
-        subject = with_laws(self.found.subject, self.models, self.load, [effect], ())
+        fitted = replace(law.fitted, effects=(*self.base.effects, effect.id), fit=fit)
+        subject = with_laws(self.found.subject, self.models, self.load, [effect], self.base.effects)
         return Candidate(final, effect, subject, fitted)
 
     def told(self, law: Candidate, seed: int) -> LawFound:
@@ -273,6 +287,7 @@ class _Search:
         return LawFound(
             id=law.effect.id,
             port=law_.spot.port.name,
+            beside=self.base.effects,
             formula=law_.formula(fitted.fit.values),
             effect=entry(law.effect),
             parameters=parameters,
