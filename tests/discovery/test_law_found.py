@@ -24,9 +24,10 @@ def cache(tmp_path_factory):
         yield
 
 
-def diagnosed(extras, folder):
+def diagnosed(extras, folder, *, effect=None, repeats=2):
     rng = np.random.default_rng(5)
-    logs = write_logs(BLOCK, drawn_factors(BLOCK, rng), {}, folder, Recording(2), rng, extras=extras)
+    factors = drawn_factors(BLOCK, rng)
+    logs = write_logs(BLOCK, factors, effect or {}, folder, Recording(repeats), rng, extras=extras)
     model = ["--model", str(BLOCK.file), "--class", BLOCK.model]
     campaign, out = folder / "campaign", folder / "diagnosis"
     assert run(["init", *map(str, logs), *model, "--out", str(campaign), "--workers", "0", "--quiet"]) == 0
@@ -64,6 +65,18 @@ def test_the_equation_of_an_unknown_law_is_found_and_goes_into_the_model(tmp_pat
     assert "tanh" in (out / "corrected" / "ThermalBlockCorrected.mo").read_text()
     assert run(["diagnose", str(out / "corrected"), "--out", str(again), "--workers", "0", "--quiet"]) == 0
     assert json.loads((again / "diagnosis.json").read_text())["verdict"]["kind"] == "complete"
+
+
+@pytest.mark.slow
+def test_a_law_may_stand_beside_an_effect_that_explains_a_part(tmp_path):
+    law = Extra("wall", lambda values, *_: 1.5 * np.tanh(values["p"] / 8.0))
+    answer, _ = diagnosed(dict.fromkeys(BLOCK.inputs, law), tmp_path, effect={"radiation": 1.2e-8}, repeats=3)
+    found = answer["law_found"]
+    assert answer["verdict"]["kind"] == "partial"
+    assert found["beside"] == ["radiation@casing"]
+    assert found["modelica"] == "wall.law_size*tanh(p/wall.law_width)"
+    assert found["parameters"]["wall.law_size"]["value"] == pytest.approx(1.5, rel=0.02)
+    assert found["model"]["parameters"]["casing.radiation"] == pytest.approx(1.2e-8, rel=0.05)
 
 
 @pytest.mark.slow

@@ -99,7 +99,7 @@ def find_law(
         try:
             best, reason = search.best(say)
             if best is not None and not reason:
-                best = search.named(best)
+                best = search.named(search.pruned(best))
                 return Discovery(search.told(best, seed), best)
         except UserError as error:  # a model that cannot be built or simulated is no law
             reason = str(error)
@@ -251,6 +251,18 @@ class _Search:
         gained, error = advantage(decoy.held_out, law.fitted.held_out)
         return gained > error and decoy.held_out.gap < decide.DECOY_MARGIN * law.fitted.held_out.gap
 
+    def pruned(self, law: Candidate) -> Candidate:
+        """Leave out the effects beside a law that it has made needless."""
+        by_id, fitted = {e.id: e for e in law.subject.effects}, law.fitted
+        for name in law.fitted.effects[:-1]:
+            rest = [by_id[n] for n in fitted.effects if n != name]
+            simpler = fit_effects(law.subject, rest, [fitted.fit.values])
+            if simpler is not None and (
+                simpler.gap <= decide.GAP_THAT_MATTERS or not decide.worth_adding(simpler, fitted)
+            ):
+                fitted = simpler
+        return replace(law, fitted=fitted)
+
     def named(self, law: Candidate) -> Candidate:
         """Return a law with the names that it goes by from here on."""
         values, spot = law.fitted.fit.values, law.law.spot
@@ -267,8 +279,8 @@ class _Search:
         effect = final.effect(f"{name}_found@{spot.port.name}", said, found)
         unknowns = tuple(replace(u, name=new.get(u.name, u.name)) for u in law.fitted.fit.unknowns)
         fit = replace(law.fitted.fit, unknowns=unknowns, values=found)
-        fitted = replace(law.fitted, effects=(*self.base.effects, effect.id), fit=fit)
-        subject = with_laws(self.found.subject, self.models, self.load, [effect], self.base.effects)
+        fitted = replace(law.fitted, effects=(*law.fitted.effects[:-1], effect.id), fit=fit)
+        subject = with_laws(self.found.subject, self.models, self.load, [effect], law.fitted.effects[:-1])
         return Candidate(final, effect, subject, fitted)
 
     def told(self, law: Candidate, seed: int) -> LawFound:
@@ -287,7 +299,7 @@ class _Search:
         return LawFound(
             id=law.effect.id,
             port=law_.spot.port.name,
-            beside=self.base.effects,
+            beside=fitted.effects[:-1],
             formula=law_.formula(fitted.fit.values),
             effect=entry(law.effect),
             parameters=parameters,
