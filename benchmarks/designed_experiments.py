@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.abroad.belt_axis import BELT_AXIS
-from benchmarks.abroad.case import SPREAD, diagnose
+from benchmarks.abroad.case import diagnose
 from benchmarks.abroad.circuit import CIRCUIT
+from benchmarks.abroad.logs import Recording, drawn_factors, write_logs
 from benchmarks.abroad.plant import Floats, Rig
 from benchmarks.abroad.tanks import TANKS
 from benchmarks.abroad.thermal_block import THERMAL_BLOCK
@@ -104,7 +105,9 @@ def case(rig: Rig, truth: str, size: float, seed: int, folder: Path) -> dict[str
     others = {}
     if not answer["settled_for"]:
         name = next(n for n in rig.inputs if not list(place.glob(f"{n}_*.csv")))
-        own = _again(rig, truth, seed, place, "full", rig.time, rig.inputs[name])
+        full = np.array(rig.inputs[name])
+        full[[0, -1]] = u[0]  # from rest and back, as designed ones
+        own = _again(rig, truth, seed, place, "full", rig.time, full)
         others = {"by": name, "verdict": own["verdict"], "settled": _one_left(own)}
     judged = {
         "rig": rig.name,
@@ -147,23 +150,14 @@ def _limit(rig: Rig, campaign: Path) -> None:
 
 def _again(rig: Rig, truth: str, seed: int, place: Path, name: str, time: Floats, u: Floats) -> dict[str, Any]:
     """Have the case's plant play a run, and diagnose the campaign with it."""
-    rng = np.random.default_rng(seed)
-    factors = {n: float(np.exp(rng.uniform(-SPREAD, SPREAD))) for n in rig.parameters}
-    y = rig.simulate(factors, rig.effects.get(truth, {}), time, u)
-    noise = np.random.default_rng([seed, 1]).normal(size=y.shape) * np.asarray(rig.noise)[:, None]
     folder = place / name
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
-    header = ",".join(["time [s]", *(f"{n} [{unit}]" for n, unit in rig.signals.items())])
-    np.savetxt(
-        folder / f"{name}.csv",
-        np.vstack([time, u, y + noise]).T,
-        delimiter=",",
-        header=header,
-        comments="",
-        fmt="%.9g",
-    )
-    logs = [*sorted(place.glob("*.csv")), folder / f"{name}.csv"]
+    factors = drawn_factors(rig, np.random.default_rng(seed))  # as `diagnose` draws them
+    played = replace(rig, inputs={name: u}, time=time)
+    noise = np.random.default_rng([seed, 1])
+    made = write_logs(played, factors, rig.effects.get(truth, {}), folder, Recording(1), noise)
+    logs = [*sorted(place.glob("*.csv")), *made]
     model = ["--model", str(rig.file), "--class", rig.model, "--workers", "0", "--quiet"]
     run(["init", *map(str, logs), *model, "--out", str(folder / "campaign")])
     toml = folder / "campaign" / "campaign.toml"

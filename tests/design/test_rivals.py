@@ -67,3 +67,34 @@ def test_what_no_run_tells_apart_is_said_to_be_so() -> None:
     designed = design_for_diagnosis(campaign(), subject, fitted(subject, "tilt", "cable"), evaluations=16)
     assert designed.least < 0.1 < SETTLED
     assert not designed.beyond  # neither a sensor nor more of the input would help
+
+
+def test_where_no_run_settles_it_a_sensor_is_named_and_how_quiet_it_must_be() -> None:
+    subject = plant({"square": 0.3}, experiments=("sine", "ramp"), repeats=2, noise=4.0)
+    cases = [
+        replace(
+            measured_case(c.id, c.simulator, replace(c.task, outputs=("x",)), {"x": c.channels[0].repeats}),
+            setup="bench",
+        )
+        for c in subject.model.cases
+    ]
+    model = replace(subject.model, cases=tuple(cases))
+    subject = replace(subject, model=model, observed=Observed.from_runs(model.runs))
+    narrow = replace(DESIGN, limits={"u": Limit("u", -2.0, 2.0)})
+    designed = design_for_diagnosis(
+        campaign(narrow), subject, fitted(subject, "quadratic", "asymmetry"), evaluations=12
+    )
+    assert designed.settled_for == []
+    (sensor,) = (b for b in designed.beyond if b.kind == "sensor")
+    assert sensor.what.startswith("a sensor of v with a noise below ")
+    quiet = float(sensor.what.split()[-1])
+    assert 1e-5 < quiet < 0.1  # m/s
+    given = replace(narrow, sigma={"v": 0.5 * quiet})  # the user has such a sensor
+    (sensor,) = (
+        b
+        for b in design_for_diagnosis(
+            campaign(given), subject, fitted(subject, "quadratic", "asymmetry"), evaluations=12
+        ).beyond
+        if b.kind == "sensor"
+    )
+    assert sensor.separation > SETTLED

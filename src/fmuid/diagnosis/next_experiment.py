@@ -107,7 +107,7 @@ def separations(apart: FloatArray, rivals: Sequence[Rival]) -> FloatArray:
             distance = float(np.hypot(np.linalg.norm(right.residual - wrong.residual), apart[a, b]))
             if distance > 0.0:
                 gained = so_far + apart[a, b] ** 2 - 2.0 * _NINE_OF_TEN * apart[a, b]
-                found[a, b] = gained / (2.0 * distance * spread(min(right.left, wrong.left)))
+                found[a, b] = max(0.0, gained / (2.0 * distance * spread(min(right.left, wrong.left))))
     return found
 
 
@@ -217,7 +217,7 @@ def _new(apart: FloatArray, rivals: Sequence[Rival]) -> float:
     """Return the smaller separation of two rivals; 0 if a further run adds nothing but chance to it."""
     told = min(apart[0, 1], apart[1, 0]) > 2.0 * _NINE_OF_TEN
     found = separations(apart, rivals)
-    return max(0.0, float(min(found[0, 1], found[1, 0]))) if told else 0.0
+    return float(min(found[0, 1], found[1, 0])) if told else 0.0
 
 
 def _is_new(case: Case, variable: str) -> bool:
