@@ -88,7 +88,7 @@ def case(rig: Rig, truth: str, size: float, seed: int, folder: Path) -> dict[str
     alike = {truth, *rig.same.get(truth, ())}
     _limit(rig, place / "campaign" / "campaign.toml")
     design = ["design", str(place / "diagnosis"), "--for", "diagnosis", "--out", str(place / "design")]
-    if run([*design, "--evaluations", "120", "--workers", "0", "--quiet"]) != 0:
+    if run([*design, "--evaluations", "100", "--workers", "0", "--quiet"]) != 0:
         return None
     answer = json.loads((place / "design" / "design.json").read_text())
     time, u = np.loadtxt(place / "design" / "input.csv", delimiter=",", skiprows=1, unpack=True)
@@ -164,7 +164,7 @@ def _again(rig: Rig, truth: str, seed: int, place: Path, name: str, time: Floats
     text = re.sub(r"(?m)^identification = .*$", 'identification = ["*"]', toml.read_text())
     toml.write_text(re.sub(r"(?m)^validation = .*$", "validation = []", text))
     out = folder / "diagnosis"
-    run(["diagnose", str(folder / "campaign"), "--out", str(out), "--workers", "0", "--quiet"])
+    run(["diagnose", str(folder / "campaign"), "--out", str(out), "--no-law", "--workers", "0", "--quiet"])
     answer: dict[str, Any] = json.loads((out / "diagnosis.json").read_text())
     return answer
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from fmuid.core.experiments import Signal as Signal
     from fmuid.data.measurements import read_measurements as read_measurements
     from fmuid.data.measurements import write_measurements as write_measurements
+    from fmuid.design_pipeline import design_experiment as design_experiment
     from fmuid.diagnosis_pipeline import diagnose as diagnose
     from fmuid.identification.history import read_history as read_history
     from fmuid.identification.identify import identify as identify
@@ -77,6 +78,7 @@ _PUBLIC = {
     "Variable": "simulation.simulator",
     "WorkerPool": "simulation.pool.workers",
     "couple": "simulation.coupled.loading",
+    "design_experiment": "design_pipeline",
     "diagnose": "diagnosis_pipeline",
     "identify": "identification.identify",
     "load_campaign": "campaigns.campaign_toml",

@@ -53,7 +53,7 @@ class Designed:
         return "\n".join(f"{label}: {value}" for label, value, *_ in self.answer["facts"])
 
 
-def design(
+def design_experiment(
     campaign: Campaign | Result | str | Path,
     purpose: Purpose,
     *,
@@ -88,10 +88,19 @@ def design(
         of what they may be becomes least.
     evaluations
         Excitations that are tried.
+    seed
+        Of the search, and of drawn phases and parameter values.
     workers, time_limit, memory_limit
         As in `fmuid.diagnose`.
     say
         Hears what is being done and the share that is behind.
+    trust
+        Whether functions that the campaign names may be imported and called.
+
+    Returns
+    -------
+    Designed
+        ``answer`` is the value of ``design.json``.
 
     Raises
     ------
@@ -144,7 +153,7 @@ def design(
 def campaign_and_diagnosis(
     what: Campaign | Result | str | Path, start: Result | str | Path | None = None, *, trust: bool = False
 ) -> tuple[Campaign, dict[str, Any] | None]:
-    """Return the campaign that is meant, and the JSON of its diagnosis if one is named; see `design`.
+    """Return the campaign that is meant, and the JSON of its diagnosis if one is named; see `design_experiment`.
 
     Raises
     ------

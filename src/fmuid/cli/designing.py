@@ -58,14 +58,13 @@ def design(
     Example: fmuid design campaigns/drive --for parameters --out runs/next
     Example: fmuid design runs/drive-diagnosis --for diagnosis
     """
-    from fmuid.design_pipeline import INPUT, campaign_and_diagnosis
-    from fmuid.design_pipeline import design as run
+    from fmuid.design_pipeline import INPUT, campaign_and_diagnosis, design_experiment
 
     printer = Printer(quiet, json)
     loaded, _ = campaign_and_diagnosis(campaign, from_, trust=trust)
     folder = out or Path("runs") / f"{loaded.name}-design"
     with printer.working("") as shown:
-        designed = run(
+        designed = design_experiment(
             campaign,
             for_.value,
             start=from_,
