@@ -45,20 +45,21 @@ def _simulate(
             *rates,
         ]
 
-    upper, lower, *_ = integrate(slope, [0.05, 0.05, drive[0], *hidden_start(extra)], time, drive, steps=2)
+    upper, lower, *_ = integrate(slope, [0.05, 0.05, drive[0], *hidden_start(extra)], time, drive, steps=4)
     return np.stack([upper + e["offset"], lower + e["drift"] * time])
 
 
 _TIME = np.arange(0.0, 2400.0, 4.0)
+# No tank runs empty, not even with a dead zone: the plain model would let its level sink below the bottom.
 TANKS = Rig(
     "tanks",
     "Tanks",
     _TIME,
     {
-        "stairs": steps(_TIME, [3.0, 5.0, 0.2, 6.0, 4.0, 1.0]),
-        "down": steps(_TIME, [6.5, 5.0, 3.5, 2.0, 0.5, 3.0]),
+        "stairs": steps(_TIME, [3.0, 5.0, 0.8, 6.0, 4.0, 1.0]),
+        "down": steps(_TIME, [6.5, 5.0, 3.5, 2.0, 0.9, 3.0]),
         "wave": 3.5 + 2.5 * np.sign(np.sin(2 * np.pi * _TIME / 500.0)) * np.abs(np.sin(2 * np.pi * _TIME / 900.0)),
-        "pulses": np.where(_TIME % 400.0 < 200.0, 6.0, 0.0),
+        "pulses": np.where(_TIME % 400.0 < 200.0, 6.0, 1.0),
     },
     {"u": "V", "h_upper": "m", "h_lower": "m"},
     (5e-4, 5e-4),
