@@ -52,6 +52,15 @@ def range_text(low: float, high: float, span: float | None = None) -> str:
     return " … ".join(f"{end:g}".replace("-", "−") for end in ends)
 
 
+def interval_text(low: float, high: float) -> str:
+    """Return "low .. high" with as many digits as its width needs, to two digits of it."""
+    width, size = high - low, max(abs(low), abs(high))
+    digits = 5
+    if 0.0 < width < math.inf and size > 0.0:
+        digits = max(digits, min(17, math.ceil(math.log10(size / width)) + 2))
+    return f"{low:.{digits}g} .. {high:.{digits}g}"
+
+
 def once_each(notes: Sequence[tuple[str, str]]) -> list[str]:
     """Return each note on files once, with the file that it is on, or with how many there are."""
     files: dict[str, list[str]] = {}

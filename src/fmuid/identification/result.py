@@ -17,7 +17,7 @@ import msgspec
 
 from fmuid.core.errors import FmuidError
 from fmuid.core.files import write_atomically
-from fmuid.core.formatting import html_lines, html_table, text_table
+from fmuid.core.formatting import html_lines, html_table, interval_text, text_table
 from fmuid.identification.history import FILE as HISTORY
 from fmuid.identification.history import JOURNAL, StageHistory, read_run
 from fmuid.identification.solvers.pareto import Front
@@ -324,7 +324,7 @@ def _cells(estimates: Sequence[Estimate]) -> list[list[str]]:
             f"{e.value:.6g}",
             e.unit or "",
             error if e.standard_error is None else f"{e.standard_error:.2g}",
-            "" if e.interval is None else f"{e.interval[0]:.5g} .. {e.interval[1]:.5g}",
+            "" if e.interval is None else interval_text(*e.interval),
         ]
         if with_inherited:
             row.append("" if e.inherited is None else f"{100.0 * e.inherited:.0f} %")

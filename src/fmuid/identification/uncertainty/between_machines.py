@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fmuid.core.formatting import interval_text
+
 LEVEL = 0.95
 _DIFFERENT = 0.05
 
@@ -50,7 +52,7 @@ class MachineSpread:
         text = f"{self.name} {verdict} (p = {self.p_value:.2g}): mean {self.mean:.4g}, spread {self.spread:.2g}"
         if self.next_machine is None:
             return text
-        return f"{text}; the next machine's, 95 %: {self.next_machine[0]:.4g} .. {self.next_machine[1]:.4g}"
+        return f"{text}; the next machine's, 95 %: {interval_text(*self.next_machine)}"
 
 
 def machine_spread(
