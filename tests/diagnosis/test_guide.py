@@ -266,6 +266,8 @@ VALID = {
         ({"experiments": ["slow"]}, "'experiments' has no hashes"),
         ({"nominal": {}}, "no parameter values in 'nominal'"),
         ({"model": {"parameters": {"m": "1"}}}, "no parameter values in 'model'"),
+        ({"law_found": {"formula": "1 N * p", "model": {"parameters": {}}}}, "'law_found' has no effect"),
+        ({"law_found": {"formula": "1 N * p", "id": "a", "effect": {}}}, "no parameter values in 'law_found'"),
         ({"model": {"parameters": {"gear.mesh_eta1": 0.9}}}, "trolley: neither the campaign"),
     ],
 )
