@@ -183,7 +183,7 @@ def test_init_takes_model_exchange_where_the_solver_inside_is_coarse(
         assert abs(ratio - 1) < error if error else abs(ratio - 1) > 5e-3
 
 
-@pytest.mark.parametrize("truth", ["none", "gain@position", "delay@u"])
+@pytest.mark.parametrize("truth", ["none", pytest.param("gain@position", marks=pytest.mark.slow), "delay@u"])
 def test_what_is_wrong_with_a_signal_is_found_from_log_files_alone(
     truth: str, oscillator: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
 ) -> None:
@@ -219,7 +219,9 @@ def test_what_is_wrong_with_a_signal_is_found_from_log_files_alone(
 @pytest.mark.parametrize(
     ("fault", "limit", "message"),
     [
-        ("hang", ("--time-limit", "5"), "took longer than the time limit of 5 s"),
+        pytest.param(
+            "hang", ("--time-limit", "5"), "took longer than the time limit of 5 s", marks=pytest.mark.slow
+        ),
         ("devours", ("--memory-limit", "200"), "took more memory than the limit of 200 MB"),
     ],
 )

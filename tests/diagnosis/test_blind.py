@@ -208,6 +208,7 @@ def test_the_suggested_run_is_made_on_the_case_s_own_actuator_and_repeated_as_of
         add_suggested_run(truth, "as nothing, with its input times 2", tmp_path / "before.h5", target)
 
 
+@pytest.mark.slow
 def test_an_open_answer_is_asked_again_with_the_run_it_suggested_and_nothing_is_done_twice(tmp_path, monkeypatch):
     rounds = []
 

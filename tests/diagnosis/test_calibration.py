@@ -95,6 +95,7 @@ def test_a_plant_that_cannot_be_simulated_is_drawn_anew_but_not_for_ever(fitted,
         list(simulated_plants(subject, fit, paths, 2))
 
 
+@pytest.mark.slow
 def test_calibrating_diagnoses_every_plant_and_is_kept_under_its_key(fitted, tmp_path, monkeypatch):
     subject, fit, paths = fitted
 

@@ -168,7 +168,11 @@ HELD = "start = {}\nlower = -1\nupper = 500\nfree = false\n"
 
 @pytest.mark.parametrize(
     ("name", "mapped", "more"),
-    [("drag", "", ""), ("c_w", 'map = { c_w = "drag" }\n', ""), ("drag", "", 'unit = "N.s2/cm2"\n')],
+    [
+        ("drag", "", ""),
+        pytest.param("c_w", 'map = { c_w = "drag" }\n', "", marks=pytest.mark.slow),
+        ("drag", "", 'unit = "N.s2/cm2"\n'),
+    ],
     ids=["same name", "another name", "another unit"],
 )
 def test_a_parameter_held_at_its_neutral_value_does_not_hide_an_effect(trolley, tmp_path, name, mapped, more):

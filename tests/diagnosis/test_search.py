@@ -37,9 +37,13 @@ def test_a_law_of_another_shape_is_no_third_cause():
 @pytest.mark.parametrize(
     ("truth", "causes"),
     [
-        ({"truth": {"a": 0.1}, "delay": 5e-3}, {"asymmetry", "dead_time"}),
+        pytest.param({"truth": {"a": 0.1}, "delay": 5e-3}, {"asymmetry", "dead_time"}, marks=pytest.mark.slow),
         ({"truth": {"square": 0.3}, "gain": 1.03}, {"quadratic", "reading_gain"}),
-        ({"truth": {"square": 0.3}, "gain": 1.03, "delay": 5e-3}, {"quadratic", "reading_gain", "dead_time"}),
+        pytest.param(
+            {"truth": {"square": 0.3}, "gain": 1.03, "delay": 5e-3},
+            {"quadratic", "reading_gain", "dead_time"},
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_as_many_effects_are_named_as_are_true(truth, causes):

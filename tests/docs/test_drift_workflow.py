@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 import yaml
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "drift"
@@ -36,6 +37,7 @@ def runs(folder: Path) -> tuple[bool, str]:
     return good, summary.read_text()
 
 
+@pytest.mark.slow
 def test_the_job_fails_when_the_model_drifts_and_says_where(tmp_path: Path) -> None:
     assert [s["run"] for s in STEPS if "run" in s and "if" not in s] == ['pip install "$FMUID"', "./check.sh"]
     shutil.copytree(EXAMPLE, tmp_path / "right")

@@ -36,9 +36,11 @@ PAGES = [
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 SLOW = {
     "cluster",
+    "data",
     "design",
     "drift",
     "effect",
+    "modelica",
     "notebook",
     "own-drive",
     "paper",

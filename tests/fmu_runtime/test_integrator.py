@@ -48,7 +48,9 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", ["train", "van_der_pol", *(pytest.param(n, marks=pytest.mark.slow) for n in ("pendulum", "robertson"))]
+)
 def test_global_error_is_of_the_order_of_the_tolerance(fmu, name):
     states, h, inputs = CASES[name]
     expected = reference(getattr(handmade, name)(), h, inputs)

@@ -38,7 +38,11 @@ def test_unchanged_fmu_is_left_alone(tmp_path):
 
 @pytest.mark.parametrize("compiler", [c for c in ("gcc", "clang") if shutil.which(c)])
 @pytest.mark.parametrize(
-    ("name", "fmi"), [("train", 2), ("bouncing_ball", 2), ("algebraic_loop", 2), ("relay", 3)]
+    ("name", "fmi"),
+    [
+        *(pytest.param(name, 2, marks=pytest.mark.slow) for name in ("train", "bouncing_ball", "algebraic_loop")),
+        ("relay", 3),
+    ],
 )
 def test_sources_compile_elsewhere_without_warnings(built, tmp_path, name, fmi, compiler):
     """With nothing but the archive: the files it names, in its order, C99, no extensions."""

@@ -308,7 +308,9 @@ def test_an_equality_is_met(analytic, solver):
     assert found["a"] == pytest.approx(nearest, abs=1e-2)
 
 
-@pytest.mark.parametrize("solver", ["bobyqa", "trf", "dfols", "sbplx > praxis", "mlsl"])
+@pytest.mark.parametrize(
+    "solver", ["bobyqa", "trf", pytest.param("dfols", marks=pytest.mark.slow), "sbplx > praxis", "mlsl"]
+)
 def test_multistart_does_not_depend_on_where_and_by_how_many_it_is_simulated(msd, solver):
     from concurrent.futures import ThreadPoolExecutor
 

@@ -29,6 +29,7 @@ def test_values_against_scipy(fmu):
         assert np.abs(y - truth).max() < 10 * tolerance * np.abs(truth).max()
 
 
+@pytest.mark.slow
 def test_sensitivities_against_scipy(fmu):
     along = tuple({name: 1.0} for name in PARAMETERS)
     task = Task(TIMES, {"F": FORCE}, ("y",), tolerance=1e-8, along=along)

@@ -137,8 +137,10 @@ class Diagnosis:
     "kind",
     [
         "crash",
-        "hang",
-        *(pytest.param(k, marks=pytest.mark.slow) for k in ("segfault", "nan", "devours", "leaves", "fatal")),
+        *(
+            pytest.param(k, marks=pytest.mark.slow)
+            for k in ("hang", "segfault", "nan", "devours", "leaves", "fatal")
+        ),
     ],
 )
 def test_an_fmu_that_misbehaves_in_a_region_does_not_stop_the_search(build, tmp_path, kind):
