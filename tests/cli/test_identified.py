@@ -116,6 +116,18 @@ def test_an_identification_is_written_back(folder: Path, fmuid) -> None:
     assert float(dynamics.get("damping")) == pytest.approx(2 * values["d"])
 
 
+def test_a_run_killed_before_its_models_were_written_gets_them_on_resume(folder: Path, fmuid) -> None:
+    assert fmuid("identify", folder, "--out", "run", "--no-report")[0] == 0
+    result, written = Path("run/result.json").read_bytes(), Path("run/identified/parameters.ssv")
+    contents = written.read_bytes()
+    written.unlink()
+    code, out, err = fmuid("identify", folder, "--out", "run", "--no-report", "--resume")
+    assert (code, err) == (0, "")
+    assert "identified: run/identified" in out
+    assert (written.read_bytes(), Path("run/result.json").read_bytes()) == (contents, result)
+    assert fmuid("identify", folder, "--out", "run", "--resume")[0] == 2  # it is complete
+
+
 @pytest.mark.parametrize("status", [Status.FAILED, Status.INTERRUPTED])
 def test_only_a_success_is_written_back(folder: Path, fmuid, status: Status) -> None:
     assert fmuid("identify", folder, "--out", "run", "--no-report", "--evaluations", 3)[0] == 0

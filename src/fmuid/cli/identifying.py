@@ -83,8 +83,9 @@ def identify(
         claim(folder),
         dask_executor(dask) if dask else nullcontext() as executor,
     ):
-        with _progress(quiet) as observer:
-            result = run(
+        result = _found_before(folder) if resume else None
+        with nullcontext() if result else _progress(quiet) as observer:
+            result = result or run(
                 loaded,
                 out=folder,
                 stages=stage,
@@ -316,6 +317,16 @@ def _diagnosis_validation(asked: _Judged, printer: Printer, runner: Runner) -> d
         found = validate_diagnosis(answer, loaded, others=others, experiments=asked.experiments, runner=runner)
     print_validation(found, answer, printer)
     return {"diagnosis": asked.file, "campaign": campaign, **found.to_dict()}
+
+
+def _found_before(folder: Path) -> Result | None:
+    """Return the result of a run that was killed before all was written that follows from it."""
+    from fmuid.identification.history import JOURNAL
+    from fmuid.identification.identified_models import PARAMETERS
+    from fmuid.identification.result import FILE, Result
+
+    complete = (folder / FILE).exists() and not (folder / JOURNAL).exists()
+    return Result.from_json(folder) if complete and not (folder / "identified" / PARAMETERS).exists() else None
 
 
 def _write_back(

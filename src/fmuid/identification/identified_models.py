@@ -24,6 +24,8 @@ from fmuid.simulation.fmu_copy import copy_with_starts, takes_effect
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
+PARAMETERS = "parameters.ssv"
+
 
 @dataclass(frozen=True, slots=True)
 class Identified:
@@ -71,7 +73,6 @@ def write_identified(
     models = {setup: load_model(campaign.models[setup]) for setup in load_models(campaign)}
     values = {s: start_values(campaign, result.parameters, s, model) for s, model in models.items()}
     folder = Path(folder)
-    written = write_models(campaign.name, values, models, folder, runner)
     modelica = {}
     for setup, model in models.items():
         source = campaign.models[setup].source
@@ -86,6 +87,7 @@ def write_identified(
     if campaign.robot is not None:
         robot = folder / campaign.robot.file.name
         write_atomically(robot, described(campaign.robot, result.parameters))
+    written = write_models(campaign.name, values, models, folder, runner)
     return replace(written, modelica=tuple(modelica), robot=robot)
 
 
@@ -129,7 +131,7 @@ def write_models(
                 f"{target.name}: {model.tool} lets its FMU start with other values than its description says; "
                 "set those of parameters.ssv"
             )
-    parameters = folder / "parameters.ssv"
+    parameters = folder / PARAMETERS  # the last: it says that all is there
     write_atomically(parameters, parameter_set(name, values, models))
     return Identified(written, parameters, tuple(warnings))
 
