@@ -34,6 +34,7 @@ FILE_NAME, INPUT = "design.json", "input.csv"
 Purpose = Literal["diagnosis", "parameters"]
 Say = Callable[[str, float], None]
 _SETTLES = "Does it settle the question"
+_SHOWN = 6  # pairs of answers, the closest
 _SAID = 3  # of what would help beyond an excitation
 _FURTHER = {"sensor": "It takes", "setting": "Or set", "limits": "Or allow"}
 
@@ -237,8 +238,12 @@ def _of_diagnosis(made: DiagnosisDesign) -> dict[str, Any]:
         facts.append((_SETTLES, f"yes, if the right answer is {' or '.join(settled)}; else not"))
     else:
         facts.append((_SETTLES, "no run within these limits settles it", "warn"))
-    for a, b, s in made.pairs:
+    closest = sorted(made.pairs, key=lambda pair: pair[2])
+    for a, b, s in closest[:_SHOWN]:
         facts.append((f"{_words(a.names)} or {_words(b.names)}", f"{s:.3g} sigma"))
+    if len(closest) > _SHOWN:
+        others = f"{counted(len(closest) - _SHOWN, 'pair')}, {closest[_SHOWN][2]:.3g} sigma or more"
+        facts.append(("Farther apart", others))
     for further in made.beyond[:_SAID]:
         facts.append((_FURTHER[further.kind], f"{further.what}: {further.separation:.3g} sigma"))
     return {
