@@ -34,6 +34,7 @@ FILE_NAME, INPUT = "design.json", "input.csv"
 Purpose = Literal["diagnosis", "parameters"]
 Say = Callable[[str, float], None]
 _SETTLES = "Does it settle the question"
+_DRAWN = 4  # answers in the pictures
 _SHOWN = 6  # pairs of answers, the closest
 _SAID = 3  # of what would help beyond an excitation
 _FURTHER = {"sensor": "It takes", "setting": "Or set", "limits": "Or allow"}
@@ -129,7 +130,8 @@ def design_experiment(
             answers = rivals_of(subject, left_open)
             made = design_for_diagnosis(loaded, subject, answers, evaluations=evaluations, seed=seed, say=say)
             told = _of_diagnosis(made)
-            predicted = {_words(r.names): _predicted(made.planned, made.excitation, r.values) for r in made.rivals}
+            drawn = made.rivals[:_DRAWN]
+            predicted = {_words(r.names): _predicted(made.planned, made.excitation, r.values) for r in drawn}
         else:
             made = design_for_parameters(
                 loaded,

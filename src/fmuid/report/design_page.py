@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +63,10 @@ def write_design_page(
             1,
         ),
     ]
+    if any(len(signal.lines) > 1 for signal in outputs):
+        apart = tuple(_panel(_less_the_first(signal)) for signal in outputs)
+        first = next(iter(outputs[0].lines))
+        figures.append(LineFigure("difference", "What tells them apart", apart, f"Less what {first} predicts.", 1))
     document = Document(
         f"Designed experiment: {campaign}",
         "The input is in input.csv, beside this page.",
@@ -76,12 +80,18 @@ def write_design_page(
     return write_document(document, out)
 
 
+def _less_the_first(signal: PlannedSignal) -> PlannedSignal:
+    first = next(iter(signal.lines.values()))
+    lines = {label: values - first for label, values in signal.lines.items()}
+    return replace(signal, lines=lines, lower=-np.inf, upper=np.inf)
+
+
 def _panel(signal: PlannedSignal) -> Panel:
     series = []
     first = next(iter(signal.lines.values()))
     kept = kept_samples(list(signal.lines.values()))
     if signal.sigma is not None:
-        for sign, label in ((1.0, "noise of a sample"), (-1.0, "noise of a sample")):
+        for sign, label in ((1.0, "noise"), (-1.0, "noise")):
             edge = first + sign * _BAND * signal.sigma
             series.append(Series(label, signal.time[kept], edge[kept], "measurement"))
     for k, (label, values) in enumerate(signal.lines.items()):
