@@ -16,7 +16,6 @@ _BARRIER = 1e3  # above every cost of a run within limits
 _FIRST = 0.4  # share of the evaluations that goes to a few of every family
 _SHRUNK = 0.5  # size of the next trial of a run that leaves its limits
 _STEP = 0.15  # of the local search
-_BETTERED = 2  # families
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +66,7 @@ def search(
     """Return the excitation of the least cost that keeps every limit.
 
     Every family is begun from as many points of a Sobol' sequence; one that leaves a limit is made smaller. The
-    best of the best families is bettered by Subplex. Interrupted, the search returns what it has reached.
+    best of each is bettered by Subplex, then the best of all. Interrupted, the search returns what it has reached.
 
     Parameters
     ----------
@@ -91,17 +90,21 @@ def search(
         say(len(tried) / evaluations)
         return judged.total
 
+    def better(k: int, count: int) -> None:
+        start = min((t for t in tried if t[1] == k), key=lambda t: t[0].total)[2]
+        if count > 0:
+            minimised(lambda x: cost(k, x), start, step=_STEP, evaluations=count)
+
     interrupted = False
     try:
         each = max(2, int(_FIRST * evaluations / len(shapes)))
         for k, shape in enumerate(shapes):
             _begin(shape, each, seed, lambda x, k=k: cost(k, x))  # type: ignore[misc]
-        families = sorted(range(len(shapes)), key=lambda k: min(j.total for j, of, _ in tried if of == k))
-        for n, k in enumerate(families[:_BETTERED]):
-            left = (evaluations - len(tried)) // (min(_BETTERED, len(families)) - n)
-            start = min((t for t in tried if t[1] == k), key=lambda t: t[0].total)[2]
-            if left > 0:
-                minimised(lambda x, k=k: cost(k, x), start, step=_STEP, evaluations=left)  # type: ignore[misc]
+        # A few points say little of a family: each is bettered for a while, then the best of them to the end.
+        every = (evaluations - len(tried)) // (2 * len(shapes))
+        for k in range(len(shapes)):
+            better(k, every)
+        better(min(tried, key=lambda t: t[0].total)[1], evaluations - len(tried))
     except KeyboardInterrupt:
         interrupted = True
         if not tried or min(j.total for j, _, _ in tried) >= _BARRIER:
