@@ -27,7 +27,7 @@ from benchmarks.abroad.grid import COUNT, Case, label, plan
 from benchmarks.abroad.logs import UNITS, write_logs
 from benchmarks.abroad.plant import Rig
 from benchmarks.abroad.score import Abroad, scored
-from benchmarks.blind.blind_check import checked_labels, diagnosed_apart
+from benchmarks.blind.blind_check import checked_labels, diagnosed_apart, out_of_reach
 from benchmarks.study_command import ended
 from benchmarks.virtual_rig.blind import DIGEST, LABELS, kept_seed
 from fmuid.core.errors import FmuidError
@@ -144,8 +144,11 @@ class Check:
         command += ["--out", str(answers)] + ([] if self.workers is None else ["--workers", str(self.workers)])
         return self.score(closed=diagnosed_apart(command, self.labels))
 
-    def score(self, *, closed: bool = True) -> Abroad:
-        """Score what has been answered so far."""
+    def score(self, *, closed: bool | None = None) -> Abroad:
+        """Score what has been answered; whether the labels can be closed is tried anew where that is not told."""
+        if closed is None:
+            with out_of_reach(self.labels) as closed:
+                pass
         labels = checked_labels(self.labels, self.out / DIGEST)
         cases = {}
         for name, truth in labels.items():

@@ -56,7 +56,7 @@ def scored(label: Mapping[str, Any], answer: Mapping[str, Any], closure: float |
     name = {other: effect for effect, others in label["same"].items() for other in others}
     verdict = answer["verdict"]
     effects = _named(verdict["effects"], name)
-    one_of = list(dict.fromkeys(_named(names, name) for names in verdict["one_of"]))
+    one_of = list({frozenset(o): o for o in (_named(names, name) for names in verdict["one_of"])}.values())
     kind = verdict["kind"]
     if kind == "ambiguous" and len(one_of) == 1:
         kind, effects, one_of = "effect", _named((*effects, *one_of[0]), name), []
