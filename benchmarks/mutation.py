@@ -1,7 +1,8 @@
 """Mutants of the numerical core: ``make mutation`` writes ``build/mutation/survivors.md``.
 
 Cosmic Ray changes one place of a module at a time, in a copy of the repository, and runs the tests that should
-notice. What none of them noticed is listed as a difference; `docs/mutants.md` judges the survivors.
+notice. What none of them noticed is listed as a difference, to be judged by a reader: an equivalent program, or a
+test that is missing.
 
     python benchmarks/mutation.py              every module below
     python benchmarks/mutation.py features     those whose path has "features" in it
