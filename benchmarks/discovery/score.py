@@ -58,12 +58,16 @@ _NOMINAL: Mapping[tuple[str, str], Callable[[Course], list[Floats]]] = {
 }
 
 
+# No run determines the scale that all flows and sections have in common: `fmuid init` holds this parameter.
+_COMMON_SCALE: Mapping[str, str] = {"Tanks": "lower"}
+
+
 def _rate(c: Course, name: str) -> Floats:
     return np.gradient(c[name], c["time"])
 
 
 def true_course(case: Case, experiment: str, factors: Mapping[str, float]) -> tuple[Course, Floats]:
-    """Return the quantities of every place of the plant in a run, and the true flow."""
+    """Return the quantities of every place of the plant in a run, and the true flow in the model's scale."""
     rig = case.rig
     rows: dict[float, tuple[dict[str, float], float]] = {}
 
@@ -76,7 +80,8 @@ def true_course(case: Case, experiment: str, factors: Mapping[str, float]) -> tu
     rig.simulate(factors, {}, rig.time, rig.inputs[experiment], extra)
     kept = [rows[t] for t in (round(float(t), 12) for t in rig.time[:-1]) if t in rows]
     course = {n: np.array([values[n] for values, _ in kept]) for n in kept[0][0]}
-    return course | {"time": rig.time[: len(kept)]}, np.array([flow for _, flow in kept])
+    scale = factors[_COMMON_SCALE[rig.model]] if rig.model in _COMMON_SCALE else 1.0
+    return course | {"time": rig.time[: len(kept)]}, np.array([flow / scale for _, flow in kept])
 
 
 def difference(
