@@ -176,9 +176,11 @@ def page(outcomes: Sequence[Outcome]) -> str:
         for o in outcomes
         for law in [f"`{o.formula}` at {o.port}" if o.formula else ""]
     ]
+    missing = {c.rig.name for c in cases()} - {o.rig for o in outcomes}
     return "\n".join(
         [
             _HEAD.format(have=have, lack=lack, of=of),
+            *([f"Not gone through yet: {', '.join(sorted(missing))}.", ""] if missing else []),
             table(outcomes),
             "",
             "## Case by case",
