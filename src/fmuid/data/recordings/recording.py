@@ -36,8 +36,8 @@ class Recording:
         """Names of all signals."""
         return tuple(name for table in self.tables for name in table.columns)
 
-    def only(self, names: Collection[str], path: Path) -> Recording:
-        """Return the recording with the signals in `names` alone; with all of them if there are none.
+    def only(self, names: Collection[str], path: Path | None = None) -> Recording:
+        """Return the recording, of the file at `path`, with the signals in `names` alone; with all if there are none.
 
         Raises
         ------
