@@ -37,7 +37,7 @@ class Recording:
         return tuple(name for table in self.tables for name in table.columns)
 
     def only(self, names: Collection[str], path: Path | None = None) -> Recording:
-        """Return the recording, of the file at `path`, with the signals in `names` alone; with all if there are none.
+        """Return the recording with the signals in `names` alone, or all of them; `path` is for errors.
 
         Raises
         ------
