@@ -7,22 +7,12 @@ import pytest
 from plants import EFFECTS, NOMINAL, PORTS, REGIMES, TWIN, plant
 
 from fmuid.data.noise.runs import RepeatedRuns
-from fmuid.diagnosis.candidates import Fitted, fit_effects, score_further
+from fmuid.diagnosis.candidates import fit_effects, score_further
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import HeldOut, advantage, closure, closure_interval, leave_each_out
-from fmuid.diagnosis.decide import (
-    names,
-    needed_beside,
-    of_its_law,
-    places,
-    stable,
-    strained,
-    survivors,
-    unexplained,
-)
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.ports import Decoy, fit_decoys, harmonics, hats, quantile_knots, responses_of
-from fmuid.diagnosis.refit import Refit, Unknown, refit
+from fmuid.diagnosis.ports import fit_decoys, harmonics, hats, quantile_knots, responses_of
+from fmuid.diagnosis.refit import Unknown, refit
 from fmuid.diagnosis.regimes import Regime, bases, own_bases, trajectories
 from fmuid.diagnosis.scores import alias_classes, nominal_basis, project_off, said_once, score_effects, stack
 from fmuid.simulation.runners import in_process
@@ -237,118 +227,6 @@ def test_a_sensor_that_also_shows_another_signal_is_found_out():
     best = min(decoys, key=lambda d: d.held_out.gap)
     assert (best.port, best.over) == ("reading", "other signals")
     assert closure(nominal.held_out, best.held_out) > 0.8
-
-
-@pytest.mark.parametrize(
-    ("values", "strain"),
-    [
-        ((0.5, 2.0, 5.0), False),
-        ((0.5, 4.0, 5.0), True),  # a shape that nobody thought plausible
-        ((0.5, 0.1, 9.0), False),  # both as a trial has them
-        ((0.5, 0.1, 1.0), True),  # one as a trial has it, the other as at the start
-        ((1.0, 2.0, 5.0), True),  # as large as it may be
-        ((0.0, 2.0, 5.0), False),  # off
-    ],
-)
-def test_a_law_at_bounds_that_nobody_thought_plausible_is_strained(values, strain):
-    unknowns = (
-        Unknown("size", 0.0, 0.0, 1.0, 1e-3),
-        Unknown("shape", 1.0, 0.1, 4.0, 1e-2),
-        Unknown("onset", 1.0, 1.0, 9.0, 1e-2),
-    )
-    neutral, trial = {"size": 0.0, "shape": 1.0, "onset": 1.0}, {"size": 0.1, "shape": 0.1, "onset": 9.0}
-    effect = Effect("e", "", "p", unknowns, neutral, (trial,), shapes=frozenset({"shape", "onset"}))
-    found = dict(zip(neutral, values, strict=True))
-    fitted = Fitted(("e",), ("e",), Refit(unknowns, found, (), (), 0.0, 0, True), lost(1.0), 1.0)
-    assert strained(fitted, [effect]) is strain
-
-
-@pytest.mark.parametrize(("held_out", "named"), [(0.1, False), (0.45, True)])
-def test_what_finishes_a_weak_gap_is_not_named_if_unknown_is_likelier(held_out, named):
-    nominal, best = (
-        Fitted(effects, effects, Refit((), {}, (), (), 0.0, 0, True), lost(loss), left)
-        for effects, loss, left in [((), 1.0, 0.4), (("e",), (1.0 - held_out) ** 2, 0.2)]
-    )
-    assert names(nominal, best, finished=True) is named
-
-
-def fitted(effects, gap):
-    return Fitted(effects, effects, Refit((), {}, (), (), 0.0, 0, True), lost(gap**2), gap)
-
-
-@pytest.mark.parametrize(("held_out", "named"), [(0.25, False), (0.45, False), (0.55, True)])
-def test_an_effect_that_leaves_something_is_named_if_it_closes_half_of_the_gap(held_out, named):
-    assert names(fitted((), 1.0), fitted(("e",), 1.0 - held_out), finished=False) is named
-
-
-@pytest.mark.parametrize(("left", "found"), [(0.1, True), (0.6, True), (0.7, False)])
-def test_a_free_function_that_leaves_much_less_than_the_effect_shows_the_gap_unexplained(left, found):
-    best = fitted(("e",), 0.5)
-    decoy = Decoy("port", "speed", (), fitted((), left * best.gap).held_out)
-    assert unexplained(fitted((), 1.0), best, [decoy], ["other"]) is (decoy if found else None)
-
-
-@pytest.mark.parametrize(
-    ("alone", "beside", "own", "shape"),
-    [
-        (0.5, 0.1, True, True),  # the function does what the law does, and more
-        (0.9, 0.1, True, False),  # a function of something else
-        (0.5, 0.1, False, False),  # somewhere else
-        (0.5, 0.45, True, False),  # not what is left
-    ],
-)
-def test_what_a_law_of_another_shape_leaves_is_no_further_cause(alone, beside, own, shape):
-    best = fitted(("e",), 0.5)
-    first, second = (Decoy("here", "speed", (), fitted((), g).held_out) for g in (alone, beside))
-    assert of_its_law(best, [first], [second], ["here" if own else "there"]) is shape
-
-
-@pytest.mark.parametrize(("beside", "needed"), [(0.05, True), (0.2, False), (0.35, False)])
-def test_an_effect_is_needed_beside_a_free_function_only_if_both_leave_hardly_anything(beside, needed):
-    """Alone the function leaves 0.4 of the gap; an effect that lowers that little only imitates it."""
-    alone, both = (Decoy("p", "speed", (), fitted((), g).held_out) for g in (0.4, beside))
-    assert needed_beside([alone], [both], fitted((), 1.0)) is needed
-
-
-def test_places_are_those_where_free_functions_do_about_as_well_as_anywhere():
-    nominal = fitted((), 1.0)
-    decoys = [
-        Decoy(port, "speed", alike, fitted((), g).held_out)
-        for port, alike, g in [("a", ("rigid",), 0.2), ("b", (), 0.28), ("c", (), 0.4), ("a", (), 0.9)]
-    ]
-    assert places(nominal, decoys) == ("a", "rigid", "b")
-    assert places(nominal, [Decoy("a", "speed", (), fitted((), 0.95).held_out)]) == ()
-
-
-def test_names_that_close_far_less_are_not_listed_beside_the_best():
-    """With little noise to tell them apart by, answers that leave much more of the gap are still none."""
-    subject = plant({}, noise=0.3)
-    nominal = fit_effects(subject, (), [{}])
-    best, near, far = (
-        replace(nominal, effects=(name,), names=(name,), gap=g)
-        for name, g in [("best", 1.0), ("near", 1.6), ("far", 2.5)]
-    )
-    found = survivors(best, [far, near, best], subject.observed)
-    assert [f.names for f in found] == [("best",), ("near",)]
-
-
-def test_an_answer_that_one_experiment_alone_speaks_for_is_not_stable():
-    subject = plant({"square": 0.3})
-    nominal = fit_effects(subject, (), [{}])
-    observed = subject.observed
-    size = [r.size for r in nominal.fit.residuals]
-
-    def of(name, *levels):
-        residuals = tuple(level * np.ones(n) for level, n in zip(levels, size, strict=True))
-        cost = sum(5 * r @ r for r in residuals)
-        return replace(nominal, names=(name,), fit=replace(nominal.fit, residuals=residuals, cost=cost), gap=0.3)
-
-    best, even, odd = of("best", 1, 1, 1, 1, 1), of("even", 2, 2, 2, 2, 2), of("odd", 9, 0.5, 0.5, 0.5, 0.5)
-    assert stable((best,), [best, even], observed) is True
-    assert stable((best,), [best, odd], observed) is False
-    assert stable((best, odd), [best, odd], observed) is True
-    pair = observed.select([r.id for r in observed.runs[:2]])
-    assert stable((best,), [best, odd], pair) is None
 
 
 def test_a_law_of_a_confined_variable_is_sought_at_its_port_alone():

@@ -1,0 +1,392 @@
+"""From losses, gaps and residuals to a verdict: each rule on values worked out by hand."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fmuid.diagnosis import decide
+from fmuid.diagnosis.candidates import Fitted
+from fmuid.diagnosis.catalogue import Effect
+from fmuid.diagnosis.cross_validation import HeldOut
+from fmuid.diagnosis.decide import (
+    names,
+    needed_beside,
+    of_its_law,
+    places,
+    stable,
+    strained,
+    survivors,
+    unexplained,
+)
+from fmuid.diagnosis.ports import OWN_PAST, Decoy
+from fmuid.diagnosis.refit import Refit, Unknown
+from fmuid.diagnosis.verdict import NONE, UNKNOWN
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What the rules ask of measurements: how often each experiment was repeated, and whether its noise is a bound."""
+
+    repeats: np.ndarray
+    bounded: bool = False
+
+    @property
+    def runs(self):
+        return tuple(SimpleNamespace(id=f"e{k}") for k in range(len(self.repeats)))
+
+
+def lost(*loss):
+    return HeldOut(np.array(loss), tuple(np.full(5, x) for x in loss), np.full(len(loss), 100.0))
+
+
+def fitted(effects, gap, *, held_out=None, residuals=((),), cost=0.0):
+    """A model that leaves `gap` floors, on experiments left out `held_out` floors."""
+    fit = Refit((), {}, tuple(np.array(r, dtype=float) for r in residuals), (), cost, 0, True)
+    return Fitted(effects, effects, fit, lost((gap if held_out is None else held_out) ** 2), gap)
+
+
+def free(left, *, port="p", over="speed", alike=()):
+    """A free function that leaves so many floors on experiments left out."""
+    return Decoy(port, over, alike, lost(left**2))
+
+
+def scattered(*losses):
+    """Losses of two runs an experiment."""
+    per_run = tuple(np.array(x, dtype=float) for x in losses)
+    return HeldOut(np.array([x.mean() for x in per_run]), per_run, np.full(len(losses), 100.0))
+
+
+RECORDED = Recorded(np.array([4.0, 9.0]))
+"""Whitened residuals of the second experiment count three times, those of the first one twice."""
+
+
+def test_a_separation_is_the_difference_of_costs_over_twice_the_distance():
+    a, b = (fitted((n,), 0.0, residuals=[[1.0, 0.0], [y]]) for n, y in (("a", 0.0), ("b", 2.0)))
+    # Costs 4 and 4 + 36, a distance of 6.
+    assert decide.separation(a, b, RECORDED) == pytest.approx(36.0 / 12.0)
+    assert decide.separation(b, a, RECORDED) == pytest.approx(-36.0 / 12.0)
+    assert decide.separation(a, a, RECORDED) == 0.0
+    assert decide.separation(a, b, RECORDED, without=0) == pytest.approx(3.0)
+    assert decide.separation(a, b, RECORDED, without=1) == 0.0
+
+
+def test_what_the_better_model_leaves_widens_a_separation():
+    a = fitted(("a",), 0.3, residuals=[[0.0], [1.0]])
+    b = fitted(("b",), 0.8, residuals=[[0.0], [3.0]])
+    # 6.5 runs an experiment on average, 20 samples of model error counting as one of noise.
+    wider = np.sqrt(1.0 + 20.0 * 6.5 * 0.3**2)
+    assert decide.separation(a, b, RECORDED) == pytest.approx(9.0 * 8.0 / (2.0 * 6.0) / wider)
+    assert decide.separation(b, a, RECORDED) == pytest.approx(-9.0 * 8.0 / (2.0 * 6.0) / wider)
+    assert decide.spread(0.0) == 1.0
+    assert decide.spread(0.4) == pytest.approx(3.0)
+
+
+def test_noise_that_is_a_bound_counts_as_large_as_what_is_left_where_models_differ():
+    single = Recorded(np.array([1.0, 1.0]), bounded=True)
+    a = fitted(("a",), 0.0, residuals=[[1.0, 0.0], [3.0]])
+    b = fitted(("b",), 0.0, residuals=[[1.0, 0.0], [5.0]])
+    # All of the difference, 2, lies where the better one leaves 3.
+    for first, second, sign in ((a, b, 1.0), (b, a, -1.0)):
+        assert decide.separation(first, second, single) == pytest.approx(sign * 16.0 / 4.0 / 3.0)
+    quiet = fitted(("c",), 0.0, residuals=[[1.0, 2.0], [3.0]])  # where the better one leaves nothing: as by noise
+    assert decide.separation(a, quiet, single) == pytest.approx(1.0)
+
+
+def test_the_best_answer_is_the_one_that_holds_up_on_other_data_among_those_that_fit_as_well():
+    def of(name, cost, held_out):
+        return fitted((name,), 1.0, held_out=held_out, cost=cost)
+
+    well, near, far = of("well", 1000.0, 0.9), of("near", 1070.0, 0.5), of("far", 1070.1, 0.1)
+    assert decide.best_of([well, near, far]) is near
+    assert decide.best_of([well, far]) is well
+
+
+def test_names_that_close_far_less_are_not_listed_beside_the_best():
+    """With little noise to tell them apart by, answers that leave much more of the gap are still none."""
+    best, near, far = (
+        fitted((n,), g, residuals=[[0.0], [0.01 * k]], cost=k)
+        for k, (n, g) in enumerate([("best", 1.0), ("near", 1.75), ("far", 1.76)])
+    )
+    pair = fitted(("near", "best"), 1.0, residuals=[[0.0], [0.0]])
+    again = fitted(("near",), 1.2, residuals=[[0.0], [0.03]], cost=9.0)
+    found = survivors(best, [far, again, near, pair, best], RECORDED)
+    assert [f.names for f in found] == [("best",), ("near",)]
+    assert found[1] is near
+
+
+@pytest.mark.parametrize(("apart", "open_"), [(3.99, True), (4.01, False)])
+def test_an_answer_that_the_data_do_not_prefer_by_four_deviations_stays_open(apart, open_):
+    best = fitted(("best",), 0.0, residuals=[[0.0], [0.0]])
+    other = fitted(("other",), 0.0, residuals=[[0.0], [2.0 * apart / 3.0]])  # costs differ by the distance squared
+    assert (other in survivors(best, [other], RECORDED)) is open_
+
+
+def test_an_answer_that_one_experiment_alone_speaks_for_is_not_stable():
+    recorded = Recorded(np.full(5, 5.0))
+
+    def of(name, *levels):
+        return fitted((name,), 0.3, residuals=[level * np.ones(20) for level in levels])
+
+    best, even, odd = of("best", 1, 1, 1, 1, 1), of("even", 2, 2, 2, 2, 2), of("odd", 9, 0.5, 0.5, 0.5, 0.5)
+    assert stable((best,), [best, even], recorded) is True
+    assert stable((best,), [best, odd], recorded) is False
+    assert stable((best, odd), [best, odd], recorded) is True
+    larger = fitted(("odd", "even"), 0.3, residuals=odd.fit.residuals)
+    assert stable((best,), [best, larger], recorded) is True  # of more effects: no rival
+    three = Recorded(np.full(3, 5.0))
+    of_three = [fitted(f.names, 0.0, residuals=f.fit.residuals[:3]) for f in (best, odd)]
+    assert stable(of_three[:1], of_three, three) is False
+    of_two = [fitted(f.names, 0.0, residuals=f.fit.residuals[:2]) for f in (best, odd)]
+    assert stable(of_two[:1], of_two, Recorded(np.full(2, 5.0))) is None
+
+
+def test_a_contradiction_takes_four_deviations():
+    recorded = Recorded(np.ones(3))
+    best = fitted(("best",), 0.0, residuals=[[0.0], [0.0], [0.0]])
+
+    def rival(apart):  # better by `apart` without the first experiment, and far worse with it
+        worse = fitted(("best",), 0.0, residuals=[[0.0], [2.0 * apart], [0.0]])
+        return worse, fitted(("rival",), 0.0, residuals=[[99.0], [0.0], [0.0]])
+
+    for apart, holds in ((3.99, True), (4.01, False)):
+        first, second = rival(apart)
+        assert stable((first,), [second], recorded) is holds
+    assert stable((best,), [best], recorded) is True
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "worth"),
+    [
+        (1.0, 0.74, True),
+        (1.0, 0.75, True),  # a quarter
+        (1.0, 0.76, False),
+        (0.0, 0.0, False),
+    ],
+)
+def test_a_further_effect_closes_a_quarter_of_what_is_left(before, after, worth):
+    assert decide.worth_adding(fitted(("a",), before), fitted(("a", "b"), after)) is worth
+
+
+def test_a_further_effect_that_runs_do_not_agree_on_is_not_added():
+    def of(gap, held_out):
+        return Fitted((), (), Refit((), {}, (), (), 0.0, 0, True), held_out, gap)
+
+    before = of(1.0, scattered([2.0, 4.0], [2.0, 4.0]))
+    assert decide.worth_adding(before, of(0.5, scattered([1.0, 1.0], [1.0, 1.0]))) is True  # 2 +- 0.7
+    assert decide.worth_adding(before, of(0.5, scattered([4.1, 0.9], [4.1, 0.9]))) is False  # 0.5 +- 1.8
+    assert decide.worth_adding(before, of(0.5, scattered([3.0, 5.0], [3.0, 5.0]))) is False  # worse on other data
+
+
+@pytest.mark.parametrize(("held_out", "named"), [(0.25, False), (0.49, False), (0.5, True), (0.55, True)])
+def test_an_effect_that_leaves_something_is_named_if_it_closes_half_of_the_gap(held_out, named):
+    assert names(fitted((), 1.0), fitted(("e",), 1.0 - held_out), finished=False) is named
+
+
+@pytest.mark.parametrize(
+    ("number", "held_out", "trained", "named"),
+    [
+        (1, 0.1, 0.5, False),  # unknown is likelier: (1 - 0.1)^2 > 0.1
+        (1, 0.45, 0.5, True),
+        (1, 0.38, 0.5, False),
+        (2, 0.38, 0.5, True),  # each of two effects weighs as much
+        (1, 0.45, 0.3, False),  # less than a third of the gap itself
+        (1, 0.45, 0.34, True),
+    ],
+)
+def test_what_finishes_a_weak_gap_is_named_unless_unknown_is_likelier(number, held_out, trained, named):
+    nominal = fitted((), 0.6, held_out=1.0)
+    best = fitted(("a", "b")[:number], 0.6 * (1.0 - trained), held_out=1.0 - held_out)
+    assert names(nominal, best, finished=True) is named
+    assert names(nominal, best, finished=False) is False
+    assert decide.beyond_doubt(nominal, best, finished=True) is named
+    assert decide.beyond_doubt(nominal, best, finished=False) is False
+
+
+def test_no_gap_names_nothing():
+    assert names(fitted((), 0.0), fitted(("e",), 0.0), finished=True) is False
+
+
+@pytest.mark.parametrize(("closed", "beyond"), [(0.84, False), (0.85, True)])
+def test_no_free_function_casts_doubt_on_what_closes_nearly_all(closed, beyond):
+    assert decide.beyond_doubt(fitted((), 1.0), fitted(("e",), 1.0 - closed), finished=False) is beyond
+
+
+UNKNOWNS = (
+    Unknown("size", 0.0, 0.0, 1.0, 1e-3),
+    Unknown("shape", 1.0, 0.1, 4.0, 1e-2),
+    Unknown("onset", 1.0, 1.0, 9.0, 1e-2),
+)
+
+
+@pytest.mark.parametrize(
+    ("values", "strain"),
+    [
+        ((0.5, 2.0, 5.0), False),
+        ((0.5, 4.0, 5.0), True),  # a shape that nobody thought plausible
+        ((0.5, 3.99991, 5.0), True),  # within a hundredth of a step
+        ((0.5, 3.9998, 5.0), False),
+        ((0.5, 0.1, 9.0), False),  # both as a trial has them
+        ((0.5, 0.1, 1.0), True),  # one as a trial has it, the other as at the start
+        ((1.0, 2.0, 5.0), True),  # as large as it may be
+        ((0.0, 2.0, 5.0), False),  # off
+    ],
+)
+def test_a_law_at_bounds_that_nobody_thought_plausible_is_strained(values, strain):
+    neutral, trial = {"size": 0.0, "shape": 1.0, "onset": 1.0}, {"size": 0.1, "shape": 0.1, "onset": 9.0}
+    effect = Effect("e", "", "p", UNKNOWNS, neutral, (trial,), shapes=frozenset({"shape", "onset"}))
+    found = dict(zip(neutral, values, strict=True))
+    best = Fitted(("e",), ("e",), Refit(UNKNOWNS, found, (), (), 0.0, 0, True), lost(1.0), 1.0)
+    assert strained(best, [effect]) is strain
+    assert strained(Fitted(("other",), ("other",), best.fit, best.held_out, 1.0), [effect]) is False
+
+
+def test_an_effect_of_one_sign_may_be_off_at_its_bound():
+    """One of both signs that ends at a bound is strained, even at the one where another is off."""
+
+    def at_its_lower_bound(*, two_sided):
+        size = Unknown("size", 0.5, 0.0, 1.0, 1e-3)
+        effect = Effect("e", "", "p", (size,), {"size": 0.0}, ({"size": 0.5},), two_sided=two_sided)
+        best = Fitted(("e",), ("e",), Refit((size,), {"size": 0.0}, (), (), 0.0, 0, True), lost(1.0), 1.0)
+        return decide._limits(effect, size), strained(best, [effect])
+
+    assert at_its_lower_bound(two_sided=False) == ({1.0}, False)
+    assert at_its_lower_bound(two_sided=True) == ({0.0, 1.0}, False)  # at neutral, which is plausible
+
+
+@pytest.mark.parametrize(("left", "found"), [(0.1, True), (0.64, True), (0.66, False)])
+def test_a_free_function_that_leaves_much_less_than_the_effect_shows_the_gap_unexplained(left, found):
+    best, nominal = fitted(("e",), 0.5), fitted((), 1.0)
+    decoy, worse = free(left * best.gap), free(0.9)
+    assert unexplained(nominal, best, [worse, decoy], ["other"]) is (decoy if found else None)
+    assert unexplained(nominal, best, [], ["other"]) is None
+
+
+@pytest.mark.parametrize(("closed", "open_"), [(0.84, True), (0.86, False)])
+def test_an_effect_that_closes_nearly_all_is_not_unknown(closed, open_):
+    best, decoy = fitted(("e",), 1.0 - closed), free(0.01)
+    assert (unexplained(fitted((), 1.0), best, [decoy], ["other"]) is decoy) is open_
+
+
+def test_what_a_sensor_makes_of_its_own_past_is_no_evidence_against_an_effect_there():
+    best, past = fitted(("lag",), 0.5), free(0.1, over=OWN_PAST)
+    assert unexplained(fitted((), 1.0), best, [past], ["p"]) is None
+    assert unexplained(fitted((), 1.0), best, [past], ["elsewhere"]) is past
+
+
+def test_a_free_function_that_runs_do_not_agree_on_is_no_evidence():
+    best = Fitted(("e",), ("e",), Refit((), {}, (), (), 0.0, 0, True), scattered([0.1, 1.9]), 1.0)
+    unsure = Decoy("p", "speed", (), scattered([0.3, 0.3]))
+    assert unexplained(fitted((), 2.0), best, [unsure], ["q"]) is None  # 0.7 +- 0.9
+    agreed = Fitted(("e",), ("e",), best.fit, scattered([0.9, 1.1]), 1.0)
+    assert unexplained(fitted((), 2.0), agreed, [unsure], ["q"]) is unsure
+
+
+@pytest.mark.parametrize(("left", "found"), [(0.149, True), (0.151, False)])
+def test_one_free_function_takes_the_place_of_two_effects_at_one_port(left, found):
+    """Even where they close nearly all, and if it leaves a little more: one law of one variable is simpler."""
+    nominal, best = fitted((), 1.0), fitted(("a", "b"), 0.1)
+    here, there = free(left), free(0.01, port="elsewhere")
+    assert unexplained(nominal, best, [here, there], ["p", "p"]) is (here if found else None)
+    assert unexplained(nominal, best, [here, there], ["p", "q"]) is None  # two ports: nearly all is closed
+
+
+@pytest.mark.parametrize(
+    ("alone", "beside", "own", "shape"),
+    [
+        (0.5, 0.1, True, True),  # the function does what the law does, and more
+        (0.74, 0.32, True, True),
+        (0.76, 0.1, True, False),  # a function of something else
+        (0.5, 0.1, False, False),  # somewhere else
+        (0.5, 0.33, True, False),  # not what is left
+    ],
+)
+def test_what_a_law_of_another_shape_leaves_is_no_further_cause(alone, beside, own, shape):
+    best = fitted(("e",), 0.5)
+    first, second = (free(g, port="here") for g in (alone, beside))
+    assert of_its_law(best, [first], [second], ["here" if own else "there"]) is shape
+
+
+def test_a_law_of_another_shape_does_about_as_well_as_any_free_function():
+    best, alone = fitted(("e",), 0.5), free(0.5, alike=("rigid",))
+    for other, shape in ((0.14, True), (0.13, False)):
+        beside = [free(0.2), free(other, port="q")]
+        assert of_its_law(best, [alone, free(0.9, port="q")], beside, ["rigid"]) is shape
+    assert of_its_law(best, [], [], ["p"]) is False
+
+
+@pytest.mark.parametrize(
+    ("beside", "needed"), [(0.05, True), (0.14, True), (0.16, False), (0.2, False), (0.35, False)]
+)
+def test_an_effect_is_needed_beside_a_free_function_only_if_both_leave_hardly_anything(beside, needed):
+    """Alone the function leaves 0.4 of the gap; an effect that lowers that little only imitates it."""
+    assert needed_beside([free(0.9), free(0.4)], [free(beside), free(0.8)], fitted((), 1.0)) is needed
+
+
+@pytest.mark.parametrize(("beside", "needed"), [(0.0649, True), (0.0651, False)])
+def test_an_effect_is_needed_if_the_free_function_leaves_much_less_beside_it(beside, needed):
+    assert needed_beside([free(0.1)], [free(beside)], fitted((), 1.0)) is needed
+
+
+def test_an_effect_that_runs_do_not_agree_on_is_not_needed():
+    nominal = fitted((), 10.0)
+    alone, beside = (Decoy("p", "speed", (), scattered(x)) for x in ([0.0, 2.0], [0.3, 0.3]))
+    assert needed_beside([alone], [beside], nominal) is False  # 0.7 +- 1
+    alone = Decoy("p", "speed", (), scattered([0.9, 1.1]))
+    assert needed_beside([alone], [beside], nominal) is True
+
+
+def test_places_are_those_where_free_functions_do_about_as_well_as_anywhere():
+    decoys = [
+        free(0.301, port="d"),
+        free(0.9, port="a"),
+        free(0.2, port="a", alike=("rigid",)),
+        free(0.299, port="b"),
+        free(0.4, port="c"),
+    ]
+    assert places(fitted((), 1.0), decoys) == ("a", "rigid", "b")
+    assert places(fitted((), 1.0), []) == ()
+
+
+@pytest.mark.parametrize(("left", "named"), [(0.89, ("a",)), (0.91, ())])
+def test_a_place_is_named_if_free_functions_close_a_tenth_there(left, named):
+    assert places(fitted((), 1.0), [free(left, port="a"), free(0.95, port="b")]) == named
+
+
+def test_weights_fall_with_the_square_of_the_separation():
+    best = fitted(("best",), 0.0, held_out=0.4, residuals=[[0.0], [0.0]])
+    second = fitted(("second",), 0.0, residuals=[[0.0], [2.0]])  # a distance of 6: three deviations
+    far = fitted(("far",), 0.0, residuals=[[0.0], [200.0]])
+    weights = decide.weigh(fitted((), 1.0), [best, second, far], RECORDED, "ambiguous")
+    assert sum(weights.values()) == pytest.approx(1.0)
+    w = {k: v / weights[("best",)] for k, v in weights.items()}
+    assert w[("second",)] == pytest.approx(np.exp(-4.5))
+    assert w[("far",)] == pytest.approx(1e-6 / 0.6)
+    assert w[UNKNOWN] == pytest.approx(0.4**2 / 0.6)  # what closure leaves open
+    assert w[NONE] == pytest.approx(1e-3 / 0.6)
+
+
+def test_unknown_keeps_a_weight_and_what_closes_nothing_hardly_any():
+    perfect, useless = (fitted(("e",), 0.0, held_out=g, residuals=[[0.0], [0.0]]) for g in (0.0, 2.0))
+    weights = decide.weigh(fitted((), 1.0), [perfect], RECORDED, "effect")
+    assert weights[UNKNOWN] / weights[("e",)] == pytest.approx(0.02)
+    weights = decide.weigh(fitted((), 1.0), [useless], RECORDED, "effect")
+    assert weights[UNKNOWN] / weights[("e",)] == pytest.approx(1e3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "none", "unknown", "named"),
+    [
+        ("complete", 1.0, 1e-3, 0.15 * 4.0),  # a gap of twice what matters
+        ("insufficient", 0.5, 0.5, 0.05),
+        ("unknown", 1e-3, 0.95, 0.05),
+    ],
+)
+def test_what_a_verdict_without_names_leaves_to_each_answer(kind, none, unknown, named):
+    best = fitted(("e",), 0.0, held_out=0.4, residuals=[[0.0], [0.0]])
+    weights = decide.weigh(fitted((), 0.5), [best], RECORDED, kind)
+    total = none + unknown + named
+    expected = {NONE: none / total, UNKNOWN: unknown / total, ("e",): named / total}
+    assert weights == pytest.approx(expected)
+    assert decide.weigh(fitted((), 0.5), [], RECORDED, kind)[NONE] == pytest.approx(none / (none + unknown))
