@@ -14,6 +14,7 @@ their time.
 from __future__ import annotations
 
 import argparse
+import gc
 import importlib
 import os
 import resource
@@ -102,18 +103,26 @@ def serve(listener: socket.socket, copy: Path) -> None:
     """Answer each request for tests with their exit code, until the listener is closed."""
     os.chdir(copy)
     sys.path[:0] = [str(copy / "src"), str(copy)]  # before the package that the environment has
-    sys.dont_write_bytecode = True
     for name in UNCHANGED:
         importlib.import_module(name)
+    _in_a_fork("--collect-only", *{test for tests in CORE.values() for test in tests})  # leaves bytecode
+    sys.dont_write_bytecode = True  # a mutant's would outlive it
+    gc.collect()
+    gc.freeze()
     while True:
         asking, _ = listener.accept()
         with asking:
             tests = asking.recv(65536).decode().split()
-            child = os.fork()
-            if child == 0:
-                resource.setrlimit(resource.RLIMIT_CPU, (LIMIT, LIMIT))
-                os._exit(_passed(tests))
-            asking.sendall(b"0" if os.waitpid(child, 0)[1] == 0 else b"1")
+            asking.sendall(b"0" if _in_a_fork(*tests) == 0 else b"1")
+
+
+def _in_a_fork(*arguments: str) -> int:
+    child = os.fork()
+    if child == 0:
+        spent = sum(os.times()[:2])
+        resource.setrlimit(resource.RLIMIT_CPU, (int(spent) + LIMIT, int(spent) + LIMIT))
+        os._exit(_passed(arguments))
+    return os.waitpid(child, 0)[1]
 
 
 def _passed(tests: Sequence[str]) -> int:

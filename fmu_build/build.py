@@ -126,7 +126,8 @@ def _options(class_name: str, fmi: str, compiler: str, file: Path, roots: Sequen
     tools = sorted(p for p in own.rglob("*") if p.suffix in (".py", ".c", ".h", ".mo"))
     versions = [metadata.version(name) for name in _TOOLS] if compiler == "own" else []
     places = [str(p.resolve()) for p in (file, *roots)]
-    what = [class_name, fmi, compiler, os.environ.get("CC", ""), versions, places, [_digest(p) for p in tools]]
+    flags = [os.environ.get(name, "") for name in ("CC", "FMU_BUILD_CFLAGS")]
+    what = [class_name, fmi, compiler, flags, versions, places, [_digest(p) for p in tools]]
     return hashlib.sha256(json.dumps(what).encode()).hexdigest()
 
 

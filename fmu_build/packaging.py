@@ -90,7 +90,9 @@ def package(model: CompiledModel, out: Path | str, *, fmi: FmiVersion = 2) -> Pa
         model = replace(model, variables=(*model.variables, time))
     compiler = _compiler()
     files = _sources(model, fmi)
-    key = _digest(files, " ".join((*compiler, *C_FLAGS, repr(_LEVELS))), _version(compiler)).encode()
+    key = _digest(
+        files, " ".join((*compiler, *C_FLAGS, repr(_LEVELS), *_wanted_flags())), _version(compiler)
+    ).encode()
     if _comment(out) == key:
         return out
     sources = [name for name in files if name.endswith(".c")]
@@ -239,6 +241,11 @@ def _compiler() -> tuple[str, ...]:
     raise BuildError("no C compiler found", fix="install gcc or set the environment variable CC")
 
 
+def _wanted_flags() -> tuple[str, ...]:
+    """Return the flags of the user, which come last and so prevail."""
+    return tuple(os.environ.get("FMU_BUILD_CFLAGS", "").split())
+
+
 def _version(compiler: tuple[str, ...]) -> str:
     try:
         done = subprocess.run([*compiler, "--version"], capture_output=True, text=True, check=False)
@@ -259,7 +266,7 @@ def _compile(model: CompiledModel, files: dict[str, str], compiler: tuple[str, .
         for file in sources:
             by_level.setdefault(_level(file, files["model.h"]), []).append(file)
         # Relative names only: nothing of this machine enters the binary.
-        commands = [[*compiler, *C_FLAGS, *flags, "-c", *own] for flags, own in by_level.items()]
+        commands = [[*compiler, *C_FLAGS, *flags, *_wanted_flags(), "-c", *own] for flags, own in by_level.items()]
         _run_together(folder, model.class_name, *commands)
         objects = [file.removesuffix(".c") + ".o" for file in sources]
         _run_together(

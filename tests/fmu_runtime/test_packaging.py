@@ -36,6 +36,17 @@ def test_unchanged_fmu_is_left_alone(tmp_path):
     assert path.stat().st_mtime > 0
 
 
+def test_flags_of_the_users_own_prevail_and_belong_to_what_an_fmu_is_made_of(tmp_path, monkeypatch):
+    monkeypatch.setenv("FMU_BUILD_CFLAGS", "-O0")
+    path = package(handmade.pendulum(), tmp_path)
+    quick = path.read_bytes()
+    monkeypatch.setenv("FMU_BUILD_CFLAGS", "-O1 -DNDEBUG")
+    assert package(handmade.pendulum(), tmp_path).read_bytes() != quick
+    monkeypatch.setenv("FMU_BUILD_CFLAGS", "--no-such-flag")
+    with pytest.raises(BuildError, match="no-such-flag"):
+        package(handmade.pendulum(), tmp_path)
+
+
 @pytest.mark.parametrize("compiler", [c for c in ("gcc", "clang") if shutil.which(c)])
 @pytest.mark.parametrize(
     ("name", "fmi"),
