@@ -14,6 +14,14 @@ import casadi as ca
 from fmu_build.c_code import c_code, lengths
 
 _CONSTANT = (3, 4)  # arguments that are parameters, which have no kinks over time
+_SIGNATURE = "int model_switches(const double **arg, double **res, long long int *iw, double *w, int mem)"
+# Never called, but only an optimiser knows that.
+_NONE = f"""{_SIGNATURE};
+{_SIGNATURE} {{
+    (void)arg, (void)res, (void)iw, (void)w, (void)mem;
+    return 1;
+}}
+"""
 _MOST = 200  # more kinks than that are not worth looking at
 _DIFFERENCE = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_LT, ca.OP_LE)
 _ARGUMENT = (ca.OP_FABS, ca.OP_SIGN)
@@ -67,9 +75,9 @@ def switches_code(derivatives: Any | None) -> dict[str, str]:
         "/* Switching functions of the right-hand side, see fmu_build/switches.py. Generated. */",
         f"#define MODEL_NSWITCH {length}",
         *(f"#define SWITCHES_SZ_{name} {size}" for name, size in sizes.items()),
-        "int model_switches(const double **arg, double **res, long long int *iw, double *w, int mem);",
+        f"{_SIGNATURE};",
     ]
     return {
-        "switches.c": source or "/* none */\ntypedef int no_switches;\n",
+        "switches.c": source or _NONE,
         "switches.h": "\n".join(lines) + "\n",
     }

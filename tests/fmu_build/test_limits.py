@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import fmpy
 import numpy as np
 import pytest
@@ -26,19 +28,29 @@ SCHMITT = "parameter Real V0 = 1000; Real u = 2*sin(2*3.141592653589793*time); R
 ASTABLE = "parameter Real V0 = 1000; Real x(start = 0.1, fixed = true); Real y{start}; Real e = 0.5*y - x; equation der(x) = y - x; "
 
 
-def simulate(folder, text: str, outputs: list[str], **options) -> np.ndarray:
-    file = folder / "M.mo"
-    file.write_text(f"model M {text} end M;")
-    return fmpy.simulate_fmu(
-        str(build(file, "M", folder)), output=outputs, stop_time=options.pop("stop_time", 2.0), output_interval=0.01, **options,
-    )  # fmt: skip
+@pytest.fixture(scope="module")
+def simulate(tmp_path_factory):
+    """Simulates a model that is given by its text; each is built once."""
+    built: dict[str, Path] = {}
+
+    def run(text: str, outputs: list[str], stop_time: float = 2.0, **options: object) -> np.ndarray:
+        if text not in built:
+            folder = tmp_path_factory.mktemp("limits")
+            file = folder / "M.mo"
+            file.write_text(f"model M {text} end M;")
+            built[text] = build(file, "M", folder)
+        return fmpy.simulate_fmu(
+            str(built[text]), output=outputs, stop_time=stop_time, output_interval=0.01, **options
+        )
+
+    return run
 
 
 @pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
 @pytest.mark.parametrize("limit", LIMITS)
-def test_a_schmitt_trigger_jumps_where_its_branch_ends(tmp_path, limit, kind):
+def test_a_schmitt_trigger_jumps_where_its_branch_ends(simulate, limit, kind):
     text = SCHMITT.format(start="(start = 1)") + LIMITS[limit]
-    found = simulate(tmp_path, text, ["u", "y"], fmi_type=kind)
+    found = simulate(text, ["u", "y"], fmi_type=kind)
     expected, branch = [], 1.0
     for u in 2 * np.sin(2 * np.pi * found["time"]):
         branch = -1.0 if u > 0.5 - 1 / GAIN else 1.0 if u < -0.5 + 1 / GAIN else branch
@@ -51,9 +63,9 @@ def test_a_schmitt_trigger_jumps_where_its_branch_ends(tmp_path, limit, kind):
     ("tolerance", "kind"), [(1e-4, "CoSimulation"), (1e-7, "CoSimulation"), (1e-6, "ModelExchange")]
 )
 @pytest.mark.parametrize("limit", LIMITS)
-def test_a_multivibrator_has_its_period_whatever_the_solver(tmp_path, limit, tolerance, kind):
+def test_a_multivibrator_has_its_period_whatever_the_solver(simulate, limit, tolerance, kind):
     text = ASTABLE.format(start="(start = 1)") + LIMITS[limit]
-    found = simulate(tmp_path, text, ["x", "y"], fmi_type=kind, relative_tolerance=tolerance, stop_time=10.0)
+    found = simulate(text, ["x", "y"], fmi_type=kind, relative_tolerance=tolerance, stop_time=10.0)
     edge = 0.5 - 1 / GAIN
     falls = found["time"][1:][np.diff(found["y"]) < -1.9]
     assert np.diff(falls) == pytest.approx(2 * np.log((1 + edge) / (1 - edge)), abs=0.0201)
@@ -61,17 +73,17 @@ def test_a_multivibrator_has_its_period_whatever_the_solver(tmp_path, limit, tol
 
 
 @pytest.mark.parametrize(("start", "first"), [("(start = 1)", 1.0), ("(start = -1)", -1.0)])
-def test_a_start_value_chooses_the_first_solution(tmp_path, start, first):
-    found = simulate(tmp_path, SCHMITT.format(start=start) + LIMITS["plain"], ["y"])
+def test_a_start_value_chooses_the_first_solution(simulate, start, first):
+    found = simulate(SCHMITT.format(start=start) + LIMITS["plain"], ["y"])
     assert found["y"][0] == first
 
 
-def test_homotopy_chooses_the_first_solution_and_nothing_is_told(tmp_path):
+def test_homotopy_chooses_the_first_solution_and_nothing_is_told(simulate, tmp_path):
     limit = LIMITS["smooth"].replace("y = ", "y = homotopy(").replace(";", ", -1);")
     file = tmp_path / "M.mo"
     file.write_text(f"model M {SCHMITT.format(start='')} {limit} end M;")
     assert compile_modelica(file, "M").warnings == ()
-    assert simulate(tmp_path, SCHMITT.format(start="") + limit, ["y"])["y"][0] == -1.0
+    assert simulate(SCHMITT.format(start="") + limit, ["y"])["y"][0] == -1.0
     file.write_text(f"model M {SCHMITT.format(start='')} {LIMITS['plain']} end M;")
     (warning,) = compile_modelica(file, "M").warnings
     assert "may have several solutions" in warning

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import fcntl
 import importlib.util
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -75,15 +77,19 @@ class Fmu:
 
 @pytest.fixture(scope="session")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[Path, Path]]:
-    """Builds (once) and unpacks the FMU of a handmade model."""
-    made: dict[tuple[str, int], tuple[Path, Path]] = {}
+    """Builds (once, for all test processes) and unpacks the FMU of a handmade model."""
+    shared = tmp_path_factory.getbasetemp()
+    shared = shared.parent / "handmade" if "PYTEST_XDIST_WORKER" in os.environ else shared / "handmade"
 
     def build(name: str, fmi: int = 2) -> tuple[Path, Path]:
-        if (name, fmi) not in made:
-            folder = tmp_path_factory.mktemp(name)
+        folder = shared / f"{name}{fmi}"
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / "lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
             path = package(getattr(handmade, name)(), folder, fmi=fmi)
-            made[name, fmi] = path, Path(fmpy.extract(str(path), str(folder / "unpacked")))
-        return made[name, fmi]
+            if not (folder / "unpacked").exists():
+                fmpy.extract(str(path), str(folder / "unpacked"))
+        return path, folder / "unpacked"
 
     return build
 
