@@ -36,10 +36,12 @@ PAGES = [
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 SLOW = {
     "cluster",
+    "coupled",
     "data",
     "design",
     "drift",
     "effect",
+    "go1",
     "modelica",
     "notebook",
     "own-drive",

@@ -101,8 +101,17 @@ class Interrupt(Observer):
             raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize("starts", [1, 4])
-@pytest.mark.parametrize("solver", ["trf", "bobyqa", "sbplx", "praxis", "crs2", "dfols", "slsqp", "trf > bobyqa"])
+LONG = {("sbplx", 4), ("crs2", 4), ("dfols", 4)}
+
+
+@pytest.mark.parametrize(
+    ("solver", "starts"),
+    [
+        pytest.param(solver, starts, marks=[pytest.mark.slow] if (solver, starts) in LONG else [])
+        for solver in ("trf", "bobyqa", "sbplx", "praxis", "crs2", "dfols", "slsqp", "trf > bobyqa")
+        for starts in (1, 4)
+    ],
+)
 def test_ctrl_c_keeps_what_was_reached_and_resume_goes_on_exactly(tmp_path, msd, solver, starts):
     options, threads = {"starts": starts}, threading.active_count()
     whole = identify(msd(), solver=solver, options=options, with_uncertainty=False)
