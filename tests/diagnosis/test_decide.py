@@ -133,6 +133,9 @@ def test_an_answer_that_one_experiment_alone_speaks_for_is_not_stable():
     assert stable((best,), [best, even], recorded) is True
     assert stable((best,), [best, odd], recorded) is False
     assert stable((best, odd), [best, odd], recorded) is True
+    assert (
+        stable((best, odd), [even], recorded) is True
+    )  # which all prefer the first answer to, and not the second
     larger = fitted(("odd", "even"), 0.3, residuals=odd.fit.residuals)
     assert stable((best,), [best, larger], recorded) is True  # of more effects: no rival
     three = Recorded(np.full(3, 5.0))
@@ -162,6 +165,9 @@ def test_a_contradiction_takes_four_deviations():
         (1.0, 0.74, True),
         (1.0, 0.75, True),  # a quarter
         (1.0, 0.76, False),
+        (2.0, 1.49, True),
+        (0.5, 0.3, True),
+        (0.5, 0.38, False),
         (0.0, 0.0, False),
     ],
 )
@@ -177,6 +183,8 @@ def test_a_further_effect_that_runs_do_not_agree_on_is_not_added():
     assert decide.worth_adding(before, of(0.5, scattered([1.0, 1.0], [1.0, 1.0]))) is True  # 2 +- 0.7
     assert decide.worth_adding(before, of(0.5, scattered([4.1, 0.9], [4.1, 0.9]))) is False  # 0.5 +- 1.8
     assert decide.worth_adding(before, of(0.5, scattered([3.0, 5.0], [3.0, 5.0]))) is False  # worse on other data
+    below = [scattered([x, x], [x, x]) for x in (-0.1, -0.5)]  # no gap on other data that could be closed
+    assert decide.worth_adding(of(1.0, below[0]), of(0.5, below[1])) is False
 
 
 @pytest.mark.parametrize(("held_out", "named"), [(0.25, False), (0.49, False), (0.5, True), (0.55, True)])
@@ -349,9 +357,11 @@ def test_places_are_those_where_free_functions_do_about_as_well_as_anywhere():
     assert places(fitted((), 1.0), []) == ()
 
 
+@pytest.mark.parametrize("gap", [0.5, 1.0, 3.0])
 @pytest.mark.parametrize(("left", "named"), [(0.89, ("a",)), (0.91, ())])
-def test_a_place_is_named_if_free_functions_close_a_tenth_there(left, named):
-    assert places(fitted((), 1.0), [free(left, port="a"), free(0.95, port="b")]) == named
+def test_a_place_is_named_if_free_functions_close_a_tenth_there(left, named, gap):
+    decoys = [free(left * gap, port="a"), free(0.95 * gap, port="b")]
+    assert places(fitted((), gap), decoys) == named
 
 
 def test_weights_fall_with_the_square_of_the_separation():
@@ -376,17 +386,18 @@ def test_unknown_keeps_a_weight_and_what_closes_nothing_hardly_any():
 
 
 @pytest.mark.parametrize(
-    ("kind", "none", "unknown", "named"),
+    ("kind", "gap", "none", "unknown", "named"),
     [
-        ("complete", 1.0, 1e-3, 0.15 * 4.0),  # a gap of twice what matters
-        ("insufficient", 0.5, 0.5, 0.05),
-        ("unknown", 1e-3, 0.95, 0.05),
+        ("complete", 0.75, 1.0, 1e-3, 0.15 * 9.0),  # a gap of three times what matters
+        ("complete", 0.05, 1.0, 1e-3, 0.15 * 0.04),
+        ("insufficient", 0.5, 0.5, 0.5, 0.05),
+        ("unknown", 0.5, 1e-3, 0.95, 0.05),
     ],
 )
-def test_what_a_verdict_without_names_leaves_to_each_answer(kind, none, unknown, named):
+def test_what_a_verdict_without_names_leaves_to_each_answer(kind, gap, none, unknown, named):
     best = fitted(("e",), 0.0, held_out=0.4, residuals=[[0.0], [0.0]])
-    weights = decide.weigh(fitted((), 0.5), [best], RECORDED, kind)
+    weights = decide.weigh(fitted((), gap), [best], RECORDED, kind)
     total = none + unknown + named
     expected = {NONE: none / total, UNKNOWN: unknown / total, ("e",): named / total}
     assert weights == pytest.approx(expected)
-    assert decide.weigh(fitted((), 0.5), [], RECORDED, kind)[NONE] == pytest.approx(none / (none + unknown))
+    assert decide.weigh(fitted((), gap), [], RECORDED, kind)[NONE] == pytest.approx(none / (none + unknown))
