@@ -43,7 +43,10 @@ UNCHANGED = (
 )
 _IGNORED = (".git", ".venv", "build", "runs", "*.egg-info", "__pycache__", ".*_cache", ".hypothesis")
 CORE: Mapping[str, Sequence[str]] = {
-    "identification/problem/features.py": ("tests/identification/test_criteria.py",),
+    "identification/problem/features.py": (
+        "tests/identification/test_features.py",
+        "tests/identification/test_criteria.py",
+    ),
     "identification/uncertainty/inherited.py": ("tests/identification/test_held.py",),
     "identification/uncertainty/earlier_stages.py": ("tests/identification/test_held.py",),
     "identification/uncertainty/confidence.py": (

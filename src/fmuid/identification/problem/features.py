@@ -31,7 +31,7 @@ def overshoot(time: FloatArray, y: FloatArray) -> float:
 
 
 def rise_time(time: FloatArray, y: FloatArray) -> float:
-    """Return the time from 10 % to 90 % of the change, in s; NaN if it is never reached."""
+    """Return the time from 10 % to 90 % of the change, in s; NaN without a change."""
     change = steady_state(time, y) - y[0]
     if change == 0.0:
         return float("nan")
@@ -81,11 +81,7 @@ def excited_frequencies(time: FloatArray, u: FloatArray, count: int = 10) -> Flo
 
 
 def _crossing(time: FloatArray, progress: FloatArray, level: float) -> float:
-    above = np.flatnonzero(progress >= level)
-    if len(above) == 0:
-        return float("nan")
-    k = int(above[0])
-    if k == 0:
-        return float(time[0])
+    """Return when `progress`, which begins at 0 and reaches 1, first gets to `level`."""
+    k = int(np.argmax(progress >= level))
     share = (level - progress[k - 1]) / (progress[k] - progress[k - 1])
     return float(time[k - 1] + share * (time[k] - time[k - 1]))
