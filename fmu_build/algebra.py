@@ -98,8 +98,10 @@ def scalars(value: Value) -> tuple[Scalar, ...]:
 class UnknownSizeError(Exception):
     """What must be known at translation (a size, a range, which String) depends on symbols."""
 
-    def __init__(self, value: SX) -> None:
-        super().__init__("a size, a range or a choice that is not known at translation")
+    def __init__(
+        self, value: SX, what: str = "a size, a range or a choice that is not known at translation"
+    ) -> None:
+        super().__init__(what)
         self.value = value
         self.span: Any = None  # where, once known
 

@@ -14,6 +14,7 @@ from fmu_build import algebra, algorithms, codegen, events, messages, start, uni
 from fmu_build.equations import Assertion, Equations, collect
 from fmu_build.flat_model import FlatModel
 from fmu_build.front.flatten import load
+from fmu_build.functions import UnknownLoopError
 from fmu_build.graph import SX, Graph, Substitution, key
 from fmu_build.interface import describe
 from fmu_build.invariants import state_derivatives
@@ -22,6 +23,7 @@ from fmu_build.model import CompiledModel
 from fmu_build.scope import ModelScope
 from fmu_build.syntax import Assign, Call, Literal, Part, Reference, WhenStatement, references
 from fmu_build.system import System, solved
+from fmu_build.variables import Declared
 
 
 def compile_modelica(file: Path, class_name: str, roots: Sequence[Path] = ()) -> CompiledModel:
@@ -49,9 +51,11 @@ def compile_flat(flat: FlatModel) -> CompiledModel:
     structural: set[str] = set()
     promoted: set[str] = set()
     events_in_smooth: Choice["", "some", "all"] = ""
+    bounded = False
     while True:
         scope = ModelScope(flat, Graph(), structural)
         scope.evaluate.events_in_smooth = events_in_smooth
+        scope.functions.bounded = bounded
         try:
             return _translate(flat, scope)
         except SwitchedLoopError:
@@ -62,14 +66,17 @@ def compile_flat(flat: FlatModel) -> CompiledModel:
                 raise
             promoted |= error.names
             for name in sorted(error.names):
-                flat = _as_state(flat, name)
+                flat = _with_followers(_as_state(flat, name), name)
         except algebra.UnknownSizeError as error:
             # Parameters that turn out to decide a size become constants of the translation.
             found = [scope.declarations.by_symbol.get(k) for k in scope.graph.symbols(error.value)]
             names = {d.variable.name for d in found if d is not None and d.kind == "parameter"}
-            if None in found or not names - structural:
+            if None not in found and names - structural:
+                structural |= names
+            elif isinstance(error, UnknownLoopError) and not bounded:
+                bounded = True
+            else:
                 raise flat.error(str(error), error.span) from None
-            structural |= names
 
 
 def _translate(flat: FlatModel, scope: ModelScope) -> CompiledModel:
@@ -124,6 +131,21 @@ def _as_state(flat: FlatModel, name: str) -> FlatModel:
     return changed.with_equation(rate, Literal(variable.at, 0.0))
 
 
+def _with_followers(flat: FlatModel, name: str) -> FlatModel:
+    """Return the model with the parameters that a variable decides as variables of its kind."""
+    variables, variability = dict(flat.variables), flat.variables[name].variability
+    found = [name]
+    while found:
+        decided = found.pop()
+        for follower, variable in variables.items():
+            if variable.variability == "parameter" and any(
+                r.name == decided for r in references(variable.binding)
+            ):
+                variables[follower] = replace(variable, variability=variability, fixed=None)
+                found.append(follower)
+    return replace(flat, variables=MappingProxyType(variables))
+
+
 def _is_known(flat: FlatModel, reference: Reference) -> bool:
     variable = flat.variables.get(reference.name)
     return reference.name == "time" or (variable is not None and variable.variability in ("constant", "parameter"))
@@ -146,7 +168,32 @@ def _initial_parameters(scope: ModelScope, equations: Equations) -> start.Explic
                 "give it an initial equation that has it alone on one side",
             )  # fmt: skip
         scope.parameters.dependent.append((declared, value))
+    if scope.parameters.from_initial:
+        scope.parameters.dependent[:] = _in_order(scope)
     return explicit
+
+
+def _in_order(scope: ModelScope) -> list[tuple[Declared, SX]]:
+    """Return the dependent parameters, each after those that it depends on."""
+    pairs = {key(algebra.sx(declared.symbol)): (declared, value) for declared, value in scope.parameters.dependent}
+    place = {k: number for number, k in enumerate(pairs)}
+    done: dict[int, tuple[Declared, SX]] = {}
+    path: set[int] = set()
+
+    def visit(k: int) -> None:
+        if k in done:
+            return
+        declared, value = pairs[k]
+        if k in path:
+            raise scope.flat.error(f"parameter '{declared.name}' depends on itself", declared.at)
+        path.add(k)
+        for symbol in sorted(scope.graph.symbols(value) & pairs.keys(), key=place.__getitem__):
+            visit(symbol)
+        done[k] = pairs[k]
+
+    for k in pairs:
+        visit(k)
+    return list(done.values())
 
 
 def _check_left_limits(system: System) -> None:

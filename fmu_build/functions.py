@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import casadi as ca
 
-from fmu_build import algebra
+from fmu_build import algebra, random_numbers, tables
 from fmu_build.algebra import Array, Scalar, Value, whole
 from fmu_build.errors import IndexOutsideError, ModelicaError
 from fmu_build.expressions import Evaluator, Scope
@@ -37,10 +37,11 @@ from fmu_build.syntax import (
     WhenStatement,
     WhileStatement,
 )
-from fmu_build.tables import EXTERNAL
 
+_EXTERNAL = tables.EXTERNAL | random_numbers.EXTERNAL
 _MAX_ROUNDS = 100_000  # of a while loop with a condition known at translation
 _MAX_UNKNOWN_ROUNDS = 100  # of one whose condition is not
+_MOST_UNKNOWN_ROUNDS = 3000  # of all of them, since loops in loops multiply
 _DONE, _LEFT = "(returned)", "(left the loop)"
 
 
@@ -99,11 +100,17 @@ class Functions:
         What assertions in functions want at run time: condition, message, whether it is a warning, place.
     guards
         Conditions under which the current evaluation matters.
+    bounded
+        Whether a loop of unknown length is followed so many rounds, and its end asserted at run time.
+    unknown_rounds
+        How many rounds of such loops there are.
     """
 
     def __init__(self, library: Library) -> None:
         self._library = library
         self._depth = 0
+        self.bounded = False
+        self.unknown_rounds = 0
         self.guards: list[SX] = []
         self.asserts: list[tuple[SX, Message, bool, Place]] = []
 
@@ -112,7 +119,9 @@ class Functions:
         function = self._library.functions.get(name)
         if function is None:
             raise ValueError(f"function '{name}' is not supported")
-        if not function.pure:
+        if not function.pure and not (function.external and function.external[0] in _EXTERNAL):
+            for guard in self.guards:  # if parameters alone decide whether it is called, they become constants
+                raise algebra.UnknownSizeError(guard, f"impure function '{function.name}' is not supported")
             raise ValueError(f"impure function '{function.name}' is not supported")
         return self._vectorised(function, list(arguments))
 
@@ -162,10 +171,7 @@ class Functions:
                 else:
                     raise ValueError(f"function '{function.name}' lacks its argument '{formal.name}'")
             if function.external is not None:
-                name, given_to_it, _ = function.external
-                if name not in EXTERNAL:
-                    raise ValueError(f"external function '{function.name}' is not supported")
-                return EXTERNAL[name](*map(evaluator, given_to_it))
+                return self._external(function, evaluator)
             for formal in (*function.outputs, *function.locals):
                 frame.variables[formal.name] = self._initial(formal, evaluator)
             if function.constructor:
@@ -174,6 +180,23 @@ class Functions:
             frame.variables[_DONE] = False
             body.run(function.body)
             results = tuple(frame.lookup(o.name) for o in function.outputs)
+        return results[0] if len(results) == 1 else results
+
+    @staticmethod
+    def _external(function: Function, evaluator: Evaluator) -> Value:
+        """Call what stands for a C function; those of its arguments that are outputs take its results in order."""
+        assert function.external is not None
+        name, arguments, _ = function.external
+        if name not in _EXTERNAL:
+            raise ValueError(f"external function '{function.name}' is not supported")
+        outputs = [o.name for o in function.outputs]
+        given = [a for a in arguments if not (isinstance(a, Reference) and a.name in outputs)]
+        result = _EXTERNAL[name](*map(evaluator, given))
+        if len(given) == len(arguments):
+            return result
+        taking = [a.name for a in arguments if isinstance(a, Reference) and a.name in outputs]
+        by_name = dict(zip(taking, result if isinstance(result, tuple) else (result,), strict=True))
+        results = tuple(by_name[output] for output in outputs)
         return results[0] if len(results) == 1 else results
 
     def _initial(self, formal: Formal, evaluator: Evaluator) -> Value:
@@ -337,7 +360,8 @@ class Body:
                     goes_on = algebra.sx(algebra.AND(condition, algebra.NOT(stopped)))
                     ends.append((goes_on, dict(self._frame.variables)))
                     if len(ends) > _MAX_UNKNOWN_ROUNDS:
-                        raise _endless(goes_on, statement.at)  # if parameters alone decide, they become constants
+                        self._bound(goes_on, statement.at)
+                        break
                     path.enter_context(self._evaluate.guard(goes_on))
                     self._frame.variables[_LEFT] = False
                     if isinstance(self._frame.variables.get(_DONE), SX):
@@ -356,13 +380,28 @@ class Body:
         except IndexOutsideError as error:
             if not ends:
                 raise
-            never = algebra.sx(False)
-            for guard in self._functions.guards:
-                never = ca.logic_or(never, ca.logic_not(guard))
-            self._functions.asserts.append(
-                (never, (f"a while loop goes on where {error.what}",), False, statement.at)
-            )
+            self._never(algebra.sx(True), f"a while loop goes on where {error.what}", statement.at)
             return False
+
+    def _bound(self, goes_on: SX, at: Place) -> None:
+        """Give up following a loop; if it goes on, the simulation ends."""
+        functions = self._functions
+        functions.unknown_rounds += _MAX_UNKNOWN_ROUNDS
+        if not functions.bounded:
+            raise UnknownLoopError(goes_on, at)  # if parameters alone decide, they become constants
+        if functions.unknown_rounds > _MOST_UNKNOWN_ROUNDS:
+            raise self._library.error(
+                "while loops of unknown length inside each other", at,
+                "bound them by counters, or write for loops with an if inside",
+            )  # fmt: skip
+        self._never(goes_on, f"a while loop goes on for more than {_MAX_UNKNOWN_ROUNDS} rounds", at)
+
+    def _never(self, condition: SX, what: str, at: Place) -> None:
+        """Assert that a condition does not hold where this evaluation matters."""
+        holds = ca.logic_not(condition)
+        for guard in self._functions.guards:
+            holds = ca.logic_or(holds, ca.logic_not(guard))
+        self._functions.asserts.append((holds, (what,), False, at))
 
     def _when(self, statement: WhenStatement) -> None:
         fires = getattr(self._frame, "fires", None)
@@ -427,14 +466,12 @@ class Body:
         return value
 
 
-def _endless(condition: SX, at: Place) -> algebra.UnknownSizeError:
-    error = algebra.UnknownSizeError(condition)
-    error.args = (
-        "a while loop whose condition is not known at translation; bound it by a counter as well, "
-        "or write a for loop with an if inside",
-    )
-    error.span = at
-    return error
+class UnknownLoopError(algebra.UnknownSizeError):
+    """A while loop whose length is not known at translation."""
+
+    def __init__(self, condition: SX, at: Place) -> None:
+        super().__init__(condition, "a while loop whose condition is not known at translation")
+        self.span = at
 
 
 def _replace(array: Array, index: list[list[int] | int | SX], value: Value) -> Array:

@@ -463,12 +463,19 @@ class World:
         self.library = library
         self.depth = 0
         self._packages: dict[tuple[int, int], Instance] = {}
-        self._imports: dict[tuple[int, str], ClassRef | Slot | None] = {}
+        self._imports: dict[tuple[int, str], ClassRef | Slot | Literal | None] = {}
 
     # ---- lookup
 
     def find(self, scope: Instance | None, name: str, rooted: bool = False) -> Slot | ClassRef | None:
-        """Find a simple name from a scope outwards (specification 5.3.1)."""
+        """Find a simple name from a scope outwards (specification 5.3.1); None if there is none, or a literal."""
+        found = self.find_value(scope, name, rooted)
+        return None if isinstance(found, Literal) else found
+
+    def find_value(
+        self, scope: Instance | None, name: str, rooted: bool = False
+    ) -> Slot | ClassRef | Literal | None:
+        """Find a simple name, which may be that of an imported literal of an enumeration."""
         while scope is not None and not rooted:
             slot = scope.slot(name)
             if slot is not None:
@@ -484,7 +491,7 @@ class World:
         top = self.library.top(name)
         return None if top is None else ClassRef(top, None)
 
-    def _imported(self, scope: Instance, name: str) -> Slot | ClassRef | None:
+    def _imported(self, scope: Instance, name: str) -> Slot | ClassRef | Literal | None:
         definition = scope.definition
         if not definition.imports:
             return None
@@ -493,7 +500,9 @@ class World:
             self._imports[memo] = None  # an import does not look at itself
             for clause in definition.imports:
                 if clause.alias == name:
-                    found = self._qualified(clause.name)
+                    found: Slot | ClassRef | Literal | None = self._qualified(clause.name)
+                    if found is None:
+                        found = self._literal(clause.name)
                     if found is None:
                         raise ModelicaError(
                             f"there is no '{clause.name}' to import", where=clause.at, fix=self.absent(clause.name)
@@ -541,6 +550,16 @@ class World:
             found = self.package(found, _NOWHERE).slot(part)
         return found
 
+    def _literal(self, name: str) -> Literal | None:
+        """Literal of an enumeration by its full name."""
+        enumeration, _, literal = name.rpartition(".")
+        found = self._qualified(enumeration) if enumeration else None
+        if found is None or (isinstance(found, Slot) and isinstance(found.element, ComponentDef)):
+            return None
+        declared = self.package(found, _NOWHERE).enumeration
+        names = [n for n, _ in (declared.enumeration if declared is not None else None) or ()]
+        return Literal(_NOWHERE, names.index(literal) + 1, literal) if literal in names else None
+
     def find_class(self, scope: Instance | None, name: Reference, extends: ClassDef | None = None) -> ClassRef:
         """Find a class by its name as written.
 
@@ -572,9 +591,11 @@ class World:
                 slot = scope.slots.get(first)
                 found = slot if slot is not None and slot.element is member else scope._add(member)
             else:
-                found = self._imported(scope, first) or (
-                    None if extends.encapsulated else self.find(scope.parent, first)
-                )
+                imported = self._imported(scope, first)
+                if imported is not None and not isinstance(imported, Literal):
+                    found = imported
+                elif not extends.encapsulated:
+                    found = self.find(scope.parent, first)
                 if found is None and first in scope.visible:
                     found = scope.slots[first]
                 if found is None:

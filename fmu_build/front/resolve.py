@@ -634,7 +634,9 @@ class Resolver:
             return value
         if first.name == "time" and len(e.parts) == 1:
             return e
-        found = self.world.find(scope, first.name, e.rooted)
+        found = self.world.find_value(scope, first.name, e.rooted)
+        if isinstance(found, Literal):
+            return replace(found, at=e.at)
         if found is None:
             raise ModelicaError(
                 f"there is no '{e.name}'" if len(e.parts) > 1 else f"there is no variable '{e.name}'", where=e.at,

@@ -173,10 +173,18 @@ def test_assertions():
     assert "u is \\001%.6g\\001, too much" in model.c_header, "with the value of the moment"
 
 
+def test_a_while_loop_that_a_variable_ends():
+    model = compile_modelica(LANGUAGE, "Language.WhileLoop")
+    instance = Instance.of(model)
+    assert [instance.get("y", 0.0, NOTHING, [u]) for u in (0.5, 20.0, 2.0**90)] == [0.5, 20.0 / 32.0, 1.0]
+    ends = [values(model.functions["asserts"](*instance.env(0.0, NOTHING, [2.0**k])))[0] for k in (90, 150)]
+    assert ends == [1.0, 0.0], "a loop of more than 100 rounds is an error, never a wrong number"
+    assert "Language.mo:68: a while loop goes on for more than 100 rounds" in model.c_header
+
+
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("WhileLoop", r"Language\.mo:\d+: a while loop"),
         ("InputDerivative", r"Language\.mo:\d+: .*der"),
         ("Singular", r"Language\.mo:\d+: singular"),
         ("Contradiction", r"Language\.mo:\d+: .*contradict"),

@@ -14,7 +14,7 @@ LAWS = """package P
   model One parameter Real k = 1; Real y = k; end One;
   model Two extends One(k = 2); end Two;
   model Part replaceable One law; replaceable model Law = One; Law other; end Part;
-  model Whole extends Part; end Whole;
+  model Whole extends Part; end Whole; type Kind = enumeration(one, two);
 """
 REFUSED = {
     "One o(k = break);": "'break'",
@@ -46,6 +46,9 @@ REFUSED = {
     "function f input Real u; output Real y = u; end f; Real x = f(1, 2);": "f() has 1 arguments, not 2",
     "function f input Real u; output Real y = u; end f; Real x = f(v = 2);": "no argument 'v'",
     "function f input Real u; output Real y; equation y = u; end f; Real x = f(2);": "a function has no equations",
+    "impure function f input Real u; output Real y = u; end f; Real x = f(time);": "impure function 'P.M.f'",
+    "parameter Boolean b = true; impure function f output Real y = 1; end f; parameter Real x = if b then f() else 2;": "impure",
+    "import P.Kind.none; Real x = none;": "there is no 'P.Kind.none' to import",
     "final parameter Real k = 1; model Q extends One(final k = 4); end Q; Q q(k = 5);": "'k' is final",
     "outer Real w; Real x = w; model Z outer Real v; Real y = v; end Z; Z z;": "has an inner 'v'",
 }

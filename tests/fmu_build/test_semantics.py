@@ -108,7 +108,8 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
         model Sh constant Real shadow = 2; model In Real y = shadow; end In; In i; Real top = P.shadow; end Sh;
         model BaseOfOther Real y = shadow; end BaseOfOther;
         model Capture extends BaseOfOther; parameter Real other = 3; end Capture;
-        type Kind = enumeration(slow "s", fast); record Rec Real a = 1; Real b = 2; end Rec;
+        type Kind = enumeration(slow "s", fast); model Literals import P.Kind.fast; import f = P.Kind.slow; parameter Kind kind = fast;
+          Real one = if kind == fast and kind <> f then 1 else 0; end Literals; record Rec Real a = 1; Real b = 2; end Rec;
         constant Rec rec = Rec(a = 8); constant Rec recs = Rec(b = rec.a);
         model M
           Real big = Big.R; Real motor = Motor.R; Real short = Short.R; Real bigK = Big.K[2]; Real motorK = Motor.K[2];
@@ -116,14 +117,14 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
           Friction a; Friction b(redeclare package Lw = Quadratic); Friction c(redeclare package Lw = Linear(n = 10));
           Imported.R r; Both.R both; Real closed = Closed.k; Sh sh; Capture capture;
           parameter Kind kind = Kind.fast; Real isFast = if kind == Kind.fast then 1 else 0; Real ord = Integer(kind);
-          Real recA = rec.a; Real recB = recs.b; Real deep = P.Nested.Inner.d;
+          Real recA = rec.a; Real recB = recs.b; Real deep = P.Nested.Inner.d; Literals literals;
         end M;
         """,
         {
             "big": 0.1, "motor": 5, "short": 3, "bigK": 0.2, "motorK": 10, "lossBig": 0.4, "lossMotor": 20,
             "lossShort": 12, "a.y": 6, "a.z": 12, "a.n": 2, "b.y": 9, "b.z": 18, "b.n": 1, "c.y": 30, "c.n": 10,
             "r.q.y": 20, "r.y": 4, "r.q2.y": 20, "r.z": 5, "both.y": 9, "closed": 4, "sh.i.y": 2, "sh.top": 1,
-            "capture.y": 1, "isFast": 1, "ord": 2, "recA": 8, "recB": 8, "deep": 5,
+            "capture.y": 1, "isFast": 1, "ord": 2, "recA": 8, "recB": 8, "deep": 5, "literals.one": 1,
         },
     ),
     # specification 10: arrays
@@ -184,7 +185,11 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
           for i in 1:2 loop for j in 1:3 - i loop if v[j] > v[j + 1] then t := v[j]; v[j] := v[j + 1]; v[j + 1] := t; end if; end for; end for; end sorted;
         function between input Real x; input Real t[:, 2]; output Real y; protected Integer i; algorithm i := 1;
           while x >= t[i + 1, 1] loop i := i + 1; end while; y := t[i, 2] + (x - t[i, 1])/(t[i + 1, 1] - t[i, 1])*(t[i + 1, 2] - t[i, 2]); end between;
+        function heron "square root" input Real c; output Real x; output Real n; protected Real e; algorithm x := c; e := 1; n := 0;
+          while e > 1e-13 loop e := abs(x - c/x); x := (x + c/x)/2; n := n + 1; end while; end heron;
+        function doubled input Real u; output Real y; algorithm y := u; while y < 10 loop y := 2*y; if y > 1000 then return; end if; end while; y := -y; end doubled;
         model M
+          Real heron2 = heron(2 + time); Real slope = der(heron2); Real twice = doubled(3 - time); Real no = doubled(11 + time); Real heronP = heron(p + 2);
           Real looked1 = between(time + 0.5, [0, 1; 1, 3; 2, 7; 4, 7]); Real looked2 = between(time + 1.5, [0, 1; 1, 3; 2, 7; 4, 7]); Real looked3 = between(3 - time, [0, 1; 1, 3; 2, 7; 4, 8]);
           parameter Real p = 7; parameter Real w[4] = {1, 4, 9, 16}; Real d1 = divide(8); Real d2 = divide(8, 4); Real d3 = divide(b = 16, a = 8); Real q; Real r;
           Real only; Real z = divide(time + 6); Real k5 = firstAbove(w, 5); Real k0 = firstAbove(w, 50); Real steps = countdown(4); Real broken = countdown(100);
@@ -201,7 +206,7 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
             "looked1": 2, "looked2": 5, "looked3": 7.5, "d1": 4, "d2": 2, "d3": 0.5, "q": 3, "r": 9, "only": 33, "z": 3, "k5": 3, "k0": 0, "steps": 2,
             "broken": 3, "c1": 1, "c2": -1, "c3": 0.1, "root": 3, "f5": 120, "rec.b": 8, "u1": 84, "u2": 21,
             "u3": 31, "u4": 32, "der1": 6, "ch": 15, "gd": 4, "s3[1]": 3, "s3[3]": 7, "bs[2]": 4, "dynamic": 3,
-            "der(integral)": 1,
+            "der(integral)": 1, "heron2": 2**0.5, "slope": 0.5 / 2**0.5, "twice": -12, "no": -11, "heronP": 3,
         },
     ),
     # conditional components, inner and outer, connections
