@@ -30,7 +30,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed sealed-abroad blind designed-experiments blind-abroad discovery bench coverage fuzz kills standard-library docs clean
+.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed sealed-abroad blind designed-experiments blind-abroad discovery bench coverage fuzz kills standard-library modelica-by-example docs clean
 all: identify
 
 setup: $(READY)
@@ -173,6 +173,14 @@ standard-library: $(DEVELOPER)
 	@mkdir -p build
 	$(BIN)/python benchmarks/standard_library.py $(ROOT) $(REFERENCE) --results build/standard_library.json \
 	  --page docs/standard_library.md
+
+# The models of the book "Modelica by Example". BOOK: its folder; ROOT: that of the Standard Library 3.2.3, which it uses.
+modelica-by-example: $(DEVELOPER)
+	@test -f "$(BOOK)/text/specs.py" || { echo "BOOK=$(BOOK): no text/specs.py in it"; exit 2; }
+	@test -d "$(ROOT)/Modelica" || { echo "ROOT=$(ROOT): no Modelica folder in it"; exit 2; }
+	@mkdir -p build
+	$(BIN)/python -m benchmarks.modelica_by_example $(BOOK) $(ROOT) --results build/modelica_by_example.json \
+	  --page docs/modelica_by_example.md
 
 # Changes that no test of the numerical core notices: build/mutation/survivors.md. MODULE=features: of those modules.
 mutation: $(DEVELOPER)

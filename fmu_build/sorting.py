@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -46,7 +46,13 @@ class Solution:
         return [r for loop in self.loops for r in loop.residuals]
 
 
-def solve(scope: ModelScope, reduced: Reduced, start: Callable[[SX], SX | None], point: Point) -> Solution:
+def solve(
+    scope: ModelScope,
+    reduced: Reduced,
+    start: Callable[[SX], SX | None],
+    point: Point,
+    substitute: Callable[[SX], SX],
+) -> Solution:
     """Sort the equations and solve them block by block, symbolically where they are linear.
 
     Parameters
@@ -54,6 +60,8 @@ def solve(scope: ModelScope, reduced: Reduced, start: Callable[[SX], SX | None],
     start
         Start value of an unknown that the model gives one: where events choose between several solutions of a
         loop, the initialisation begins with it.
+    substitute
+        Rewrites expressions to the variables that the unknowns are.
     """
     graph = scope.graph
     column = {key(s): i for i, s in enumerate(reduced.unknowns)}
@@ -64,14 +72,48 @@ def solve(scope: ModelScope, reduced: Reduced, start: Callable[[SX], SX | None],
             raise scope.flat.error("structurally singular after index reduction", equation.at)
     successors = [[row_of[c] for c in cs if row_of[c] != r] for r, cs in enumerate(rows)]
     column_of = {r: c for c, r in row_of.items()}
+    watched = {
+        key(r.symbol): [row_of[column[k]] for k in graph.symbols(substitute(r.difference)) if k in column]
+        for r in scope.relations
+    }
+    relays = _relays(scope, reduced, watched, successors)
     solution = Solution(Substitution())
     for block in components(successors):
         equations, unknowns = (
             [reduced.equations[r] for r in block],
             [reduced.unknowns[column_of[r]] for r in block],
         )
-        _solve_block(scope, solution, equations, unknowns, _chosen(scope, equations, unknowns, start, point))
+        given = _chosen(scope, equations, unknowns, start, point)
+        if not given and any(r in relays for r in block):
+            given = _given(unknowns, start)
+        _solve_block(scope, solution, equations, unknowns, given)
     return solution
+
+
+def _relays(
+    scope: ModelScope,
+    reduced: Reduced,
+    watched: Mapping[int, Sequence[int]],
+    successors: Sequence[Sequence[int]],
+) -> set[int]:
+    """Equations of a circle that relations close: what they determine decides their own mode, as in a relay.
+
+    Parameters
+    ----------
+    watched
+        Equations that determine what a relation looks at, by the relation's symbol.
+    """
+    switched = [
+        {row for k in scope.graph.symbols(e.residual) & watched.keys() for row in watched[k]}
+        for e in reduced.equations
+    ]
+    whole = [sorted({*found, *more}) for found, more in zip(successors, switched, strict=True)]
+    circles = components(whole) if any(switched) else []
+    return {row for circle in circles for row in circle if switched[row] & set(circle)}
+
+
+def _given(unknowns: list[SX], start: Callable[[SX], SX | None]) -> dict[int, SX]:
+    return {key(s): value for s in unknowns if (value := start(s)) is not None}
 
 
 def _chosen(
@@ -89,7 +131,7 @@ def _chosen(
         return {}
     if scope.is_starting(symbols):  # homotopy says what the initialisation begins with
         return {}
-    given = {key(s): value for s in unknowns if (value := start(s)) is not None}
+    given = _given(unknowns, start)
     if not given:
         names = ", ".join(s.name() for s in unknowns)
         scope.parameters.warnings.append(

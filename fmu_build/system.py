@@ -60,7 +60,7 @@ def solved(scope: ModelScope, equations: Equations) -> System:
         found = start_of(scope, aliases, symbol)
         return found.value if found.given else None
 
-    solution = solve(scope, reduced, start, point)
+    solution = solve(scope, reduced, start, point, aliases.substitute)
     for loop in solution.loops:
         loops.check(scope, loop, point)
     return System(scope, aliases, reduced, solution, point)

@@ -747,7 +747,8 @@ class Resolver:
                 fix=self.world.absent(name) if len(parts) > 1 else World.suggest(name, SUPPORTED),
             )  # fmt: skip
         ref = found
-        if ref.definition.enumeration is not None or ref.definition.kind in ("type", "builtin"):
+        converts = ref.definition.kind in ("type", "builtin") and ref.definition.member("constructor") is None
+        if ref.definition.enumeration is not None or converts:
             return self._builtin(replace(e, function="Integer"), scope, env)
         key = self.function_key(ref, e.at)
         function = self.functions[key]

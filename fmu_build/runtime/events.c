@@ -7,6 +7,14 @@
 /* A relation changes during integration only when its indicator is beyond zero by this much: no chattering of a
  * quantity that rests at its threshold. */
 static const double HYSTERESIS = 1e-10;
+/* After so many changes one after the other between which an indicator hardly left zero, this much is doubled, up to the
+ * tolerance of the integration: what is driven back to its threshold from both sides stays as near to it. */
+enum { CHATTERING = 100 };
+static const double HARDLY = 10.0;
+
+static double width(const State *s, int i) {
+    return s->widened ? fmax(HYSTERESIS, fmin(ldexp(HYSTERESIS, s->widened), s->tolerance * s->reach[i])) : HYSTERESIS;
+}
 
 static int indicators_at(Instance *me, double t, const double *x, const double *u, double *g) {
     if (solve_loop(me, t, x, u)) return 1;
@@ -197,9 +205,28 @@ static int changed_at(Instance *me, double t, double *g) {
     if (indicators_at(me, t, x, me->ut, g)) return 0;
     for (int i = 0; i < NM; i++) {
         if (s->m[i] == 0.0) g[i] = -g[i];
-        changed |= g[i] < -HYSTERESIS;
+        changed |= g[i] < -width(s, i);
+        s->reach[i] = fmax(s->reach[i], fabs(g[i]));
     }
     return changed;
+}
+
+/* Looks at the state event that ends the last step: is it one of many in a row about a threshold? */
+void watch_chattering(Instance *me) {
+    State *s = &me->s;
+    double at[LENGTH(NM)], middle[LENGTH(NM)];
+    int near = 0;
+    if (NM == 0 || !changed_at(me, s->step.t1, at)) return;
+    changed_at(me, 0.5 * (s->step.t0 + s->step.t1), middle);
+    for (int i = 0; i < NM; i++) near |= at[i] < -width(s, i) && fabs(middle[i]) <= HARDLY * width(s, i);
+    s->chatter = near ? s->chatter + 1 : 0;
+    if (s->chatter < CHATTERING || s->widened >= 64) return;
+    s->chatter = 0;
+    if (!s->widened++)
+        report(me, STATUS_WARNING,
+               "t = %.9g: a relation changes to and fro about its threshold (chattering); from here on it does so within "
+               "the tolerance of the integration",
+               s->step.t1);
 }
 
 /* Between three samples at equal distances, none of which has changed, a relation may change and change back: looks

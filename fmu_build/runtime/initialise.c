@@ -37,9 +37,10 @@ static int solve_initial(Instance *me) {
         if (model_initial(me->arg, me->res, me->iw, me->w, 0)) return 1;
         double norm = 0.0;
         for (int i = 0; i < N; i++) norm += r[i] * r[i];
-        if (!isfinite(norm) || (norm > 4.0 * last && iteration > 0)) {
+        if (norm == 0.0) return 0;
+        if (!isfinite(norm) || (norm > 4.0 * last && iteration > 0) || FACTORISE(I, me->initial, &me->lu_start)) {
             if (iteration == 0) return 1;
-            /* too far: go half the way back */
+            /* too far, or where the equations are singular: go half the way back */
             int moved = 0;
             for (int i = 0; i < N; i++) {
                 double *value = i < NX ? &s->x[i] : &s->y[i - NX];
@@ -51,8 +52,6 @@ static int solve_initial(Instance *me) {
             continue;
         }
         last = norm;
-        if (norm == 0.0) return 0;
-        if (FACTORISE(I, me->initial, &me->lu_start)) return 1;
         SOLVE(I, &me->lu_start, r);
         double step = 0.0;
         for (int i = 0; i < N; i++) {

@@ -59,6 +59,8 @@ typedef struct {
     double dx[LENGTH(NX)], v[LENGTH(NV)];
     int have_dx, have_v;
     unsigned char warned[LENGTH(MODEL_NASSERT)];
+    double reach[LENGTH(NM)]; /* largest indicators so far */
+    int chatter, widened;     /* events in a row about a threshold; how often their width was doubled */
     Step step;
 } State;
 
@@ -147,6 +149,7 @@ int relations_for_input(Instance *me, double *kept);
 int event_indicators(Instance *me, double *g);
 Status event_iteration(Instance *me, int initial);
 void find_event(Instance *me, double from, double to, int samples);
+void watch_chattering(Instance *me);
 
 /* kinks.c */
 double first_kink(Instance *me, double h, int again);

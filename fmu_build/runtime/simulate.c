@@ -189,6 +189,7 @@ static Status pass_event(Instance *me, int inside) {
 
 static Status handle_event(Instance *me) {
     State *s = &me->s;
+    watch_chattering(me);
     dense_output(&s->step, s->step.t1, s->x);
     move_to(s, at_time_event(s, s->step.t1));
     return pass_event(me, 1);

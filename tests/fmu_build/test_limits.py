@@ -73,8 +73,9 @@ def test_a_multivibrator_has_its_period_whatever_the_solver(simulate, limit, tol
 
 
 @pytest.mark.parametrize(("start", "first"), [("(start = 1)", 1.0), ("(start = -1)", -1.0)])
-def test_a_start_value_chooses_the_first_solution(simulate, start, first):
-    found = simulate(SCHMITT.format(start=start) + LIMITS["plain"], ["y"])
+@pytest.mark.parametrize("limit", [LIMITS["plain"], "y = if e > 0 then 1 else -1;"])
+def test_a_start_value_chooses_the_first_solution(simulate, start, first, limit):
+    found = simulate(SCHMITT.format(start=start) + limit, ["y"])
     assert found["y"][0] == first
 
 
@@ -87,6 +88,31 @@ def test_homotopy_chooses_the_first_solution_and_nothing_is_told(simulate, tmp_p
     file.write_text(f"model M {SCHMITT.format(start='')} {LIMITS['plain']} end M;")
     (warning,) = compile_modelica(file, "M").warnings
     assert "may have several solutions" in warning
+
+
+def test_initial_equations_are_solved_past_a_point_where_they_are_singular(tmp_path):
+    text = (  # Newton's first step from (10, 10) ends at (15, 2.5), where the Jacobian is singular
+        "Real x(start = 10); Real y(start = 10); initial equation der(x) = 0; der(y) = 0; "
+        "equation der(x) = x*(0.1 - 0.02*y); der(y) = y*(0.01*x - 0.3);"
+    )
+    found = simulate(tmp_path, text, ["x", "y"], stop_time=0.1)[0]
+    assert (found["x"], found["y"]) == pytest.approx((30.0, 5.0), rel=1e-9)
+
+
+def test_what_is_driven_back_to_its_threshold_stays_there_within_the_tolerance(tmp_path):
+    text = "Real x(start = 1.2, fixed = true); equation der(x) = if x >= 1 then -1 else 1;"
+    said = []
+    found = simulate(
+        tmp_path,
+        text,
+        ["x"],
+        stop_time=0.5,
+        relative_tolerance=1e-4,
+        logger=lambda *message: said.append(message[-1]),
+    )
+    np.testing.assert_allclose(found["x"], np.maximum(1.2 - found["time"], 1), atol=2e-4)
+    assert len(said) == 1
+    assert b"chattering" in said[0]
 
 
 @pytest.mark.parametrize("limit", REFUSED)

@@ -48,6 +48,8 @@ REFUSED = {
     "function f input Real u; output Real y; equation y = u; end f; Real x = f(2);": "a function has no equations",
     "impure function f input Real u; output Real y = u; end f; Real x = f(time);": "impure function 'P.M.f'",
     "parameter Boolean b = true; impure function f output Real y = 1; end f; parameter Real x = if b then f() else 2;": "impure",
+    'type T extends ExternalObject; function constructor input Real y; output T t; external "C" t = make(y); end constructor; '
+    'end T; function g input T t; output Real y; external "C" y = read(t); end g; parameter T t = T(y = 1); Real x = g(t);': "external function 'P.M.",
     "import P.Kind.none; Real x = none;": "there is no 'P.Kind.none' to import",
     "final parameter Real k = 1; model Q extends One(final k = 4); end Q; Q q(k = 5);": "'k' is final",
     "outer Real w; Real x = w; model Z outer Real v; Real y = v; end Z; Z z;": "has an inner 'v'",
