@@ -205,8 +205,11 @@ static int changed_at(Instance *me, double t, double *g) {
     if (indicators_at(me, t, x, me->ut, g)) return 0;
     for (int i = 0; i < NM; i++) {
         if (s->m[i] == 0.0) g[i] = -g[i];
-        changed |= g[i] < -width(s, i);
-        s->reach[i] = fmax(s->reach[i], fabs(g[i]));
+        changed |= g[i] < -HYSTERESIS;
+    }
+    if (changed && s->widened) {
+        changed = 0;
+        for (int i = 0; i < NM; i++) changed |= g[i] < -width(s, i);
     }
     return changed;
 }
@@ -215,8 +218,10 @@ static int changed_at(Instance *me, double t, double *g) {
 void watch_chattering(Instance *me) {
     State *s = &me->s;
     double at[LENGTH(NM)], middle[LENGTH(NM)];
+    const int in_one_step = s->step.t0 == s->event_time;
     int near = 0;
-    if (NM == 0 || !changed_at(me, s->step.t1, at)) return;
+    s->event_time = s->step.t1;
+    if (NM == 0 || !in_one_step || !changed_at(me, s->step.t1, at)) return;
     changed_at(me, 0.5 * (s->step.t0 + s->step.t1), middle);
     for (int i = 0; i < NM; i++) near |= at[i] < -width(s, i) && fabs(middle[i]) <= HARDLY * width(s, i);
     s->chatter = near ? s->chatter + 1 : 0;
@@ -257,7 +262,10 @@ void find_event(Instance *me, double from, double to, int samples) {
         else if (i >= 2) after = between_samples(me, t - distance, distance, g);
         if (isnan(after) && i >= 2) before = t - distance;
     }
-    if (isnan(after)) return;
+    if (isnan(after)) {
+        for (int i = 0; i < NM; i++) me->s.reach[i] = fmax(me->s.reach[i], fabs(g[2][i]));
+        return;
+    }
     for (;;) {
         const double middle = before + 0.5 * (after - before);
         if (middle <= before || middle >= after) break;

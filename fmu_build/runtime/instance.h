@@ -60,6 +60,7 @@ typedef struct {
     int have_dx, have_v;
     unsigned char warned[LENGTH(MODEL_NASSERT)];
     double reach[LENGTH(NM)]; /* largest indicators so far */
+    double event_time;        /* of the last event inside a step */
     int chatter, widened;     /* events in a row about a threshold; how often their width was doubled */
     Step step;
 } State;
