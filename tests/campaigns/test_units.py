@@ -64,7 +64,7 @@ def test_conversion(source: str, target: str | None, factor: float, offset: floa
         ("rpm", "Hz", "'rpm' cannot be converted to 'Hz'; convert the values by 2 pi and write the unit"),
         ("Nwt", "N", "unit 'Nwt' is unknown; write it as in 'N.m' or 'kg.m2/s'"),
         ("N", "Nwt", "unit 'Nwt' is unknown; write it as in 'N.m' or 'kg.m2/s'"),
-        ("N.m)", "N", "unit 'N.m)' has a ')' too many; write it as in 'N.m/(rad.s)'"),
+        ("N.m)", "N", "unit 'N.m)' has an extra ')'; write it as in 'N.m/(rad.s)'"),
         ("(N.m", "N", "unit '(N.m' is not understood; write it as in 'N.m/(rad.s)'"),
         ("3 N", "N", "unit '3 N' is not understood; write it as in 'N.m' or 'kg.m2/s'"),
         ("m99", "m", "unit 'm99' is not understood; write it as in 'N.m/(rad.s)'"),

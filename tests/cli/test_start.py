@@ -49,9 +49,9 @@ def test_a_campaign_is_replaced_only_if_asked_for(
 
 
 def test_what_is_no_log_is_one_line(folder: Path, oscillator: Path) -> None:
-    with pytest.raises(fmuid.FmuidError, match="'int' is no data frame"):
+    with pytest.raises(fmuid.FmuidError, match="'int' is not a data frame"):
         fmuid.start({"a": 3}, oscillator)
     with pytest.raises(fmuid.FmuidError, match="has no column 'time' or 't'"):
         fmuid.start(pd.DataFrame({"x [m]": [1.0, 2.0]}), oscillator)
-    with pytest.raises(fmuid.FmuidError, match="no library 'excel' makes data frames"):
+    with pytest.raises(fmuid.FmuidError, match="data frames of 'excel' are not supported"):
         to_frame({}, "excel")  # type: ignore[arg-type]

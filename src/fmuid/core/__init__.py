@@ -1,1 +1,1 @@
-"""Values that every other package speaks of, and what files, units and messages need."""
+"""Value types that every other package uses, and helpers for files, units and messages."""

@@ -1,4 +1,4 @@
-"""What a campaign is: measurements, models, parameters, stages. Values only; files are read elsewhere."""
+"""The campaign: measurements, models, parameters and stages. Values only; files are read elsewhere."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ Interface = Literal["co-simulation", "model exchange"]
 
 @dataclass(frozen=True, slots=True)
 class ModelSource:
-    """Modelica source of a model: the file that has the class, and its qualified name.
+    """Modelica source of a model: the file that contains the class, and its qualified name.
 
-    `effects` is a catalogue of effects with an expression that are part of the model, at its ports.
+    `effects` is a catalogue of expression effects that the model includes at its ports.
     """
 
     file: Path
@@ -31,19 +31,19 @@ class ModelSource:
 
 @dataclass(frozen=True, slots=True)
 class ModelSpec:
-    """Which FMU stands for a setup, and how its variables are named.
+    """The FMU that models a setup, and the names of its variables.
 
-    `map` translates measured signal, setting and parameter names to FMU variables; what is not in it is
-    looked up under its own name. A signal mapped to ``gradient(v)`` is compared with the central difference
-    of the FMU's `v` over the samples, as a differentiated encoder measures it. `initial` holds start values
-    by FMU variable. `interpolation` says when input sample k acts: ``hold`` on [t_k, t_{k+1}), ``linear``
-    between the samples, ``preceding`` on (t_{k-1}, t_k] (a recorder that writes a row after each step).
+    `map` translates names of measured signals, settings and parameters to FMU variables; a name that is not in it
+    is looked up as it is. A signal mapped to ``gradient(v)`` is compared with the central difference of the FMU's
+    `v` over the samples, as a differentiated encoder measures it. `initial` contains start values by FMU variable.
+    `interpolation` says when input sample k acts: ``hold`` on [t_k, t_{k+1}), ``linear`` between the samples,
+    ``preceding`` on (t_{k-1}, t_k] (a recorder that writes a row after each step).
 
-    `interface` is how the FMU is simulated: ``co-simulation`` (by the solver inside it) or ``model exchange`` (by
-    fmuid's, to its tolerance); None for co-simulation where the FMU has it.
+    `interface` says how the FMU is simulated: ``co-simulation`` (with the solver inside it) or ``model exchange``
+    (with fmuid's solver, to its tolerance); None chooses co-simulation if the FMU supports it.
 
-    Several FMUs may stand for it: those that `coupling` connects, `fmu` being what errors name; or those of an
-    SSP file. `source` is the Modelica source, where the campaign says it. `signal_effects` are effects of the
+    A setup may also be modelled by several FMUs: those that `coupling` connects (errors then name `fmu`), or those
+    of an SSP file. `source` is the Modelica source, if the campaign gives it. `signal_effects` are effects at the
     FMU's inputs and outputs that become parameters (see `fmuid.simulation.signal_model`).
     """
 
@@ -64,19 +64,19 @@ class ModelSpec:
         return tuple(components.values()) or (self.fmu,)
 
     def variable(self, name: str) -> str:
-        """Return the FMU variable that stands for a campaign's `name`."""
+        """Return the FMU variable that corresponds to the campaign's `name`."""
         target = self.map.get(name, name)
         return target[len("gradient(") : -1] if self.differentiates(name) else target
 
     def differentiates(self, name: str) -> bool:
-        """Return whether `name` is measured as the difference of an FMU variable over the samples."""
+        """Return whether `name` is compared with the time derivative of an FMU variable over the samples."""
         target = self.map.get(name, name)
         return target.startswith("gradient(") and target.endswith(")")
 
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is known of a parameter beforehand: a normal distribution of its value, in the parameter's unit."""
+    """Prior knowledge of a parameter: a normal distribution of its value, in the parameter's unit."""
 
     mean: float
     sd: float
@@ -89,27 +89,27 @@ class ParameterSpec:
     Parameters
     ----------
     name
-        Here and, unless a model's `map` says otherwise, in the FMUs.
+        Name in the campaign and, unless a model's `map` says otherwise, in the FMUs.
     start, lower, upper
         Start value and bounds in `unit`.
     unit
-        The FMU's where it is None.
+        Unit of the values; None for the FMU's unit.
     scale
-        Whether the search sees the value or its logarithm.
+        ``linear`` or ``log``: the search varies the value or its logarithm.
     free
-        False: held, unless a stage frees it.
+        If False, the parameter is fixed unless a stage frees it.
     per
         One value for the campaign, or one for each experiment or machine.
     truth
-        The rig's own value where it is known; for reports only.
+        The true value on the rig, if known; for reports only.
     description
         For reports.
     prior
-        What is known of it beforehand; counts as one more residual, (value - mean) / sd.
+        Prior knowledge; it counts as one more residual, (value - mean) / sd.
     known
-        While it is held, a diagnosis takes its value for right: that it is off is no candidate.
+        While the parameter is fixed, a diagnosis trusts its value and does not consider an error in it.
     tolerance
-        Otherwise how well the held value is known: relative, one standard deviation.
+        Otherwise the relative standard deviation of the fixed value.
     """
 
     name: str
@@ -133,20 +133,20 @@ class ParameterSpec:
 
 @dataclass(frozen=True, slots=True)
 class CriterionSpec:
-    """One criterion of a stage: what is measured of the mismatch of a signal, scaled by its demand value.
+    """One criterion of a stage: a measure of a signal's mismatch, scaled by its demand value.
 
     Parameters
     ----------
     signal
         Measured name.
     kind
-        Such as ``least_squares``, ``maximum``, ``rise_time``; see `fmuid.identification.problem.criteria`.
+        For example ``least_squares``, ``maximum`` or ``rise_time``; see `fmuid.identification.problem.criteria`.
     demand
-        The value that would do: a criterion over its demand is satisfied at 1.
+        The acceptable value: a criterion divided by its demand is satisfied at 1.
     weight
-        In the weighted sum.
+        Weight in the weighted sum.
     start_time, stop_time
-        Window (s) that is looked at.
+        Window (s) that is evaluated.
     options
         Of the kind.
     """
@@ -162,14 +162,14 @@ class CriterionSpec:
 
 @dataclass(frozen=True, slots=True)
 class ParetoSpec:
-    """A Pareto front that is asked for.
+    """A requested Pareto front.
 
     Parameters
     ----------
     objectives
-        Labels of criteria, or globs: each is one objective. Every label is, where none is given.
+        Labels of criteria, or globs; each is one objective. If none is given, every label is an objective.
     points
-        On each edge of the front, its ends included.
+        Number of points on each edge of the front, including its ends.
     """
 
     objectives: tuple[str, ...] = ()
@@ -178,18 +178,19 @@ class ParetoSpec:
 
 @dataclass(frozen=True, slots=True)
 class AnalysisSpec:
-    """What a stage is asked when its search is over.
+    """Analyses that run after the search of a stage.
 
     Parameters
     ----------
     uncertainty
-        Standard errors, correlation, and what is not determined: 2 n + 6 evaluations for n parameters.
+        Standard errors, correlations and undetermined directions: 2 n + 6 evaluations for n parameters.
     profiles
-        Profile likelihood of every parameter: some tens of evaluations each.
+        Profile likelihood of every parameter; tens of evaluations for each.
     monte_carlo
-        Number of draws of the parameters from their distribution, for the criteria over it; 0 for none.
+        Number of parameter draws from the estimate's distribution, for the distribution of the criteria; 0 for
+        none.
     pareto
-        The front of trade-offs, or None.
+        The requested Pareto front, or None.
     posterior
         Number of samples of the posterior; 0 for none.
     """
@@ -203,34 +204,34 @@ class AnalysisSpec:
 
 @dataclass(frozen=True, slots=True)
 class StageSpec:
-    """One step of the identification: which experiments, which parameters, judged how, solved by what.
+    """One step of the identification: its experiments, free parameters, criteria and solver.
 
     Parameters
     ----------
     name
-        Of the stage.
+        Name of the stage.
     experiments, free
-        Ids of the runs that are fitted, and names of the parameters that are estimated.
+        Ids of the fitted runs, and names of the estimated parameters.
     start
-        Other start values than the campaign's, by name.
+        Start values that differ from the campaign's, by name.
     tie
         Follower -> expression of parameters.
     criteria, combine
-        What is judged, and how criteria become one cost.
+        The criteria, and how they are combined into one cost.
     solver, solver_options
         Name (``auto`` chooses by the problem) and options; see `fmuid.identification.solvers`.
     max_evaluations, max_seconds
-        Budget; None is the solver's own.
+        Budget; None for the solver's default.
     constraints
-        As in ``campaign.toml``.
+        Constraints as written in ``campaign.toml``.
     analyses
-        What is asked when the search is over.
+        Analyses after the search.
     segments
-        Length (s) of the segments that runs are cut into, ``auto`` for one that suits the model, or None for whole
-        runs; see `fmuid.simulation.segmented`.
+        Length (s) of the segments that runs are cut into, ``auto`` for a length that suits the model, or None for
+        whole runs; see `fmuid.simulation.segmented`.
     observer
-        True for output feedback with gains that are estimated along, or the gains, state -> output -> gain, both
-        variables of the FMU; see `fmuid.simulation.observer_model`.
+        True for output feedback with gains estimated together with the parameters; or given gains, state -> output
+        -> gain, where states and outputs are FMU variables; see `fmuid.simulation.observer_model`.
     """
 
     name: str
@@ -252,7 +253,7 @@ class StageSpec:
 
 @dataclass(frozen=True, slots=True)
 class EffectsSpec:
-    """What a diagnosis starts from: the catalogue of effects and the nominal model.
+    """Input of a diagnosis: the catalogue of effects and the nominal model.
 
     `nominal` names the campaign parameters of the base model; they are refitted with every effect. `tie` sets
     FMU variables (also slices such as ``lossTable[:,4:5]``) to expressions of campaign parameters.
@@ -270,14 +271,14 @@ Family = Literal["multisine", "chirp", "steps", "prbs"]
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """What a quantity of the rig may not leave, in `unit` (the model's where it is None).
+    """Limits of a quantity of the rig, in `unit` (None for the model's unit).
 
     Parameters
     ----------
     lower, upper
-        Range of an input that is driven, of an output, or of a value that a run can set, such as a payload.
+        Range of a driven input, of an output, or of a value that a run can set, such as a payload.
     rate
-        Largest slope of an input, a second.
+        Largest rate of change of an input, per second.
     """
 
     name: str
@@ -289,26 +290,26 @@ class Limit:
 
 @dataclass(frozen=True, slots=True)
 class DesignSpec:
-    """Within which limits experiments are designed, and how.
+    """Limits and options for the design of experiments.
 
     Parameters
     ----------
     limits
-        By signal or FMU variable. Inputs that it does not name stay at rest.
+        Limits by signal or FMU variable. Inputs without limits stay at rest.
     duration
-        Of a run, s; None for that of the longest recorded run.
+        Duration of a run, s; None for that of the longest recorded run.
     setup
-        The setup to design for; None for the first one that has been recorded, or else the first model.
+        The setup to design for; None for the first recorded setup, or the first model if nothing is recorded.
     families
-        Of excitations that are tried.
+        Families of excitations to try.
     phases
-        Whether the phases of a multisine are drawn, or searched as well.
+        Whether the phases of a multisine are drawn at random or searched as well.
     sample_time
         Time between samples of the input, s; None for that of the recorded runs.
     repeats
-        How often the run will be made.
+        Number of times the run will be made.
     sigma
-        Standard deviations of the noise by output, in the model's units, of outputs that no run has measured.
+        Standard deviations of the noise, in the model's units, for outputs that no run has measured.
     """
 
     limits: Mapping[str, Limit] = field(default_factory=dict)
@@ -323,14 +324,14 @@ class DesignSpec:
 
 @dataclass(frozen=True, slots=True)
 class RobotSpec:
-    """A robot's description, URDF or MJCF, and what its joints get from the parameters.
+    """A robot description (URDF or MJCF), and the joint values that follow from the parameters.
 
     Parameters
     ----------
     file
-        The description; it is not changed.
+        The description file; it is not changed.
     joints
-        By name of the joint: ``friction``, ``damping`` and ``armature`` as formulas of the campaign's parameters.
+        For each joint, ``friction``, ``damping`` and ``armature`` as formulas of the campaign's parameters.
     """
 
     file: Path
@@ -339,43 +340,43 @@ class RobotSpec:
 
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """Everything of one identification question, as `fmuid.load_campaign` reads it.
+    """All data of one identification question, as read by `fmuid.load_campaign`.
 
     Parameters
     ----------
     name, title
         Short and long name.
     folder
-        Anchors relative paths.
+        Folder to which paths are relative.
     file, measurements_file
-        What it was read from, if it was.
+        Files that the campaign was read from, if any.
     measurements
         The recorded runs.
     models
-        Which FMU stands for a setup, by setup.
+        The model of each setup, by setup.
     parameters
-        By name, estimated or not.
+        All parameters by name, estimated or not.
     settings
         Fixed values by FMU variable, in the FMU's units.
     stages
-        By name, in their order.
+        Stages by name, in their order.
     identification, validation
-        Ids of the runs that may be fitted, and of those that are kept back.
+        Ids of the runs for fitting, and of those kept for validation.
     effects
-        What a diagnosis starts from, if the campaign says.
+        Input of a diagnosis, if the campaign gives one.
     design
-        Within which limits experiments are designed.
+        Limits and options for the design of experiments.
     robot
-        The robot's description that the values found go into.
+        The robot description that receives the identified values.
     published
         Free-form figures to put beside the estimates.
     filters
-        Cut-off frequency (Hz) of the zero-phase low-pass that measured and simulated samples of an output go
-        through before they are compared, by signal.
+        Cut-off frequency (Hz) by signal, of a zero-phase low-pass that is applied to the measured and the
+        simulated output before they are compared.
     outliers
-        Samples of the recording that are no measurements; `measurements` has them as missing.
+        Outliers in the recording; they are missing samples in `measurements`.
     trusted
-        Whether functions that it names may be imported and called: they are code, wherever they lie.
+        Whether functions named by the campaign may be imported and called; such functions are arbitrary code.
     """
 
     name: str

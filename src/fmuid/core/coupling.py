@@ -1,4 +1,4 @@
-"""What a coupled system is made of: connections, ports, and how its master steps. Values only."""
+"""Parts of a coupled system: connections, ports and the settings of its master. Values only."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Linear(NamedTuple):
     offset: float = 0.0
 
     def then(self, other: Linear) -> Linear:
-        """Return the transformation that does this one and then the other."""
+        """Return the transformation that applies this one, then the other."""
         return Linear(other.factor * self.factor, other.factor * self.offset + other.offset)
 
     def __call__(self, value: float) -> float:
@@ -41,7 +41,7 @@ class Linear(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Connection:
-    """An input that follows an output of a component."""
+    """An input connected to an output of a component."""
 
     source: Place
     target: Place
@@ -55,8 +55,8 @@ class Port:
     Parameters
     ----------
     ends
-        Variables of components with the transformation towards them; of an output, the one it shows, with the
-        transformation from there.
+        Component variables with the transformation from the port to each; for an output, the variable it shows,
+        with the transformation from that variable.
     """
 
     name: str
@@ -74,18 +74,18 @@ class Master:
     step
         Largest communication step, s; None for one step between two samples of the task.
     algorithm
-        ``jacobi``: every input is extrapolated over the step. ``gauss_seidel``: inputs that follow an FMU which
-        has taken the step already are interpolated.
+        ``jacobi``: every input is extrapolated over the step. ``gauss_seidel``: an input is interpolated if its
+        source FMU has already taken the step.
     extrapolation
-        ``constant``: the last value is held; ``linear``: the line through the last two values is followed. For
-        all components, or by component; one that is not named holds.
+        ``constant``: the last value is held; ``linear``: the line through the last two values is continued. One
+        for all components, or by component; a component that is not named uses ``constant``.
     loops
-        Of outputs that depend on inputs without delay: ``refuse``, let the communication step ``delay`` them, or
-        ``iterate`` every step until inputs and outputs agree.
+        What to do about algebraic loops: ``refuse`` them, ``delay`` them by the communication step, or ``iterate``
+        every step until inputs and outputs agree.
     loop_tolerance
         Relative disagreement between inputs and outputs at which the iteration ends.
     loop_iterations
-        After which it fails.
+        Number of iterations after which the step fails.
     """
 
     step: float | None = None
@@ -100,7 +100,7 @@ class Master:
             object.__setattr__(self, "extrapolation", frozen_mapping(self.extrapolation))
 
     def extrapolates(self, component: str) -> bool:
-        """Whether the inputs of a component follow a line."""
+        """Return whether the inputs of a component are extrapolated linearly."""
         if isinstance(self.extrapolation, str):
             return self.extrapolation == "linear"
         return self.extrapolation.get(component) == "linear"
@@ -115,9 +115,9 @@ class Coupling:
     components
         FMU files by name; empty for an SSP file, which has its own.
     connections
-        Input -> output it follows and the transformation on the way, by ``component.variable``.
+        Input -> the output it follows, and the transformation between them; keys are ``component.variable``.
     main
-        The component whose variables go by their own names, without its name before them; none where empty.
+        The component whose variables are named without its name as a prefix; empty for none.
     """
 
     master: Master = field(default_factory=Master)

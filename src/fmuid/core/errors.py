@@ -1,4 +1,4 @@
-"""The errors of fmuid: what is wrong, where, and what to do, in one line."""
+"""Errors of fmuid: each says in one line what is wrong, where, and what to do."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from fmu_build.errors import UserError
 
 
 class FmuidError(UserError):
-    """Base of every error that fmuid raises on purpose; `fmu_build` has its own."""
+    """Base class of the errors that fmuid raises; `fmu_build` has its own."""
 
 
 class CampaignError(FmuidError):
-    """``campaign.toml`` is malformed or names what does not exist."""
+    """``campaign.toml`` is malformed or refers to something that does not exist."""
 
 
 class MeasurementsError(FmuidError):
-    """A measurement file breaks the format's rules."""
+    """A measurement file violates the format."""
 
 
 class UnitError(FmuidError):
@@ -26,8 +26,8 @@ class FmuError(FmuidError):
 
 
 class SimulationError(FmuidError):
-    """One simulation failed; the parameter point has no prediction."""
+    """A simulation failed, so there is no prediction at these parameter values."""
 
 
 class ProblemError(FmuidError):
-    """An identification problem that cannot be posed as given."""
+    """The identification problem is ill-posed or contradictory."""

@@ -1,4 +1,4 @@
-"""What was measured: signals, runs, and the runs of one file. Values only; files are read elsewhere."""
+"""Measured data: signals, runs, and the runs of one file. Values only; files are read elsewhere."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Signal:
     sigma
         Standard deviation of the measurement noise in `unit`, if known.
     resampled
-        From which time base the samples were brought onto the run's, and how; empty if they are as recorded.
+        The original time base and the resampling method; empty if the samples are as recorded.
     """
 
     name: str
@@ -55,21 +55,21 @@ class Experiment:
     Parameters
     ----------
     id
-        Its name in the measurement file.
+        Name of the run in the measurement file.
     setup
-        What it was made with; says which model stands for it.
+        Name of the setup, which selects the model.
     time
         (N,) in s, strictly increasing.
     signals
         Inputs and outputs by name, (N,) each.
     settings, setting_units
-        Known values that the run sets on the model, by name, and their units (the model's where none is stated).
+        Known values that the run sets on the model, by name, and their units (the model's units by default).
     repeat_of
-        Id of the first run with the same inputs, settings and times; None for a run of its own.
+        Id of the first run with the same inputs, settings and times; None if this run is not a repeat.
     description
-        For reports.
+        Text for reports.
     machine
-        Which unit was measured.
+        The machine that was measured.
     """
 
     id: str
@@ -111,7 +111,7 @@ class Experiment:
 
     @property
     def digest(self) -> str:
-        """Hash of its times, samples and settings: a recording has the same one under any id."""
+        """Hash of the times, samples and settings; it does not depend on the id."""
         found = hashlib.sha256(self.time.tobytes())
         for name, signal in sorted(self.signals.items()):
             found.update(f"{name} {signal.causality} [{signal.unit}]".encode() + signal.values.tobytes())
@@ -124,14 +124,14 @@ OutlierKind = Literal["spike", "held"]
 
 @dataclass(frozen=True, slots=True)
 class Outliers:
-    """Samples of one signal of one run that are left out.
+    """Samples of one signal of one run that are excluded as outliers.
 
     Parameters
     ----------
     kind
         ``spike`` or ``held``.
     times
-        When they were recorded, s.
+        Times of the samples, s.
     """
 
     experiment: str
@@ -156,9 +156,9 @@ class Measurements:
     experiments
         By id, in the file's order.
     title, rig, source, licence
-        Of the recording, as free text.
+        Free text about the recording.
     history
-        The commands that made the file, one a line.
+        The commands that made the file, one per line.
     """
 
     experiments: Mapping[str, Experiment]

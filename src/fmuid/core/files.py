@@ -1,4 +1,4 @@
-"""Files written whole or not at all."""
+"""Atomic writing of files."""
 
 from __future__ import annotations
 
@@ -13,57 +13,57 @@ _UNFINISHED = ".fmuid-unfinished"
 
 
 def user_cache() -> Path:
-    """Return the folder in which results that can be made again are kept for this user."""
+    """Return this user's cache folder, for results that can be recomputed."""
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "fmuid"
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder, with those above it, unless it is there.
+    """Make a folder and its parents if it does not exist.
 
     Raises
     ------
     FmuidError
-        It cannot be made.
+        The folder cannot be made.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        what = f"cannot be a folder ({error.strerror or error})"
+        what = f"is not a usable folder ({error.strerror or error})"
         raise FmuidError(what, where=folder, fix="name a folder that can be written") from None
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a folder that cannot be made or written in, before there is something to write.
+    """Raise an error early if a folder cannot be made or written to.
 
     Raises
     ------
     FmuidError
-        Something else than a folder is in its place, or the folder above it does not let this user write.
+        A file is in its place, or this user has no permission to write there.
     """
     nearest = next((path for path in (folder, *folder.absolute().parents) if path.exists()), folder)
     if nearest.is_dir() and os.access(nearest, os.W_OK | os.X_OK):
         return
     reason = "no permission" if nearest.is_dir() else f"'{nearest}' is a file"
-    raise FmuidError(f"cannot be a folder ({reason})", where=folder, fix="name a folder that can be written")
+    raise FmuidError(f"is not a usable folder ({reason})", where=folder, fix="name a folder that can be written")
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove the beginnings of files that a killed process has left in a folder."""
+    """Remove partly written files that a killed process left in a folder."""
     for path in folder.glob(f".*{_UNFINISHED}"):
         with suppress(OSError):
             path.unlink()
 
 
 def write_atomically(path: Path, content: bytes | str) -> None:
-    """Write `content` to `path` so that a reader sees the old file or the new one, never half of it.
+    """Write `content` to `path` atomically: a reader sees the old file or the new one, never a part.
 
     The folder is made if it is missing.
 
     Raises
     ------
     FmuidError
-        The file cannot be written there; nothing is left behind.
+        The file cannot be written; no partial file remains.
     """
     data = content.encode() if isinstance(content, str) else content
     temporary = None

@@ -19,22 +19,22 @@ _claimed: ContextVar[frozenset[Path]] = ContextVar("_claimed", default=frozenset
 
 
 class LockedError(FmuidError):
-    """Another process writes into the folder."""
+    """Another process is writing to the folder."""
 
 
 @contextmanager
 def claim(folder: Path) -> Iterator[None]:
-    """Be the only one who writes into `folder` until the end; what is called meanwhile may claim it again.
+    """Lock `folder` for writing while the context is active; nested calls may lock it again.
 
-    The folder is made if it is missing, and goes again if nothing is written into it. The lock is the kernel's: it
-    goes with its process, whatever ends that.
+    The folder is made if it is missing, and removed again if nothing is written to it. The kernel holds the lock
+    and releases it when the process ends for any reason.
 
     Raises
     ------
     LockedError
-        Another process, or another thread, has claimed it; the line says who.
+        Another process or thread holds the lock; the message says which.
     FmuidError
-        The folder cannot be made or written.
+        The folder cannot be made or written to.
     """
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     make_folder(folder)
@@ -75,8 +75,8 @@ def _locked(folder: Path) -> int:
         except BlockingIOError:
             holder = os.pread(descriptor, 500, 0).decode(errors="replace").strip()
             os.close(descriptor)
-            what = f"{holder or 'another process'} writes into this folder"
-            raise LockedError(what, where=folder, fix="wait for it, or name another folder") from None
+            what = f"{holder or 'another process'} is writing to this folder"
+            raise LockedError(what, where=folder, fix="wait until it ends, or name another folder") from None
         except FileNotFoundError:
             pass  # its holder has just removed it
         except OSError:  # a file system without locks

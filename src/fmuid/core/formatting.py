@@ -1,4 +1,4 @@
-"""Results in words and tables: text for a terminal, HTML for a notebook."""
+"""Results as sentences and tables: text for a terminal, HTML for a notebook."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 Rows = Sequence[Sequence[str]]
-"""Cells of a table, its header first."""
+"""Cells of a table, header first."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """One line of what matters most: a short label, the value in words, and whether it is good news."""
+    """One line of a summary: a short label, the value in words, and whether it is good news."""
 
     label: str
     value: str
@@ -26,7 +26,7 @@ def counted(number: int, noun: str) -> str:
 
 
 def text_table(rows: Rows) -> str:
-    """Return rows as lines, columns under each other."""
+    """Return rows as lines with aligned columns."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
     return "\n".join(lines)
@@ -46,14 +46,14 @@ def html_lines(lines: Sequence[str]) -> str:
 
 
 def range_text(low: float, high: float, span: float | None = None) -> str:
-    """Return "low … high" to three digits; an end that is next to nothing beside `span` (high - low) is zero."""
+    """Return "low … high" to three digits; an end negligible beside `span` (high - low) becomes zero."""
     span = high - low if span is None else span
     ends = [0.0 if abs(end) < 1e-3 * span < math.inf else float(f"{end:.3g}") for end in (low, high)]
     return " … ".join(f"{end:g}".replace("-", "−") for end in ends)
 
 
 def interval_text(low: float, high: float) -> str:
-    """Return "low .. high" with as many digits as its width needs, to two digits of it."""
+    """Return "low .. high" with enough digits to show the width to two digits."""
     width, size = high - low, max(abs(low), abs(high))
     digits = 5
     if 0.0 < width < math.inf and size > 0.0:
@@ -62,7 +62,7 @@ def interval_text(low: float, high: float) -> str:
 
 
 def once_each(notes: Sequence[tuple[str, str]]) -> list[str]:
-    """Return each note on files once, with the file that it is on, or with how many there are."""
+    """Return each note on files once, with the first file it applies to and the number of others."""
     files: dict[str, list[str]] = {}
     for file, note in notes:
         files.setdefault(note, []).append(file)

@@ -80,7 +80,7 @@ class Expression:
         return float(result)
 
     def of_samples(self, columns: Mapping[str, FloatArray]) -> FloatArray:
-        """Return the value at every sample of (N,) `columns`; NaN or infinite where there is none."""
+        """Return the value at every sample of (N,) `columns`; NaN or infinite where it is undefined."""
         functions = {name: getattr(np, _ARRAYS.get(name, name)) for name in _FUNCTIONS}
         tree = ast.Expression(copy.deepcopy(self._tree))
         for node in ast.walk(tree):
@@ -93,12 +93,12 @@ class Expression:
         return np.asarray(found, dtype=np.float64)
 
     def slope(self, values: Mapping[str, float], slopes: Mapping[str, float]) -> float:
-        """Return the derivative at the parameter `values` where some of them move with these `slopes`.
+        """Return the derivative at the parameter `values`, given the `slopes` of some of them.
 
         Raises
         ------
         ProblemError
-            There is none.
+            The expression is not differentiable there.
         """
         try:
             return float(_dual(self._tree, values, slopes)[1])
@@ -106,20 +106,20 @@ class Expression:
             raise ProblemError(f"'{self.text}' has no derivative ({error})", fix="change the bounds") from None
 
     def renamed(self, names: Mapping[str, str]) -> Expression:
-        """Return the same expression of other parameters: `names` gives the new name of those that change."""
+        """Return the expression with parameters renamed; `names` maps old names to new ones."""
         tree = _renamed(copy.deepcopy(self._tree), names)
         return Expression(ast.unparse(tree), frozenset(names.get(n, n) for n in self.names), tree)
 
 
 def parse(text: str, *, where: object = None) -> Expression:
-    """Parse numbers, names, ``+ - * / **``, parentheses and a few functions; nothing else is run.
+    """Parse numbers, names, ``+ - * / **``, parentheses and a few functions; nothing else is evaluated.
 
     Names may be FMU names with dots and indices: ``load.J``, ``lossTable[2,4]``.
 
     Raises
     ------
     ProblemError
-        The text is not such an expression.
+        The text is not an expression of this kind.
     """
     try:
         names: set[str] = set()

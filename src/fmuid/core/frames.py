@@ -1,4 +1,4 @@
-"""Data frames of pandas, polars and others, in and out, through narwhals."""
+"""Conversion from and to data frames of pandas, polars and pyarrow, with narwhals."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def to_frame(columns: Mapping[str, Any], library: Library = "pandas") -> Any:
     Raises
     ------
     FmuidError
-        The library is not installed, or is none that makes data frames.
+        The library is not installed or not supported.
     """
     if library not in get_args(Library):
-        raise FmuidError(f"no library '{library}' makes data frames", fix="choose pandas, polars or pyarrow")
+        raise FmuidError(f"data frames of '{library}' are not supported", fix="choose pandas, polars or pyarrow")
     try:
         return nw.from_dict(dict(columns), backend=library).to_native()
     except ImportError:
@@ -36,12 +36,12 @@ def to_frame(columns: Mapping[str, Any], library: Library = "pandas") -> Any:
 
 
 def columns_of(frame: Any) -> dict[str, nw.Series[Any]]:
-    """Return the columns of a data frame by name; a named index of pandas is its first column.
+    """Return the columns of a data frame by name; a named pandas index becomes the first column.
 
     Raises
     ------
     FmuidError
-        It is no data frame.
+        The object is not a data frame.
     """
     index = getattr(frame, "index", None)
     if getattr(index, "name", None) is not None:
@@ -49,6 +49,6 @@ def columns_of(frame: Any) -> dict[str, nw.Series[Any]]:
     try:
         found = nw.from_native(frame, eager_only=True)
     except TypeError:
-        what = f"'{type(frame).__name__}' is no data frame"
-        raise FmuidError(what, fix="give one of pandas, polars or pyarrow, or a path") from None
+        what = f"'{type(frame).__name__}' is not a data frame"
+        raise FmuidError(what, fix="give a data frame of pandas, polars or pyarrow, or a path") from None
     return {str(name): found[name] for name in found.columns}

@@ -1,4 +1,4 @@
-"""Arrays and mappings that cannot be written to."""
+"""Read-only arrays and mappings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FloatArray = NDArray[np.float64]
 
 
 def read_only(values: ArrayLike) -> FloatArray:
-    """Return an own, C-ordered float64 copy of `values` that cannot be written to."""
+    """Return a read-only, C-ordered float64 copy of `values`."""
     array = np.array(values, dtype=np.float64, order="C", copy=True)
     array.flags.writeable = False
     return array

@@ -1,4 +1,4 @@
-"""Records at the end of a file, safe against a kill at any moment.
+"""An append-only file of records that survives a kill at any moment.
 
 A record is its length, a checksum and its content (MessagePack). A kill can only cut the last one short, and
 reading stops there.
@@ -24,7 +24,7 @@ _LARGEST = 1 << 30
 
 
 class JournalError(FmuidError):
-    """A journal cannot be read or written, or what it is of cannot be taken up."""
+    """A journal cannot be read or written, or the run that it records cannot be resumed."""
 
 
 class Journal:
@@ -35,10 +35,10 @@ class Journal:
     path
         The file.
     magic
-        What it begins with: the kind of journal, and its version.
+        First bytes of the file: the kind of journal and its version.
     end
-        Go on after this position in the file, which `records` tells; what follows it is dropped. None for a new
-        file in place of any other.
+        Continue after this position, which `records` gives; later content is dropped. None writes a new file and
+        replaces an existing one.
     """
 
     def __init__(self, path: Path, magic: bytes, *, end: int | None = None) -> None:
@@ -52,16 +52,16 @@ class Journal:
 
     @property
     def closed(self) -> bool:
-        """Whether nothing more can be appended."""
+        """Whether the journal is closed for appending."""
         return self._file.closed
 
     def append(self, content: Any, *, lasting: bool = False) -> int:
-        """Append one record and return its position; a `lasting` one survives the end of the machine, too.
+        """Append one record and return its position; a `lasting` record also survives a crash of the machine.
 
         Raises
         ------
         JournalError
-            There is no room for it. The journal is then closed, with all that it had before.
+            The disk is full. The journal is then closed; all earlier records are kept.
         """
         data = msgspec.msgpack.encode(content)
         begin = self._end
@@ -84,17 +84,17 @@ class Journal:
         return begin
 
     def read(self, position: int) -> Any:
-        """Return the record at a position that `append` or `records` gave."""
+        """Return the record at a position returned by `append` or `records`."""
         length, _ = _HEAD.unpack(os.pread(self._file.fileno(), _HEAD.size, position))
         return msgspec.msgpack.decode(os.pread(self._file.fileno(), length, position + _HEAD.size))
 
     def close(self, *, remove: bool = False) -> None:
-        """Close the file, and remove it if what it is for is done.
+        """Close the file, and remove it if the run is done.
 
         Raises
         ------
         JournalError
-            It cannot be removed.
+            The file cannot be removed.
         """
         self._file.close()
         if remove:
@@ -105,12 +105,12 @@ class Journal:
 
 
 def records(path: Path, magic: bytes) -> Iterator[tuple[Any, int, int]]:
-    """Return the whole records of a journal, each with its position and the one after it.
+    """Yield the complete records of a journal, each with its start and end position.
 
     Raises
     ------
     JournalError
-        The file is no journal of this kind and version.
+        The file is not a journal of this kind and version.
     """
     with path.open("rb") as file:
         if file.read(len(magic)) != magic:
@@ -128,12 +128,12 @@ def records(path: Path, magic: bytes) -> Iterator[tuple[Any, int, int]]:
 
 
 def check_resumable(folder: Path, resume: bool, *, interrupted: bool, complete: bool) -> None:
-    """Refuse to replace an interrupted run without a word, and to resume one that is complete.
+    """Refuse to replace an interrupted run unasked, and to resume a complete one.
 
     Raises
     ------
     JournalError
-        There is an interrupted run and `resume` is not asked for, or a complete one and it is.
+        There is an interrupted run and `resume` is False, or a complete run and `resume` is True.
     """
     if interrupted and not resume:
         fix = "continue with --resume, or remove the folder to start over"
@@ -146,5 +146,5 @@ def _unwritable(path: Path, error: OSError) -> JournalError:
     return JournalError(
         f"cannot be written ({error.strerror or error})",
         where=path,
-        fix="make room for it; with --resume the run then goes on where it stopped",
+        fix="free some disk space; --resume then continues the run where it stopped",
     )

@@ -1,4 +1,4 @@
-"""A folder for temporary files; what owners that were killed have left is cleared up by the next one."""
+"""Temporary folders; those left by killed processes are removed by the next process."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _YOUNG = 600.0  # s in which a folder may not be locked yet
 
 
 class Scratch:
-    """A new folder, its owner's until `remove` or its end: a lock says so that no kill can leave behind.
+    """A new folder, locked by this process until `remove` or exit; the kernel releases the lock after a kill.
 
     Parameters
     ----------
     prefix
-        Of its name. Folders of the same prefix beside it whose owner is gone are removed.
+        Prefix of its name. Folders with the same prefix whose owner is gone are removed.
     where
-        The folder that it is in; the one for temporary files by default.
+        Parent folder; the system's folder for temporary files by default.
     """
 
     def __init__(self, prefix: str, where: str | None = None) -> None:
@@ -33,7 +33,7 @@ class Scratch:
         self._lock = _locked(self.path)
 
     def remove(self) -> None:
-        """Remove the folder with all that is in it."""
+        """Remove the folder and its content."""
         shutil.rmtree(self.path, ignore_errors=True)
         if self._lock is not None:
             os.close(self._lock)
@@ -41,7 +41,7 @@ class Scratch:
 
 
 def of_process() -> Path:
-    """Return this process's folder for what it unpacks."""
+    """Return this process's folder for unpacked files."""
     return _of_process(os.getpid(), tempfile.gettempdir()).path
 
 

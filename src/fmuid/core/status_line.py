@@ -1,4 +1,4 @@
-"""One moving line on a terminal while something takes its time."""
+"""One updating status line on a terminal during long work."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rich.text import Text
 
 
 class MovingLine:
-    """A line of columns that is gone at the end, nothing without a terminal. Use it as a context manager."""
+    """An updating status line, removed at the end; shown on a terminal only. Use it as a context manager."""
 
     def __init__(self, console: Console | None, *columns: ProgressColumn) -> None:
         self.console = console or Console(stderr=True)
@@ -34,7 +34,7 @@ class MovingLine:
 
 
 class Waiting(MovingLine):
-    """What is being done, how much is behind, the time left. Call it with shares."""
+    """Shows the current task, the fraction done and the time left. Call it with fractions from 0 to 1."""
 
     def __init__(self, what: str = "", console: Console | None = None) -> None:
         super().__init__(

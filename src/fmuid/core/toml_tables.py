@@ -1,4 +1,4 @@
-"""TOML tables into typed values, every mistake with its place."""
+"""Conversion of TOML tables to typed values; every error names its place."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class Table(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
 
 def read_toml(file: Path) -> dict[str, Any]:
-    """Return the tables of a TOML file; CampaignError with the line if it cannot be read."""
+    """Return the tables of a TOML file; CampaignError names the line if it cannot be read."""
     try:
         if file.stat().st_size > MAX_BYTES:
-            raise CampaignError("is larger than 10 MB", where=file, fix="keep measurements in a file of their own")
+            raise CampaignError("is larger than 10 MB", where=file, fix="store measurements in a separate file")
         tables = tomllib.loads(file.read_bytes().decode())
     except FileNotFoundError:
         campaign = "campaign" in file.name or not file.suffix
@@ -79,12 +79,12 @@ _WORDS = {
 
 
 def convert(table: Any, kind: type[_T], where: str) -> _T:
-    """Return a raw table as the type `kind`; `where` names file and table in the error's line.
+    """Return a raw table as the type `kind`; `where` names file and table in errors.
 
     Raises
     ------
     CampaignError
-        A key is unknown or missing, or a value has the wrong type: msgspec's message in the user's words.
+        A key is unknown or missing, or a value has the wrong type.
     """
     try:
         return msgspec.convert(table, kind)
@@ -117,7 +117,7 @@ def _choices(kind: type[Table], key: str) -> tuple[str, ...]:
 
 
 def numbers(table: Mapping[str, Any], where: str, prefix: str = "") -> dict[str, float]:
-    """Return a table of numbers; ``load.J = 1`` without quotes is the variable ``load.J`` as well."""
+    """Return a table of numbers; ``load.J = 1`` without quotes also means the variable ``load.J``."""
     found: dict[str, float] = {}
     for key, value in table.items():
         name = prefix + key
@@ -142,7 +142,7 @@ def finite(name: str, value: float, where: str) -> float:
 
 
 def toml_document(tables: Mapping[str, Any]) -> str:
-    """Return tables as the text of a TOML file; what is nested deeper than ``[a.b]`` is written in one line."""
+    """Return tables as TOML text; tables nested deeper than ``[a.b]`` are written inline."""
     lines = [f"{toml_key(key)} = {_toml_value(v)}" for key, v in tables.items() if not isinstance(v, Mapping)]
     for key, table in tables.items():
         if not isinstance(table, Mapping):
@@ -157,7 +157,7 @@ def toml_document(tables: Mapping[str, Any]) -> str:
 
 
 def toml_key(name: str) -> str:
-    """Return a key, quoted where it must be."""
+    """Return a key, quoted if necessary."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else toml_text(name)
 
 

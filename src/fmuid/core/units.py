@@ -1,4 +1,4 @@
-"""Conversion between the units of measurements and of FMUs: the only importer of pint.
+"""Conversion between the units of measurements and of FMUs; only this module imports pint.
 
 Units are written as Modelica and FMI write them (``N.m``, ``kg.m2``, ``N.m.s/rad``, ``1``, ``degC``);
 ``^``, ``*`` and a few everyday spellings (``Nm``, ``Ohm``, ``%``) are understood too. Angles are
@@ -38,14 +38,14 @@ _Factors = tuple[tuple[str, int], ...]
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """``target = factor * source + offset``; differences and standard deviations take the factor alone."""
+    """``target = factor * source + offset``; differences and standard deviations use the factor only."""
 
     factor: float = 1.0
     offset: float = 0.0
 
     @property
     def is_identity(self) -> bool:
-        """Whether values stay as they are."""
+        """Whether the conversion leaves values unchanged."""
         return self.factor == 1.0 and self.offset == 0.0
 
     def __call__(self, values: FloatArray) -> FloatArray:
@@ -60,8 +60,8 @@ def conversion(source: str, target: str | None) -> Conversion:
     Parameters
     ----------
     source, target
-        Units; an empty one is ``1``. A `target` of None (an FMU variable that states no unit) takes any
-        source as it is.
+        Units; an empty unit is ``1``. With a `target` of None (an FMU variable without a unit), values are not
+        converted.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def conversion(source: str, target: str | None) -> Conversion:
 
 
 def convert_factor(source: str, target: str | None, *, where: object = None) -> float:
-    """Return the factor of `conversion`, for values that an offset would make no sense of.
+    """Return the factor of `conversion`, for values that cannot have an offset.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def _factors(unit: str) -> _Factors:
             sign = 1
         elif operator == ")":
             if len(signs) == 1:
-                raise UnitError(f"unit '{unit}' has a ')' too many", fix="write it as in 'N.m/(rad.s)'")
+                raise UnitError(f"unit '{unit}' has an extra ')'", fix="write it as in 'N.m/(rad.s)'")
             signs.pop()
             sign = 1
     if len(signs) > 1 or any(abs(p) > 20 for p in powers.values()):
