@@ -28,7 +28,7 @@ def test_a_german_logger_is_understood(tmp_path: Path, encoding: str) -> None:
     assert dict(table.units) == {"Drehmoment": "Nm", "Drehzahl": "rpm", "Öltemperatur": "°C"}
     np.testing.assert_array_equal(table.time, [0.0, 0.01, 0.02])
     np.testing.assert_array_equal(table.columns["Drehmoment"], [1.5, 1.75, -2.0])
-    assert "the header is in line 4" in table.notes
+    assert "the header is on line 4" in table.notes
     assert any("rpm" in note for note in table.notes)
     assert ("read as Windows-1252" in table.notes) == (encoding == "cp1252")
     assert ("read as UTF-16" in table.notes) == encoding.startswith("utf-16")
@@ -95,8 +95,8 @@ def test_many_files_are_few_lines_and_can_be_imported_again(
     ("option", "said"),
     [
         (["--cut", "5"], "'5' is no time span"),
-        (["--cut", "200..300"], "no two samples lie from 200 to 300 s"),
-        (["--mask", "tau"], "'tau' is no condition"),
+        (["--cut", "200..300"], "fewer than two samples lie between 200 and 300 s"),
+        (["--mask", "tau"], "'tau' is not a condition"),
         (["--mask", "force > 3"], "has no signal 'force'"),
         (["--mask", "__import__('os') > 3"], "is not an arithmetic expression"),
         (["--shift", "force=1"], "has no signal 'force'"),

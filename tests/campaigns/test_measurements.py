@@ -186,7 +186,7 @@ WRONG: dict[str, tuple[Edit, str]] = {
     ),
     "time_2d": (
         replaced("time", data=np.zeros((11, 2))),
-        "measurements.h5: experiment 'step_1', time: has shape (11, 2), not (N,); write one value a sample",
+        "measurements.h5: experiment 'step_1', time: has shape (11, 2), not (N,); write one value per sample",
     ),
     "one_sample": (
         replaced("time", data=np.zeros(1)),
@@ -198,19 +198,19 @@ WRONG: dict[str, tuple[Edit, str]] = {
     ),
     "nan_time": (
         change("time", 4, np.nan),
-        "measurements.h5: experiment 'step_1', time: sample 4 is nan; every time is a finite number, in s",
+        "measurements.h5: experiment 'step_1', time: sample 4 is nan; every time must be a finite number, in s",
     ),
     "unsorted_time": (
         change("time", 4, 0.25),
-        "measurements.h5: experiment 'step_1', time: sample 4 (0.25 s) is not after sample 3 (0.3 s); sort the samples by time and drop doubles",
+        "measurements.h5: experiment 'step_1', time: sample 4 (0.25 s) is not after sample 3 (0.3 s); sort the samples by time and drop duplicates",
     ),
     "double_time": (
         change("time", 4, 0.3),
-        "measurements.h5: experiment 'step_1', time: sample 4 (0.3 s) is not after sample 3 (0.3 s); sort the samples by time and drop doubles",
+        "measurements.h5: experiment 'step_1', time: sample 4 (0.3 s) is not after sample 3 (0.3 s); sort the samples by time and drop duplicates",
     ),
     "nan_input": (
         change("signals/i_cmd", 7, np.nan),
-        "measurements.h5: experiment 'step_1', signal 'i_cmd': sample 7 of an input is NaN (1 in all); an input needs every sample: cut the run or fill the gap",
+        "measurements.h5: experiment 'step_1', signal 'i_cmd': sample 7 of an input is NaN (1 in total); an input needs every sample: cut the run or fill the gap",
     ),
     "infinite_output": (
         change("signals/tau", 2, -np.inf),
@@ -218,7 +218,7 @@ WRONG: dict[str, tuple[Edit, str]] = {
     ),
     "length": (
         replaced("signals/tau", data=np.zeros(10)),
-        "measurements.h5: experiment 'step_1', signal 'tau': has shape (10,) but time has 11 samples; one value for each time",
+        "measurements.h5: experiment 'step_1', signal 'tau': has shape (10,) but time has 11 samples; write one value for each time",
     ),
     "causality": (
         on_signal("tau", set_attribute("causality", "ouput")),
@@ -266,15 +266,15 @@ WRONG: dict[str, tuple[Edit, str]] = {
     ),
     "repeat_of_repeat": (
         in_run("step_2", set_attribute("repeat_of", "step_1_r1")),
-        "measurements.h5: experiment 'step_2': repeats 'step_1_r1', itself a repeat; name the first run in repeat_of",
+        "measurements.h5: experiment 'step_2': repeats 'step_1_r1', which is a repeat itself; name the first run in repeat_of",
     ),
     "repeat_of_other_setup": (
         in_run("free", set_attribute("repeat_of", "step_1")),
-        "measurements.h5: experiment 'free': repeats 'step_1' but its setup is 'free_shaft', not 'fixed_shaft'; a repeat has the same inputs: leave repeat_of out if it is a run of its own",
+        "measurements.h5: experiment 'free': repeats 'step_1' but its setup is 'free_shaft', not 'fixed_shaft'; a repeat has the same inputs; if this is a different experiment, remove repeat_of",
     ),
     "repeat_with_other_input": (
         change("signals/i_cmd", 7, 0.0),
-        "measurements.h5: experiment 'step_1_r1': repeats 'step_1' but its input 'i_cmd' differs at sample 7; a repeat has the same inputs: leave repeat_of out if it is a run of its own",
+        "measurements.h5: experiment 'step_1_r1': repeats 'step_1' but its input 'i_cmd' differs at sample 7; a repeat has the same inputs; if this is a different experiment, remove repeat_of",
     ),
     "external_link": (
         linked(h5py.ExternalLink("/etc/passwd", "/")),
@@ -286,11 +286,11 @@ WRONG: dict[str, tuple[Edit, str]] = {
     ),
     "virtual": (
         in_run("step_1", virtual),
-        "measurements.h5: experiment 'step_1': 'tau' keeps its data in other files; copy the data into this file itself",
+        "measurements.h5: experiment 'step_1': 'tau' stores its data in other files; copy the data into this file itself",
     ),
     "stored_outside": (
         replaced("signals/tau", shape=(11,), dtype="f8", external="/etc/passwd"),
-        "measurements.h5: experiment 'step_1': 'tau' keeps its data in other files; copy the data into this file itself",
+        "measurements.h5: experiment 'step_1': 'tau' stores its data in other files; copy the data into this file itself",
     ),
 }  # fmt: skip
 

@@ -62,7 +62,7 @@ def test_mf4(tmp_path: Path) -> None:
         {"oil": "degC", "U#1": "V"},
     )
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(slow.columns["oil"])), [3])
-    assert found.notes == ("not used, no numbers: state",)
+    assert found.notes == ("not used (not numeric): state",)
     assert [list(t.columns) for t in found.only(["w", "mode"]).tables] == [["w"], ["mode"]]
 
 
@@ -80,7 +80,7 @@ def test_parquet(tmp_path: Path) -> None:
     np.testing.assert_allclose(table.time, [0, 1e-3, 2e-3])
     np.testing.assert_array_equal(table.columns["w"], [1.0, np.nan, 3.0])
     assert dict(table.units) == {"i_cmd": "A", "w": "rad/s"}
-    assert found.notes == ("not used, no numbers: note",)
+    assert found.notes == ("not used (not numeric): note",)
 
 
 def test_parquet_with_dates(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_parquet_with_dates(tmp_path: Path) -> None:
     parquet.write_table(pa.table({"timestamp": stamps, "x [m]": [0.0, 1.0, 2.0, 3.0]}), tmp_path / "run.parquet")
     found = read_recording(tmp_path / "run.parquet")
     np.testing.assert_allclose(found.tables[0].time, [0, 1e-4, 2e-4, 3e-4], rtol=1e-12)
-    assert found.notes == ("time counts from the first date",)
+    assert found.notes == ("time starts at the first date",)
 
 
 def test_hdf5_with_two_time_bases(tmp_path: Path) -> None:
@@ -107,7 +107,7 @@ def test_hdf5_with_two_time_bases(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.tables[1].time, SLOW)
     np.testing.assert_allclose(found.tables[1].columns["oil.x"], np.sin(SLOW))
     assert found.tables[0].units["drive.x"] == "m"
-    assert found.notes == ("not used, no vectors as long as a time axis: drive.elsewhere, drive.table",)
+    assert found.notes == ("not used (not vectors as long as a time axis): drive.elsewhere, drive.table",)
 
 
 def test_matlab_7_3_is_hdf5(tmp_path: Path) -> None:
@@ -126,12 +126,12 @@ def test_matlab_7_3_is_hdf5(tmp_path: Path) -> None:
     ("content", "notes"),
     [
         ("time;u;x\n0,0;1,5;2\n0,1;2,5;\n", ("cells are separated by semicolons", "decimal commas")),
-        ("time,u,x\ns,N,mm\n0,1.5,2\n0.1,2.5,\n", ("units are in line 2",)),
+        ("time,u,x\ns,N,mm\n0,1.5,2\n0.1,2.5,\n", ("units are on line 2",)),
         ("Time (ms)\tu [N]\tx [mm]\n0\t1.5\t2\n100\t2.5\t\n", ("cells are separated by tabs", "time converted from ms to s")),
         ('"time";"u [N]";"x [mm]"\r\n0;1.5;2\r\n0.1;2.5;\r\n', ("cells are separated by semicolons",)),
-        ("timestamp,u,x\n2026-05-01 12:00:00,1.5,2\n2026-05-01 12:00:00.100,2.5,\n", ("time counts from the first date",)),
-        ("datetime;u;x\r\n2026-05-01T12:00:00Z;1,5;2\r\n2026-05-01T14:00:00.1+02:00;2,5;\r\n", ("cells are separated by semicolons", "time counts from the first date", "decimal commas")),
-        ("time;u;x\n[ms];[N];[mm]\n0;1,5;2\n1e2;2,5;\n", ("cells are separated by semicolons", "units are in line 2", "decimal commas", "time converted from ms to s")),
+        ("timestamp,u,x\n2026-05-01 12:00:00,1.5,2\n2026-05-01 12:00:00.100,2.5,\n", ("time starts at the first date",)),
+        ("datetime;u;x\r\n2026-05-01T12:00:00Z;1,5;2\r\n2026-05-01T14:00:00.1+02:00;2,5;\r\n", ("cells are separated by semicolons", "time starts at the first date", "decimal commas")),
+        ("time;u;x\n[ms];[N];[mm]\n0;1,5;2\n1e2;2,5;\n", ("cells are separated by semicolons", "units are on line 2", "decimal commas", "time converted from ms to s")),
     ],
 )  # fmt: skip
 def test_csv_as_loggers_write_it(content: str, notes: tuple[str, ...], tmp_path: Path) -> None:
@@ -164,7 +164,7 @@ WRONG: dict[str, tuple[Make, str]] = {
     "folder.mf4": (lambda p: p.mkdir(), "is a folder, not a file; check the path"),
     "text.mf4": (lambda p: p.write_text("time,x\n"), "is not an MDF file; check the file"),
     "text.parquet": (lambda p: p.write_text("time,x\n0,1\n"), "cannot be read as Parquet (Parquet magic bytes not found in footer. Either the file is corrupted or this is not a parquet file.); write it again"),
-    "no_time.parquet": (lambda p: parquet.write_table(pa.table({"x": [1.0]}), p), "has no column 'time' or 't'; write one, in s; known: x"),
+    "no_time.parquet": (lambda p: parquet.write_table(pa.table({"x": [1.0]}), p), "has no column 'time' or 't'; write a time column in s; known: x"),
     "words.parquet": (lambda p: parquet.write_table(pa.table({"t": ["a"], "x": [1.0]}), p), "column 't' does not contain times; write it in s"),
     "no_time.h5": (lambda p: h5py.File(p, "w").close(), "has no signal over time; save a vector 'time' or 't', in s, and signals as long as it"),
     "text.h5": (lambda p: p.write_text("time,x\n"), "cannot be read as HDF5 (Unable to synchronously open file (file signature not found)); write it again"),
@@ -189,7 +189,7 @@ def test_what_is_no_recording_is_one_line(name: str, tmp_path: Path) -> None:
 
 
 def test_our_own_measurements_need_no_import(folder: Path) -> None:
-    with pytest.raises(MeasurementsError, match=r"is a measurement file already; name it in campaign\.toml"):
+    with pytest.raises(MeasurementsError, match=r"is already a measurement file; name it in campaign\.toml"):
         read_recording(folder / "measurements.h5")
 
 

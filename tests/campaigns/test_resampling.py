@@ -31,8 +31,8 @@ def test_refused_until_told() -> None:
         one_time_base(RECORDING, None, "run.mf4")
     assert str(error.value) == (
         "run.mf4: has signals with 3 time bases (w, ripple: 1000 Hz, 1001 samples, 0 to 1 s; oil: 100 Hz, 101 samples,"
-        " 0.05 to 1.05 s; u: uneven steps of 0.333 to 0.377 s, 3 samples, 0 to 0.71 s); choose some with --signal, or"
-        " one time base with --resample RATE or --align SIGNAL"
+        " 0.05 to 1.05 s; u: uneven steps of 0.333 to 0.377 s, 3 samples, 0 to 0.71 s); choose signals with --signal,"
+        " or a common time base with --resample RATE or --align SIGNAL"
     )
     table, how = one_time_base(RECORDING.only(["w"]), None, "run.mf4")
     assert (table.time.size, how) == (1001, {})
@@ -85,7 +85,7 @@ def test_no_overlap() -> None:
     with pytest.raises(MeasurementsError) as error:
         one_time_base(apart, TimeBase(rate=10), "run")
     assert str(error.value) == (
-        "run: signals do not overlap: one begins at 2 s, another ends at 1 s; choose others with --signal"
+        "run: signals do not overlap: one begins at 2 s, another ends at 1 s; choose other signals with --signal"
     )
 
 
@@ -100,7 +100,7 @@ def test_import_says_and_records_it(
     assert out.splitlines()[:3] == [
         "run.mat: 'u' resampled: hold from 1000 Hz, 1001 samples, 0 to 1 s",
         "run.mat: 'x' resampled: linear from 1000 Hz, 1001 samples, 0 to 1 s",
-        "run.mat: u, x: sampled more slowly than recorded; if something in there is faster than half the new rate, --method mean averages it out",
+        "run.mat: u, x: sampled more slowly than recorded; if they contain frequencies above half the new rate, --method mean averages them out",
     ]
     # Recorded in the file, and still there when a run is added.
     savemat("more.mat", {"t": FAST, "u": FAST, "x": FAST})

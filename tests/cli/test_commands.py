@@ -441,9 +441,9 @@ def test_import_refuses(
 @pytest.mark.parametrize(
     ("row", "line"),
     [
-        ("1,,3", "measurements.h5: experiment 'run', signal 'u': sample 1 of an input is NaN (1 in all); an input needs every sample: cut the run or fill the gap"),
+        ("1,,3", "measurements.h5: experiment 'run', signal 'u': sample 1 of an input is NaN (1 in total); an input needs every sample: cut the run or fill the gap"),
         ("1,a,3", "run.csv line 3: 'a' in column 'u' is not a number; write a number"),
-        ("0,1,3", "measurements.h5: experiment 'run', time: sample 1 (0 s) is not after sample 0 (0 s); sort the samples by time and drop doubles"),
+        ("0,1,3", "measurements.h5: experiment 'run', time: sample 1 (0 s) is not after sample 0 (0 s); sort the samples by time and drop duplicates"),
         ("-1,1,3", "run.csv: time goes back from 0 s to -1 s in sample 1; sort the rows by time"),
         ('1,"1,3', "run.csv line 3: is not CSV (unexpected end of data); correct the quotes"),
         ("", "run.csv: has 1 row(s) of values; a run has at least 2 samples"),
@@ -483,7 +483,7 @@ def test_import_matlab(tmp_path: Path, fmuid: Command, monkeypatch: pytest.Monke
     )
     code, out, err = fmuid("import", "run.mat", *arguments, "--unit", "qm=m")
     assert (code, err) == (0, "")
-    assert out.startswith("run.mat: not used, no vectors as long as 't': kp, note\n")
+    assert out.startswith("run.mat: not used (not vectors as long as 't'): kp, note\n")
     run = read_measurements("measurements.h5")["run"]
     np.testing.assert_array_equal(run.signals["qm"].values, np.arange(5.0) ** 2)
 

@@ -95,7 +95,7 @@ def test_page_draws_in_a_browser(written, tmp_path):
 
 def test_a_folder_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(FmuidError, match="cannot be a folder"):
+    with pytest.raises(FmuidError, match="is not a usable folder"):
         write_document(Document("t", "s", (), (Section("a", (samples.history(),)),)), tmp_path / "file")
 
 

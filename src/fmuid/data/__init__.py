@@ -1,1 +1,1 @@
-"""Measurements: their files, and the noise in them."""
+"""Measurements: files and noise."""

@@ -1,7 +1,7 @@
-"""CSV files: written as in the FMI Cross-Check (comma, quoted header, `time` first), read as loggers write too.
+"""CSV files: written as in the FMI Cross-Check (comma, quoted header, `time` first); logger formats are read too.
 
-A logger's file may have semicolons or tabs between cells, then also decimal commas; its units in the header or
-in a row of their own; its time in another unit than s. What was understood so is in the table's notes.
+A logger's file may separate cells by semicolons or tabs and then use decimal commas; it may state units in the
+header or in a separate row, and time in a unit other than s. The table's notes list what was detected.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from fmuid.core.units import check_unit, conversion
 MAX_BYTES = 2_000_000_000
 MAX_COLUMNS = 10_000
 TIMES = ("time", "t", "timestamp", "timestamps", "datetime", "zeit")
-"""Names of a time axis, in any case."""
+"""Names of a time axis, upper or lower case."""
 _DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab"}
 _PER_MINUTE = ("1/min", "min-1", "min^-1", "/min")
 _PREAMBLE = 100  # lines that a header is looked for in
@@ -50,9 +50,9 @@ class Table:
     columns
         Name -> (N,) values, NaN where a cell is empty, in the file's order.
     units
-        Name -> unit, for the names whose header states one, as in ``"tau [N.m]"``.
+        Name -> unit, for names whose header states a unit, as in ``"tau [N.m]"``.
     notes
-        What a reader understood without being told, one line each.
+        What the reader detected, one line each.
     """
 
     time: FloatArray
@@ -67,7 +67,7 @@ class Table:
         object.__setattr__(self, "units", frozen_mapping(self.units))
 
     def only(self, names: Collection[str]) -> Table:
-        """Return the table with the columns in `names` alone."""
+        """Return the table with only the columns in `names`."""
         units = {n: u for n, u in self.units.items() if n in names}
         return Table(self.time, {n: self.columns[n] for n in names}, units, self.notes)
 
@@ -75,19 +75,19 @@ class Table:
 def read_csv(path: str | Path, columns: Sequence[str] = ()) -> Table:
     """Read a CSV file with a header row whose first column is `time`.
 
-    Lines before the header are left out. Text is UTF-8, UTF-16 or, if it is neither, Windows-1252.
+    Lines before the header are skipped. Text is UTF-8, UTF-16 or, if it is neither, Windows-1252.
 
     Parameters
     ----------
     path
         The file.
     columns
-        Headers of a file that has none, with units as in ``tau [N.m]``.
+        Column headers for a file without a header, with units as in ``tau [N.m]``.
 
     Raises
     ------
     MeasurementsError
-        The file is missing or no such table; the line names row and column.
+        The file is missing or is not such a table; the message names row and column.
     """
     path = Path(path)
     text, encoding = _read_text(path)
@@ -103,20 +103,20 @@ def read_csv(path: str | Path, columns: Sequence[str] = ()) -> Table:
         raise MeasurementsError("is empty", where=path, fix='write a header "time","..." and the samples')
     names, units = _read_header(header, path)
     notes = [f"read as {encoding}"] if encoding else []
-    notes += [f"the header is in line {skipped + 1}"] if skipped else []
+    notes += [f"the header is on line {skipped + 1}"] if skipped else []
     notes += [] if delimiter == "," else [f"cells are separated by {_DELIMITERS[delimiter]}s"]
     skip = rows.line_num
     if not units and (below := _units_row(text, skip, names, delimiter)):
         units = {n: u for n, u in zip(names, below, strict=True) if u}
-        notes.append(f"units are in line {skip + 1}")
+        notes.append(f"units are on line {skip + 1}")
         skip += 1
     for name, unit in units.items():
         if unit.replace(" ", "") in _PER_MINUTE:
             units[name] = "rpm"
-            notes.append(f"'{name}' in {unit} is taken for revolutions a minute (rpm)")
+            notes.append(f"'{name}' in {unit} is read as revolutions per minute (rpm)")
     text, dated = _dates_as_seconds(text, skip, delimiter)
     if dated:
-        notes.append("time counts from the first date")
+        notes.append("time starts at the first date")
     values, decimal_comma = _read_numbers(text, skip, names, path, delimiter)
     if decimal_comma:
         notes.append("decimal commas")
@@ -133,7 +133,7 @@ def read_csv(path: str | Path, columns: Sequence[str] = ()) -> Table:
 
 
 def name_and_unit(header: str) -> tuple[str, str | None]:
-    """Return the name and the unit in ``tau [N.m]``, ``tau[N.m]`` or ``tau (N.m)``; no unit is None."""
+    """Return the name and the unit in ``tau [N.m]``, ``tau[N.m]`` or ``tau (N.m)``; None without a unit."""
     match = _WITH_UNIT.fullmatch(header.strip())
     if match is None:
         quotient = _QUOTIENT.fullmatch(header.strip())
@@ -146,7 +146,7 @@ def name_and_unit(header: str) -> tuple[str, str | None]:
 
 
 def write_csv(table: Table, path: str | Path) -> None:
-    """Write `table` with 17 significant digits, whole or not at all; a missing sample is an empty cell."""
+    """Write `table` atomically with 17 significant digits; a missing sample is an empty cell."""
     names = ["time", *table.columns]
     header = [f"{n} [{table.units[n]}]" if n in table.units else n for n in names]
     lines = [",".join('"' + h.replace('"', '""') + '"' for h in header)]
@@ -231,9 +231,9 @@ def _read_header(header: list[str], path: Path) -> tuple[list[str], dict[str, st
         )
     if len(names) > MAX_COLUMNS:
         what = f"has {len(names)} columns, more than {MAX_COLUMNS}"
-        raise MeasurementsError(what, where=path, fix="leave out those that are not used")
+        raise MeasurementsError(what, where=path, fix="drop the columns that are not used")
     if len(names) < 2:
-        raise MeasurementsError("has no column beside time", where=path, fix="add the signals")
+        raise MeasurementsError("has no column except time", where=path, fix="add the signals")
     seen: set[str] = set()
     for i, name in enumerate(names):
         if not name or not name.isprintable():

@@ -17,7 +17,7 @@ _UNEVEN = 0.2  # of the median step
 
 @dataclass(frozen=True, slots=True)
 class LowPass:
-    """A Butterworth low-pass filter of order 4 that runs forward and backward: it has no phase.
+    """A fourth-order Butterworth low-pass filter that runs forward and backward, so it has zero phase.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class LowPass:
         return np.asarray(np.where(known, filtered, np.nan))
 
     def noise_gain(self, time: FloatArray) -> float:
-        """Return by what factor it reduces the standard deviation of white noise."""
+        """Return the factor by which the filter reduces the standard deviation of white noise."""
         from scipy.signal import sosfreqz
 
         power = np.abs(sosfreqz(self._sections(time), 4096)[1]) ** 4  # forward and backward
@@ -69,7 +69,7 @@ class LowPass:
         if np.max(np.abs(steps - usual)) > _UNEVEN * usual:
             raise MeasurementsError(
                 f"steps of {steps.min():.3g} to {steps.max():.3g} s cannot be filtered",
-                fix="bring the run onto even times (fmuid import --resample RATE)",
+                fix="resample the run at even times (fmuid import --resample RATE)",
             )
         if not 0.0 < self.cutoff < 0.5 / usual:
             raise MeasurementsError(
@@ -80,7 +80,7 @@ class LowPass:
 
 
 def derivative(time: FloatArray, values: FloatArray, order: int = 1) -> FloatArray:
-    """Return a derivative of (N,) samples by central differences, missing where a neighbour is."""
+    """Return the central-difference derivative of (N,) samples; it is missing where a neighbour is missing."""
     for _ in range(order):
         values = np.asarray(np.gradient(values, time))
     return values

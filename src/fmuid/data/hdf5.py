@@ -1,7 +1,7 @@
-"""HDF5 files from unknown hands: the only importer of h5py.
+"""Untrusted HDF5 files; only this module imports h5py.
 
-Reading follows hard links only, and refuses data kept in other files, so a file can show nothing but
-itself. Every failure of the library becomes one line.
+The reader follows hard links only and refuses data stored in other files, so a file cannot expose anything else.
+Every failure of the library becomes a one-line error.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _H5PY_ERRORS = (
 
 @contextmanager
 def reading(path: Path, error: Error = MeasurementsError, *, fix: str | None = None) -> Iterator[Any]:
-    """Open `path` for reading as an `h5py.File`; failures are `error`, with `fix` if the file is missing."""
+    """Open `path` for reading as an `h5py.File`; failures are raised as `error`, with `fix` if it is missing."""
     if not path.is_file():
         what = "is a folder, not a file" if path.is_dir() else "no such file"
         raise error(what, where=path, fix=fix or "check the path")
@@ -56,7 +56,7 @@ def reading(path: Path, error: Error = MeasurementsError, *, fix: str | None = N
 
 
 def write_file(path: Path, fill: Callable[[Any], None]) -> None:
-    """Write an HDF5 file in one go: `fill` gets an empty `h5py.File`; `path` changes once it is complete."""
+    """Write an HDF5 file atomically: `fill` receives an empty `h5py.File`; `path` changes once it is complete."""
     memory = io.BytesIO()
     with h5py.File(memory, "w") as file:
         fill(file)
@@ -64,7 +64,7 @@ def write_file(path: Path, fill: Callable[[Any], None]) -> None:
 
 
 def member(group: Any, name: str, kind: Literal["group", "dataset"], error: Error, where: str) -> Any:
-    """Return the group or dataset `name` of `group`, reached by a hard link and kept in the same file."""
+    """Return the group or dataset `name` of `group`; it must be a hard link to data in the same file."""
     link = group.get(name, getlink=True) if name in group.keys() else None  # noqa: SIM118 - `in group` follows links
     if link is None:
         raise error(f"has no {kind} '{name}'", where=where, fix=f"write the {kind}")
@@ -79,7 +79,7 @@ def member(group: Any, name: str, kind: Literal["group", "dataset"], error: Erro
         raise error(f"'{name}' is not a {kind}", where=where, fix=f"write it as a {kind}")
     if kind == "dataset" and (found.is_virtual or found.external):
         raise error(
-            f"'{name}' keeps its data in other files", where=where, fix="copy the data into this file itself"
+            f"'{name}' stores its data in other files", where=where, fix="copy the data into this file itself"
         )
     return found
 
@@ -90,7 +90,7 @@ def samples(dataset: Any, error: Error, where: str) -> FloatArray:
     if not (dtype.kind == "f" and dtype.itemsize == 8):
         raise error(f"has type {dtype}, not float64", where=where, fix="write it as float64")
     if dataset.ndim != 1:
-        raise error(f"has shape {dataset.shape}, not (N,)", where=where, fix="write one value a sample")
+        raise error(f"has shape {dataset.shape}, not (N,)", where=where, fix="write one value per sample")
     if dataset.size > MAX_SAMPLES:
         raise error(
             f"has {dataset.size} samples, more than {MAX_SAMPLES}",
@@ -102,14 +102,14 @@ def samples(dataset: Any, error: Error, where: str) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredVector:
-    """A vector of numbers as any file may hold it, (N,), and its attribute `unit` or `units`."""
+    """An (N,) vector of numbers from a file of any layout, and its attribute `unit` or `units`."""
 
     values: FloatArray
     unit: str | None
 
 
 def vectors(path: Path) -> tuple[str | None, dict[tuple[str, ...], StoredVector], list[str]]:
-    """Return what an HDF5 file of any layout holds.
+    """Return the vectors in an HDF5 file of any layout.
 
     Returns
     -------
@@ -118,7 +118,7 @@ def vectors(path: Path) -> tuple[str | None, dict[tuple[str, ...], StoredVector]
     dict
         Place in the file -> vector; (N, 1) and (1, N) count as vectors.
     list of str
-        Places of the other datasets, and of what is a link.
+        Places of other datasets and of links.
     """
     found: dict[tuple[str, ...], StoredVector] = {}
     others: list[str] = []
@@ -166,7 +166,7 @@ def _datasets(group: Any, place: tuple[str, ...]) -> Iterator[tuple[tuple[str, .
 
 
 def text(holder: Any, name: str, error: Error, where: str, *, default: str | None = None) -> str:
-    """Return the string attribute `name`; without a `default` it must be there."""
+    """Return the string attribute `name`, or `default` if it is missing; without a default it is required."""
     value = _attribute(holder, name, error, where)
     if value is None:
         if default is None:
@@ -182,7 +182,7 @@ def text(holder: Any, name: str, error: Error, where: str, *, default: str | Non
 
 
 def number(holder: Any, name: str, error: Error, where: str) -> float | None:
-    """Return the numeric scalar attribute `name`, or None if there is none."""
+    """Return the numeric scalar attribute `name`, or None if it is missing."""
     value = _attribute(holder, name, error, where)
     if value is None:
         return None

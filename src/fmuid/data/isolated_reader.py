@@ -1,6 +1,6 @@
-"""Files from unknown hands, read in a process of their own: a damaged one can hang or crash the library for it.
+"""Untrusted files, read in a separate process: a damaged file can hang or crash the library that reads it.
 
-One process serves all files of its parent, and is replaced when it dies.
+One process reads all files for its parent, and is replaced when it dies.
 """
 
 from __future__ import annotations
@@ -59,13 +59,13 @@ _reader: _Reader | None = None
 
 
 def read_apart(read: Callable[[Path], _T], path: Path, *, limit: float | None = None) -> _T:
-    """Return ``read(path)`` as another process computes it; `read` is a function of a module.
+    """Return ``read(path)``, computed in another process; `read` must be a module-level function.
 
     Raises
     ------
     MeasurementsError
-        Reading takes longer than `limit` seconds (by default a minute, and more for a large file), or crashes.
-        What `read` raises is raised here.
+        Reading takes longer than `limit` seconds (by default a minute, more for a large file), or crashes. Errors
+        of `read` are raised again here.
     """
     global _reader
     size = path.stat().st_size if path.is_file() else 0
@@ -106,7 +106,7 @@ atexit.register(_end)
 
 
 def serve() -> None:
-    """Answer until the other end closes."""
+    """Answer requests until the other end closes."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # they are the parent's to handle
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)

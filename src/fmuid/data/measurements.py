@@ -1,4 +1,4 @@
-"""Measurement files (`measurements.h5`, version 1): read, checked and written."""
+"""Reading, checking and writing measurement files (`measurements.h5`, version 1)."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def read_measurements(path: str | Path, *, fix_missing: str | None = None) -> Me
     path
         The HDF5 file.
     fix_missing
-        What to tell the user to do if the file does not exist.
+        Advice for the error message if the file does not exist.
 
     Raises
     ------
     MeasurementsError
-        The file is missing, damaged, or breaks a rule of the format; the line names file, experiment,
-        signal and sample.
+        The file is missing or damaged, or violates the format; the message names file, experiment, signal and
+        sample.
     """
     path = Path(path)
     if fix_missing is not None and not path.exists():
@@ -61,19 +61,19 @@ def _read(path: Path) -> Measurements:
 
 
 def write_measurements(measurements: Measurements, path: str | Path) -> None:
-    """Check `measurements` and write them to `path`; the file is there whole or not at all.
+    """Check `measurements` and write them to `path` atomically.
 
     Parameters
     ----------
     measurements
-        What to write.
+        The measurements to write.
     path
         The HDF5 file; its folder is made if it is missing.
 
     Raises
     ------
     MeasurementsError
-        The measurements break a rule of the format, so no reader would take the file.
+        The measurements violate the format, so no reader would accept the file.
     """
     path = Path(path)
     check_measurements(measurements, path)
@@ -92,12 +92,12 @@ def write_measurements(measurements: Measurements, path: str | Path) -> None:
 
 
 def check_measurements(measurements: Measurements, path: str | Path) -> None:
-    """Check every rule of the format that concerns values.
+    """Check every rule of the format about values.
 
     Raises
     ------
     MeasurementsError
-        A rule is broken; `path` is named in the line.
+        The measurements violate a rule; the message names `path`.
     """
     if not measurements.experiments:
         raise _Error("has no experiments", where=path, fix="write at least one under /experiments")
@@ -127,24 +127,26 @@ def _check_experiment(experiment: Experiment, where: str) -> None:
 
 
 def check_time(time: FloatArray, where: str) -> None:
-    """Check a time axis: (N,), N >= 2, finite, strictly increasing; otherwise raise MeasurementsError."""
+    """Raise MeasurementsError unless `time` has shape (N,), N >= 2, and is finite and strictly increasing."""
     if time.ndim != 1 or time.size < 2:
         raise _Error(f"has shape {time.shape}", where=where, fix="a run has at least 2 samples, shape (N,)")
     bad = np.flatnonzero(~np.isfinite(time))
     if bad.size:
-        raise _Error(f"sample {bad[0]} is {time[bad[0]]}", where=where, fix="every time is a finite number, in s")
+        raise _Error(
+            f"sample {bad[0]} is {time[bad[0]]}", where=where, fix="every time must be a finite number, in s"
+        )
     bad = np.flatnonzero(np.diff(time) <= 0)
     if bad.size:
         k = int(bad[0]) + 1
         raise _Error(
             f"sample {k} ({time[k]:.9g} s) is not after sample {k - 1} ({time[k - 1]:.9g} s)",
             where=where,
-            fix="sort the samples by time and drop doubles",
+            fix="sort the samples by time and drop duplicates",
         )
 
 
 def check_signal(signal: Signal, n_samples: int, where: str) -> None:
-    """Check one signal against the time axis's `n_samples`; otherwise raise MeasurementsError."""
+    """Raise MeasurementsError unless the signal is valid for a time axis of `n_samples`."""
     values = signal.values
     if signal.causality not in _CAUSALITIES:
         hint = did_you_mean(str(signal.causality), _CAUSALITIES)
@@ -153,7 +155,7 @@ def check_signal(signal: Signal, n_samples: int, where: str) -> None:
         raise _Error(
             f"has shape {values.shape} but time has {n_samples} samples",
             where=where,
-            fix="one value for each time",
+            fix="write one value for each time",
         )
     bad = np.flatnonzero(np.isinf(values))
     if bad.size:
@@ -161,7 +163,7 @@ def check_signal(signal: Signal, n_samples: int, where: str) -> None:
     bad = np.flatnonzero(np.isnan(values))
     if signal.causality == "input" and bad.size:
         raise _Error(
-            f"sample {bad[0]} of an input is NaN ({bad.size} in all)",
+            f"sample {bad[0]} of an input is NaN ({bad.size} in total)",
             where=where,
             fix="an input needs every sample: cut the run or fill the gap",
         )
@@ -180,13 +182,15 @@ def _check_repeat(experiment: Experiment, measurements: Measurements, where: str
             f"repeats '{origin_id}', which is not in the file", where=where, fix=hint or "correct repeat_of"
         )
     if origin.repeat_of is not None:
-        raise _Error(f"repeats '{origin_id}', itself a repeat", where=where, fix="name the first run in repeat_of")
+        raise _Error(
+            f"repeats '{origin_id}', which is a repeat itself", where=where, fix="name the first run in repeat_of"
+        )
     different = _first_difference(experiment, origin)
     if different:
         raise _Error(
             f"repeats '{origin_id}' but its {different}",
             where=where,
-            fix="a repeat has the same inputs: leave repeat_of out if it is a run of its own",
+            fix="a repeat has the same inputs; if this is a different experiment, remove repeat_of",
         )
 
 
@@ -200,7 +204,7 @@ def _first_difference(experiment: Experiment, origin: Experiment) -> str | None:
     if dict(experiment.settings) != dict(origin.settings):
         return "settings differ"
     if experiment.inputs.keys() != origin.inputs.keys():
-        return "inputs have other names"
+        return "inputs have different names"
     for name, signal in experiment.inputs.items():
         other = origin.inputs[name]
         bad = np.flatnonzero(~np.isclose(signal.values, other.values, rtol=1e-9, atol=0))

@@ -1,1 +1,1 @@
-"""The noise of measurements: its level, its spectrum, its resolution, and samples that are none."""
+"""Measurement noise: its level, spectrum and resolution, and outliers."""

@@ -1,8 +1,8 @@
-"""Coloured noise of one signal, from what repeated runs differ by, and whitening by it in the time domain.
+"""Coloured noise of one signal, estimated from differences between repeats, and whitening in the time domain.
 
-The noise is taken for an autoregression (Levinson and Durbin) around a shift of the whole run: its spectrum is
-smooth, and unlike Fourier coefficients of a record that does not close upon itself, what is whitened by it is
-independent, the first samples and strong colours included.
+The noise is modelled as an autoregression (Levinson and Durbin) around a shift of the whole run. Its spectrum is
+smooth, and the whitened residuals are independent, even at the first samples and for strongly coloured noise;
+Fourier coefficients of a non-periodic record are not.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ class Colour:
     Parameters
     ----------
     predictors
-        Coefficients of the best linear prediction from the 0, 1, ... p samples before.
+        Coefficients of the best linear prediction from the preceding 0, 1, ... p samples.
     deviations
-        (p + 1,) standard deviations of what each of these leaves.
+        (p + 1,) standard deviations of the prediction errors.
     shift
-        Variance of a run's shift beyond what its noise's mean varies by.
+        Variance of a run's shift beyond the variance of the mean of its noise.
     """
 
     predictors: tuple[FloatArray, ...]
@@ -40,7 +40,7 @@ class Colour:
 
     @property
     def order(self) -> int:
-        """Samples that the noise remembers."""
+        """Order of the autoregression."""
         return len(self.predictors) - 1
 
     def whitened(self, r: FloatArray) -> FloatArray:
@@ -65,15 +65,15 @@ class Colour:
 def estimate_colour(runs: Sequence[RepeatedRuns], *, count: float = 1.0) -> Colour:
     """Estimate the noise of one signal from the differences between repeats.
 
-    Its order is the one that Akaike's criterion likes best.
+    Akaike's criterion selects the order.
 
     Parameters
     ----------
     runs
-        Experiments of one setup, with this signal alone and the same sampling interval.
+        Experiments of one setup, with this signal only and the same sampling interval.
     count
-        Number of runs whose mean is whitened: rounding errors that they share do not average out, so they count
-        as often.
+        Number of runs whose mean is whitened. Rounding errors that the runs share do not average out, so their
+        variance counts `count` times.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How noisy a measured signal is: from the file, from repeats, or from the setup's other runs."""
+"""Noise level of a measured signal: from the file, from repeats, or from the setup's other runs."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class NoiseLevel:
     Parameters
     ----------
     differing
-        Variance of what repeats differ by.
+        Variance of the differences between repeats.
     repeating
-        Variance of the rounding error that they share: the mean of many runs still has it.
+        Variance of the rounding error that repeats share; averaging over runs does not reduce it.
     source
-        ``given`` in the file, the ``repeats``' spread (of this run, or else of the setup's other runs), or
-        ``unknown``: then `differing` is the variance of the signal itself, and only the residuals' relative size
-        has a meaning.
+        ``given`` in the file; ``repeats``, from the spread of this run's repeats or those of the setup's other
+        runs; or ``unknown``: then `differing` is the variance of the signal itself, and only the relative size of
+        residuals is meaningful.
     """
 
     differing: float
@@ -45,17 +45,17 @@ class NoiseLevel:
         return float(np.sqrt(self.differing + self.repeating))
 
     def scaled(self, factor: float) -> NoiseLevel:
-        """Return the noise of a signal that is `factor` times as large."""
+        """Return the noise of the signal multiplied by `factor`."""
         return NoiseLevel(factor**2 * self.differing, factor**2 * self.repeating, self.source)
 
     def of_mean(self, count: FloatArray) -> FloatArray:
-        """Return the standard deviation of the mean of `count` samples, inf where there is none."""
+        """Return the standard deviation of the mean of `count` samples, inf where the count is zero."""
         with np.errstate(divide="ignore"):
             return np.asarray(np.sqrt(self.differing / np.asarray(count, dtype=np.float64) + self.repeating))
 
 
 def conversion_at(source: str | None, target: str | None, where: str) -> Conversion:
-    """Return the conversion between units; one that cannot be is an error that says `where`."""
+    """Return the conversion between units; errors name `where`."""
     if source is None:
         return Conversion()
     try:
@@ -65,7 +65,7 @@ def conversion_at(source: str | None, target: str | None, where: str) -> Convers
 
 
 def noise_elsewhere(campaign: Campaign, run: Experiment, signal: str, unit: str | None) -> NoiseLevel | None:
-    """Return the noise that the same signal has in other runs of the same setup; None if it is not known there."""
+    """Return the signal's noise in other runs of the same setup; None if it is unknown there as well."""
     found = []
     for other in campaign.measurements:
         if other.setup != run.setup or other.repeat_of is not None or signal not in other.outputs:
@@ -111,7 +111,8 @@ def noise_level(repeats: FloatArray, given: Sequence[float | None]) -> NoiseLeve
     repeats
         (R, N) samples, NaN where one is missing.
     given
-        What the user says of the runs' standard deviation. A counted signal is never better than its counts.
+        Standard deviation of the runs' noise as given by the user. For a quantised signal, the quantisation noise
+        is the lower limit.
     """
     step = quantum(repeats)
     known = [s for s in given if s is not None and s > 0.0]

@@ -1,8 +1,8 @@
-"""Samples that are no measurements: spikes of a few samples, and values that a sensor held.
+"""Outliers: spikes of a few samples, and values at which a sensor was stuck.
 
-They are looked for run by run, in what a run has that its repeats do not, before repeats are compared: one spike
-of fifty standard deviations would otherwise triple the noise of a whole setup. What many samples have is the
-signal, not an accident, and is left alone.
+They are searched run by run in the differences from the repeats, before the noise is estimated: a single spike of
+fifty standard deviations would otherwise triple the noise of a whole setup. A difference that many samples show is
+part of the signal and is kept.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _MAD = 1.4826  # from a normal's median absolute value to its standard deviation
 
 
 def without_outliers(measurements: Measurements) -> tuple[Measurements, tuple[Outliers, ...]]:
-    """Return the measurements with outliers of their outputs as missing samples (NaN), and what they are."""
+    """Return the measurements with outliers in outputs replaced by NaN, and the list of outliers."""
     found: list[Outliers] = []
     changed: dict[str, Experiment] = {}
     for origin in dict.fromkeys(e.origin for e in measurements):
@@ -55,12 +55,12 @@ def without_outliers(measurements: Measurements) -> tuple[Measurements, tuple[Ou
 
 
 def outliers(values: FloatArray, stirred: Mask) -> tuple[Mask, Mask]:
-    """Return which of (R, N) samples of one signal in R runs with the same inputs are spikes, and which are held.
+    """Return masks of spikes and of held values in (R, N) samples of one signal, from R runs with the same inputs.
 
     Parameters
     ----------
     stirred
-        (N,) where an input has just jumped: what a single run shows there may be its answer.
+        (N,) mask of samples just after a jump of an input; a deviation of a single run there may be its response.
     """
     spikes, held = np.zeros(values.shape, dtype=bool), np.zeros(values.shape, dtype=bool)
     step = quantum(values)

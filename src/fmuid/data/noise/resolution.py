@@ -1,9 +1,10 @@
-"""Quantisation: the part of a counted signal's error that repeats, and so does not average out.
+"""Quantisation: the part of a quantised signal's error that repeats and so does not average out.
 
-A counter rounds what it measures to a lattice of step q. A quiet signal is rounded alike in every repeat: the
-mean of many runs is as wrong as one of them. Noise in front of the counter (dither) makes rounding errors differ
-from run to run; the stronger it is, the less of the error repeats. With noise of standard deviation s in front of
-the counter, two runs share this part of the rounding error's variance q^2/12 (Widrow and Kollar, 2008):
+A counter rounds its measurement to multiples of a step q. A quiet signal is rounded in the same way in every
+repeat, so the mean of many runs is as wrong as one of them. Noise in front of the counter (dither) makes rounding
+errors differ from run to run; the stronger it is, the less of the error repeats. With noise of standard deviation
+s in front of the counter, two runs share this part of the rounding error's variance q^2/12 (Widrow and Kollar,
+2008):
 
     (6 / pi^2) sum_k exp(-(2 pi k s / q)^2) / k^2.
 """
@@ -26,7 +27,7 @@ _DIFFERING = _RATIOS**2 + 1.0 / 12.0 - _REPEATING
 
 
 def quantum(values: FloatArray) -> float:
-    """Return the step of the lattice that all `values` lie on, as an encoder's counts do; 0 if there is none."""
+    """Return the step of which all `values` are multiples, as encoder counts are; 0 if there is none."""
     finite = values[np.isfinite(values)]
     levels = np.unique(finite)
     gaps = np.diff(levels)
@@ -45,9 +46,9 @@ def repeating_variance(differing: FloatArray | float, step: FloatArray | float) 
     Parameters
     ----------
     differing
-        Variance of what repeats differ by.
+        Variance of the differences between repeats.
     step
-        Of the lattice; 0 for a signal that is not counted.
+        Quantisation step; 0 for a signal that is not quantised.
     """
     q = np.asarray(step, dtype=np.float64)
     ratio = np.asarray(differing) / np.where(q > 0.0, q, 1.0) ** 2
@@ -55,16 +56,16 @@ def repeating_variance(differing: FloatArray | float, step: FloatArray | float) 
 
 
 def rounding_errors(values: FloatArray, step: float, *, draws: int = _DRAWS, seed: int = 0) -> FloatArray:
-    """Return (draws, N) rounding errors that a recorded signal on a lattice may have had.
+    """Return (draws, N) possible rounding errors of a quantised signal.
 
-    While a signal passes through a level its error is a ramp from half a step to the other half; where it turns
-    back, a parabola as high as the time at the levels before and after it tells. Where it rests, half of the
-    variance is taken as constant over the time at that level, half as independent from sample to sample.
+    While a signal crosses a level, its error is a ramp over one step; where it turns back, the error is a parabola
+    whose height follows from the time spent at the neighbouring levels. Where it rests, half of the variance is
+    taken as constant over the time at that level and half as independent from sample to sample.
 
     Parameters
     ----------
     values
-        (N,) samples on a lattice of step `step`.
+        (N,) samples that are multiples of `step`.
     """
     rng = np.random.default_rng(seed)
     n = len(values)

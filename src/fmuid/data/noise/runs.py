@@ -1,4 +1,4 @@
-"""Repeated runs of one experiment, and what they differ by."""
+"""Repeated runs of one experiment, and their differences."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ class RepeatedRuns:
     setup
         Its setup; noise is pooled over the experiments of a setup.
     time
-        (N,) s. Jitter counts for nothing: noise is one of samples, and its spectrum one over their number.
+        (N,) s. Jitter is ignored: the noise spectrum refers to sample numbers.
     channels
         Names of the C measured outputs.
     values
         (R, C, N) measurements, NaN where missing.
     given
-        (C,) standard deviation of a sample's noise where the user gave it, NaN elsewhere; empty if nowhere.
+        (C,) standard deviations of a sample's noise as given by the user, NaN where not given; empty if none is
+        given.
     conditions
-        Something that runs with the same input and settings have in common; empty if that is not known.
+        A label shared by runs with the same inputs and settings; empty if unknown.
     """
 
     id: str
@@ -49,7 +50,7 @@ class RepeatedRuns:
 
     @property
     def n_repeats(self) -> int:
-        """How many runs there are."""
+        """Number of runs."""
         return int(self.values.shape[0])
 
     @cached_property
@@ -65,13 +66,13 @@ class RepeatedRuns:
 
     @cached_property
     def deviations(self) -> FloatArray:
-        """(R, C, N) runs less their mean, 0 where a sample is missing; exactly 0 where all runs agree."""
+        """(R, C, N) runs minus their mean, 0 where a sample is missing; exactly 0 where all runs agree."""
         there = self.mask > 0
         apart = np.where(there, self.values - self.values[0], 0.0)
         return read_only(apart - apart.mean(axis=0))
 
 
 def cut(run: RepeatedRuns, pieces: int) -> tuple[tuple[int, int, RepeatedRuns], ...]:
-    """Return a run cut into pieces of about equal length: where each begins and ends, and itself."""
+    """Return a run cut into pieces of about equal length, each with its begin and end."""
     ends = np.linspace(0, len(run.time), pieces + 1).astype(int).tolist()
     return tuple((a, b, replace(run, time=run.time[a:b], values=run.values[..., a:b])) for a, b in pairwise(ends))

@@ -1,8 +1,9 @@
-"""The noise of a run that was not repeated, without any model: as much as is certain.
+"""A model-free upper bound of the noise of a run that was not repeated.
 
-A motion is smooth from sample to sample and noise is not. Differences of rising order take ever more of the motion
-out and leave white noise as large as it was; the least of them bounds its level. What the bound does not hold, the
-slow part of coloured noise and drift, nobody can tell from a slow effect without repeating the run.
+A motion is smooth from sample to sample and noise is not. Normalised differences of increasing order remove more
+and more of the motion but keep the level of white noise; the smallest of them bounds this level. The bound does
+not cover slow coloured noise and drift, which cannot be distinguished from a slow effect without repeating the
+run.
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ _FINEST = 1e-6  # of a signal's spread: 120 dB, 20 bits, is finer than sensors a
 
 
 def single_run_variance(runs: Sequence[FloatArray], step: float) -> float:
-    """Return an upper bound (95 %) of the variance of a signal's noise, by its differences in time.
+    """Return an upper bound (95 %) of the variance of a signal's noise, from its differences in time.
 
     Parameters
     ----------
     runs
-        (R, N) evenly spaced samples of every experiment, NaN where one is missing.
+        (R, N) evenly spaced samples of every experiment, NaN where missing.
     step
-        Of the lattice that a counted signal lies on, 0 for others: noise is no less than its rounding error.
+        Quantisation step of the signal, 0 if it is not quantised; the noise is at least its rounding error.
     """
     found = []
     for order in _ORDERS:

@@ -1,12 +1,12 @@
-"""The noise floor: what repeated runs of the same experiment differ by, and whitening by it.
+"""The noise floor: the spectrum of differences between repeats, and whitening by it.
 
-Repeats share their inputs, so what differs between them is noise and run-level nuisance. Its spectrum,
-channel by channel and between channels, is pooled over the experiments of one setup in bands of frequency;
-residuals are then whitened by the inverse square root of it. The mean of a run (the DC bin) has a variance of
-its own: sensors shift from run to run by more than their noise averaged over a run would allow.
+Repeats share their inputs, so they differ only by noise and run-to-run nuisance. The spectrum of these
+differences, within and between channels, is pooled over the experiments of one setup in frequency bands; residuals
+are then whitened by its inverse square root. The mean of a run (the DC bin) has a separate variance, because
+sensors shift from run to run by more than the noise averaged over a run would allow.
 
-Two things are not measured by repeats: the rounding error of counted signals, which repeats as well
-(`fmuid.data.noise.resolution`), and a standard deviation that the user gave, which replaces the measured one.
+Repeats do not show the rounding error of quantised signals, which repeats as well (`fmuid.data.noise.resolution`).
+A standard deviation given by the user replaces the measured one.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ _TWICE = 2.0  # power over that of the noise where signal and noise are equal
 class SetupNoise:
     """Noise of one setup.
 
-    Runs are taken apart into `pieces` before they are whitened.
+    Runs are cut into `pieces` before they are whitened.
 
     Attributes
     ----------
     edges
-        (B + 1,) of the frequency bands, Hz.
+        (B + 1,) edges of the frequency bands, Hz.
     covariance
-        (B, C, C) of what runs differ by.
+        (B, C, C) covariance of the differences between runs.
     variance
-        (C,) the same over all bands: of one sample.
+        (C,) variance of one sample, over all bands.
     mean_variance
-        (C,) of the mean of a run.
+        (C,) variance of the mean of a run.
     step
-        (C,) of the lattice that a counted signal lies on, 0 for others.
+        (C,) quantisation step, 0 for a signal that is not quantised.
     repeating
         (C,) variance of the rounding error that all repeats share.
     bounded
-        Whether it is a bound, for want of repeats: slow noise and drift may be beyond it.
+        Whether the noise is only a bound because there are no repeats; slow noise and drift may exceed it.
     """
 
     channels: tuple[str, ...]
@@ -71,7 +71,7 @@ class SetupNoise:
 
     @property
     def sigma(self) -> Mapping[str, float]:
-        """Standard deviation of a sample's error around its run's mean, in the channel's unit."""
+        """(C,) standard deviations of a sample's error around the mean of its run, in the channels' units."""
         total = np.sqrt(self.variance + self.repeating)
         return {c: float(v) for c, v in zip(self.channels, total, strict=True)}
 
@@ -82,7 +82,7 @@ class SetupNoise:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Whitener:
-    """Turns a residual of one experiment into components of unit variance under the noise of a single run."""
+    """Transforms a residual of one experiment into components of unit variance under the noise of a single run."""
 
     mask: FloatArray
     factors: FloatArray
@@ -108,12 +108,12 @@ class Whitener:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PiecewiseWhitener:
-    """Whitens the pieces of a run that was not repeated one by one.
+    """Whitens a run without repeats piece by piece.
 
     Parameters
     ----------
     pieces
-        Where each begins and ends, and its whitener.
+        Begin, end and whitener of each piece.
     """
 
     pieces: tuple[tuple[int, int, Whitener], ...]
@@ -129,12 +129,12 @@ class PiecewiseWhitener:
 
     @property
     def mask(self) -> FloatArray:
-        """(C, N) 1 where there is a sample, else 0."""
+        """(C, N) array of 1 where there is a sample, else 0."""
         return np.concatenate([w.mask for _, _, w in self.pieces], axis=-1)
 
     @property
     def frequencies(self) -> FloatArray:
-        """(N,) of the components of a whitened residual, Hz."""
+        """(N,) frequencies of the components of a whitened residual, Hz."""
         return np.concatenate([w.frequencies for _, _, w in self.pieces])
 
     @property
@@ -150,8 +150,8 @@ class PiecewiseWhitener:
 def estimate_noise(runs: Sequence[RepeatedRuns]) -> SetupNoise:
     """Estimate the noise of one setup from the differences between repeats.
 
-    Without repeats it is white, of the standard deviation that the user gave, or else of a bound that needs no
-    model (`fmuid.data.noise.single_run`).
+    Without repeats, the noise is taken as white, with the standard deviation given by the user or else a
+    model-free bound (`fmuid.data.noise.single_run`).
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def estimate_noise(runs: Sequence[RepeatedRuns]) -> SetupNoise:
     Raises
     ------
     ProblemError
-        Repeats agree exactly in a signal that is not counted; or a signal is constant.
+        Repeats agree exactly in a signal that is not quantised, or a signal is constant.
     """
     channels = runs[0].channels
     dt = float(np.mean(np.diff(runs[0].time)))
@@ -226,7 +226,7 @@ def _without_repeats(runs: Sequence[RepeatedRuns], given: FloatArray, step: Floa
         raise ProblemError(
             f"signal '{channels[int(np.argmin(variance))]}' is constant, so its noise cannot be estimated",
             where=f"setup '{runs[0].setup}'",
-            fix="leave the signal out, or give its `sigma` in the measurement file",
+            fix="remove the signal, or give its `sigma` in the measurement file",
         )
     return SetupNoise(
         channels=channels,
@@ -254,10 +254,10 @@ def _given(runs: Sequence[RepeatedRuns]) -> FloatArray:
 
 
 def whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener:
-    """Return what whitens residuals of `run` by `noise`; the mean's variance is never below its noise's.
+    """Return a whitener for residuals of `run` under `noise`; the mean's variance is at least that of its noise.
 
-    Rounding errors that repeat do not average out: for the mean of R runs to have variance 1/R, whitened, they
-    count R times.
+    Rounding errors that repeat do not average out, so their variance counts R times; the whitened mean of R runs
+    then has variance 1/R.
     """
     n = len(run.time)
     band_of = _bands_of(n, noise.dt, noise.edges)
@@ -283,12 +283,12 @@ def whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener:
 
 
 def bandwidth(run: RepeatedRuns, noise: SetupNoise, *courses: FloatArray) -> FloatArray:
-    """Return (C,) how far up the farthest of (C, N) `courses` goes, Hz: to the last octave as loud as noise.
+    """Return (C,) bandwidths of (C, N) `courses` in Hz: the last octave in which one is as strong as the noise.
 
-    It is sixteen periods of the record at least: of fewer components a mean says little. Above it there is nothing
-    of the signal that a model could be held against, however often it was sampled. A straight line between the
-    first and the last sample is taken off: a record that does not close upon itself seems to have power at every
-    frequency.
+    The bandwidth is at least sixteen periods of the record, because a mean over fewer components says little.
+    Above it the signal contains nothing to compare a model with, at any sampling rate. A straight line between the
+    first and the last sample is subtracted first: a non-periodic record would otherwise seem to have power at
+    every frequency.
     """
     n = len(run.time)
     edges = _band_edges(n, noise.dt)
@@ -307,7 +307,7 @@ def bandwidth(run: RepeatedRuns, noise: SetupNoise, *courses: FloatArray) -> Flo
 
 
 def rounding_draws(run: RepeatedRuns, noise: SetupNoise, *, draws: int = 16, seed: int = 0) -> FloatArray:
-    """Return (draws, C, N) rounding errors that every repeat of `run` may share."""
+    """Return (draws, C, N) possible rounding errors shared by all repeats of `run`."""
     found = np.zeros((draws, len(run.channels), len(run.time)))
     for c, (step, variance) in enumerate(zip(noise.step, noise.repeating, strict=True)):
         if variance > 0.0:

@@ -1,4 +1,4 @@
-"""The real Fourier transform in which noise is uncorrelated."""
+"""The real Fourier transform, whose coefficients of noise are uncorrelated."""
 
 from __future__ import annotations
 

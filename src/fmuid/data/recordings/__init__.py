@@ -1,7 +1,7 @@
-"""Runs in the files that people have, read into tables over time.
+"""Readers of recorded runs in common file formats; each returns tables over time.
 
-One module a format: CSV, MATLAB, HDF5, and with extras Parquet, MF4, ROS bags and MCAP. Nothing is resampled here:
-signals with different time bases stay apart until the user says how to bring them together (`resampling`).
+One module per format: CSV, MATLAB, HDF5, and with extras Parquet, MF4, ROS bags and MCAP. Nothing is resampled
+here: signals with different time bases stay separate until the user says how to combine them (`resampling`).
 """
 
 from __future__ import annotations
@@ -41,17 +41,17 @@ def read_recording(path: str | Path, names: Collection[str] = (), columns: Seque
     names
         Signals to read; all by default.
     columns
-        Headers of a CSV file that has none.
+        Column headers for a CSV file without a header.
 
     Returns
     -------
     Recording
-        A table for each time base, times in s; units where the file states them.
+        One table per time base, times in s; units if the file states them.
 
     Raises
     ------
     MeasurementsError
-        The file is missing, damaged or has no time; a name is not in it; the library for it is not installed.
+        The file is missing, damaged or has no time; it lacks a signal in `names`; or its library is not installed.
     """
     path = Path(path)
     if not path.is_file():

@@ -1,4 +1,4 @@
-"""From recorded runs to measurement files and back."""
+"""Conversion of recorded runs to measurement files and back."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from fmuid.data.recordings.resampling import TimeBase, aliased, one_time_base
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """A recorded run on one time base; `resampled` says how signals came onto it, `notes` what else to know."""
+    """A recorded run on one time base; `resampled` says how signals were resampled, `notes` what was detected."""
 
     table: Table
     resampled: Mapping[str, str]
@@ -36,7 +36,7 @@ def read_run(
     *,
     name: str = "",
 ) -> Run:
-    """Read one run, a file or a data frame called `name`, and bring it onto one time base as `base` says.
+    """Read one run from a file or data frame called `name`, and resample it to one time base as `base` says.
 
     Raises
     ------
@@ -53,8 +53,8 @@ def read_run(
     fast = aliased(table, recording, base) if base is not None else ()
     if fast:
         notes.append(
-            f"{', '.join(fast)}: sampled more slowly than recorded; if something in there is faster than half the"
-            " new rate, --method mean averages it out"
+            f"{', '.join(fast)}: sampled more slowly than recorded; if they contain frequencies above half the"
+            " new rate, --method mean averages them out"
         )
     return Run(table, resampled, tuple(notes))
 
@@ -84,14 +84,14 @@ def experiment_from_table(
     units, sigmas
         Units (these win over the header's) and noise standard deviations by column.
     settings, setting_units
-        Values that the run sets on the model.
+        Values that the run sets on the model, and their units.
     resampled
-        How columns came onto the run's time base, for those that were not recorded on it.
+        Resampling notes, for columns that were not recorded on the run's time base.
 
     Raises
     ------
     MeasurementsError
-        A name is no column, or a column has no unit.
+        A name is not a column, or a column has no unit.
     """
     units, sigmas, resampled = units or {}, sigmas or {}, resampled or {}
     for what, names in (("input", inputs), ("unit", units), ("sigma", sigmas)):
@@ -119,7 +119,7 @@ def experiment_from_table(
 
 
 def with_repeats(experiments: Mapping[str, Experiment]) -> dict[str, Experiment]:
-    """Return the experiments with every run whose inputs agree with an earlier one marked as its repeat."""
+    """Return the experiments, with each run marked as a repeat of an earlier run that has the same inputs."""
     marked: dict[str, Experiment] = {}
     for experiment in experiments.values():
         first = next((e for e in marked.values() if e.repeat_of is None and _same_run(e, experiment)), None)

@@ -17,20 +17,20 @@ from fmuid.data.recordings.recording import Recording, Vector, by_time_base, in_
 
 
 def from_frame(frame: Any, run: str) -> Recording:
-    """Return the recording in a data frame, whose column names state units as in ``tau [N.m]``.
+    """Return the recording in a data frame whose column names state units, as in ``tau [N.m]``.
 
-    Time is a column, or a named index of pandas, of numbers or dates, of which the first becomes 0 s. Null marks a
+    Time is a column or a named pandas index with numbers or dates; the first date becomes 0 s. Null marks a
     missing sample.
 
     Raises
     ------
     MeasurementsError
-        There is no time, or nothing beside it.
+        There is no time, or no other column.
     """
     where, columns = Path(run), columns_of(frame)
     header = next((h for h in columns if name_and_unit(h)[0].casefold() in TIMES), None)
     if header is None:
-        fix = f"name one of them so, with times in s; {known_names(columns)}"
+        fix = f"give one column this name, with times in s; {known_names(columns)}"
         raise MeasurementsError("has no column 'time' or 't'", where=run, fix=fix)
     column = columns.pop(header)
     values = _numbers(column)
@@ -42,8 +42,8 @@ def from_frame(frame: Any, run: str) -> Recording:
     vectors = [
         Vector(name_and_unit(h)[0], time, v, name_and_unit(h)[1]) for h, v in numbers.items() if v is not None
     ]
-    notes = left_out([h for h, v in numbers.items() if v is None], "no numbers")
-    return by_time_base(vectors, where, (*notes, *(["time counts from the first date"] if dates else [])))
+    notes = left_out([h for h, v in numbers.items() if v is None], "not numeric")
+    return by_time_base(vectors, where, (*notes, *(["time starts at the first date"] if dates else [])))
 
 
 def _numbers(column: nw.Series[Any]) -> FloatArray | None:

@@ -1,4 +1,4 @@
-"""What is done to a recorded run on import: cutting, shifting signals, masking samples by a condition."""
+"""Editing of a recorded run on import: cutting, shifting signals, masking samples by a condition."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ _COMPARED = re.compile(r"(?P<left>[^<>=!]+)(?P<sign><=|>=|<|>)(?P<right>[^<>=!]+
 
 @dataclass(frozen=True, slots=True)
 class Edits:
-    """What to do to a run, in this order.
+    """Edits of a run, applied in this order.
 
     Parameters
     ----------
     shifts
-        Seconds by signal: its samples belong to times that much later.
+        Seconds by signal: its samples are moved to later times by this much.
     begin, end
-        Times (s) in the file between which samples are kept.
+        First and last time (s, as in the file) of the samples to keep.
     from_zero
-        Whether the time of the first sample that is kept becomes 0.
+        Whether the time of the first kept sample becomes 0.
     masks
-        Conditions such as ``abs(tau) > 40``: where one holds, the outputs' samples are missing.
+        Conditions such as ``abs(tau) > 40``: where one is true, output samples become missing.
     """
 
     shifts: Mapping[str, float] = field(default_factory=dict)
@@ -70,9 +70,9 @@ class Edits:
         kept = (time >= self.begin) & (time <= self.end)
         if np.count_nonzero(kept) < 2:
             raise MeasurementsError(
-                f"no two samples lie from {self.begin:g} to {self.end:g} s",
+                f"fewer than two samples lie between {self.begin:g} and {self.end:g} s",
                 where=where,
-                fix=f"the run is from {time[0]:g} to {time[-1]:g} s",
+                fix=f"the run lasts from {time[0]:g} to {time[-1]:g} s",
             )
         time = time[kept] - (time[kept][0] if self.from_zero else 0.0)
         return replace(table, time=time, columns={n: v[kept] for n, v in columns.items()})
@@ -82,7 +82,7 @@ def _holds(text: str, columns: Mapping[str, FloatArray], time: FloatArray, where
     match = _COMPARED.fullmatch(text)
     if match is None:
         raise MeasurementsError(
-            f"'{text}' is no condition", where="--mask", fix='write one such as "abs(tau) > 40"'
+            f"'{text}' is not a condition", where="--mask", fix='write one such as "abs(tau) > 40"'
         )
     sides = [_evaluated(match[side].strip(), {**columns, "time": time}, where) for side in ("left", "right")]
     with np.errstate(invalid="ignore"):

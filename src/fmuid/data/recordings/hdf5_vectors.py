@@ -1,4 +1,4 @@
-"""HDF5 files of any layout: in every group with a `time` or `t`, the vectors as long as it."""
+"""HDF5 files of any layout: in every group with a `time` or `t`, the vectors of the same length."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from fmuid.data.recordings.recording import Recording, Vector, by_time_base, in_
 def read(path: Path) -> Recording:
     """Read an HDF5 file; see `fmuid.data.recordings.read_recording`.
 
-    A vector goes with the time axis of its own group or of the nearest one above. Its unit is the attribute
-    `unit` or `units`; its name is its place below the group of the time axis, with dots.
+    A vector belongs to the time axis of its group or of the nearest group above. Its unit is the attribute `unit`
+    or `units`; its name is its path below the group of the time axis, with dots.
     """
     kind, found, others = hdf5.vectors(path)
     if kind == FORMAT:
-        raise MeasurementsError("is a measurement file already", where=path, fix="name it in campaign.toml")
+        raise MeasurementsError("is already a measurement file", where=path, fix="name it in campaign.toml")
     times = {p: v for p, v in found.items() if p[-1].casefold() in TIMES}
     axes = {p[:-1]: in_seconds(v.values, v.unit, path) for p, v in times.items()}
     vectors = []
@@ -32,4 +32,4 @@ def read(path: Path) -> Recording:
             continue
         name = ".".join(place if len(axes) > 1 else place[len(above) :])
         vectors.append(Vector(name, axes[above], vector.values, vector.unit))
-    return by_time_base(vectors, path, left_out(others, "no vectors as long as a time axis"))
+    return by_time_base(vectors, path, left_out(others, "not vectors as long as a time axis"))

@@ -1,4 +1,4 @@
-"""MATLAB files: vectors as long as `time` or `t`. They state no units."""
+"""MATLAB files: vectors as long as `time` or `t`. These files state no units."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def read(path: Path) -> Recording:
         )
     others = [n for n in variables if n != name and n not in fitting]
     vectors = (Vector(n, time.astype(np.float64), v.astype(np.float64)) for n, v in fitting.items())
-    return by_time_base(vectors, path, left_out(others, f"no vectors as long as '{name}'"))
+    return by_time_base(vectors, path, left_out(others, f"not vectors as long as '{name}'"))
 
 
 def _variables(path: Path) -> dict[str, Any] | None:

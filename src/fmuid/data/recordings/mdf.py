@@ -1,4 +1,4 @@
-"""ASAM MDF files (``.mf4``, ``.mdf``), by asammdf: the only importer of it."""
+"""ASAM MDF files (``.mf4``, ``.mdf``); only this module imports asammdf."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ except ImportError:
 def read(path: Path) -> Recording:
     """Read an MDF file; see `fmuid.data.recordings.read_recording`.
 
-    Each channel group has a time base of its own. A name that several groups have gets the group's number
-    after it, as in ``speed#2``. Samples that the file marks as invalid are missing.
+    Each channel group has its own time base. A name that occurs in several groups gets the group's number as a
+    suffix, as in ``speed#2``. Samples that the file marks as invalid are missing.
     """
     if asammdf is None:
         raise MeasurementsError("needs asammdf", where=path, fix="pip install 'fmuid[mf4]'")
@@ -38,7 +38,7 @@ def read(path: Path) -> Recording:
         vectors, trouble = _parsed(path, others)
     if trouble:
         raise MeasurementsError(f"cannot be read as MDF ({trouble})", where=path, fix="write it again")
-    return by_time_base(vectors, path, left_out(others, "no numbers"))
+    return by_time_base(vectors, path, left_out(others, "not numeric"))
 
 
 def _parsed(path: Path, others: list[str]) -> tuple[list[Vector], str]:

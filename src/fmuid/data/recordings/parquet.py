@@ -1,4 +1,4 @@
-"""Parquet files, by pyarrow: the only importer of it."""
+"""Parquet files; only this module imports pyarrow."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ else:
 def read(path: Path) -> Recording:
     """Read a Parquet file; see `fmuid.data.recordings.read_recording`.
 
-    Units are in the columns' names, as in ``tau [N.m]``, or in their metadata, as ``unit``. The time axis
-    holds numbers, or dates, of which the first becomes 0 s. Null marks a missing sample.
+    Units are in the columns' names, as in ``tau [N.m]``, or in their metadata, as ``unit``. The time axis contains
+    numbers or dates; the first date becomes 0 s. Null marks a missing sample.
     """
     if parquet is None:
         raise MeasurementsError("needs pyarrow", where=path, fix="pip install 'fmuid[parquet]'")
@@ -40,7 +40,7 @@ def read(path: Path) -> Recording:
     time_header = next((h for h, (n, _) in named.items() if n.casefold() in TIMES), None)
     if time_header is None:
         raise MeasurementsError(
-            "has no column 'time' or 't'", where=path, fix=f"write one, in s; {known_names(columns)}"
+            "has no column 'time' or 't'", where=path, fix=f"write a time column in s; {known_names(columns)}"
         )
     values = columns.pop(time_header)
     kind = table.schema.field(time_header).type
@@ -55,8 +55,8 @@ def read(path: Path) -> Recording:
             metadata = table.schema.field(header).metadata or {}
             stated = metadata.get(b"unit", metadata.get(b"units"))
             vectors.append(Vector(name, time, column, unit if stated is None else stated.decode(errors="replace")))
-    notes = left_out([h for h, c in columns.items() if c is None], "no numbers")
-    return by_time_base(vectors, path, (*notes, *(["time counts from the first date"] if dates else [])))
+    notes = left_out([h for h, c in columns.items() if c is None], "not numeric")
+    return by_time_base(vectors, path, (*notes, *(["time starts at the first date"] if dates else [])))
 
 
 def _numbers(column: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What a file of a recorded run holds, and how the readers put it together."""
+"""The content of a recorded file, and functions shared by the readers."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class Recording:
     Parameters
     ----------
     tables
-        One for each time base, the one with the most signals first; a name is in one of them only.
+        One table per time base, the one with the most signals first; each name is in one table only.
     notes
-        What was left out or understood without being told, one line each.
+        What was left out or detected, one line each.
     """
 
     tables: tuple[Table, ...]
@@ -37,12 +37,12 @@ class Recording:
         return tuple(name for table in self.tables for name in table.columns)
 
     def only(self, names: Collection[str], path: Path | None = None) -> Recording:
-        """Return the recording with the signals in `names` alone, or all of them; `path` is for errors.
+        """Return the recording with only the signals in `names`, all for None; `path` is for errors.
 
         Raises
         ------
         MeasurementsError
-            One of them is not in it.
+            The recording lacks one of them.
         """
         if not names:
             return self
@@ -55,7 +55,7 @@ class Recording:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Vector:
-    """One signal with its own time axis, as a reader finds it; both (N,)."""
+    """One signal and its time axis as read from a file, (N,) each."""
 
     name: str
     time: FloatArray
@@ -64,12 +64,12 @@ class Vector:
 
 
 def by_time_base(vectors: Iterable[Vector], path: Path, notes: Collection[str] = ()) -> Recording:
-    """Gather vectors into tables, one for each time axis.
+    """Group vectors into tables, one per time axis.
 
     Raises
     ------
     MeasurementsError
-        There is none, or a name appears twice.
+        There is no vector, or a name appears twice.
     """
     groups: list[list[Vector]] = []
     seen: set[str] = set()
@@ -99,7 +99,7 @@ def by_time_base(vectors: Iterable[Vector], path: Path, notes: Collection[str] =
 
 
 def in_seconds(time: FloatArray, unit: str | None, path: Path) -> FloatArray:
-    """Return times in s; a `unit` that is none of time is refused."""
+    """Return times in s; raise an error if `unit` is not a unit of time."""
     try:
         return conversion(unit or "s", "s")(time)
     except UnitError as error:
@@ -114,6 +114,6 @@ def is_numeric(values: Any) -> bool:
 
 
 def left_out(names: Collection[str], why: str) -> tuple[str, ...]:
-    """Return the note on what was not used."""
+    """Return the note on unused names."""
     listed = ", ".join(sorted(names)[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
-    return (f"not used, {why}: {listed}",) if names else ()
+    return (f"not used ({why}): {listed}",) if names else ()

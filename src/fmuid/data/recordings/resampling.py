@@ -1,6 +1,6 @@
-"""Signals with different time bases brought onto one, on purpose and on record.
+"""Resampling of signals with different time bases to a common one.
 
-Nothing here is a default: the user names the time base, and every signal says afterwards how it got there.
+Nothing is resampled by default: the user names the time base, and every signal records how it was resampled.
 """
 
 from __future__ import annotations
@@ -24,19 +24,20 @@ _MAX_SAMPLES = 50_000_000
 
 @dataclass(frozen=True, slots=True)
 class TimeBase:
-    """What signals are brought onto, and how.
+    """The common time base of signals, and the resampling methods.
 
     Parameters
     ----------
     rate
-        Samples per second, from the latest start to the earliest end of the signals (held ones have none).
+        Samples per second, from the latest start to the earliest end of the signals (signals with ``hold`` have no
+        end).
     align
-        Or a signal, whose times are taken.
+        Alternatively a signal whose times are used.
     method
-        ``linear`` between samples; ``hold`` the last one (for what is written on change); ``mean`` of the
-        samples that are nearest to each new time (for a lower rate: what is faster does not fold back).
+        ``linear`` between samples; ``hold`` the last one (for signals written on change); ``mean`` of the samples
+        nearest to each new time (for a lower rate, without aliasing).
     methods
-        Other methods for some signals.
+        Methods of individual signals, by name.
     """
 
     rate: float | None = None
@@ -46,15 +47,16 @@ class TimeBase:
 
 
 def one_time_base(recording: Recording, base: TimeBase | None, where: object) -> tuple[Table, Mapping[str, str]]:
-    """Return the signals of a recording as one table, and for each that was resampled how.
+    """Return the signals of a recording as one table, and how each resampled signal was resampled.
 
-    A sample that would lie outside the signal, or (except with ``hold``) in a pause of it longer than ten of
-    its steps, is missing. Samples missing in the recording are not used.
+    A sample outside the signal's time range, or (except with ``hold``) in a gap longer than ten of its steps, is
+    missing. Samples missing in the recording are not used.
 
     Raises
     ------
     MeasurementsError
-        There are several time bases and `base` is None; it names no signal; the signals do not overlap.
+        There are several time bases and `base` is None; `base` names an unknown signal; or the signals do not
+        overlap.
     """
     if base is None:
         if len(recording.tables) == 1:
@@ -63,7 +65,7 @@ def one_time_base(recording: Recording, base: TimeBase | None, where: object) ->
         raise MeasurementsError(
             f"has signals with {len(recording.tables)} time bases ({bases})",
             where=where,
-            fix="choose some with --signal, or one time base with --resample RATE or --align SIGNAL",
+            fix="choose signals with --signal, or a common time base with --resample RATE or --align SIGNAL",
         )
     for name in (*([base.align] if base.align else []), *base.methods):
         if name not in recording.columns:
@@ -95,7 +97,7 @@ def one_time_base(recording: Recording, base: TimeBase | None, where: object) ->
 
 
 def aliased(table: Table, recording: Recording, base: TimeBase) -> tuple[str, ...]:
-    """Return the signals that were sampled more than twice as fast as they are now, and not averaged."""
+    """Return the signals whose sampling rate was more than halved without averaging."""
     step = float(np.median(np.diff(table.time)))
     return tuple(
         name
@@ -119,7 +121,7 @@ def _times(recording: Recording, base: TimeBase, where: object) -> FloatArray:
         raise MeasurementsError(
             f"signals do not overlap: one begins at {begin:g} s, another ends at {end:g} s",
             where=where,
-            fix="choose others with --signal",
+            fix="choose other signals with --signal",
         )
     assert base.rate is not None
     # A rate that fits the duration up to rounding keeps its last sample.

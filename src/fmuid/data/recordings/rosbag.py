@@ -1,8 +1,8 @@
-"""ROS bags (``.bag``, ``.db3``) by rosbags, and MCAP files (``.mcap``) by mcap: the only importer of either.
+"""ROS bags (``.bag``, ``.db3``) and MCAP files (``.mcap``); only this module imports rosbags and mcap.
 
-A signal is a number in the messages of a topic, ``/joint_states.position.elbow``: elements of arrays go by the
-message's own ``name`` list where it has one, else by number. Times are those of the messages' headers, else of
-the log, and count from the first message of the file; they stay as jittered as they are.
+A signal is a number in the messages of a topic, such as ``/joint_states.position.elbow``. Array elements are named
+by the message's ``name`` list if it has one, else by number. Times come from the messages' headers, else from the
+log, and start at the first message of the file; jitter is kept.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class _Topic:
 def read(path: Path) -> Recording:
     """Read a bag or an MCAP file; see `fmuid.data.recordings.read_recording`.
 
-    Each topic has a time base of its own.
+    Each topic has its own time base.
     """
     if rosbags is None or mcap is None:
         raise MeasurementsError("needs rosbags and mcap", where=path, fix="pip install 'fmuid[ros]'")
@@ -61,7 +61,7 @@ def read(path: Path) -> Recording:
         what = (str(error).splitlines() or [""])[0] or type(error).__name__
         raise MeasurementsError(f"cannot be read ({what})", where=path, fix="record it again") from None
     silent = [topic for topic, found in topics.items() if not any(found.rows)]
-    notes = left_out([*others, *silent], "no numbers")
+    notes = left_out([*others, *silent], "not numeric")
     return by_time_base(_vectors({t: f for t, f in topics.items() if any(f.rows)}), path, notes)
 
 
