@@ -101,7 +101,7 @@ def test_a_script_without_a_main_guard_is_told_in_one_line(
     assert len(done.stderr.splitlines()) < 60  # of this script alone
     assert done.stderr.splitlines()[-1] == (
         "fmuid.core.errors.FmuidError: worker pool: worker processes do not start; "
-        'keep the script in a file, its work under `if __name__ == "__main__":`'
+        'save the script in a file, with its work under `if __name__ == "__main__":`'
     )
 
 

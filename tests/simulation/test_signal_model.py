@@ -62,7 +62,7 @@ def test_a_setup_names_them_and_what_is_no_signal_is_refused(plain):
     spec = ModelSpec("bench", plain.path, {"reading": "gradient(y)"}, signal_effects=("u.gain",))
     assert "u.gain" in load_simulator(spec).variables
     assert load_simulator(spec) is load_simulator(spec)
-    with pytest.raises(FmuError, match=r"'u.gian' is no effect of an input or output.*did you mean 'gain'"):
+    with pytest.raises(FmuError, match=r"'u.gian' is not an effect of an input or output.*did you mean 'gain'"):
         SignalModel(plain, ("u.gian",))
     with pytest.raises(FmuError, match=r"'d\.gain' is no effect"):
         SignalModel(plain, ("d.gain",))

@@ -42,7 +42,7 @@ def pool():
         ("leaves", r"crashed \(exit code 0\)"),
         ("hang", r"took longer than the time limit of 5 s"),
         ("devours", r"took more memory than the limit of 200 MB"),
-        ("fatal", r"answered fmi2Fatal"),
+        ("fatal", r"returned fmi2Fatal"),
         ("nan", r"is not finite"),
     ],
 )

@@ -1,1 +1,1 @@
-"""What simulates: any FMU, in compiled code or in Python."""
+"""Simulation of FMUs, single or coupled, in this process or in workers."""

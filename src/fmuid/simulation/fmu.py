@@ -1,4 +1,4 @@
-"""Simulating any FMU: FMI 2.0 and 3.0, co-simulation and model exchange. The only module that knows FMPy."""
+"""Simulating any FMU: FMI 2.0 and 3.0, co-simulation and model exchange. Only this module imports FMPy."""
 
 from __future__ import annotations
 
@@ -40,33 +40,34 @@ _MAX_PREPARED = 64 * 2**20  # bytes of signals kept laid out, oldest out first
 
 
 class Fmu:
-    """An FMU that is extracted once, instantiated once and reset between simulations; a `Simulator`.
+    """An FMU, extracted once, instantiated once and reset between simulations; a `Simulator`.
 
     Parameters
     ----------
     path
         The ``.fmu`` file.
     interface
-        ``co-simulation`` or ``model exchange``; None takes co-simulation where the FMU has it.
+        ``co-simulation`` or ``model exchange``; None chooses co-simulation if the FMU supports it.
 
     Notes
     -----
-    * Inputs without a signal in the task hold their start value.
-    * Start values can be set of parameters (fixed and tunable), of inputs, and of variables with ``initial``
+    * Inputs without a signal in the task keep their start value. * Start values can be set of parameters (fixed
+    and tunable), of inputs, and of variables with ``initial``
       exact (the states' start values) or approx (a guess that the FMU may change), before initialisation.
     * Integer, Boolean and enumeration variables are set by their FMI type and take whole numbers only.
     * The first simulation is repeated after a reset (for up to half a second); an FMU whose reset is missing,
-      fails or changes the predictions is instantiated anew for every simulation. `renewal` tells which. One that
-      crashes does so in one of a pool's worker processes; the others instantiate. FMUs of ``fmuid build`` reset.
-    * After a failed simulation the next one gets a new instance, after fmi2Fatal a new copy of the library:
-      predictions depend on the parameters alone, not on what was simulated before.
-    * Simulations of one object exclude each other; for parallel ones use processes (`simulation.pool.workers`).
+      fails or changes the predictions is instantiated anew for every simulation; `renewal` says which method is
+      used. If the reset crashes, it ends one worker process of a pool, and the other workers instantiate anew.
+      FMUs from ``fmuid build`` can be reset.
+    * After a failed simulation the next one gets a new instance, and after fmi2Fatal a new copy of the library, so
+    predictions depend only on the parameters, not on earlier simulations. * One object runs one simulation at a
+    time; use processes for parallel simulations (`simulation.pool.workers`).
 
     Raises
     ------
     FmuError
-        No FMU, an FMI version other than 2.0 or 3.0, unsafe file names inside, no library for this machine,
-        or no interface that can be simulated.
+        The file is not an FMU, has an FMI version other than 2.0 and 3.0, contains unsafe file names, or lacks a
+        library for this machine or an interface that can be simulated.
     """
 
     def __init__(self, path: str | Path, interface: Interface | None = None) -> None:
@@ -97,7 +98,7 @@ class Fmu:
 
     @property
     def slots(self) -> Mapping[str, Slot]:
-        """Where the FMU keeps each variable, by name."""
+        """Location of each variable in the FMU, by name."""
         return MappingProxyType(self._slots)
 
     @property
@@ -117,12 +118,12 @@ class Fmu:
 
     @property
     def default_experiment(self) -> Mapping[str, float]:
-        """What the FMU suggests of ``start``, ``stop``, ``step`` (s) and ``tolerance``."""
+        """The FMU's suggestions for ``start``, ``stop``, ``step`` (s) and ``tolerance``, if any."""
         return MappingProxyType(dict(self._description.default_experiment))
 
     @property
     def default_tolerance(self) -> float:
-        """The relative tolerance it is solved to if a task names none, as far as it says."""
+        """The relative tolerance for tasks that name none, if the FMU states one."""
         return self.default_experiment.get("tolerance", UNKNOWN_TOLERANCE)
 
     @property
@@ -132,7 +133,7 @@ class Fmu:
 
     @property
     def saves_state(self) -> bool:
-        """Whether the FMU can be brought back to a state it was in."""
+        """Whether the FMU can be restored to an earlier state."""
         return self._described.saves_state
 
     @property
@@ -143,7 +144,7 @@ class Fmu:
 
     @property
     def feedthrough(self) -> Mapping[str, frozenset[str]]:
-        """The inputs that each output depends on without delay; every input where the FMU does not say."""
+        """The inputs on which each output depends without delay; all inputs if the FMU does not say."""
         return read_feedthrough(self._description, self._variables)
 
     def literals(self, name: str) -> Mapping[str, int]:
@@ -152,7 +153,7 @@ class Fmu:
 
     @property
     def renewal(self) -> Literal["reset", "instantiate"] | None:
-        """How simulations are kept apart; None before the first one."""
+        """How the FMU is renewed between simulations; None before the first one."""
         return self._renewal
 
     def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
@@ -161,7 +162,7 @@ class Fmu:
         Parameters
         ----------
         task
-            Times, inputs and outputs; laid out for the FMU once and remembered as long as the task is in use.
+            Times, inputs and outputs; prepared for the FMU once and kept as long as the task is in use.
         parameters
             Start values by variable name; they take precedence over the task's.
 
@@ -181,11 +182,11 @@ class Fmu:
             return self._simulate(prepared)
 
     def renew(self, how: Literal["reset", "instantiate"]) -> None:
-        """Keep simulations apart in this way from now on, as found out by simulating."""
+        """Renew the FMU in this way from now on, as determined by simulating."""
         self._renewal = how
 
     def differentiates(self, names: Collection[str]) -> bool:
-        """Whether runs can be differentiated by the parameters `names`: FMUs of ``fmuid build``."""
+        """Return whether runs can be differentiated with respect to `names`; true of FMUs from ``fmuid build``."""
         with self._lock:
             key = frozenset(names)
             if key not in self._differentiates:
@@ -278,7 +279,7 @@ class Fmu:
         return self._library
 
     def prepare(self, task: Task, parameters: Mapping[str, float]) -> PreparedTask:
-        """Return the task laid out for this FMU, with `parameters` as the next run's."""
+        """Return the task prepared for this FMU, with `parameters` for the next run."""
         names = tuple(parameters)
         prepared = self._prepared.get((id(task), names))
         if prepared is None:
@@ -321,7 +322,7 @@ class Fmu:
         return predictions
 
     def engage(self, prepared: PreparedTask) -> None:
-        """Give the plan an instance to run on, a new one where a reset is not as good; see `discard`."""
+        """Give the plan an instance to run on, a new one if a reset is not equivalent; see `discard`."""
         library = self._load()
         if self._used and self._renewal == "instantiate":
             self.discard()
@@ -335,7 +336,7 @@ class Fmu:
                 raise ProcessSpentError(
                     "can neither be reset nor be instantiated again in one process",
                     where=self.path.name,
-                    fix="simulate it in worker processes (`fmuid.WorkerPool`), which start afresh for it",
+                    fix="simulate it in worker processes (`fmuid.WorkerPool`), which are restarted for it",
                 ) from None
             self._used, self._instantiated = False, True
         prepared.plan.instance = self._instance
@@ -366,14 +367,14 @@ class Fmu:
         raise error
 
     def failure(self, outcome: Outcome, prepared: PreparedTask) -> SimulationError:
-        """Return what went wrong in a run that ended with `outcome`, with what the FMU said."""
+        """Return the error of a run that ended with `outcome`, with the FMU's messages."""
         plan, library = prepared.plan, prepared.library
         at = f"at t = {plan.reached_time:.9g} s"
         if outcome == Outcome.CALL_FAILED:
             function = library.function_name(FUNCTIONS[plan.call])
             status = _STATUS[plan.status] if plan.status < len(_STATUS) else str(plan.status)
             during = "in initialisation" if plan.reached < 0 else at
-            what = f"{function} answered fmi{library.version}{status} {during}"
+            what = f"{function} returned fmi{library.version}{status} {during}"
         elif outcome == Outcome.NOT_FINITE:
             what = f"output '{prepared.task.outputs[plan.column]}' is not finite {at}"
         else:
@@ -385,7 +386,7 @@ class Fmu:
         )
 
     def discard(self, fatal: bool = False) -> None:
-        """Give the instance up; after fmi2Fatal nothing of the library may be called again."""
+        """Release the instance; after fmi2Fatal no function of the library may be called again."""
         if self._instance is not None and self._library is not None and not fatal:
             self._library.free(self._instance)
         self._instance, self._used = None, False
@@ -403,14 +404,14 @@ _REASONS = {
 
 
 def load_fmu(path: str | Path, interface: Interface | None = None) -> Fmu:
-    """Return the FMU at `path`: in one process always the same object as long as the file does not change.
+    """Return the FMU at `path`; a process gets the same object until the file changes.
 
     Parameters
     ----------
     path
         An ``.fmu`` file of FMI 2.0 or 3.0.
     interface
-        ``co-simulation`` or ``model exchange``; None takes co-simulation where the FMU has it.
+        ``co-simulation`` or ``model exchange``; None chooses co-simulation if the FMU supports it.
 
     Raises
     ------
@@ -432,7 +433,7 @@ _NOT_RUN = ("sources/", "documentation/")
 def _major_version(text: str, path: Path) -> int:
     major = text.split(".")[0]
     if not (major.isascii() and major.isdecimal()):
-        raise FmuError(f"is of FMI version '{text}'", where=path, fix="use an FMU of FMI 2.0 or 3.0")
+        raise FmuError(f"has FMI version '{text}'", where=path, fix="use an FMU of FMI 2.0 or 3.0")
     return int(major)
 
 
@@ -467,7 +468,9 @@ def _check_members(path: Path) -> None:
             climbs = name.startswith("/") or "\\" in name or ":" in name or ".." in PurePosixPath(name).parts
             if climbs or stat.S_ISLNK(member.external_attr >> 16):
                 raise FmuError(
-                    f"contains the file name '{name}', which leads out of it", where=path, fix="do not use it"
+                    f"contains the file name '{name}', which points outside the archive",
+                    where=path,
+                    fix="do not use it",
                 )
 
 
@@ -483,7 +486,7 @@ def _check_version(path: Path) -> None:
                 chunk = file.read(1_000_000)
     if version and version[1][:1] not in b"23":
         words = version[1].decode(errors="replace")
-        raise FmuError(f"is of FMI {words}; 2.0 and 3.0 are supported", where=path, fix="export it again")
+        raise FmuError(f"has FMI version {words}; 2.0 and 3.0 are supported", where=path, fix="export it again")
     if count > MAX_VARIABLES:
         raise FmuError(f"has more than {MAX_VARIABLES} variables", where=path, fix="export it with fewer")
 
@@ -506,12 +509,12 @@ def extract(path: Path, without: tuple[str, ...] = ()) -> Path:
     path
         The archive.
     without
-        How the names of members begin that are left out.
+        Prefixes of the names of members to leave out.
 
     Raises
     ------
     FmuError
-        It cannot be read, or would write outside the folder.
+        The archive cannot be read, or would write outside the folder.
     """
     folder = Path(tempfile.mkdtemp(dir=scratch.of_process())).resolve()
     try:

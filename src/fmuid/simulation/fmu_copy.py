@@ -1,4 +1,4 @@
-"""Copies of FMUs with other start values."""
+"""Copies of FMUs with new start values."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _COMPILED_STARTS = "resources/start_values.txt"  # read by FMUs that fmuid built
 
 
 def copy_with_starts(fmu: Fmu, values: Mapping[str, float], target: Path) -> None:
-    """Write a copy of an FMU whose start values are `values`, by variable name, in the variables' units.
+    """Write a copy of an FMU with the start values `values`, by variable name, in the variables' units.
 
-    The same FMU and values give the same bytes. An FMU that fmuid built takes the new values as its own. For
-    others the standard leaves it to the importer to set what the description says; see `takes_effect`.
+    The same FMU and values give the same bytes. An FMU built by fmuid uses the new values by itself. For other
+    FMUs, the standard leaves it to the importer to set the values in the description; see `takes_effect`.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def copy_with_starts(fmu: Fmu, values: Mapping[str, float], target: Path) -> Non
 
 
 def takes_effect(fmu: Fmu, values: Mapping[str, float], copy: Path, runner: Runner = in_process) -> bool:
-    """Return whether the copy starts, without anything set, as the original does with `values` set."""
+    """Return whether the copy, with nothing set, starts like the original with `values` set."""
     step = fmu.default_experiment.get("step", 1e-3)
     begin = fmu.default_experiment.get("start", 0.0)
     outputs = [n for n, v in fmu.variables.items() if v.causality == "output" and fmu.slots[n].suffix]
@@ -84,7 +84,7 @@ def as_text(variable: Variable, value: float) -> str:
 
 
 def as_bytes(root: ElementTree.Element) -> bytes:
-    """Return an XML document as a file holds it."""
+    """Return an XML document as bytes for a file."""
     content: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
     return content + b"\n"
 
@@ -110,7 +110,9 @@ def _element_replaced(starts: str, slot: Slot, text: str, name: str, fmu: Fmu) -
     if len(entries) == 1:
         entries *= slot.size
     if len(entries) != slot.size:
-        raise FmuError(f"does not give the start values of '{name}'", where=fmu.path, fix="export it with them")
+        raise FmuError(
+            f"does not give the start values of '{name}'", where=fmu.path, fix="export it with start values"
+        )
     entries[slot.element] = text
     return " ".join(entries)
 

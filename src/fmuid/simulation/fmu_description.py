@@ -1,4 +1,4 @@
-"""``modelDescription.xml`` of FMI 2.0 and 3.0: what a simulation needs of it, as values.
+"""``modelDescription.xml`` of FMI 2.0 and 3.0: the parts that a simulation needs.
 
 Defaults are those of the standard (FMI 2.0.4, section 2.2.7; FMI 3.0.1, section 2.4.7).
 """
@@ -25,15 +25,16 @@ _INITIAL = {
     "discrete": _SIGNALS,
     "continuous": {**_SIGNALS, "independent": ""},
 }
-"""By variability and causality, what `initial` is where it is not said."""
+"""Default of `initial`, by variability and causality."""
 
 
 @dataclass(frozen=True, slots=True)
 class DescribedVariable:
-    """A variable as the description has it; `start`, `minimum` and `maximum` as they are written.
+    """A variable as in the description; `start`, `minimum` and `maximum` are the literal texts.
 
-    `initial` is ``exact``, ``approx``, ``calculated`` or empty. `shape` is that of an array of FMI 3.0, and
-    `literals` are the values of an enumeration by name. `derivative` refers to what it is the derivative of.
+    `initial` is ``exact``, ``approx``, ``calculated`` or empty. `shape` is the shape of an FMI 3.0 array, and
+    `literals` are the values of an enumeration by name. `derivative` refers to the variable of which this one is
+    the derivative.
     """
 
     name: str
@@ -54,7 +55,7 @@ class DescribedVariable:
 
 @dataclass(frozen=True, slots=True)
 class DescribedInterface:
-    """Co-simulation or model exchange, as an FMU offers it; `identifier` is the name of its library."""
+    """Co-simulation or model exchange as offered by an FMU; `identifier` is the name of its library."""
 
     identifier: str
     saves_state: bool
@@ -67,9 +68,9 @@ class DescribedInterface:
 class FmuDescription:
     """A model description; see `read_description`.
 
-    `outputs` are the inputs that each output depends on without delay, by name, None where that is not said.
-    `states` are the names of the continuous states, as far as said, `n_states` their number with all elements.
-    `default_experiment` has of ``start``, ``stop``, ``step`` and ``tolerance`` what is given.
+    `outputs` gives by name the inputs on which each output depends without delay, None if not stated. `states` are
+    the names of the continuous states, if stated, and `n_states` is their number including all elements.
+    `default_experiment` contains those of ``start``, ``stop``, ``step`` and ``tolerance`` that are given.
     """
 
     version: str
@@ -92,7 +93,7 @@ def read_description(path: Path) -> FmuDescription:
     Raises
     ------
     ValueError
-        The description is not XML or breaks the standard.
+        The description is not XML or violates the standard.
     """
     with ZipFile(path) as archive:
         try:
@@ -156,7 +157,7 @@ _STRUCTURE = {
 
 
 def library_name(version: int, identifier: str) -> Path:
-    """Return where the library for this machine is, below ``binaries``.
+    """Return the path of the library for this machine, below ``binaries``.
 
     Raises
     ------
@@ -178,7 +179,7 @@ def library_name(version: int, identifier: str) -> Path:
 
 def _known(variables: Mapping[int, DescribedVariable], key: str | None) -> DescribedVariable:
     if key is None or not key.isdecimal() or int(key) not in variables:
-        raise ValueError(f"modelDescription.xml refers to the variable {key}, which there is not")
+        raise ValueError(f"modelDescription.xml refers to the variable {key}, which does not exist")
     return variables[int(key)]
 
 
@@ -216,7 +217,7 @@ def _variable(element: Element, fmi: int, types: Mapping[str, Element]) -> Descr
         raise ValueError(f"variable '{name}' has no type")
     declared = value.get("declaredType")
     if declared is not None and declared not in types:
-        raise ValueError(f"variable '{name}' is of the type '{declared}', which is not defined")
+        raise ValueError(f"variable '{name}' has the type '{declared}', which is not defined")
     kind = types[declared] if declared is not None else Element("")
     causality = element.get("causality", "local")
     variability = element.get("variability") or _variability(causality, value.tag, fmi)

@@ -81,22 +81,22 @@ class _Callbacks2(ctypes.Structure):
 
 
 class ProcessSpentError(SimulationError):
-    """The FMU cannot simulate any more in this process; it could in a new one."""
+    """The FMU cannot simulate any more in this process, but could in a new process."""
 
 
 class Log:
-    """What FMUs said last: the messages of the highest severity since `clear`, of any FMU in this thread."""
+    """The latest messages of FMUs: those of the highest severity since `clear`, from any FMU in this thread."""
 
     def callback(self, version: int) -> int:
-        """Return the address of the C function that FMUs of this FMI version log to."""
+        """Return the address of the C logging function for FMUs of this FMI version."""
         return _address(getattr(stepper.library(), f"fmuid_log_fmi{version}"))
 
     def clear(self) -> None:
-        """Forget what was said."""
+        """Clear the messages."""
         stepper.library().fmuid_clear_log()
 
     def read(self) -> str:
-        """Return the messages, empty if there was none."""
+        """Return the messages, empty if there are none."""
         text = " ".join(stepper.library().fmuid_read_log().decode(errors="replace").split())
         return text if len(text) <= 400 else f"{text[:200]} ... {text[-200:]}"
 
@@ -115,9 +115,9 @@ class FmuLibrary:
     version
         FMI major version, 2 or 3.
     model_exchange
-        Which of the two interfaces to use.
+        Whether to use model exchange instead of co-simulation.
     where
-        What to name in errors.
+        Place for error messages.
     """
 
     def __init__(self, path: Path, version: int, model_exchange: bool, where: Path) -> None:
@@ -130,7 +130,7 @@ class FmuLibrary:
             raise FmuError(
                 f"its library cannot be loaded ({error})",
                 where=where,
-                fix="is it for this machine, and are libraries missing that it needs?",
+                fix="check that it is built for this machine and that the libraries it needs are installed",
             ) from None
         names = _NAMES_OF_VERSION[version]
         self.functions = (c_void_p * len(stepper.FUNCTIONS))(
@@ -176,7 +176,7 @@ class FmuLibrary:
         Raises
         ------
         FmuError
-            The FMU refuses; with what it says.
+            The FMU refuses; the message contains its log.
         """
         self.log.clear()
         if self.version == 2:
@@ -214,14 +214,14 @@ class FmuLibrary:
         if not instance:
             said = self.log.read()
             raise FmuError(
-                f"cannot be instantiated{': ' + said if said else ' and does not say why'}",
+                f"cannot be instantiated{': ' + said if said else ' and gives no reason'}",
                 where=self.where,
-                fix="can its tool or FMPy run it?",
+                fix="check whether its tool or FMPy can run it",
             )
         return instance
 
     def takes_directions(self, instance: int, references: Sequence[int]) -> bool:
-        """Whether a new instance differentiates its runs by these parameters."""
+        """Return whether a new instance differentiates its runs with respect to these parameters."""
         address = self._symbol(_OWN["SET_DIRECTIONS"])
         if address is None or self.model_exchange:
             return False

@@ -1,4 +1,4 @@
-"""A task laid out for one FMU as the stepper wants it: prepared once, run many times."""
+"""A task prepared for one FMU in the stepper's layout: prepared once, run many times."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ UNKNOWN_TOLERANCE = 1e-6  # of FMUs that suggest none
 
 
 class PreparedTask:
-    """A `Plan` for one task and one set of parameter names, with the arrays it points into.
+    """A `Plan` for one task and one set of parameter names, with the arrays it points to.
 
     Parameters
     ----------
     names
         Parameters that every run sets, in the order of their values.
     restored
-        Names set in earlier runs of the same instance; put back to their start values, for an FMU whose reset
-        forgets to.
+        Names set in earlier runs of the same instance; they are set to their start values again, for FMUs whose
+        reset does not do so.
     linear_inputs
         Whether a co-simulation FMU interpolates its inputs (fmi2SetRealInputDerivatives).
     """
@@ -73,7 +73,7 @@ class PreparedTask:
                 raise FmuError(
                     f"'{name}' is a {variables[name].type}, not a number",
                     where=self._where,
-                    fix="record another",
+                    fix="record another variable",
                 )
         plan = self.plan = Plan()
         plan.function = library.functions
@@ -100,7 +100,7 @@ class PreparedTask:
             self._interpolate(variables, linear_inputs or library.model_exchange)
 
     def set_parameters(self, parameters: Mapping[str, float]) -> None:
-        """Take the values of `names`, in their order, for the next run."""
+        """Set the values of `names`, in their order, for the next run."""
         if not self.names:
             return
         self.values[:] = list(parameters.values())
@@ -110,7 +110,7 @@ class PreparedTask:
                 self._checked(name, value)
 
     def outputs(self, n_times: int | None = None) -> FloatArray:
-        """Return a new array for the predictions, of all or `n_times` samples, and point the plan at it."""
+        """Return a new array for the predictions of all or `n_times` samples, and point the plan to it."""
         self.plan.n_times = len(self.task.time) if n_times is None else n_times
         array = np.empty((self.plan.n_outputs * (1 + self.plan.n_directions), self.plan.n_times))
         if array.size:
@@ -261,7 +261,7 @@ class PreparedTask:
         plan = self.plan
         if not self.library.model_exchange:
             raise FmuError(
-                "states are corrected in model exchange only",
+                "an observer can correct states in model exchange only",
                 where=self._where,
                 fix='use interface = "model exchange"',
             )
@@ -274,7 +274,7 @@ class PreparedTask:
         plan, moved = self.plan, list(dict.fromkeys(name for along in task.along for name in along))
         if self.library.model_exchange or not self.library.functions[FUNCTIONS.index("SET_DIRECTIONS")]:
             raise FmuError(
-                "it cannot differentiate its runs", where=self._where, fix="use finite differences of runs"
+                "this FMU cannot differentiate its runs", where=self._where, fix="use finite differences"
             )
         for name in [*moved, *task.outputs]:
             if self._slots[name].suffix not in ("Real", "Float64") or self._slots[name].size != 1:
@@ -293,7 +293,7 @@ class PreparedTask:
         columns = [j for j, name in enumerate(self.task.inputs) if variables[name].variability == "continuous"]
         if columns and not linear_inputs:
             raise FmuError(
-                "it cannot interpolate its inputs between communication points",
+                "this FMU cannot interpolate its inputs between communication points",
                 where=self._where,
                 fix='use interpolation = "hold", or an FMU for model exchange',
             )

@@ -1,4 +1,4 @@
-"""The variables of a model description: what users see of them, and where the FMU keeps them."""
+"""The variables of a model description, as users see them, and their locations in the FMU."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ _STORAGE = {
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """Where the FMU keeps a scalar: element `element` of the `size` values behind `reference`.
+    """Location of a scalar in the FMU: element `element` of the `size` values of `reference`.
 
-    `suffix` names the functions (``Real`` of fmi2SetReal), None if there are none for numbers. `refusal` says
-    why the start value cannot be set, None if it can; if it is `exact`, that is what the FMU begins with. `starts`
-    are those of all elements.
+    `suffix` names the functions (``Real`` in fmi2SetReal), None if the type is not numeric. `refusal` says why the
+    start value cannot be set, None if it can be set; if the start value is `exact`, the FMU begins with it.
+    `starts` are the start values of all elements.
     """
 
     reference: int
@@ -65,7 +65,7 @@ class Slot:
 
 
 def in_words(parameters: Mapping[str, float], limit: int = 12) -> str:
-    """Return parameters for a message, as ``c = 1, d = 2``, cut at `limit`."""
+    """Return parameters for a message as ``c = 1, d = 2``, at most `limit` of them."""
     shown = ", ".join(f"{k} = {v:.9g}" for k, v in islice(parameters.items(), limit))
     return shown + (f" and {len(parameters) - limit} more" if len(parameters) > limit else "")
 
@@ -114,7 +114,7 @@ def read_variables(
     Raises
     ------
     FmuError
-        There are too many, or one has no value reference; `where` names the FMU.
+        There are too many variables, or one has no value reference; `where` names the FMU.
     """
     variables: dict[str, Variable] = {}
     slots: dict[str, Slot] = {}
@@ -124,9 +124,9 @@ def read_variables(
         size = math.prod(v.shape)
         if not 0 <= v.reference < 2**32:
             what = f"variable '{v.name}' has the value reference {v.reference}"
-            raise FmuError(what, where=where, fix="export it again: FMI has 0 to 4294967295")
+            raise FmuError(what, where=where, fix="export it again: FMI allows 0 to 4294967295")
         if len(variables) + size > MAX_VARIABLES:
-            what = f"has more than {MAX_VARIABLES} variables, the elements of arrays counted"
+            what = f"has more than {MAX_VARIABLES} variables, including array elements"
             raise FmuError(what, where=where, fix="export it with fewer")
         starts = [_number(s) for s in (v.start or "").split()] if suffix else []
         starts = starts * size if len(starts) == 1 else starts
@@ -159,7 +159,7 @@ def read_variables(
 
 
 def read_feedthrough(description: FmuDescription, variables: Mapping[str, Variable]) -> dict[str, frozenset[str]]:
-    """Return the inputs that each output depends on without delay, element by element (all where not said)."""
+    """Return the inputs on which each output depends without delay, by element; all if not stated."""
     elements = {
         v.name: [f"{v.name}{subscript}" for subscript in _elements(v.shape)] for v in description.variables
     }

@@ -1,4 +1,4 @@
-"""Models that a campaign names by their Modelica source: built when needed, and kept in the user's cache."""
+"""Models given by their Modelica source: built when needed, and kept in the user's cache."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from fmuid.core.toml_tables import read_toml
 
 
 def flat_model(source: ModelSource) -> FlatModel:
-    """Flatten the class, and add the effects that are part of the model.
+    """Flatten the class, and add the effects that the model includes.
 
     Raises
     ------
     ModelicaError
         The source is missing, wrong, or outside the supported subset, or an effect does not fit it.
     CampaignError
-        There is no such catalogue, or it has no expressions.
+        The catalogue does not exist, or its effects have no expressions.
     """
     flat = load(source.file, source.class_name)
     if source.effects is None:
@@ -39,12 +39,12 @@ def flat_model(source: ModelSource) -> FlatModel:
 
 
 def effects_inside(source: ModelSource) -> frozenset[str]:
-    """Return the ids of the effects that are part of the model."""
+    """Return the ids of the effects that the model includes."""
     return frozenset() if source.effects is None else frozenset(read_toml(source.effects).get("effects", {}))
 
 
 def built_model(source: ModelSource) -> Path:
-    """Return the FMU of the class with the effects that are part of it, built unless the cache has it.
+    """Return the FMU of the class with its effects, built unless it is in the cache.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def built_model(source: ModelSource) -> Path:
 
 
 def built_with_terms(source: ModelSource, flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -> Path:
-    """Return the FMU of the class with terms at its ports, beside the plain one, built unless the cache has it.
+    """Return the FMU of the class with terms at its ports, built next to the plain one unless it is in the cache.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def _effects(catalogue: Path) -> list[tuple[Term, list[Added]]]:
             ]
         except (KeyError, AttributeError, TypeError, ValueError):
             fix = "name a catalogue whose effects have a port, an expression and parameters"
-            raise CampaignError("is no effect that can be part of a model", where=where, fix=fix) from None
+            raise CampaignError("is not an effect that a model can include", where=where, fix=fix) from None
         found.append((term, added))
     return found
 

@@ -1,8 +1,8 @@
-"""Output feedback: a model whose states are corrected by what its outputs are off, sample by sample.
+"""Output feedback: a model whose states are corrected by its output errors, sample by sample.
 
-The predictor of the prediction-error method (Ljung, System Identification, 2nd ed., section 4.3): with a gain K,
-x moves by K (y_measured - y) at every sample, and what is compared is the prediction from the samples before. A
-plant that runs away open loop stays at its measurement.
+The predictor of the prediction-error method (Ljung, System Identification, 2nd ed., section 4.3): with a gain K, x
+moves by K (y_measured - y) at every sample, and the prediction from the preceding samples is compared. The
+prediction for a plant that diverges in open loop thus stays near the measurement.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ _STEP = 1e-4
 
 
 class ObserverModel:
-    """A simulator of one case whose runs are predictions from the samples before; a `Simulator`.
+    """A simulator of one case whose runs are predictions from the preceding samples; a `Simulator`.
 
-    Its gains are set like parameters, ``observer[state,output]``; 0 where they are not.
+    Its gains are set like parameters, ``observer[state,output]``; gains that are not set are 0.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class ObserverModel:
     Raises
     ------
     ProblemError
-        The model is no such FMU.
+        The model is not an FMU with model exchange.
     """
 
     def __init__(self, simulator: Simulator, measured: FloatArray) -> None:
@@ -52,12 +52,12 @@ class ObserverModel:
 
     @property
     def variables(self) -> Mapping[str, Variable]:
-        """The model's."""
+        """Variables of the model."""
         return self.simulator.variables
 
     @property
     def token(self) -> str:
-        """What tells it from others in a fingerprint."""
+        """Identity of the model for fingerprints."""
         return f"{self.simulator.token} with an observer"
 
     @staticmethod
@@ -66,12 +66,12 @@ class ObserverModel:
         return f"observer[{state},{output}]"
 
     def differentiates(self, names: Collection[str]) -> bool:
-        """Return False: no derivatives of model exchange."""
+        """Return False: there are no derivatives in model exchange."""
         del names
         return False
 
     def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
-        """Return the predictions, each from the samples before; see `Simulator`."""
+        """Return the predictions, each from the preceding samples; see `Simulator`."""
         gain = np.array([[parameters.get(self.gain_name(s, o), 0.0) for o in task.outputs] for s in self.states])
         plain = {n: v for n, v in parameters.items() if not n.startswith("observer[")}
         feedback = Feedback(self.measured[:, : len(task.time)], gain)
@@ -85,7 +85,7 @@ class ObserverModel:
         task
             The run.
         parameters
-            Of the model.
+            Parameter values of the model.
         sigma
             (outputs,) standard deviation of the noise of a sample.
         """

@@ -1,4 +1,4 @@
-"""Simulations whose predictions are remembered, so that none is made twice."""
+"""Simulations with a memory of predictions, so that none is repeated."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ Key = TypeVar("Key", bound=Hashable)
 
 
 class Predictor(Generic[Key]):
-    """Simulates jobs, and remembers the last predictions; a failed run is tried again when it is asked for again.
+    """Simulates jobs and remembers the latest predictions; a failed run is repeated when requested again.
 
     Parameters
     ----------
     samples
-        How many to remember: predictions used longest ago are forgotten first.
+        Number of samples to remember; the least recently used predictions are forgotten first.
     """
 
     def __init__(self, samples: int = _SAMPLES) -> None:
@@ -37,7 +37,7 @@ class Predictor(Generic[Key]):
         return found
 
     def remember(self, predictions: Mapping[Key, FloatArray]) -> None:
-        """Remember predictions that were made elsewhere."""
+        """Remember predictions computed elsewhere."""
         for key, prediction in predictions.items():
             if key not in self._known:
                 self._known[key] = read_only(prediction)

@@ -1,4 +1,4 @@
-"""Simulations that are kept on disk, so that what was interrupted goes on without making one of them twice."""
+"""Simulations recorded on disk, so that interrupted work continues without repeating any of them."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class RecordedSimulations:
         Raises
         ------
         JournalError
-            There is no room for it.
+            The disk is full.
         """
         if isinstance(outcome, Exception):
             return

@@ -1,4 +1,4 @@
-"""Resets that end their process: what one worker died of, the others of its pool know."""
+"""FMU resets that crash their process: after one worker has died, the others avoid that reset."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _own: Path | None = None  # the folder of this worker process, in that of its po
 
 
 def keep_notes(folder: Path) -> None:
-    """Have this worker process note in its folder which FMUs it resets for the first time."""
+    """Let this worker process record in its folder which FMUs it resets for the first time."""
     global _own
     _own = folder
 
@@ -24,7 +24,7 @@ def deadly(token: str) -> bool:
 
 @contextmanager
 def first(*tokens: str) -> Iterator[None]:
-    """Leave a note behind should the first resets of these FMUs end the process."""
+    """Leave a note that remains if the first reset of one of these FMUs ends the process."""
     if _own is None:
         yield
         return
@@ -37,7 +37,7 @@ def first(*tokens: str) -> Iterator[None]:
 
 
 def ended(folder: Path) -> bool:
-    """Return whether a worker that is gone ended in a first reset; the other workers of its pool then know."""
+    """Return whether a dead worker ended in a first reset, and if so inform the other workers of its pool."""
     note = folder / _NOTE
     if not note.exists():
         return False

@@ -1,4 +1,4 @@
-"""Where simulations run: in this process, or on its threads; elsewhere see `workers` and `remote`."""
+"""Runners for simulations in this process or on its threads; see `workers` and `remote` for others."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from fmuid.simulation.simulator import Simulator, Task
 Job = tuple[Simulator, Task, Mapping[str, float]]
 Outcome = FloatArray | SimulationError
 Runner = Callable[[Sequence[Job]], list[Outcome]]
-"""Simulates jobs and returns their outcomes in the same order; a failed run is its error, never a number."""
+"""Simulates jobs and returns their outcomes in the same order; the outcome of a failed run is its error."""
 Heard = Callable[[Job, Outcome], None]
-"""Is told of a simulation that has ended."""
+"""Called when a simulation has ended."""
 
 
 def simulate(job: Job) -> Outcome:
@@ -28,7 +28,7 @@ def simulate(job: Job) -> Outcome:
 
 
 def simulated(runner: Runner, simulator: Simulator, task: Task, parameters: Mapping[str, float]) -> FloatArray:
-    """Return the predictions of one simulation on `runner`; raises `SimulationError` if it fails."""
+    """Return the predictions of one simulation on `runner`; raise `SimulationError` if it fails."""
     (outcome,) = runner([(simulator, task, parameters)])
     if isinstance(outcome, SimulationError):
         raise outcome
@@ -36,12 +36,12 @@ def simulated(runner: Runner, simulator: Simulator, task: Task, parameters: Mapp
 
 
 def in_process(jobs: Sequence[Job]) -> list[Outcome]:
-    """Run `jobs` one after the other, here."""
+    """Run `jobs` one after the other in this process."""
     return [simulate(job) for job in jobs]
 
 
 def one_by_one(runner: Runner, heard: Heard) -> Runner:
-    """Return a runner that has `runner` do one job after the other and tells `heard` of each."""
+    """Return a runner that passes jobs to `runner` one by one and calls `heard` after each."""
 
     def run(jobs: Sequence[Job]) -> list[Outcome]:
         tell = told_after(runner, heard)
@@ -51,7 +51,7 @@ def one_by_one(runner: Runner, heard: Heard) -> Runner:
 
 
 def told_after(runner: Runner, heard: Heard) -> Runner:
-    """Return a runner that tells `heard` of every job when `runner` has done all that it was given at once."""
+    """Return a runner that calls `heard` for every job once `runner` has finished the whole batch."""
 
     def run(jobs: Sequence[Job]) -> list[Outcome]:
         outcomes = runner(jobs)
@@ -63,7 +63,7 @@ def told_after(runner: Runner, heard: Heard) -> Runner:
 
 
 def outcome_of(future: Future[Any]) -> Outcome:
-    """Wait for a simulation; one that raised is its error."""
+    """Wait for a simulation; return its `SimulationError` if it failed."""
     try:
         outcome: Outcome = future.result()
     except SimulationError as error:

@@ -1,10 +1,10 @@
-"""Runs in segments: a model that is started anew every so often, from states that are estimated along.
+"""Runs in segments: the model is restarted at intervals, from estimated states.
 
-A plant that is unstable or integrates what its model lacks runs away when it is simulated open loop. Cut into
-segments, only what happens within one of them has to be predicted (multiple shooting without continuity, in
-statistics: nuisance initial states). The states are fitted to the segment's own samples by Gauss-Newton steps and
-projected out of what the parameters see (variable projection, Golub and Pereyra, Inverse Problems 19:R1, 2003, in
-Kaufman's form): a solver, and every standard error, works with the parameters alone.
+In an open-loop simulation, an unstable plant, or one that integrates model errors, diverges from the measurement.
+With segments, only the behaviour within a segment has to be predicted (multiple shooting without continuity; in
+statistics, nuisance initial states). The states are fitted to the samples of the segment by Gauss-Newton steps and
+projected out of the residuals (variable projection, Golub and Pereyra, Inverse Problems 19:R1, 2003, in Kaufman's
+form), so solvers and standard errors deal with the parameters only.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 from fmuid.simulation.simulator import Simulator, Task, Variable, differentiates
 
 Length = float | Literal["auto"]
-"""Of a segment, in s; ``auto`` for the longest over which small errors stay small."""
+"""Length of a segment, s; ``auto`` for the longest over which small errors stay small."""
 
 _STEPS = 30  # of Gauss-Newton in a segment
 _HALVINGS = 8
@@ -41,17 +41,18 @@ _KEPT = 6  # layouts of tasks
 
 @dataclass(frozen=True, slots=True)
 class Growth:
-    """How an error of 1 % grows in a run that is simulated open loop.
+    """Growth of an error of 1 % in a run simulated in open loop.
 
     Parameters
     ----------
     whole
-        By how much of its range the worst output has moved at the end of the run, over the error that moves it.
+        Change of the worst output at the end of the run relative to its range, divided by the error that causes
+        it.
     output, cause
-        That output, and what the error is in: a state at the start (relative to its range) or an input (all along;
-        relative to how much it moves).
+        That output, and the source of the error: a state at the start (relative to its range) or an input
+        throughout the run (relative to its variation).
     length
-        Of the segments, s, in which an error of 1 % in an input is hardly seen.
+        Length of segments, s, within which an error of 1 % in an input has hardly any effect.
     duration
         Of the run, s.
     """
@@ -64,13 +65,13 @@ class Growth:
 
     @property
     def runs_away(self) -> bool:
-        """Whether an error of 1 % makes more than half the output's range in the end."""
+        """Whether an error of 1 % moves the output by more than half its range in the end."""
         return _ERROR * self.whole > 0.5
 
     def __str__(self) -> str:
         """Return why the run cannot be simulated open loop, in words."""
         factor = _ERROR * self.whole
-        size = f"{factor:.2g} times its range" if factor < 1e4 else "out of all bounds"
+        size = f"{factor:.2g} times its range" if factor < 1e4 else "beyond all bounds"
         return f"an error of 1 % in {self.cause} moves '{self.output}' by {size} over {self.duration:.3g} s"
 
 
@@ -83,9 +84,9 @@ class _Cut:
 
 
 class Segmented:
-    """A simulator whose runs start anew in each segment, from the states that fit the segment's samples best.
+    """A simulator that restarts in each segment, from the states that fit the segment's samples best.
 
-    A `Simulator` of one case: what it predicts depends on the measurement.
+    A `Simulator` of one case: its predictions depend on the measurement.
 
     Parameters
     ----------
@@ -94,16 +95,16 @@ class Segmented:
     task
         The whole run.
     length
-        Of the segments.
+        Length of the segments.
     target, weight
         (outputs, N) measured samples, and the weights of their errors: 0 where a sample does not count.
     at
-        Start values of the model with which the segments are laid out and their states are first estimated.
+        Start values of the model for choosing the segments and for the first estimate of their states.
 
     Raises
     ------
     ProblemError
-        The model does not let its states be set.
+        The states of the model cannot be set.
     """
 
     def __init__(
@@ -126,28 +127,28 @@ class Segmented:
 
     @property
     def variables(self) -> Mapping[str, Variable]:
-        """The model's."""
+        """Variables of the model."""
         return self.simulator.variables
 
     @property
     def token(self) -> str:
-        """What tells it from others in a fingerprint."""
+        """Identity of the model for fingerprints."""
         inner = getattr(self.simulator, "token", type(self.simulator).__qualname__)
         return f"{inner} in segments of {self.length}"
 
     @property
     def segments(self) -> int:
-        """How many there are."""
+        """Number of segments."""
         return len(self._layout().first) - 1
 
     @property
     def nuisances(self) -> int:
-        """Number of initial states that are fitted along."""
+        """Number of initial states that are fitted with the parameters."""
         return self.segments * len(self.states)
 
     @property
     def growth(self) -> Growth:
-        """How errors grow in the run, as ``auto`` lays out the segments by it."""
+        """Growth of errors in the run, from which ``auto`` chooses the segments."""
         if self.length != "auto":
             return Segmented(
                 self.simulator, self.task, "auto", target=self.target, weight=self.weight, at=self.at
@@ -157,13 +158,13 @@ class Segmented:
         return growth
 
     def differentiates(self, names: Collection[str]) -> bool:
-        """Whether the model does, by the parameters `names` and its states."""
+        """Return whether the model can be differentiated with respect to the parameters `names` and its states."""
         return self.exact and differentiates(self.simulator, {*names, *self.states})
 
     def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
-        """Return the segments' predictions, one after the other; see `Simulator`.
+        """Return the concatenated predictions of the segments; see `Simulator`.
 
-        Derivatives along directions are those with the states following (`Task.along`).
+        Derivatives along directions take the refit of the states into account (`Task.along`).
 
         Raises
         ------
@@ -178,7 +179,7 @@ class Segmented:
         return found
 
     def initial_states(self, parameters: Mapping[str, float]) -> FloatArray:
-        """Return the states that the segments start from, (segments, states)."""
+        """Return the initial states of the segments, (segments, states)."""
         cut, pieces = self._layout(), self._tasks(self.task)
         parts = [slice(a, b) for a, b in pairwise(cut.first)]
         return np.array(
@@ -406,31 +407,31 @@ def _size(values: FloatArray) -> float:
 
 
 def states_of(simulator: Simulator) -> tuple[str, ...]:
-    """Return the continuous states of a model that a run can be started from.
+    """Return the continuous states of a model from which a run can be started.
 
     Raises
     ------
     ProblemError
-        It has none, or they cannot be set.
+        The model has no states, or they cannot be set.
     """
     states: tuple[str, ...] = tuple(getattr(simulator, "states", ()))
     if not states:
         raise ProblemError(
             f"the model has no continuous states that can be set ({type(simulator).__name__})",
-            fix="leave segments out, or use one FMU that lists its states with exact start values",
+            fix="do not use segments, or use a single FMU that lists its states with exact start values",
         )
     slots = getattr(simulator, "slots", {})
     refused = [s for s in states if s in slots and (slots[s].refusal or not slots[s].exact)]
     if refused:
         raise ProblemError(
             f"the state '{refused[0]}' cannot be started from a given value: the FMU calculates it",
-            fix="give it a start value with fixed = true in the model, in place of an initial equation",
+            fix="give it a start value with fixed = true in the model instead of an initial equation",
         )
     return states
 
 
 def open_loop(simulator: Segmented) -> Growth | None:
-    """Return how errors grow in a run that is simulated as a whole; None where the model fails along it."""
+    """Return the growth of errors in a run simulated as a whole; None if the model fails in it."""
     try:
         return simulator.growth
     except SimulationError:

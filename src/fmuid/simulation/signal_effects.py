@@ -1,17 +1,17 @@
-"""Effects between a model and its signals: they wrap any FMU, also one whose inside nobody can edit.
+"""Effects between a model and its signals; they wrap any FMU, even one without source code.
 
 A parameter named ``<signal>.<property>`` disturbs that signal: ``offset``, ``gain`` (neutral 1), ``lag`` (s),
-``delay`` (s), ``drift`` (by second of a run), ``dead_zone`` (half its width), ``saturation`` (largest absolute
-value over the unit; 0 for none), ``compression`` (one over it; how abruptly it is reached says ``hardness``), and
-``crosstalk[<other>]`` (that share of another signal).
+``delay`` (s), ``drift`` (per second of a run), ``dead_zone`` (half its width), ``saturation`` (largest absolute
+value over the unit; 0 for none), ``compression`` (one over that value; ``hardness`` says how abruptly it is
+reached), and ``crosstalk[<other>]`` (that share of another signal).
 
-Before its first sample a signal is settled: it has always been what that sample says. This holds for the delay and
-the lag of inputs and of outputs alike.
+Before its first sample, a signal is taken to have been constant at that sample's value. This holds for delays and
+lags of inputs and outputs.
 
-A late signal changes between the samples, and the simulation gets further communication points there, so that
-delays and lags far below a sample time are simulated as they are. Replacing a late input by its mean over each
-step instead would make a delay of f samples too small by ``(1 - f) dt / (2 T)`` of itself in a plant with time
-constant T.
+A delayed signal changes between samples; the simulation gets additional communication points there, so delays and
+lags far below a sample time are simulated exactly. Replacing a late input by its mean over each step instead would
+make an estimated delay of f samples too small by the fraction ``(1 - f) dt / (2 T)`` in a plant with time constant
+T.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Effects = Mapping[str, Mapping[str, float]]
 def split_signal_parameters(
     values: Mapping[str, float], signals: Collection[str]
 ) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
-    """Return the parameters of the model, and signal -> property -> value of those that are not neutral."""
+    """Split parameters into those of the model and non-neutral signal effects (signal -> property -> value)."""
     plain: dict[str, float] = {}
     disturbed: dict[str, dict[str, float]] = {}
     for name, value in values.items():
@@ -58,7 +58,7 @@ def split_signal_parameters(
 
 
 def signal_and_property(name: str) -> tuple[str, str] | None:
-    """Return which property of which signal a parameter's name says, whether there is such a signal or not."""
+    """Return the signal and property in a parameter's name, whether or not the signal exists."""
     found = _CROSSTALK.fullmatch(name)
     if found is not None:
         return found["signal"], found["property"]
@@ -67,7 +67,7 @@ def signal_and_property(name: str) -> tuple[str, str] | None:
 
 
 def signal_parameters(signals: Collection[str]) -> set[str]:
-    """Return the names of all parameters that disturb these signals."""
+    """Return the names of all effect parameters of these signals."""
     own = {f"{signal}.{prop}" for signal in signals for prop in NEUTRAL}
     return own | {crosstalk(a, b) for a in signals for b in signals if a != b}
 
@@ -79,14 +79,14 @@ def crosstalk(signal: str, other: str) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Course:
-    """A signal over time: (M,) `values`, each held from its one of the `edges` on, or linear between them."""
+    """A signal over time: (M,) `values`, each held from its time in `edges` on, or linear between them."""
 
     edges: FloatArray
     values: FloatArray
     linear: bool
 
     def on(self, grid: FloatArray, *, average: bool = False) -> FloatArray:
-        """Return (len(grid),) samples of it; where it is held, `average` takes its mean over each step."""
+        """Return (len(grid),) samples of the signal; `average` takes the mean of a held signal over each step."""
         if self.linear:
             return np.asarray(np.interp(grid, self.edges, self.values))
         if average:
@@ -106,7 +106,7 @@ def disturbed_input(
     linear: bool,
     others: Mapping[str, FloatArray] | None = None,
 ) -> Course:
-    """Return what reaches the model of the (N,) samples `u` of an input: scaled, limited, delayed, lagged."""
+    """Return the input that reaches the model for (N,) samples `u`: scaled, limited, delayed and lagged."""
     y = _limited(u * effect.get("gain", 1.0) + _added(time, effect, others or {}), effect)
     edges = time
     if effect.get("delay", 0.0) > 0.0:
@@ -141,14 +141,14 @@ def _behind(course: Course, edges: FloatArray, lag: float) -> Course:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Disturbed:
-    """A task whose signals are disturbed.
+    """A task with signal effects applied.
 
     Attributes
     ----------
     time
         (M,) communication points.
     inputs
-        What differs from the task's own inputs, (M,) each; all of them if the times do.
+        The inputs that differ from the task's, (M,) each; all inputs if the times differ.
     """
 
     time: FloatArray
@@ -158,14 +158,14 @@ class Disturbed:
     _late: Mapping[int, Mapping[str, float]]
 
     def readings(self, outcome: FloatArray, differentiated: Sequence[bool]) -> FloatArray:
-        """Return the (C, N) outputs at the task's own times, late where they are to be.
+        """Return the (C, N) outputs at the task's times, delayed where required.
 
         Parameters
         ----------
         outcome
             (C, M) outputs of the simulation.
         differentiated
-            Which of them will be differentiated: these go on before the first sample as they begin.
+            The outputs that will be differentiated; before the first sample they continue their initial trend.
         """
         out = np.array(outcome[:, np.searchsorted(self.time, self._samples)])
         width = (len(self.time) - 1) // (len(self._breaks) - 1)  # points an interval
@@ -186,19 +186,19 @@ class Disturbed:
 def disturbed_task(
     task: Task, effects: Effects, outputs: Sequence[str], drive: Mapping[str, FloatArray], *, any_times: bool
 ) -> Disturbed:
-    """Return how a task is simulated with disturbed signals.
+    """Return the task with signal effects applied.
 
     Parameters
     ----------
     effects
-        By variable for inputs and by signal for outputs, neutral ones left out.
+        Effects by variable for inputs and by signal for outputs, without neutral ones.
     outputs
-        The signals that the task's outputs are.
+        The signals of the task's outputs.
     drive
-        (N,) samples of further inputs, or of others in place of the task's.
+        (N,) samples of additional inputs, or replacements for the task's inputs.
     any_times
-        Whether the model takes further communication points. Without them a late input acts in its mean over
-        each step, and outputs are linear between samples.
+        Whether the model accepts additional communication points. Without them, a delayed input acts by its mean
+        over each step, and outputs are interpolated linearly between samples.
     """
     linear = task.interpolation == "linear"
     courses = {
@@ -235,7 +235,7 @@ def disturbed_readings(
     time: FloatArray,
     inputs: Mapping[str, FloatArray],
 ) -> FloatArray:
-    """Return the (C, N) readings `y` of sensors that saturate, drift, see others, have a wrong scale or zero."""
+    """Apply saturation, drift, crosstalk, scale and offset errors of sensors to (C, N) readings `y`."""
     if not any(name in effects for name in names):
         return y
     out = np.array(y)

@@ -1,4 +1,4 @@
-"""A model between signals that are scaled, offset, late or limited: these effects are parameters of it."""
+"""A model with signal effects (scale, offset, delay, limits) as parameters."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ class _Filed(Simulator, Protocol):
 
 
 class SignalModel:
-    """A model whose signals are disturbed before they reach it, or after they leave it.
+    """A model with effects on its inputs and outputs.
 
     Parameters
     ----------
     simulator
         The model.
     names
-        What becomes a parameter: ``variable.property`` of an input or an output, see `signal_effects`.
+        Effects that become parameters: ``variable.property`` of an input or output; see `signal_effects`.
     differentiated
         Outputs that will be differentiated.
 
     Raises
     ------
     FmuError
-        One names no input or output of the model, or no property.
+        A name is not a property of an input or output of the model.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class SignalModel:
                 known = [n for n, v in simulator.variables.items() if v.causality in ("input", "output")]
                 asked = name.rpartition(".")[2]
                 fix = suggestion(asked, NEUTRAL) if signal in known else suggestion(signal, known)
-                raise FmuError(f"'{name}' is no effect of an input or output", where=simulator.path, fix=fix)
+                raise FmuError(f"'{name}' is not an effect of an input or output", where=simulator.path, fix=fix)
             if signal in self._differentiated and prop not in _COMMUTE:
                 fix = "differentiate it in the model instead"
                 raise FmuError(f"'{signal}' is differentiated after its {prop}", where=simulator.path, fix=fix)
@@ -74,7 +74,7 @@ class SignalModel:
 
     @property
     def variables(self) -> Mapping[str, Variable]:
-        """Those of the model, and the effects of its signals."""
+        """Variables of the model, and the effects on its signals."""
         return self._variables
 
     @property
@@ -84,12 +84,12 @@ class SignalModel:
 
     @property
     def token(self) -> str:
-        """What tells it from others: the model's own token, and which effects its signals have."""
+        """Identity of the model for fingerprints: the inner model's token and the effects on its signals."""
         return f"{self.simulator.token} {self._names} {sorted(self._differentiated)}"
 
     @property
     def default_tolerance(self) -> float | None:
-        """The relative tolerance that the model is solved to if a task names none."""
+        """Relative solver tolerance for tasks that name none."""
         return default_tolerance(self.simulator)
 
     @property

@@ -1,4 +1,4 @@
-"""What a model is to the rest of fmuid: parameters and an experiment go in, predictions come out."""
+"""The interface of a model: parameters and a task go in, predictions come out."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class Variable:
     name, description
         As in the model description.
     causality, variability
-        Such as ``parameter``, ``input``, ``output``, ``local``; ``fixed``, ``tunable``, ``continuous``.
+        For example ``parameter``, ``input``, ``output``, ``local``; ``fixed``, ``tunable``, ``continuous``.
     unit
-        None where none is stated.
+        Unit, None if not stated.
     start, min, max
-        Start value and bounds, None where there is none.
+        Start value and bounds, None if not stated.
     type
         ``Real``, ``Integer``, ``Boolean``, ``Float64`` and so on.
     """
@@ -41,12 +41,12 @@ class Variable:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Feedback:
-    """An observer: at every sample the states move by `gain` times what the outputs are off.
+    """An observer: at every sample the states move by `gain` times the output errors.
 
     Parameters
     ----------
     measured
-        (outputs, N) samples, NaN where there is none.
+        (outputs, N) samples, NaN where missing.
     gain
         (states, outputs), states in the FMU's order.
     """
@@ -72,13 +72,13 @@ class Task:
     interpolation
         ``hold``: input sample k acts on [t_k, t_{k+1}); ``linear``: between the samples.
     tolerance
-        Relative tolerance handed to the FMU, or None for its default.
+        Relative tolerance passed to the FMU, or None for its default.
     along
-        Directions to differentiate along, each a weight by parameter: the prediction then has below the outputs
-        their derivatives, direction by direction, (1 + len(along)) * len(outputs) rows. Of simulators that
-        `differentiates` tells of.
+        Directions to differentiate along, each a weight by parameter. Below the outputs, the prediction then
+        contains their derivatives, direction by direction: (1 + len(along)) * len(outputs) rows. Only for
+        simulators for which `differentiates` is true.
     feedback
-        Output feedback, of FMUs for model exchange: outputs are then predictions from the samples before.
+        Output feedback, for FMUs with model exchange: outputs are then predictions from the preceding samples.
     """
 
     time: FloatArray
@@ -122,17 +122,17 @@ class Simulator(Protocol):
 
 
 def default_tolerance(simulator: Simulator) -> float | None:
-    """Return the relative tolerance that a simulator solves to if a task names none, None if it has none."""
+    """Return a simulator's relative tolerance for tasks that name none, None if it has no default."""
     tolerance = getattr(simulator, "default_tolerance", None)
     return None if tolerance is None else float(tolerance)
 
 
 def differentiates(simulator: Simulator, names: Collection[str]) -> bool:
-    """Whether a simulator gives the exact derivatives of its runs by the parameters `names` (see `Task.along`)."""
+    """Return whether a simulator differentiates its runs exactly with respect to `names` (see `Task.along`)."""
     method = getattr(simulator, "differentiates", None)
     return method is not None and bool(method(names))
 
 
 def takes_any_times(simulator: Simulator) -> bool:
-    """Whether further communication points change nothing but the accuracy of a simulator's predictions."""
+    """Return whether additional communication points only affect the accuracy of predictions."""
     return not getattr(simulator, "even_steps", False)

@@ -1,7 +1,7 @@
-"""The loop over communication points in compiled code, over any FMU's C functions.
+"""The compiled loop over communication points, for the C functions of any FMU.
 
 ``stepper.c``, ``model_exchange.c`` and ``coupled/master.c`` are one library, which is compiled when fmuid is
-installed (``setup.py``). It does not know Python, so one build serves every version of it.
+installed (``setup.py``). It does not depend on Python, so one build serves every Python version.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ def library() -> ctypes.CDLL:
     Raises
     ------
     FmuError
-        It is not beside the code, or was compiled from other sources.
+        The library is missing, or was compiled from other sources.
     """
     spec = find_spec("fmuid.simulation._stepper")
     if spec is None or spec.origin is None:
@@ -168,7 +168,7 @@ def library() -> ctypes.CDLL:
 
 
 def run_to_end(run: Callable[[T, int, float], int], subject: T) -> int:
-    """Return the outcome of ``run(subject, resume, slice)``, which pauses so that Ctrl-C is seen."""
+    """Return the outcome of ``run(subject, resume, slice)``; it pauses so that Ctrl-C takes effect."""
     outcome = run(subject, 0, _SLICE)
     while outcome == Outcome.PAUSED:
         outcome = run(subject, 1, _SLICE)

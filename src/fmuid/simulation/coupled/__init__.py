@@ -1,1 +1,1 @@
-"""Several FMUs coupled by their inputs and outputs: one model to everyone else."""
+"""FMUs coupled through their inputs and outputs, used like a single model."""

@@ -1,4 +1,4 @@
-"""Do connections fit the components that they name."""
+"""Checks that connections fit their components."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def variable_at(where: object, components: Mapping[str, Fmu], place: Place) -> V
     Raises
     ------
     FmuError
-        There is no such component, or it has no such variable.
+        The component or its variable does not exist.
     """
     if place.component not in components:
         raise FmuError(
@@ -41,12 +41,12 @@ def variable_at(where: object, components: Mapping[str, Fmu], place: Place) -> V
 
 
 def unit_conversion(where: object, source: str, source_unit: str | None, target: str, unit: str | None) -> Linear:
-    """Return the conversion between the units of connected variables; none where one of them states no unit.
+    """Return the conversion between the units of connected variables; the identity if one of them has no unit.
 
     Raises
     ------
     UnitError
-        They measure different things.
+        The units measure different quantities.
     """
     if not source_unit or not unit:
         return Linear()
@@ -58,7 +58,7 @@ def unit_conversion(where: object, source: str, source_unit: str | None, target:
 
 
 def check_connections(where: Path, components: Mapping[str, Fmu], connections: Sequence[Connection]) -> None:
-    """Check that connections lead from outputs to inputs of the same kind, one to an input.
+    """Check that connections lead from outputs to inputs of the same type, at most one to each input.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def check_connections(where: Path, components: Mapping[str, Fmu], connections: S
             raise FmuError(
                 f"input '{k.target}' follows both '{sources[k.target]}' and '{k.source}'",
                 where=where,
-                fix="leave one connection out",
+                fix="remove one of the connections",
             )
         sources[k.target] = k.source
 
@@ -96,7 +96,7 @@ def check_connections(where: Path, components: Mapping[str, Fmu], connections: S
 def check_ports(
     where: Path, components: Mapping[str, Fmu], connections: Sequence[Connection], ports: Sequence[Port]
 ) -> None:
-    """Check that ports lead to variables that can take or give their values, and no other source drives these.
+    """Check that ports lead to variables of matching causality that no other source drives.
 
     Raises
     ------
@@ -110,7 +110,8 @@ def check_ports(
             fitting = {"input": ("input",), "output": ("output",), "parameter": ("parameter", "input")}
             if variable.causality not in fitting[port.causality]:
                 raise FmuError(
-                    f"{port.causality} '{port.name}' of the system cannot be '{place}' ({variable.causality})",
+                    f"{port.causality} '{port.name}' of the system cannot be connected to '{place}'"
+                    f" ({variable.causality})",
                     where=where,
                     fix="connect variables of one causality",
                 )
@@ -119,7 +120,7 @@ def check_ports(
                     raise FmuError(
                         f"'{place}' follows both '{sources[place]}' and '{port.name}'",
                         where=where,
-                        fix="leave one connection out",
+                        fix="remove one of the connections",
                     )
                 sources[place] = port.name
 

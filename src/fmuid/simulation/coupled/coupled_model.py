@@ -1,4 +1,4 @@
-"""Several FMUs coupled by connections, to everyone else one model: a `fmuid.simulation.simulator.Simulator`."""
+"""FMUs coupled by connections, used like a single model: a `fmuid.simulation.simulator.Simulator`."""
 
 from __future__ import annotations
 
@@ -36,38 +36,38 @@ _MAX_LAYOUTS = 64 * 2**20  # bytes of signals kept laid out, oldest out first
 class CoupledModel:
     """Several FMUs stepped together by a master; a `Simulator`.
 
-    A variable is named ``component.variable``; ports of the system have names of their own. Between two
-    communication points each FMU runs alone, its connected inputs held or following a line (Kübler and Schiehlen,
-    2000). Outputs that depend on inputs without delay are at a communication point those for the inputs at the end
-    of the step before it, as FMI's co-simulation has it; with ``loops = "iterate"`` the step of the FMUs that form
-    a loop is repeated until inputs and outputs agree.
+    A variable is named ``component.variable``; ports of the system have their own names. Between two communication
+    points each FMU runs alone, with its connected inputs held or extrapolated linearly (Kübler and Schiehlen,
+    2000). At a communication point, outputs with direct feedthrough are computed from the inputs at the end of the
+    preceding step, as in FMI co-simulation; with ``loops = "iterate"`` the step of the FMUs that form a loop is
+    repeated until inputs and outputs agree.
 
     Parameters
     ----------
     path
-        What to name in errors.
+        Path for error messages.
     components
-        FMUs by name, each an object of its own.
+        FMUs by name, each a separate object.
     connections, ports
-        Between the components, and to the outside.
+        Connections between the components, and ports to the outside.
     master
-        How to step.
+        Step size, algorithm and handling of loops.
     starts
-        Start values by component and variable other than the FMUs' own.
+        Start values that differ from the FMUs', by component and variable.
     experiment
-        Suggested ``start`` and ``stop`` time, s, that the FMUs' own give way to.
+        Suggested ``start`` and ``stop`` time, s, in place of those of the FMUs.
     main
-        The component whose variables go by their own names; none where empty.
+        The component whose variables are named without a prefix; empty for none.
     reload
         A function and arguments that make the same model in another process.
 
     Raises
     ------
     FmuError
-        A connection names what does not exist or does not fit, an input has two sources, outputs form an algebraic
-        loop, or an FMU cannot do what the master asks for.
+        A connection refers to something that does not exist or does not fit, an input has two sources, outputs
+        form an algebraic loop, or an FMU lacks a capability that the master requires.
     UnitError
-        Connected variables have units that do not fit.
+        Connected variables have incompatible units.
     """
 
     def __init__(
@@ -94,12 +94,12 @@ class CoupledModel:
         self._ports = {port.name: port for port in ports}
         if main and main not in components:
             raise FmuError(
-                f"no component '{main}' to be the main one", where=path, fix=suggestion(main, components)
+                f"the main component '{main}' does not exist", where=path, fix=suggestion(main, components)
             )
         self._places: dict[str, Place] = {}
         for place in (Place(name, v) for name, fmu in components.items() for v in fmu.variables):
             if self._places.setdefault(place.variable if place.component == main else str(place), place) != place:
-                raise FmuError(f"two variables are called '{place}'", where=path, fix="rename a component")
+                raise FmuError(f"two variables are named '{place}'", where=path, fix="rename a component")
         self._variables = self._describe()
         self._view = MappingProxyType(self._variables)
         self._lock = threading.RLock()
@@ -118,11 +118,11 @@ class CoupledModel:
 
     @property
     def even_steps(self) -> bool:
-        """True: the communication step is part of what a coupled model is."""
+        """True: the communication step is part of the definition of a coupled model."""
         return True
 
     def stepped(self, master: Master) -> CoupledModel:
-        """Return the same FMUs under another master."""
+        """Return a model of the same FMUs with another master."""
         return CoupledModel(
             self.path,
             self.components,
@@ -136,7 +136,7 @@ class CoupledModel:
         )
 
     def home(self, name: str) -> Place:
-        """Return where a variable is, or the first one that a port leads to."""
+        """Return the place of a variable, or the first place of a port."""
         self._known(name)
         return self._ports[name].ends[0][0] if name in self._ports else self._places[name]
 
@@ -147,14 +147,14 @@ class CoupledModel:
 
     @property
     def token(self) -> str:
-        """A hash of the FMUs' tokens, of their coupling and of how they are stepped."""
+        """A hash of the FMUs' tokens, their coupling and the settings of the master."""
         tokens = {name: fmu.token for name, fmu in self.components.items()}
         coupling = (tokens, self._main, self.connections, self.ports, sorted(self._starts.items()), self.master)
         return hashlib.sha256(repr(coupling).encode()).hexdigest()
 
     @property
     def default_experiment(self) -> Mapping[str, float]:
-        """What the FMUs suggest: the longest ``stop``, the shortest ``step`` (s) and ``tolerance``."""
+        """Suggestion of the FMUs: longest ``stop``, shortest ``step`` (s) and smallest ``tolerance``."""
         every = [fmu.default_experiment for fmu in self.components.values()]
         choices = {"start": min, "stop": max, "step": min, "tolerance": min}
         found = {k: [e[k] for e in every if k in e] for k in choices}
@@ -186,7 +186,7 @@ class CoupledModel:
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self._reload is None:
-            raise TypeError("a coupled model made by hand cannot be sent to another process")
+            raise TypeError("a coupled model built in Python code cannot be sent to another process")
         return self._reload
 
     def __repr__(self) -> str:

@@ -21,7 +21,7 @@ _EXTRAPOLATIONS = ("constant", "linear")
 
 
 class CoupledTable(Table):
-    """What a model's table may say about coupling; a key that is left out has its default of `Master`."""
+    """Coupling keys of a model's table; omitted keys have the defaults of `Master`."""
 
     fmu: str = ""
     fmus: dict[str, str] = {}
@@ -42,12 +42,12 @@ class _ConnectionTable(Table):
 
 
 def coupling_of(table: CoupledTable, folder: Path, where: str) -> Coupling | None:
-    """Return what a model's table says about coupling, None if it names one FMU.
+    """Return the coupling in a model's table, None if it names one FMU.
 
     Raises
     ------
     CampaignError
-        It says what does not go together, or a connection or a value is malformed.
+        Keys contradict each other, or a connection or value is malformed.
     """
     if bool(table.fmu) == bool(table.fmus):
         what = "names both 'fmu' and 'fmus'" if table.fmu else "has no 'fmu'"
@@ -56,7 +56,7 @@ def coupling_of(table: CoupledTable, folder: Path, where: str) -> Coupling | Non
         )
     said = _said(table)
     if table.connections and not table.fmus:
-        raise CampaignError("has connections of one file", where=where, fix="name several FMUs in 'fmus'")
+        raise CampaignError("has connections but only one FMU", where=where, fix="name several FMUs in 'fmus'")
     if not table.fmus and Path(table.fmu).suffix != ".ssp":
         if said or table.main:
             raise CampaignError(
@@ -74,18 +74,18 @@ def coupling_of(table: CoupledTable, folder: Path, where: str) -> Coupling | Non
 
 
 def master_of(texts: Sequence[str], where: str) -> Master:
-    """Return how to step from texts such as ``step=1e-3`` and ``algorithm=jacobi``, with the words of a table.
+    """Return a master from texts such as ``step=1e-3`` and ``algorithm=jacobi``, with the keys of the table.
 
     Raises
     ------
     CampaignError
-        A word or a value is unknown.
+        A key or a value is unknown.
     """
     words: dict[str, Any] = {}
     for text in texts:
         name, _, value = text.partition("=")
         if name not in _MASTER:
-            raise CampaignError(f"unknown word '{name}'", where=where, fix=suggestion(name, _MASTER))
+            raise CampaignError(f"unknown key '{name}'", where=where, fix=suggestion(name, _MASTER))
         try:
             words[name] = json.loads(value)
         except ValueError:

@@ -1,4 +1,4 @@
-"""Which outputs depend on which without delay: algebraic loops, and the order to step components in."""
+"""Direct feedthrough between outputs: algebraic loops, and the stepping order of components."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Feedthrough = Mapping[str, Mapping[str, frozenset[str]]]
 
 
 def find_loop(connections: Iterable[Connection], feedthrough: Feedthrough) -> tuple[Place, ...]:
-    """Return an algebraic loop, each variable followed by one that depends on it, or nothing."""
+    """Return an algebraic loop, each variable followed by one that depends on it; empty if there is none."""
     sorter: TopologicalSorter[Place] = TopologicalSorter()
     for connection in connections:
         sorter.add(connection.target, connection.source)
@@ -33,16 +33,17 @@ def find_loop(connections: Iterable[Connection], feedthrough: Feedthrough) -> tu
 
 
 def loop_text(loop: Sequence[Place]) -> str:
-    """Return a loop in words."""
+    """Return a loop as text."""
     return " -> ".join(map(str, loop))
 
 
 def stepping_order(
     components: Sequence[str], connections: Sequence[Connection], feedthrough: Feedthrough
 ) -> list[tuple[tuple[str, ...], bool]]:
-    """Return the components in the order to step them: groups, and whether algebraic loops tie a group together.
+    """Return the stepping order as groups of components, and whether each group is an algebraic loop.
 
-    A component comes after those that its outputs depend on without delay, else in the order given.
+    A component comes after the components that its outputs depend on without delay; otherwise the given order is
+    kept.
     """
     needs = _dependencies(components, connections, feedthrough)
     loops = _loops(connections, feedthrough)

@@ -1,4 +1,4 @@
-"""A task laid out for the components of a coupled system and their master: prepared once, run many times."""
+"""A task prepared for the components of a coupled system and their master: prepared once, run many times."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MAX_STEPS = 10**9
 
 
 class Link(ctypes.Structure):
-    """An input that follows an output; as in master.c."""
+    """An input connected to an output; as in master.c."""
 
     _fields_ = (
         ("source", c_int32),
@@ -40,7 +40,7 @@ class Link(ctypes.Structure):
 
 
 class Feed(ctypes.Structure):
-    """An input that follows a signal of the task; as in master.c."""
+    """An input connected to a signal of the task; as in master.c."""
 
     _fields_ = (
         ("signal", c_int32),
@@ -107,13 +107,13 @@ class System(ctypes.Structure):
 
 @dataclass(frozen=True, slots=True)
 class Wiring:
-    """What is the same for every task: components in stepping order, what connects them, how to step.
+    """The part common to all tasks: components in stepping order, connections and master settings.
 
     Parameters
     ----------
     loops
-        Where the iterated loop that begins with a component ends (exclusive, counted in stepping order), 0 where
-        none begins.
+        For each component, the (exclusive) end in stepping order of the iterated loop that begins with it; 0 if
+        none begins there.
     """
 
     components: Mapping[str, Fmu]
@@ -123,7 +123,7 @@ class Wiring:
 
 
 class Layout:
-    """A `System` for one task, with the arrays it points into and the task of each component.
+    """A `System` for one task, with the arrays it points to and the task of each component.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class Layout:
     outputs
         The variable that each output of the task shows.
     starts
-        Start values that are part of the task, by component.
+        Start values from the task, by component.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""From what a campaign names as a model to one that can be simulated."""
+"""Loading of the models that a campaign names."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _models: dict[Hashable, CoupledModel] = {}  # in one process always the same obj
 
 
 def load_model(model: ModelSpec | str | Path) -> Fmu | CoupledModel:
-    """Return the model of a setup, or the one in a file: an FMU, or several coupled (SSP).
+    """Return the model of a setup or of a file: an FMU, or coupled FMUs (SSP).
 
     Raises
     ------
@@ -51,7 +51,7 @@ def load_model(model: ModelSpec | str | Path) -> Fmu | CoupledModel:
 
 
 def load_simulator(model: ModelSpec) -> Simulator:
-    """Return the model of a setup with the effects of its signals as parameters, if the setup has any.
+    """Return the model of a setup, with its signal effects as parameters if it has any.
 
     Raises
     ------
@@ -73,14 +73,14 @@ def _with_signals(
 
 
 def load_system(path: str | Path, master: Master | None = None, main: str = "") -> CoupledModel:
-    """Return the system that an SSP file describes: in one process the same object as long as it does not change.
+    """Return the system of an SSP file; a process gets the same object until the file changes.
 
-    Variables of the component `main` go by their own names.
+    Variables of the component `main` are named without a prefix.
 
     Raises
     ------
     FmuError
-        It is not a readable SSP file, uses what is not supported, or its components do not fit together.
+        The file is not a readable SSP file, uses an unsupported feature, or its components do not fit together.
     """
     file, master = Path(path).resolve(), master or Master()
 
@@ -120,24 +120,24 @@ def couple(
     components
         FMU files by the names of the components.
     connections
-        ``component.input`` -> ``component.output`` that it follows, or (output, factor, offset): the input is
-        ``factor * output + offset``, the output being in the input's unit.
+        ``component.input`` -> ``component.output``, or (output, factor, offset): the input is then ``factor *
+        output + offset``, with the output converted to the input's unit.
     master
-        How to step them.
+        Step size, algorithm and handling of loops.
 
     Raises
     ------
     FmuError
         A file is missing, or the components do not fit together.
     UnitError
-        Connected variables have units that do not fit.
+        Connected variables have incompatible units.
     """
     wires = {i: (o, Linear()) if isinstance(o, str) else (o[0], Linear(*o[1:])) for i, o in connections.items()}
     return load_coupling(Coupling(master or Master(), {n: Path(f) for n, f in components.items()}, wires))
 
 
 def load_coupling(coupling: Coupling, path: str | Path = "system") -> CoupledModel:
-    """Return FMUs coupled by a table of connections, in one process the same object; `path` names it in errors.
+    """Return FMUs coupled by a table of connections, the same object within a process; errors name `path`.
 
     Raises
     ------

@@ -35,7 +35,7 @@ _FROM_ELEMENT = ("output", "calculatedParameter")
 
 @dataclass(frozen=True, slots=True)
 class SystemDescription:
-    """What an SSP file says."""
+    """The content of an SSP file."""
 
     components: Mapping[str, Fmu]
     connections: tuple[Connection, ...]
@@ -50,13 +50,13 @@ def read_system(path: Path, folder: Path) -> SystemDescription:
     Raises
     ------
     FmuError
-        The description is missing, malformed or uses what is not supported.
+        The description is missing, malformed or uses an unsupported feature.
     """
     root = parse(path, folder / DESCRIPTION, DESCRIPTION)
     version = root.get("version", "")
     if root.tag != f"{SSD}SystemStructureDescription" or version not in VERSIONS:
         raise FmuError(
-            f"{DESCRIPTION} is of version '{version}', not of SSP {' or '.join(VERSIONS)}",
+            f"{DESCRIPTION} has version '{version}', not SSP {' or '.join(VERSIONS)}",
             where=path,
             fix="export it as SSP 1.0",
         )
@@ -113,7 +113,7 @@ class _Reader:
                 raise self._refused(f"a {kind} is not supported", "connect its signals directly")
             name = f"{prefix}{self._attribute(child, 'name')}"
             if name in self.components or any(n.is_system and n.owner == f"{name}." for n in self.kinds):
-                raise self._refused(f"two elements are called '{name}'", "rename one")
+                raise self._refused(f"two elements are named '{name}'", "rename one")
             if kind == "System":
                 self.system(child, f"{name}.", depth + 1)
             else:
@@ -140,7 +140,7 @@ class _Reader:
             kind = self._attribute(connector, "kind")
             if kind != variable.causality:
                 raise self._refused(
-                    f"connector '{place}' is of kind {kind}, its variable of causality {variable.causality}",
+                    f"connector '{place}' is of kind {kind}, but its variable has causality {variable.causality}",
                     "export the system again",
                 )
             self.kinds[_Node(name, place.variable, False)] = kind, variable.unit or _unit(connector)
@@ -172,7 +172,8 @@ class _Reader:
             linear = unit_conversion(self.path, str(source), units[0], str(target), units[1]).then(linear)
         if target in self.inbound:
             raise self._refused(
-                f"'{target}' follows both '{self.inbound[target][0]}' and '{source}'", "leave one connection out"
+                f"'{target}' follows both '{self.inbound[target][0]}' and '{source}'",
+                "remove one of the connections",
             )
         self.inbound[target] = source, linear
 

@@ -1,4 +1,4 @@
-"""Files of an extracted SSP archive and the XML in them."""
+"""Files in an extracted SSP archive, and their XML."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ SSM = "{http://ssp-standard.org/SSP1/SystemStructureParameterMapping}"
 
 
 def inside(path: Path, folder: Path, source: str | None, what: str) -> Path:
-    """Return the file inside the extracted archive that a relative URI names.
+    """Return the file in the extracted archive at a relative URI.
 
     Raises
     ------
     FmuError
-        It is missing, absolute, leads out of the archive, or no such file is there.
+        The URI is missing, absolute or leads out of the archive, or the file does not exist.
     """
     if not source:
         raise FmuError(f"{what} has no source", where=path, fix="pack its file into resources/")
@@ -39,23 +39,27 @@ def inside(path: Path, folder: Path, source: str | None, what: str) -> Path:
 
 
 def parse(path: Path, file: Path, name: str) -> Element:
-    """Return the root of an XML file of the archive; `name` is what errors call it.
+    """Return the root of an XML file of the archive; errors call it `name`.
 
     Raises
     ------
     FmuError
-        It is missing or no XML.
+        The file is missing or is not XML.
     """
     try:
         return ElementTree.parse(file).getroot()
     except OSError:
-        raise FmuError(f"has no {name}", where=path, fix="it is not an SSP file, or packed in a folder") from None
+        raise FmuError(
+            f"has no {name}",
+            where=path,
+            fix="it may not be an SSP file, or its content may be packed in a subfolder",
+        ) from None
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise FmuError(f"{name} is not XML ({error})", where=path, fix="export it again") from None
 
 
 def number(element: Element, attribute: str, path: Path, default: float = 0.0) -> float:
-    """Return an attribute that is a number.
+    """Return a numeric attribute.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Parameter bindings of SSP: parameter sets (SSV) and mappings (SSM), inline or in files of the archive."""
+"""SSP parameter bindings: parameter sets (SSV) and mappings (SSM), inline or in files of the archive."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SET, _MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A value of a parameter set as it is written, and what a mapping makes of it."""
+    """A value of a parameter set as written, and its transformation by a mapping."""
 
     name: str
     kind: str
@@ -34,9 +34,9 @@ class Value:
         Raises
         ------
         FmuError
-            It is no number, or none of the enumeration's names.
+            The value is neither a number nor a name of the enumeration.
         UnitError
-            Its unit does not fit the variable's.
+            Its unit is incompatible with the variable's.
         """
         what = f"parameter '{self.name}' for '{place}'"
         if self.kind == "Boolean":
@@ -58,7 +58,7 @@ class Value:
 
 
 def bindings(element: Element, path: Path, folder: Path) -> Iterator[dict[str, Value]]:
-    """Yield the parameter sets that are bound to a system or component, mapped, in their order.
+    """Yield the parameter sets bound to a system or component, with mappings applied, in their order.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def linear_of(element: Element, path: Path, what: str) -> Linear:
     Raises
     ------
     FmuError
-        It has a transformation of another kind.
+        The transformation is of another kind.
     """
     for child in element:
         kind = child.tag.removeprefix(SSC)

@@ -1,4 +1,4 @@
-"""Writing SSP files: a coupled model with values that its variables start with."""
+"""Writing SSP files: a coupled model with start values."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _BEFORE_BINDINGS = ("Connectors", "ElementGeometry")
 
 
 def write_system(model: CoupledModel, parameters: bytes, target: Path) -> None:
-    """Write a coupled model as an SSP file with a parameter set that outranks all others.
+    """Write a coupled model as an SSP file with a parameter set that takes precedence over all others.
 
-    An SSP file is copied with the set added; FMUs of a table are packed as they are. The same model and
+    An SSP file is copied with the set added; FMUs from a campaign table are packed unchanged. The same model and
     parameters give the same bytes.
 
     Raises

@@ -1,1 +1,1 @@
-"""Where simulations run: in this process, in supervised workers, on a cluster."""
+"""Execution of simulations: in this process, in supervised workers, or on a cluster."""

@@ -1,4 +1,4 @@
-"""Messages between a pool and its workers: what arrays hold goes as it lies in memory, past the pickle."""
+"""Messages between a pool and its workers: array data is sent out of band, without pickling."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class Channel:
         return self._socket.fileno()
 
     def close(self) -> None:
-        """Let the other end see that nothing comes any more."""
+        """Signal the end of messages to the other end."""
         self._socket.close()
 
     def send(self, packed: bytes, buffers: list[pickle.PickleBuffer] | None = None) -> None:
-        """Send a pickled object and the buffers that its pickler left out; OSError if the other end is gone."""
+        """Send a pickled object and its out-of-band buffers; OSError if the other end is gone."""
         raw = [buffer.raw() for buffer in buffers or ()]
         sizes = struct.pack(f"<{len(raw)}Q", *(view.nbytes for view in raw))
         self._socket.sendall(_HEAD.pack(len(packed) + len(sizes), len(raw)) + packed + sizes)

@@ -1,4 +1,4 @@
-"""Where simulations run: on an executor, in worker processes, or in this process."""
+"""Choice of where simulations run: on an executor, in worker processes, or in this process."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ def runner_on(
     memory_limit: int | None = None,
     heard: Heard | None = None,
 ) -> Iterator[Runner]:
-    """Yield what simulates: on `executor`, else in so many worker processes (None: one a processor; 0: here).
+    """Yield a runner on `executor`, else with `workers` processes (None: one per processor; 0: this process).
 
-    `time_limit` (s) and `memory_limit` (bytes) are those of a `WorkerPool` by default. `heard` is told of every
-    simulation that has ended.
+    `time_limit` (s) and `memory_limit` (bytes) default to those of a `WorkerPool`. `heard` is called after every
+    simulation.
 
     Raises
     ------
     FmuidError
-        A limit without workers.
+        A limit is given without workers.
     """
     leave_if_starting()
     asked = {"time_limit": time_limit, "memory_limit": memory_limit}

@@ -16,7 +16,7 @@ from fmuid.core.errors import FmuidError
 
 @dataclass(frozen=True, slots=True)
 class Parcel:
-    """A pickled object and the SHA-256 of it. Files are in it with their content: no common disk is needed."""
+    """A pickled object and its SHA-256. It includes the content of files, so no shared disk is needed."""
 
     digest: str
     content: bytes
@@ -58,12 +58,12 @@ def packed(thing: Any) -> Parcel:
 
 
 def unpacked(content: bytes) -> Any:
-    """Return what `content` was made of; the FMUs of a parcel are laid into the folder for temporary files."""
+    """Return the object packed in `content`; FMUs of a parcel are written to the folder for temporary files."""
     return _Unpacker(io.BytesIO(content)).load()
 
 
 def name_of(simulator: Any) -> str:
-    """Return what errors call a simulator: the name of its file, or of its class."""
+    """Return a simulator's name for errors: the name of its file or class."""
     if isinstance(simulator, Parcel):
         return simulator.name
     return str(getattr(getattr(simulator, "path", None), "name", type(simulator).__name__))

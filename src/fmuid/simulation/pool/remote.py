@@ -1,11 +1,10 @@
-"""Simulations on executors of other makes: a process pool of the standard library's, a Dask cluster.
+"""Simulations on other executors, such as the standard library's process pool or a Dask cluster.
 
-Jobs go out in batches, as many in one task as fill a fifth of a second. A job names model and task by their
-hashes. What is new goes to all workers of a Dask cluster at once, elsewhere with the jobs; a worker that still
-does not hold it answers so, and it is sent once more: what is large travels once to each worker, whoever
-distributes the jobs. In each of these workers simulations run in supervised processes of its own
-(`workers`), so an FMU that crashes, hangs or allocates without end costs one evaluation and no
-worker of the cluster.
+Jobs are sent in batches that take about a fifth of a second each. A job refers to model and task by their hashes.
+New models and tasks are sent to all workers of a Dask cluster at once, or with the jobs on other executors; a
+worker that lacks one says so and receives it again. Large data thus travels once to each worker, whoever
+distributes the jobs. Each worker simulates in its own supervised processes (`workers`), so an FMU that crashes,
+hangs or allocates without limit costs one evaluation and no worker of the cluster.
 """
 
 from __future__ import annotations
@@ -42,14 +41,14 @@ _MOST_HELD = 512 * 2**20  # bytes that a worker of the executor holds before it 
 
 @dataclass(frozen=True, slots=True)
 class Raised:
-    """What a simulation raised that is no failure of it but a mistake, as an unknown name is."""
+    """An error that is not a failed simulation but a mistake, such as an unknown name."""
 
     error: Exception
 
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """Outcomes of a batch, None where model or task is not there yet, and the seconds that those there took."""
+    """Outcomes of a batch, None where the worker lacks the model or task, and the seconds that the others took."""
 
     outcomes: list[Outcome | None]
     seconds: float
@@ -64,26 +63,26 @@ Answer = Simulated | Raised
 Named = tuple[str, str, Mapping[str, float]]
 """A job: digests of model and task, parameters."""
 Limits = tuple[float | None, int | None]
-"""Of time and memory, as of a `WorkerPool`."""
+"""Limits of time and memory, as for a `WorkerPool`."""
 
 
 def on_executor(
     executor: Executor, *, time_limit: float | None = WorkerPool.TIME_LIMIT, memory_limit: int | None = None
 ) -> Runner:
-    """Return a runner on any `concurrent.futures` executor; results do not depend on which.
+    """Return a runner on any `concurrent.futures` executor; results do not depend on the executor.
 
     Parameters
     ----------
     executor
-        A `WorkerPool` has limits of its own; the threads of a ThreadPoolExecutor simulate in this process, where
-        nothing can watch over them.
+        A `WorkerPool` has its own limits; the threads of a ThreadPoolExecutor simulate in this process, without
+        supervision.
     time_limit, memory_limit
-        As of a `WorkerPool`, for the supervised processes in the executor's workers.
+        As for a `WorkerPool`; they apply to the supervised processes in the executor's workers.
 
     Raises
     ------
     FmuidError
-        Of the runner: the executor has lost its workers, or a model cannot be sent to them.
+        Raised by the runner if the executor has lost its workers or a model cannot be sent to them.
     """
     if isinstance(executor, WorkerPool):
         return executor.run
@@ -124,9 +123,9 @@ class _Batches:
                 return [outcomes[k] for k in range(len(jobs))]
             lacking = {digest for k, job in enumerate(named) if k not in outcomes for digest in job[:2]}
         raise FmuidError(
-            "workers do not keep the models that they are sent",
+            "workers do not keep the models sent to them",
             where=type(self._executor).__name__,
-            fix="look at their memory and logs",
+            fix="check their memory and logs",
         )
 
     def _batches(self, due: Sequence[int]) -> list[Sequence[int]]:
@@ -149,7 +148,7 @@ class _Batches:
             raise FmuidError(
                 f"has lost its workers ({f'{type(error).__name__}: {error}'.removesuffix(': ')})",
                 where="Dask" if self._client is not None else type(self._executor).__name__,
-                fix="look at their logs; with --resume nothing is simulated twice",
+                fix="check their logs; --resume continues without repeating a simulation",
             ) from error
         finally:
             for future in futures:
@@ -179,7 +178,7 @@ def dask_executor(address: str) -> Iterator[Executor]:
     Raises
     ------
     FmuidError
-        Dask is not installed, nothing answers, there are no workers, or they have another version of fmuid.
+        Dask is not installed, no scheduler answers, there are no workers, or they have another version of fmuid.
     """
     try:
         distributed: Any = importlib.import_module("distributed")
@@ -266,7 +265,7 @@ def _threads() -> int:
 
 
 def hold(parcels: Mapping[str, Parcel]) -> None:
-    """Keep what jobs need in this worker."""
+    """Keep models and tasks that jobs need in this worker."""
     with _held.lock:
         if sum(len(p.content) for p in _held.parcels.values()) > _MOST_HELD:
             _held.clear()

@@ -1,4 +1,4 @@
-"""How worker processes are started: by a fork server, whose socket needs a short path, or each by itself."""
+"""Start method of worker processes: a fork server, whose socket needs a short path, or spawn."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _BELOW = len(f"/{_PREFIX}12345678/pymp-12345678/listener-12345678")  # the last 
 def start_method() -> str:
     """Return "forkserver", or "spawn" where there is no fork server or no folder for its socket.
 
-    `multiprocessing` puts its socket into the folder for temporary files. Here that is a folder which is removed
-    even if this process is killed, elsewhere if the path would be too long.
+    `multiprocessing` puts its socket into the folder for temporary files. Here that is a folder that is removed
+    even if this process is killed; it is elsewhere if the path would be too long.
     """
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return "spawn"

@@ -1,4 +1,4 @@
-"""What runs inside a worker process of `fmuid.simulation.pool.workers.WorkerPool`."""
+"""Code that runs inside a worker process of `fmuid.simulation.pool.workers.WorkerPool`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hands evaluations to worker processes, watches over them and replaces the ones that die; for `workers`."""
+"""Sends evaluations to worker processes, supervises them and replaces those that die; used by `workers`."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ _MAX_FAILED_STARTS = 3
 
 _START_HINT = {
     "where": "worker pool",
-    "fix": 'keep the script in a file, its work under `if __name__ == "__main__":`',
+    "fix": 'save the script in a file, with its work under `if __name__ == "__main__":`',
 }
-_LACKING_HINT = {"where": "worker pool", "fix": "free open files, processes or memory, or ask for fewer workers"}
+_LACKING_HINT = {"where": "worker pool", "fix": "free open files, processes or memory, or use fewer workers"}
 
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
 def leave_if_starting() -> None:
-    """End this process if it is a worker that begins: it imports the main script, whose work is not the worker's.
+    """End this process if it is a starting worker, which imports the main script but must not run its work.
 
-    The script lacks ``if __name__ == "__main__":``, which the process that started the worker then says.
+    The script lacks ``if __name__ == "__main__":``, and the process that started the worker then says so.
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         os._exit(1)
@@ -70,7 +70,7 @@ def _one_thread_each() -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a worker may take: s and bytes for one evaluation, evaluations and bytes of growth before it goes."""
+    """Limits of a worker: s and bytes for one evaluation, evaluations and bytes of growth before replacement."""
 
     time: float | None
     memory: int
@@ -80,7 +80,7 @@ class Limits:
 
 @dataclass(eq=False, slots=True)
 class Call:
-    """One evaluation: its message, what has to be held by the worker first, and its future."""
+    """One evaluation: its message, the objects that the worker needs first, and its future."""
 
     message: bytes
     holds: tuple[int, ...]
@@ -92,7 +92,7 @@ class Call:
 
 @dataclass(eq=False, slots=True)
 class Worker:
-    """A process and what it is busy with."""
+    """A process and its current work."""
 
     process: Any
     connection: Channel
@@ -109,10 +109,10 @@ class Worker:
 
 
 class Supervisor:
-    """A team of workers, its queue and the thread that serves them.
+    """A group of workers, their queue and the thread that serves them.
 
-    `messages` holds, by number, what makes a worker keep an object; whoever enqueues a call that needs one puts
-    it there first.
+    `messages` contains by number the messages that make a worker keep an object; the caller adds one before it
+    enqueues a call that needs the object.
     """
 
     def __init__(self, size: int, limits: Limits) -> None:
@@ -136,7 +136,7 @@ class Supervisor:
     # ---- in the callers' threads ------------------------------------------------------------------------
 
     def enqueue(self, calls: list[Call]) -> None:
-        """Have `calls` evaluated, in their order as far as possible."""
+        """Queue `calls` for evaluation, in their order as far as possible."""
         with self._lock:
             if self._closing:
                 raise FmuidError("it has been shut down", where="worker pool", fix="open a new one")
@@ -148,7 +148,7 @@ class Supervisor:
         self._wake()
 
     def shutdown(self, wait: bool, abandon: bool) -> None:
-        """End the workers when all is done, or at once."""
+        """Stop the workers when all calls are done, or at once."""
         with self._lock:
             self._closing = True
             self._abandoning |= abandon

@@ -1,12 +1,12 @@
-"""Worker processes that are watched over, so that no FMU can stop a search.
+"""Supervised worker processes, so that no FMU can stop a search.
 
 Use a pool as the runner of a problem (``runner=pool.run``), or as any `concurrent.futures.Executor`::
 
     with WorkerPool(2, time_limit=30.0) as pool:
         outcomes = pool.run([(fmu, task, {"c": 100.0}), (fmu, task, {"c": 200.0})])
 
-Each worker extracts and instantiates an FMU once and receives a task's data once. An evaluation that crashes
-its worker, exceeds the time limit or the memory limit becomes a `SimulationError`; the worker is replaced.
+Each worker extracts and instantiates an FMU once and receives a task's data once. An evaluation that crashes its
+worker or exceeds the time or memory limit becomes a `SimulationError`; the worker is replaced.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class WorkerPool(Executor):
     time_limit
         Seconds one evaluation may take; None for no limit.
     memory_limit
-        Resident bytes a worker may reach; None takes half of the machine's memory shared by the workers. Only
-        Linux tells; elsewhere there is no limit.
+        Resident bytes a worker may reach; None takes half of the machine's memory shared by the workers. This
+        works on Linux only; elsewhere there is no limit.
     recycle_after
         Evaluations after which a worker is replaced; None for never.
     recycle_growth
@@ -50,12 +50,12 @@ class WorkerPool(Executor):
 
     Notes
     -----
-    An evaluation that crashes a worker which had done others before is tried again in a fresh one: whether
-    it fails then depends on its parameters alone, and results are the same for any number of workers. What
-    exceeds the time limit is not tried again.
+    An evaluation that crashes a worker with earlier evaluations is repeated in a new worker: whether it fails then
+    depends on its parameters alone, and results are the same for any number of workers. An evaluation that exceeds
+    the time limit is not repeated.
 
-    Workers start by ``forkserver`` where there is one, else by ``spawn``: a script must start its work under
-    ``if __name__ == "__main__":``.
+    Workers are started with ``forkserver`` if available, else with ``spawn``, so a script must start its work
+    under ``if __name__ == "__main__":``.
     """
 
     TIME_LIMIT = 300.0
@@ -72,7 +72,7 @@ class WorkerPool(Executor):
         leave_if_starting()
         self.workers = workers if workers is not None else available_processors()
         if self.workers < 1:
-            raise FmuidError(f"{workers} workers", where="worker pool", fix="ask for one or more")
+            raise FmuidError(f"{workers} workers", where="worker pool", fix="use one or more")
         limits = Limits(
             time_limit,
             memory_limit if memory_limit is not None else memory_share(self.workers),
@@ -85,14 +85,14 @@ class WorkerPool(Executor):
         self._numbers = itertools.count()
 
     def run(self, jobs: Sequence[Job], heard: Heard | None = None) -> list[Outcome]:
-        """Simulate `jobs` in the workers; outcomes in the jobs' order, a failed one as its `SimulationError`.
+        """Simulate `jobs` in the workers; return outcomes in order, a `SimulationError` for a failed job.
 
-        Each is told to `heard` when it has ended, in the order in which they end.
+        `heard` is called for each job when it ends, in the order in which they end.
 
         Raises
         ------
         FmuidError
-            A job is wrong whatever its parameters' values (an unknown name), or workers cannot be started.
+            A job is invalid for any parameter values (for example an unknown name), or workers cannot be started.
         """
         futures = self._enqueue([self._call(*job) for job in jobs])
         if heard is None:
@@ -101,7 +101,7 @@ class WorkerPool(Executor):
         return outcomes_of(futures, lambda future: heard(of[future], outcome_of(future)))
 
     def submit_packed(self, jobs: Sequence[tuple[Parcel, Parcel, Mapping[str, float]]]) -> list[Future[Any]]:
-        """Begin to simulate what another process has packed; `outcomes_of` waits for it."""
+        """Start simulating jobs packed by another process; `outcomes_of` waits for them."""
         return self._enqueue([self._call(*job) for job in jobs])
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
@@ -113,9 +113,9 @@ class WorkerPool(Executor):
         return self._enqueue([Call(message, (), Future(), getattr(fn, "__name__", "call"), {})])[0]
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the workers; see `concurrent.futures.Executor.shutdown`.
+        """Stop the workers; see `concurrent.futures.Executor.shutdown`.
 
-        With `cancel_futures` evaluations that have begun are abandoned too.
+        With `cancel_futures`, running evaluations are abandoned too.
         """
         self._supervisor.shutdown(wait, abandon=cancel_futures)
 
@@ -152,7 +152,7 @@ class WorkerPool(Executor):
 def outcomes_of(
     futures: Sequence[Future[Any]], heard: Callable[[Future[Any]], None] | None = None
 ) -> list[Outcome]:
-    """Wait for simulations; what is left of them is cancelled if one raises something else than its failure."""
+    """Wait for simulations; the rest are cancelled if one raises an error other than a failed simulation."""
     try:
         if heard is None:
             wait(futures, return_when=FIRST_EXCEPTION)  # woken once, not by every evaluation
@@ -172,7 +172,7 @@ def available_processors() -> int:
 
 
 def memory_share(workers: int) -> int:
-    """Return the bytes that each of so many workers may take, 0 (no limit) where the machine does not tell."""
+    """Return the memory limit in bytes for each of `workers`, 0 (no limit) if the machine's memory is unknown."""
     try:
         return int(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2 // workers)
     except (AttributeError, OSError, ValueError):
