@@ -95,11 +95,11 @@ def test_what_the_recording_lacks(folder: Path, measurements: Measurements, fmui
     code, out, _ = fmuid("check", folder, "--no-simulate")
     assert code == 1
     assert out.splitlines()[1:-1] == [
-        "note: setup 'oscillator': output 'temperature' is not in Oscillator.fmu and not compared; name its variable in [models.oscillator] map if it is",
+        "note: setup 'oscillator': output 'temperature' is not in Oscillator.fmu, so it is not compared; name its variable in [models.oscillator] map if it is",
         "note: [models.oscillator]: input 'wind' is not driven; it stays at 0",
         "warning: experiment 'step': a gap of 1 s at 0.495 s where 0.005 s is usual; cut the run there, or leave the gap if the input was constant",
-        "error: experiment 'step', signal 'y': every sample is missing; leave the signal out",
-        "warning: experiment 'step', signal 'v': is 15 all the time; check the sensor",
+        "error: experiment 'step', signal 'y': every sample is missing; remove the signal",
+        "warning: experiment 'step', signal 'v': is constant at 15; check the sensor",
         "warning: experiment 'step': its noise is unknown: one run and no sigma; give it (--sigma of fmuid init and import), or repeat the run",
     ]
 

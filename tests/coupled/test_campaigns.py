@@ -160,7 +160,7 @@ def test_check_warns_of_a_communication_step_that_is_too_long(drive, tmp_path):
         write_campaign(tmp_path, drive, TABLE.format(step=step, extrapolation="linear", **files))
         campaign = load_campaign(tmp_path)
         findings, _ = check_effects(campaign, load_models(campaign))
-        said = [str(f) for f in findings if "half the communication step moves 'fast: " in f.what]
+        said = [str(f) for f in findings if "halving the communication step changes 'fast: " in f.what]
         assert bool(said) == warned, findings
 
 

@@ -40,8 +40,8 @@ def test_a_good_fit_says_nothing(analytic, measured):
 
 def test_a_wrong_sign_is_said_first(analytic, measured):
     first, second, *_ = warnings(analytic, -measured)
-    assert first.startswith("y was measured against the direction of its prediction at the ")
-    assert first.endswith("look at its sign and at those of the inputs")
+    assert first.startswith("y was measured with the opposite sign of its prediction at the ")
+    assert first.endswith("check its sign and those of the inputs")
     assert "times its noise" in second
 
 
@@ -57,7 +57,7 @@ def test_a_wrong_sign_is_said_first(analytic, measured):
 def test_a_wrong_unit_is_said_first(analytic, measured, factor, units):
     first, *_ = warnings(analytic, factor * measured, sigma=1e-3 * factor)
     assert units in first
-    assert first.endswith("look at its unit and at those of the inputs")
+    assert first.endswith("check its unit and those of the inputs")
 
 
 def test_what_the_model_misses_is_told_in_terms_of_the_noise(analytic, measured):

@@ -58,7 +58,7 @@ def test_a_tie_of_per_experiment_parameters_holds_run_by_run():
 
 def test_what_all_runs_share_does_not_follow_what_each_has_its_own_of():
     specs = [ParameterSpec("a", 1.0, per="experiment"), ParameterSpec("b", 1.0)]
-    with pytest.raises(ProblemError, match="'b' is tied to 'a', which each run has its own of; write per ="):
+    with pytest.raises(ProblemError, match="'b' is tied to 'a', which has one value per run; write per ="):
         expanded(specs, ["a"], {}, {"b": "2 * a"}, ["x"])
 
 

@@ -50,7 +50,7 @@ def test_an_array_is_modified_as_a_whole_and_what_cannot_be_is_said() -> None:
     starts = {"table[1,1]": 0.0, "table[1,2]": 1.0, "table[2,1]": 10.0, "table[2,2]": 1.0}
     text = short_class("Found", "A.B", {"table[2,2]": 0.9, "lone[2]": 4.0}, starts)
     assert "table = {{0.0, 1.0}, {10.0, 0.9}}" in text
-    assert "// Not a modifier, so not in here: lone." in text
+    assert "// Cannot be written as a modifier: lone." in text
 
 
 def test_joints_get_their_friction_and_the_rest_stays(tmp_path: Path) -> None:
@@ -80,7 +80,7 @@ def test_a_mujoco_model_has_armature_too(tmp_path: Path) -> None:
     ("content", "joints", "message"),
     [
         (URDF, {"sholder": {"friction": "1"}}, "has no joint 'sholder'; did you mean 'shoulder'?"),
-        (URDF, {"elbow": {"armature": "1"}}, "URDF has no armature of a joint"),
+        (URDF, {"elbow": {"armature": "1"}}, "URDF has no joint armature"),
         ("<sdf/>", {"elbow": {"friction": "1"}}, "'sdf' is neither a URDF robot nor a MuJoCo model"),
         ("<robot", {"elbow": {"friction": "1"}}, "cannot be read"),
     ],

@@ -84,8 +84,9 @@ def test_one_of_many_is_said_where_it_belongs(bench: Path) -> None:
     crashed = f"{name(bench, 'bad')}: crashed (SIGSEGV) (with c = 150)"
     check = fmuid(bench, "check", ".")
     assert (check.returncode, check.stderr) == (1, "")
-    assert f"error: [stages.all]: no simulation at the start values (run: {crashed}); move the start values" in (
-        check.stdout.splitlines()
+    assert (
+        f"error: [stages.all]: cannot be simulated at the start values (run: {crashed}); move the start values"
+        in (check.stdout.splitlines())
     )
     validate = fmuid(bench, "validate", "run")
     assert (validate.returncode, validate.stderr) == (1, "")

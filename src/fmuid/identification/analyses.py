@@ -1,4 +1,4 @@
-"""What a stage is asked when its search is over: how far to trust the estimate, and what else there is."""
+"""Analyses after the search of a stage: uncertainty, profiles, posterior, Monte Carlo and Pareto front."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from fmuid.identification.uncertainty.propagation import CriterionSpread, criter
 _EVALUATIONS = 40  # a parameter, for one point of a front
 
 Record = Callable[[Evaluation, str, bool], None]
-"""Told of every evaluation, its purpose, and whether its residuals will be asked for by a resumed run."""
+"""Called with every evaluation, its purpose, and whether a resumed run will need its residuals."""
 
 
 @dataclass(slots=True)
 class Findings:
-    """What was found, as far as it went."""
+    """Results of the analyses that succeeded."""
 
     uncertainty: Uncertainty | None = None
     profiles: tuple[Profile, ...] = ()
@@ -42,9 +42,10 @@ class Findings:
 
 
 def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | None = None) -> Findings:
-    """Return what `spec` asks about the estimate that `search` ended with.
+    """Return the analyses requested by `spec` for the final estimate of `search`.
 
-    What cannot be found is a warning; the estimate stands. `held` is what the search held of earlier stages.
+    An analysis that fails becomes a warning; the estimate remains valid. `held` are the parameters that the search
+    fixed at estimates of earlier stages.
     """
     found = Findings()
     best, problem = search.best, search.problem
@@ -71,7 +72,7 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | Non
             bound = [s.name for s in problem.space.free if at_bound(best.parameters[s.name], s.lower, s.upper)]
             if problem.combination.kind != "weighted_sum":
                 bound = list(problem.space.names)
-                found.warnings.append(f"no standard errors: a {problem.combination.kind} is no sum of squares")
+                found.warnings.append(f"no standard errors: {problem.combination.kind} is not a sum of squares")
             found.uncertainty = without_intervals(free, bound)
             found.warnings += free.notes
     if found.uncertainty is not None:
@@ -82,7 +83,7 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | Non
         found.front = _front(search, spec.pareto, best, record)
         if found.front.beats_chosen:
             found.warnings.append(
-                "the front has a point that beats the estimate: search on, or from several starts"
+                "a point of the front is better than the estimate: continue the search, or use several starts"
             )
     return found
 
@@ -106,7 +107,7 @@ def _sample(found: Findings, estimate: Uncertainty, spec: AnalysisSpec, search: 
     with _noted(found, "no posterior"):
         found.posterior = posterior_of(search.problem, estimate, spec.posterior, seed=search.seed)
         if not found.posterior.reliable:
-            found.warnings.append("the posterior's chain is short for its memory: ask for more samples")
+            found.warnings.append("the posterior's chain is too short for its autocorrelation: use more samples")
 
 
 def _spread(

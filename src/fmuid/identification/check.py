@@ -1,4 +1,4 @@
-"""A campaign against its models: do names, units, causalities and signals fit, and does anything move."""
+"""Checks of a campaign against its models: names, units, causalities, signals and sensitivities."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _GAP = 5.0  # a step this much longer than the median one is a gap in the record
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing a check found: an `error` stops an identification, a `warning` may spoil it."""
+    """A finding of a check: an `error` prevents an identification, a `warning` may spoil it."""
 
     level: Level
     where: str
@@ -40,7 +40,7 @@ class Finding:
 
 
 def load_models(campaign: Campaign) -> dict[str, Simulator]:
-    """Return the model of each setup that an experiment with a role has, by setup.
+    """Return by setup the models of all experiments that have a role.
 
     Raises
     ------
@@ -63,24 +63,24 @@ def load_models(campaign: Campaign) -> dict[str, Simulator]:
 
 
 def match_models(campaign: Campaign, simulators: Mapping[str, Simulator]) -> tuple[Finding, ...]:
-    """Check that everything a campaign names is in its models, with the right causality and unit.
+    """Check that every name in a campaign exists in its models, with the right causality and unit.
 
     Parameters
     ----------
     campaign
         The campaign.
     simulators
-        The model of each setup that an experiment with a role has.
+        The model of each setup, as returned by `load_models`.
 
     Returns
     -------
     tuple of Finding
-        What is not wrong but should be known: inputs that nothing drives, outputs that no model has.
+        Findings that are not errors: inputs that no signal drives, outputs that no model has.
 
     Raises
     ------
     FmuError
-        A signal, setting, start value or parameter has no variable, or one of the wrong causality.
+        A signal, setting, start value or parameter has no variable, or its variable has the wrong causality.
     UnitError
         A unit cannot be converted into the variable's.
     """
@@ -118,7 +118,7 @@ def match_models(campaign: Campaign, simulators: Mapping[str, Simulator]) -> tup
 
 
 def check_signals(campaign: Campaign) -> tuple[Finding, ...]:
-    """Look at what was recorded: signals that say nothing, gaps, unknown noise."""
+    """Check the recordings: uninformative signals, gaps, unknown noise."""
     findings: list[Finding] = []
     for experiment in _first_runs(campaign):
         where = f"experiment '{experiment.id}'"
@@ -149,26 +149,26 @@ def check_signals(campaign: Campaign) -> tuple[Finding, ...]:
             )
     for outlier in campaign.outliers:
         where = f"experiment '{outlier.experiment}', signal '{outlier.signal}'"
-        fix = 'look at the sensor, or keep them with outliers = "keep" in [campaign]'
-        findings.append(Finding("warning", where, f"{outlier} left out", fix))
+        fix = 'check the sensor, or keep them with outliers = "keep" in [campaign]'
+        findings.append(Finding("warning", where, f"{outlier} excluded", fix))
     return tuple(findings)
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """What a change of a parameter by 1 % does in a stage at its start.
+    """Effect of a 1 % change of a parameter, at the start of a stage.
 
     Parameters
     ----------
     change
         Largest root mean square change of a criterion's residuals, in standard deviations of the noise.
     criterion
-        The criterion it is largest in.
+        The criterion with the largest change.
     step
-        Relative step that finite differences take, from the simulator's noise floor.
+        Relative step of finite differences, from the simulator's noise floor.
     floor
-        That noise floor: how much the stage's residuals scatter by when its parameters change by next to nothing,
-        in standard deviations of the noise.
+        That noise floor: the scatter of the stage's residuals under tiny parameter changes, in standard deviations
+        of the noise.
     """
 
     stage: str
@@ -182,11 +182,11 @@ class Effect:
 def check_effects(
     campaign: Campaign, simulators: Mapping[str, Simulator], runner: Runner = in_process
 ) -> tuple[tuple[Finding, ...], tuple[Effect, ...]]:
-    """Simulate each stage around its start: what do its parameters move, and what do its runs determine.
+    """Simulate each stage around its start, and check what its parameters affect and its runs determine.
 
-    A parameter that moves no output by more than the simulator's own noise is an error; parameters that can only
-    be determined together, and motion that no run has, are warnings (see `uncertainty.sensitivity`).
-    `runner` simulates.
+    A parameter that affects no output by more than the simulator's own noise is an error; parameters that can only
+    be determined in combination, and missing excitation, are warnings (see `uncertainty.sensitivity`). `runner`
+    runs the simulations.
     """
     from fmuid.identification.problem.estimation_problem import Problem
     from fmuid.identification.step_error import step_error
@@ -209,12 +209,15 @@ def check_effects(
         except SimulationError as error:
             findings.append(
                 Finding(
-                    "error", where, f"no simulation at the start values ({error.what})", "move the start values"
+                    "error",
+                    where,
+                    f"cannot be simulated at the start values ({error.what})",
+                    "move the start values",
                 )
             )
             continue
         findings += [
-            Finding("warning", where, what, "cut the run there, or in segments") for what in problem.findings
+            Finding("warning", where, what, "cut the run there, or use segments") for what in problem.findings
         ]
         moved = step_error(campaign, stage, simulators, runner)
         worst = max(moved, key=lambda label: moved[label], default="")
@@ -223,7 +226,7 @@ def check_effects(
                 Finding(
                     "warning",
                     where,
-                    f"half the communication step moves '{worst}' by {moved[worst]:.2g} sigma",
+                    f"halving the communication step changes '{worst}' by {moved[worst]:.2g} sigma",
                     'take a shorter step, or extrapolation = "linear"',
                 )
             )
@@ -247,7 +250,7 @@ def check_effects(
                     "warning",
                     where,
                     str(found.identifiability),
-                    "fix one of them, or add an experiment that tells them apart",
+                    "fix one of them, or add an experiment that distinguishes them",
                 )
             )
     return tuple(findings), tuple(effects)
@@ -257,8 +260,8 @@ def _runs_away(where: str, growth: Growth) -> Finding:
     return Finding(
         "warning",
         where,
-        f"simulated open loop it runs away: {growth}",
-        f'write segments = "auto" (about {growth.length:.2g} s) or observer = true into the stage',
+        f"the simulation diverges in open loop: {growth}",
+        f'write segments = "auto" (about {growth.length:.2g} s) or observer = true in the stage',
     )
 
 
@@ -283,7 +286,7 @@ def _not_compared(experiment: Experiment, name: str, model: ModelSpec) -> Findin
     return Finding(
         "note",
         f"setup '{experiment.setup}'",
-        f"output '{name}' is not in {model.fmu.name} and not compared",
+        f"output '{name}' is not in {model.fmu.name}, so it is not compared",
         f"name its variable in [models.{model.setup}] map if it is",
     )
 
@@ -409,9 +412,9 @@ def _undriven(experiment: Experiment, model: ModelSpec, variables: Mapping[str, 
 def _check_values(signal: Signal, where: str) -> list[Finding]:
     known = signal.values[np.isfinite(signal.values)]
     if not known.size:
-        return [Finding("error", where, "every sample is missing", "leave the signal out")]
+        return [Finding("error", where, "every sample is missing", "remove the signal")]
     if signal.causality == "output" and np.ptp(known) == 0:
-        return [Finding("warning", where, f"is {known[0]:g} all the time", "check the sensor")]
+        return [Finding("warning", where, f"is constant at {known[0]:g}", "check the sensor")]
     missing = signal.values.size - known.size
     if missing > 0.5 * signal.values.size:
         return [Finding("warning", where, f"{missing} of {signal.values.size} samples are missing")]

@@ -1,4 +1,4 @@
-"""A campaign that starts where an identification ended."""
+"""Starting a campaign from the result of an identification."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from fmuid.identification.solvers import Status
 
 
 def is_run(path: Path) -> bool:
-    """Return whether a folder is what `fmuid identify` wrote."""
+    """Return whether a folder was written by `fmuid identify`."""
     return any((path / name).is_file() for name in (FILE, JOURNAL)) and not (path / "campaign.toml").is_file()
 
 
 def continued(campaign: Campaign, result: Result) -> Campaign:
-    """Return the campaign with the values found as the start values of its parameters.
+    """Return the campaign with identified values as the start values of its parameters.
 
-    Parameters that each run or machine has its own of start as before.
+    Parameters per run or machine keep their start values.
 
     Raises
     ------
     ProblemError
         The identification failed.
     CampaignError
-        It is of another campaign: a parameter is not in this one.
+        The result belongs to another campaign: this one lacks a parameter.
     """
     if result.status is Status.FAILED or not result.parameters:
         raise ProblemError("the identification has no result to start from", fix="identify again")

@@ -1,4 +1,4 @@
-"""Every evaluation of an identification, kept on disk and safe against a kill at any moment.
+"""Every evaluation of an identification, recorded on disk and safe against a kill at any moment.
 
 While a run goes on, each evaluation is one record at the end of ``history.journal`` (`fmuid.core.journal`). When
 the run ends (Ctrl-C included) its result becomes the journal's last record, the content is written to
@@ -72,7 +72,7 @@ class Row:
     predictions: tuple[FloatArray, ...] = ()
 
     def evaluation(self) -> Evaluation:
-        """Return it as the evaluation it was."""
+        """Return the row as an evaluation."""
         residuals = np.zeros(0) if self.residuals is None else self.residuals
         return Evaluation(
             self.search,
@@ -89,7 +89,7 @@ class Row:
 
 @dataclass(slots=True, eq=False)
 class StageHistory:
-    """The evaluations of one stage, in their order."""
+    """The evaluations of one stage, in order."""
 
     name: str
     fingerprint: str
@@ -114,9 +114,9 @@ class StageHistory:
 
 @dataclass(slots=True, eq=False)
 class RecordedRun:
-    """All that is recorded of a run; results are JSON.
+    """Everything recorded of a run; results are JSON.
 
-    `begun` is the run's result before its first stage, `result` what it ended with, None if it was killed.
+    `begun` is the run's result before its first stage, `result` its final result, None if it was killed.
     """
 
     stages: dict[str, StageHistory] = field(default_factory=dict)
@@ -124,7 +124,7 @@ class RecordedRun:
     result: bytes | None = None
 
     def take(self, kind: str, content: Mapping[str, Any]) -> None:
-        """Take in one record of a journal."""
+        """Add one record of a journal."""
         self.result = None  # what was reached before it went on
         match kind:
             case "run":
@@ -156,14 +156,14 @@ class History:
     folder
         The run folder, or None to keep the history in memory.
     resume
-        Take up the journal of an interrupted run; without it the history of a complete run is replaced.
+        Continue from the journal of an interrupted run; if False, the history of a complete run is replaced.
     begun
         The run's result before its first stage, as JSON.
 
     Raises
     ------
     JournalError
-        The folder contains an interrupted run and `resume` is not asked for, or a complete one and it is.
+        The folder contains an interrupted run and `resume` is False, or a complete run and `resume` is True.
     """
 
     def __init__(self, folder: Path | None, *, resume: bool = False, begun: bytes = b"") -> None:
@@ -196,16 +196,16 @@ class History:
 
     @property
     def stages(self) -> Mapping[str, StageHistory]:
-        """What is recorded, by stage."""
+        """Recorded evaluations, by stage."""
         return self._run.stages
 
     def begin(self, problem: Problem, fingerprint: str, begun: bytes) -> StageHistory:
-        """Start (or take up) the stage that `problem` is; `begun` is its result, as JSON, without an evaluation.
+        """Start or continue the stage of `problem`; `begun` is its JSON result before the first evaluation.
 
         Raises
         ------
         HistoryError
-            The recorded stage was posed differently.
+            The recorded stage had a different problem.
         """
         old = self.stages.get(problem.name)
         if old is not None:
@@ -213,7 +213,7 @@ class History:
                 raise HistoryError(
                     f"the campaign has changed since stage '{problem.name}' was recorded",
                     where=self.folder,
-                    fix="take the change back, or name another folder",
+                    fix="undo the change, or name another folder",
                 )
             return old
         values, _ = problem.space.tried(problem.space.start)
@@ -231,7 +231,7 @@ class History:
         return self.stages[problem.name]
 
     def record(self, stage: str, evaluation: Evaluation, purpose: str, improved: bool, *, residuals: bool) -> None:
-        """Append one evaluation; with `residuals` if the solver will ask for them when it resumes."""
+        """Append one evaluation; include `residuals` if the solver needs them when it resumes."""
         row = Row(
             evaluation.x,
             evaluation.parameters,
@@ -251,7 +251,7 @@ class History:
         self._append("row", {"stage": stage, **_packed(row)})
 
     def recall(self, stage: str, x: FloatArray, residuals: bool) -> Evaluation | None:
-        """Return what an interrupted run found at `x`, if it was recorded."""
+        """Return the evaluation of an interrupted run at `x`, if recorded."""
         if stage not in self._known:
             self._known[stage] = {row.search.tobytes(): row for row in self.stages[stage].rows}
         row = self._known[stage].get(x.tobytes())
@@ -260,7 +260,7 @@ class History:
         return row.evaluation()
 
     def finish(self, stage: str, result: bytes, asked: str) -> None:
-        """Record that a stage is done, with its result and what was to be found about it."""
+        """Record that a stage is done, with its result and its analyses."""
         record = {"stage": stage, "result": result, "asked": asked}
         self._append("result", record)
         self._run.take("result", record)
@@ -269,13 +269,13 @@ class History:
                 object.__setattr__(self.stages[stage].rows[row_number], "residuals", None)
 
     def conclude(self, result: bytes) -> None:
-        """Record what the run ended with, as JSON, and write ``history.h5``."""
+        """Record the final result of the run as JSON, and write ``history.h5``."""
         self._append("end", {"result": result})
         self._run.take("end", {"result": result})
         self._write()
 
     def close(self, *, complete: bool) -> None:
-        """Close the journal, and remove it if the run is complete and its result is written elsewhere."""
+        """Close the journal, and remove it if the run is complete and its result has been written."""
         if self._journal is None or self._journal.closed:
             return
         journal, self._journal = self._journal, None
@@ -303,13 +303,13 @@ def read_history(path: str | Path) -> Mapping[str, StageHistory]:
     Raises
     ------
     HistoryError
-        There is none, or it is damaged.
+        The history is missing or damaged.
     """
     return read_run(path).stages
 
 
 def read_run(path: str | Path) -> RecordedRun:
-    """Read all that is recorded of a run; see `read_history`."""
+    """Read everything recorded of a run; see `read_history`."""
     path = Path(path)
     if path.is_dir() and (path / JOURNAL).exists():
         return _read_journal(path / JOURNAL)[0]
@@ -322,7 +322,7 @@ def read_run(path: str | Path) -> RecordedRun:
 def _read(file: Path) -> RecordedRun:
     with hdf5.reading(file, HistoryError, fix="run fmuid identify with --out") as source:
         if source.attrs.get("format") != FORMAT or source.attrs.get("version") != VERSION:
-            raise HistoryError("is not a fmuid history of version 1", where=file, fix="record it again")
+            raise HistoryError("is not an fmuid history of version 1", where=file, fix="record it again")
         result = source["result"][()].tobytes() if "result" in source else None
         stages = {name: _read_stage(name, group) for name, group in source["stages"].items()}
         return RecordedRun(stages, result=result or None)

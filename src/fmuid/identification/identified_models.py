@@ -1,4 +1,4 @@
-"""Writing back what was identified: FMUs that start with it, and a parameter set (SSP 1.0)."""
+"""Writing identified values to copies of the FMUs and to a parameter set (SSP 1.0)."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ PARAMETERS = "parameters.ssv"
 
 @dataclass(frozen=True, slots=True)
 class Identified:
-    """What was written: FMUs (or SSP files) by setup, the parameter set, and what the user should know.
+    """The files written: FMUs (or SSP files) by setup and the parameter set; and warnings.
 
-    `modelica` are short classes, one for each Modelica model; `robot` is the robot's description.
+    `modelica` are short classes, one for each Modelica model; `robot` is the robot description.
     """
 
     fmus: Mapping[str, Path]
@@ -46,25 +46,25 @@ def write_identified(
 ) -> Identified:
     """Write ``<model>.fmu``, one for each FMU of the campaign, and ``parameters.ssv``; coupled FMUs as ``.ssp``.
 
-    Of models with Modelica source also ``<model>Identified.mo``, a short class with the values; and the robot's
-    description, where the campaign names one.
+    For models with Modelica source, also write ``<model>Identified.mo``, a short class with the values; and write
+    the robot description if the campaign names one.
 
-    Start values of a copy are what all runs of its setup have in common: the result's parameters, the
-    campaign's settings and initial values; not the settings of a run, nor parameters that each run has its own
-    of. The parameter set lists the same values by FMU variable, as ``setup.variable`` where setups differ.
-    `runner` simulates, to see whether the copies start so.
+    The start values of a copy are those common to all runs of its setup: the result's parameters and the
+    campaign's settings and initial values, but not the settings of a single run, nor parameters per run. The
+    parameter set lists the same values by FMU variable, as ``setup.variable`` where setups differ. `runner`
+    simulates the copies to check that they start with these values.
 
     Returns
     -------
     Identified
-        With a warning for each FMU that does not start with what its copy says.
+        With a warning for each FMU that does not start with the values in its copy.
 
     Raises
     ------
     ProblemError
-        The result is of an identification that failed or was interrupted.
+        The identification failed or was interrupted.
     CampaignError
-        The robot's description cannot be read, or lacks a joint.
+        The robot description cannot be read, or lacks a joint.
     FmuError
         A value cannot be a start value of its variable.
     """
@@ -100,9 +100,9 @@ def write_models(
     *,
     stems: Mapping[str, str] | None = None,
 ) -> Identified:
-    """Write copies of models that start with `values`, by setup and variable, and their parameter set `name`.
+    """Write copies of models with start values `values`, by setup and variable, and the parameter set `name`.
 
-    `stems` are the names of their files, by setup; those of the originals by default.
+    `stems` are the file names by setup; by default those of the originals.
 
     Raises
     ------
@@ -128,8 +128,8 @@ def write_models(
         copy_with_starts(model, values[setup], target)
         if not takes_effect(model, values[setup], target, runner):
             warnings.append(
-                f"{target.name}: {model.tool} lets its FMU start with other values than its description says; "
-                "set those of parameters.ssv"
+                f"{target.name}: {model.tool} exports an FMU that ignores the start values in its description; "
+                "set the values of parameters.ssv"
             )
     parameters = folder / PARAMETERS  # the last: it says that all is there
     write_atomically(parameters, parameter_set(name, values, models))
@@ -139,7 +139,7 @@ def write_models(
 def start_values(
     campaign: Campaign, values: Mapping[str, float], setup: str, simulator: Simulator
 ) -> dict[str, float]:
-    """Return what all runs of a setup start with, by variable: settings, initial values, parameters' `values`."""
+    """Return the start values common to all runs of a setup: settings, initial values, parameters' `values`."""
     model, variables = campaign.models[setup], simulator.variables
     settings = {model.variable(n): v for n, v in campaign.settings.items()}
     found = {n: v for n, v in settings.items() if n in variables} | dict(model.initial)

@@ -87,8 +87,7 @@ def identify(
     what
         A campaign, the path of one, or a problem.
     out
-        Run folder for result and history; None keeps both in memory. What an interrupted run has left there is
-        never replaced.
+        Run folder for result and history; None keeps both in memory. An interrupted run there is never replaced.
     stages
         Names of the stages to run, in the campaign's order; all by default.
     solver, options
@@ -96,38 +95,38 @@ def identify(
     stop
         Override the stages' budgets.
     resume
-        Go on with the interrupted run in `out`: nothing it did is simulated again.
+        Continue the interrupted run in `out` without repeating its simulations.
     executor
         Any `concurrent.futures` executor to simulate on, such as a Dask client's; results do not depend on it.
     workers
         Number of supervised worker processes to simulate in instead (`fmuid.simulation.pool.workers`); 0 for none,
-        None for one a processor.
+        None for one per processor.
     time_limit, memory_limit
-        Seconds and resident bytes that one simulation may take in a worker process; those of a `WorkerPool` by
-        default.
+        Seconds and resident bytes that one simulation may take in a worker process; by default those of a
+        `WorkerPool`.
     observer
         Told of progress.
     simulators
         Models by setup; the campaign's FMUs by default.
     seed
-        Of random solvers and starts.
+        Seed for random solvers and start points.
     with_uncertainty
         Whether each stage ends with its uncertainty analysis.
     analyses
-        What every stage ends with, whatever the campaign asks for.
+        Analyses after every stage, instead of those in the campaign.
     trust
         Whether functions that the campaign names may be called, if `what` is a path; see `load_campaign`.
 
     Returns
     -------
     Result
-        Also when interrupted by Ctrl-C: its status says so, and it holds what was reached.
+        Also after Ctrl-C: the status says so, and the result contains the best values so far.
 
     Raises
     ------
     FmuidError
-        The campaign, a model or a stage cannot be used as given; another process writes into `out`, or it holds an
-        interrupted run and `resume` is not asked for.
+        The campaign, a model or a stage cannot be used as given; another process is writing to `out`; or `out`
+        contains an interrupted run and `resume` is False.
     """
     begin = clock.perf_counter()
     campaign = _campaign(what, trust) if not isinstance(what, Problem) else None
@@ -193,12 +192,12 @@ def identify(
 
 
 def check_stages(campaign: Campaign, simulators: Mapping[str, Simulator]) -> None:
-    """Raise what `identify` would refuse to begin with; nothing is simulated.
+    """Raise the errors that `identify` would raise before its first simulation.
 
     Raises
     ------
     FmuidError
-        A stage cannot be posed, or not be solved as it is asked to be.
+        A stage is ill-posed, or cannot be solved with the requested solver.
     """
     for stage in campaign.stages.values():
         _check(_posed(stage, campaign, simulators, {}, None))
@@ -300,7 +299,9 @@ def _findings(run: _Run, asked: _Posed, known: Known, search: Search) -> Finding
         known.held_in(problem, run.specs) if asked.analyses.uncertainty else None,
     )
     if unsure := sorted(n for n in known.unsure if n in problem.space.fixed and problem.sees(n)):
-        found.warnings.append(f"fixed as if exactly known, for want of a standard error: {', '.join(unsure)}")
+        found.warnings.append(
+            f"treated as exactly known, because they have no standard error: {', '.join(unsure)}"
+        )
     return found
 
 
@@ -437,12 +438,12 @@ def _warnings(search: Search, estimates: Sequence[Estimate], found: Uncertainty 
             for k, b in enumerate(found.names[:i]):
                 r = found.correlation[i][k]
                 if abs(r) > _ALIKE and not {a, b} & set(found.identifiability.undetermined):
-                    warnings.append(f"{b} and {a} are hard to tell apart (correlation {r:+.3f})")
+                    warnings.append(f"{b} and {a} are hard to distinguish (correlation {r:+.3f})")
     warnings += [f"{e.name} is at its {e.at_bound} bound" for e in estimates if e.at_bound]
     if search.failures:
         warnings.append(f"{search.failures} of {search.evaluations} candidates could not be simulated")
     if search.best is not None and not search.feasible(search.best):
-        warnings.append("no candidate keeps every constraint")
+        warnings.append("no candidate satisfies every constraint")
     return tuple(warnings)
 
 

@@ -1,4 +1,4 @@
-"""What a fit leaves, against the noise; and if it is much: whether a sign, a scale or a unit looks wrong."""
+"""Comparison of a fit's residual with the noise; if it is large, a look for a wrong sign, scale or unit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _FACTORS: Mapping[str, float] = {
     "degrees and radians": 180.0 / math.pi,
     "turns and radians, or Hz and rad/s": 2.0 * math.pi,
     "rpm and rad/s": 30.0 / math.pi,
-    "per cent and shares, or cm and m": 100.0,
+    "percent and fractions, or cm and m": 100.0,
     "mm and m, or any unit and its thousandth": 1e3,
     "a unit and its millionth": 1e6,
     "kgf and N": 9.80665,
@@ -39,17 +39,17 @@ class _Seen:
 
 
 def misfit(problem: Problem, first: Evaluation | None, best: Evaluation) -> tuple[str, ...]:
-    """Return what a user should look at: sentences, none if the fit is as good as the noise allows.
+    """Return advice to the user as sentences; none if the fit is as good as the noise allows.
 
-    A signal whose residual is large is compared with its prediction, at the start or else at the end: a wrong sign
-    or unit leaves the shape, so prediction and measurement are proportional to each other by a factor that tells.
+    A signal with a large residual is compared with its prediction, at the start or else at the end. A wrong sign
+    or unit keeps the shape, so prediction and measurement are proportional, and the factor shows what is wrong.
 
     Parameters
     ----------
     problem
-        What was fitted.
+        The fitted problem.
     first, best
-        Its evaluations at the start, if that could be simulated, and at the estimate.
+        Its evaluations at the start, if it could be simulated, and at the estimate.
     """
     # A resumed run does not remember the predictions of every point.
     best = best if best.predictions else problem.evaluate(best.x)
@@ -109,8 +109,8 @@ def _doubt(signal: str, seen: _Seen, where: str) -> list[str]:
     at = f"at the {where} (correlation {seen.correlation:+.2f})"
     if seen.correlation < -_ALIKE:
         return [
-            f"{signal} was measured against the direction of its prediction {at}: "
-            "look at its sign and at those of the inputs"
+            f"{signal} was measured with the opposite sign of its prediction {at}: "
+            "check its sign and those of the inputs"
         ]
     if seen.correlation > _ALIKE:
         ratio = max(seen.gain, 1.0 / seen.gain)
@@ -123,5 +123,5 @@ def _doubt(signal: str, seen: _Seen, where: str) -> list[str]:
             ]
             near = f", about as between {' or '.join(close)}" if close else ""
             what = f"{signal} was measured as {seen.gain:.3g} times its prediction {at}{near}"
-            return [f"{what}: look at its unit and at those of the inputs"]
+            return [f"{what}: check its unit and those of the inputs"]
     return []

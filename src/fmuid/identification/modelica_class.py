@@ -1,4 +1,4 @@
-"""Values found as Modelica: a short class that modifies the model's class with them."""
+"""Identified values as Modelica: a short class that modifies the model's class."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ _PART = re.compile(r"[A-Za-z_]\w*|'[^']+'")
 
 
 def short_class(name: str, class_name: str, values: Mapping[str, float], starts: Mapping[str, float]) -> str:
-    """Return ``model NAME = CLASS(modifiers)``, to put beside the model's source or to copy the modifiers from.
+    """Return ``model NAME = CLASS(modifiers)``, to place next to the model's source or to copy modifiers from.
 
     Parameters
     ----------
     name, class_name
-        Of the new class, and of the model's.
+        Names of the new class and of the model's class.
     values
-        By variable, such as ``rotor.J`` and ``lossTable[1,2]``. An array is modified as a whole.
+        Values by variable, such as ``rotor.J`` and ``lossTable[1,2]``. An array is modified as a whole.
     starts
-        What the model starts with, for the elements of an array that `values` does not have. Variables that
-        Modelica cannot modify so are named in a comment.
+        The model's start values, for array elements that are not in `values`. Variables that Modelica cannot
+        modify in this way are named in a comment.
     """
     tree: dict[str, Any] = {}
     skipped = []
@@ -35,9 +35,9 @@ def short_class(name: str, class_name: str, values: Mapping[str, float], starts:
         for part in parts[:-1]:
             inside = inside.setdefault(part, {})
         inside[parts[-1]] = text
-    notes = [f"// Not a modifier, so not in here: {', '.join(skipped)}."] if skipped else []
+    notes = [f"// Cannot be written as a modifier: {', '.join(skipped)}."] if skipped else []
     return "\n".join(
-        ["// Parameters as fmuid identified them.", *notes, f"model {name} = {class_name}{_modifiers(tree)};", ""]
+        ["// Parameters identified by fmuid.", *notes, f"model {name} = {class_name}{_modifiers(tree)};", ""]
     )
 
 

@@ -1,4 +1,4 @@
-"""How an identification tells what it does while it runs, without knowing about terminals."""
+"""Progress reports of an identification, independent of the terminal."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from fmuid.identification.solvers.search import StopRules
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Where a stage is: told after every evaluation.
+    """Progress of a stage, reported after every evaluation.
 
-    `best` holds the free parameters in model space at the least cost so far; both are None before the first
+    `best` are the free parameters in model space at the lowest cost so far; both are None before the first
     success.
     """
 
@@ -29,13 +29,13 @@ class Progress:
 
 
 class Observer:
-    """Told what happens; does nothing. Derive from it to show or log an identification."""
+    """Receives progress reports and ignores them. Derive from it to show or log an identification."""
 
     def started(self, problem: Problem, solver: str, why: str, stop: StopRules) -> None:
-        """Take note that a stage begins."""
+        """Handle the start of a stage."""
 
     def evaluated(self, progress: Progress) -> None:
-        """Take note of an evaluation."""
+        """Handle an evaluation."""
 
     def finished(self, result: StageResult) -> None:
-        """Take note that a stage ended."""
+        """Handle the end of a stage."""

@@ -28,11 +28,12 @@ def parameter_set(
     Parameters
     ----------
     name
-        Of the set.
+        Name of the set.
     values
-        By setup and variable; a variable that setups disagree about is listed as ``setup.variable``.
+        Values by setup and variable; a variable with different values between setups is listed as
+        ``setup.variable``.
     models
-        By setup.
+        Models by setup.
     """
     ElementTree.register_namespace("ssv", _SSV)
     ElementTree.register_namespace("ssc", _SSC)

@@ -1,4 +1,4 @@
-"""What a result depends on: hashes of the files, and of all that decides the course of a stage."""
+"""Provenance of a result: hashes of its files and of everything that determines the course of a stage."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fmuid.identification.solvers import Solver
 
 
 def fingerprint(problem: Problem, solver: Solver, options: Mapping[str, Any], seed: int) -> str:
-    """Return a hash of all that decides the course of a search; a resumed run may get a larger budget."""
+    """Return a hash of everything that determines the course of a search, except the budget."""
     digest = hashlib.sha256()
     space = problem.space
     ties = {name: expression.text for name, expression in space.ties.items()}
@@ -40,7 +40,7 @@ def fingerprint(problem: Problem, solver: Solver, options: Mapping[str, Any], se
 
 
 def hashes_of(campaign: Campaign) -> dict[str, str]:
-    """Return SHA-256 hashes of what was measured and of the FMUs."""
+    """Return SHA-256 hashes of the measurements and of the FMUs."""
     digest = hashlib.sha256()
     for experiment in campaign.measurements:
         digest.update(experiment.id.encode() + experiment.time.tobytes())
@@ -55,7 +55,7 @@ def hashes_of(campaign: Campaign) -> dict[str, str]:
 
 
 def versions(packages: Iterable[str]) -> dict[str, str]:
-    """Return the installed versions of `packages`, without those that are not installed."""
+    """Return the versions of those `packages` that are installed."""
     found = {}
     for package in packages:
         try:

@@ -1,4 +1,4 @@
-"""What an identification found: estimates, how each stage went, and how far they can be trusted.
+"""Results of an identification: estimates, outcomes of the stages, and uncertainty.
 
 Run folder: ``result.json`` (`Result.to_json`), ``history.h5`` (`history`), and what reports add to it. The result
 of a run that was killed is made from what its history recorded.
@@ -43,9 +43,9 @@ class ResultError(FmuidError):
 class Estimate:
     """One estimated parameter, in model space.
 
-    `standard_error` and `interval` (95 %) are None where the experiments do not determine the parameter
-    alone, or where it sits at a bound. `inherited` is the share of its variance that comes from the errors of what
-    the stage held at earlier estimates. `truth` is the rig's, if it is known.
+    `standard_error` and `interval` (95 %) are None where the experiments do not determine the parameter alone, or
+    where it sits at a bound. `inherited` is the share of its variance due to errors of parameters fixed at earlier
+    estimates. `truth` is the true value on the rig, if known.
     """
 
     name: str
@@ -63,13 +63,13 @@ class Estimate:
 
     @property
     def relative_error(self) -> float | None:
-        """Deviation from the truth, relative to it; None if that is unknown or 0."""
+        """Deviation from the truth, relative to it; None if the truth is unknown or 0."""
         return self.value / self.truth - 1.0 if self.truth else None
 
 
 @dataclass(frozen=True, slots=True)
 class CriterionValue:
-    """A criterion of a case at the start and at the end, each over its demand: at most 1 is satisfied."""
+    """A criterion of a case at the start and at the end, divided by its demand: satisfied if at most 1."""
 
     case: str
     label: str
@@ -79,7 +79,7 @@ class CriterionValue:
 
 @dataclass(frozen=True, slots=True)
 class StageResult:
-    """How one stage went; `parameters` holds every value after it, free or not.
+    """Outcome of one stage; `parameters` are all values after it, free or fixed.
 
     `cost` is None if no candidate could be simulated.
     """
@@ -129,7 +129,7 @@ class StageResult:
 
     @property
     def summary(self) -> str:
-        """How it went, in one line."""
+        """One-line summary."""
         cost = (
             ""
             if self.cost is None or self.start_cost is None
@@ -148,17 +148,17 @@ class Result:
     campaign, title, source
         Name and title of the campaign, and the file it came from.
     stages
-        How each stage went, in their order.
+        Outcomes of the stages, in order.
     parameters
         Best value of every parameter, free or not, in model space.
     versions
-        Of fmuid and the libraries that the numbers come from.
+        Versions of fmuid and of the libraries used.
     inputs
         SHA-256 of the measurement file and the FMUs, by name.
     seconds
-        All that it took.
+        Total wall time, s.
     folder
-        The run folder, if there is one.
+        The run folder, if any.
     """
 
     campaign: str
@@ -173,13 +173,13 @@ class Result:
 
     @property
     def status(self) -> Status:
-        """The worst of the stages'."""
+        """The worst status of the stages."""
         order = [Status.FAILED, Status.INTERRUPTED, Status.BUDGET, Status.CONVERGED]
         return min((stage.status for stage in self.stages), key=order.index, default=Status.INTERRUPTED)
 
     @property
     def estimates(self) -> tuple[Estimate, ...]:
-        """Every estimated parameter, each as its last stage left it."""
+        """Every estimated parameter, with the estimate of its last stage."""
         last = {e.name: e for stage in self.stages for e in stage.estimates}
         return tuple(last.values())
 
@@ -223,7 +223,7 @@ class Result:
 
     @classmethod
     def from_json(cls, path: str | Path) -> Result:
-        """Read a result from a file, or from the run folder that holds it; of a killed run, what it had reached.
+        """Read a result from a file or a run folder; for a killed run, the best values it had reached.
 
         Raises
         ------
@@ -239,7 +239,7 @@ class Result:
                     return recorded
             return msgspec.json.decode(file.read_bytes(), type=cls)
         except OSError:
-            raise ResultError("no such file", where=file, fix="name a folder that fmuid identify wrote") from None
+            raise ResultError("no such file", where=file, fix="name a folder written by fmuid identify") from None
         except (msgspec.DecodeError, msgspec.ValidationError, UnicodeDecodeError) as error:
             raise ResultError(f"is not a result ({error})", where=file, fix="identify again") from None
 
@@ -300,7 +300,7 @@ def _bound(estimate: Estimate, values: Mapping[str, float]) -> str | None:
 
 
 def finite(value: float) -> float | None:
-    """Return `value`, or None if it is infinite or NaN, which JSON does not have."""
+    """Return `value`, or None if it is infinite or NaN, which JSON cannot represent."""
     return float(value) if math.isfinite(value) else None
 
 
@@ -340,7 +340,7 @@ def _cells(estimates: Sequence[Estimate]) -> list[list[str]]:
 
 
 def at_bound(value: float, lower: float, upper: float) -> str | None:
-    """Return ``lower`` or ``upper`` if `value` sits at that bound, within a thousandth of the range."""
+    """Return ``lower`` or ``upper`` if `value` is at that bound, within a thousandth of the range."""
     width = upper - lower if math.isfinite(upper - lower) else max(abs(value), 1e-300)
     if value - lower <= 1e-3 * width:
         return "lower"

@@ -1,4 +1,4 @@
-"""Friction, damping and armature of joints, written into a robot's description: URDF or MJCF."""
+"""Writing friction, damping and armature of joints to a robot description (URDF or MJCF)."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ _FORMATS = {"robot": "URDF", "mujoco": "MJCF"}
 
 
 def described(spec: RobotSpec, values: Mapping[str, float]) -> str:
-    """Return the description with the joints' values in place of those that it has; the rest stays as it is.
+    """Return the description with the joints' values replaced; everything else is unchanged.
 
     Both formats are in SI units: N.m (N) for friction, N.m.s/rad (N.s/m) for damping, kg.m2 (kg) for armature. The
-    formulas have to give these. Sources: http://wiki.ros.org/urdf/XML/joint; MuJoCo XML reference, body/joint.
+    formulas must give values in these units. Sources: http://wiki.ros.org/urdf/XML/joint; MuJoCo XML reference,
+    body/joint.
 
     Raises
     ------
@@ -44,7 +45,7 @@ def described(spec: RobotSpec, values: Mapping[str, float]) -> str:
             raise CampaignError(f"has no joint '{name}'", where=spec.file, fix=suggestion(name, joints))
         for quantity, text in quantities.items():
             if quantity not in _NAMES[root.tag]:
-                what = f"{_FORMATS[root.tag]} has no {quantity} of a joint"
+                what = f"{_FORMATS[root.tag]} has no joint {quantity}"
                 raise CampaignError(
                     what, where=f"[robot.joints.{name}]", fix=suggestion(quantity, _NAMES[root.tag])
                 )

@@ -1,4 +1,4 @@
-"""How far the communication step of coupled models is from short enough."""
+"""The error from the communication step of coupled models."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from fmuid.simulation.simulator import Simulator
 def step_error(
     campaign: Campaign, stage: StageSpec, simulators: Mapping[str, Simulator], runner: Runner = in_process
 ) -> dict[str, float]:
-    """Return what half the communication step changes, by criterion; nothing without a coupled model.
+    """Return the change by criterion when the communication step is halved; empty without a coupled model.
 
     That is the root mean square change of a criterion's residuals (in sigmas) at the stage's start. The whole
-    error is up to twice as large: it goes with the step, or with its square.
+    error is up to twice as large, since it is proportional to the step or to its square.
     """
     problem = Problem.of_stage(campaign, stage, simulators, runner=runner)
     interval = min(float(np.diff(case.task.time).min()) for case in problem.cases)

@@ -1,4 +1,4 @@
-"""Progress of an identification on a terminal; the only part of the engine that knows rich."""
+"""Progress of an identification on a terminal; only this module of the engine imports rich."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from fmuid.identification.solvers.search import Status, StopRules
 
 
 class TerminalProgress(MovingLine, Observer):
-    """A line that moves for the stage under way, and a line that stays for each one done.
+    """An updating line for the current stage, and a permanent line for each completed stage.
 
-    Use it as a context manager; without a terminal only the lines that stay are printed.
+    Use it as a context manager; without a terminal, only the permanent lines are printed.
     """
 
     def __init__(self, console: Console | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Predictions of an identified model on runs that were not used, beside what the sensors' noise allows."""
+"""Validation of an identified model on unused runs, compared with the sensor noise."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RunScore:
-    """How well one signal of one run (all its repeats together) is predicted.
+    """Prediction errors for one signal of one run (all its repeats together).
 
     Parameters
     ----------
@@ -36,9 +36,9 @@ class RunScore:
     nrmse
         `rmse` over the standard deviation of the measurement; 0 is perfect, 1 no better than its mean.
     relative_error
-        Norm of the error over the norm of the measurement, mean not removed.
+        Norm of the error over the norm of the measurement, without removing the mean.
     noise_floor
-        Root mean square of the sensor noise, in `unit`: no model can be expected below it. None if unknown.
+        Root mean square of the sensor noise, in `unit`: no model can be expected to be better. None if unknown.
     """
 
     experiment: str
@@ -57,7 +57,7 @@ class RunScore:
 class Validation:
     """Scores of every run and signal; prints as a table.
 
-    `cases` and `predictions`, (signals, N) each, are there for pictures.
+    `cases` and `predictions`, (signals, N) each, are for figures.
     """
 
     scores: tuple[RunScore, ...]
@@ -69,7 +69,7 @@ class Validation:
         for score in self.scores:
             if (score.experiment, score.signal) == key:
                 return score
-        raise ProblemError(f"no score of {key[1]} in {key[0]}", fix="see the table of scores")
+        raise ProblemError(f"no score for {key[1]} in {key[0]}", fix="see the table of scores")
 
     def __str__(self) -> str:
         """Return the scores as a table."""
@@ -108,21 +108,21 @@ def validate(
     simulators: Mapping[str, Simulator] | None = None,
     runner: Runner = in_process,
 ) -> Validation:
-    """Simulate runs with identified parameters and compare.
+    """Simulate runs with identified parameters and compare them with measurements.
 
     Parameters
     ----------
     result
-        An identification's result, or parameter values by name. Per-experiment parameters have their start
-        value in runs that were not identified.
+        An identification's result, or parameter values by name. In runs that were not fitted, per-experiment
+        parameters have their start values.
     campaign
-        By default the one that `result` came from.
+        Campaign; by default that of `result`.
     experiments
         Ids or globs; the campaign's validation set by default. Repeats are compared together.
     simulators
         Models by setup; the campaign's FMUs by default.
     runner
-        What simulates; in this process by default.
+        Runner of the simulations; this process by default.
 
     Returns
     -------
@@ -132,11 +132,11 @@ def validate(
     Raises
     ------
     CampaignError
-        There is nothing to validate on.
+        There are no runs for validation.
     """
     if campaign is None:
         if not isinstance(result, Result) or not result.source:
-            raise CampaignError("no campaign to validate on", fix="give one as second argument")
+            raise CampaignError("no campaign to validate on", fix="give a campaign as second argument")
         campaign = result.source
     if not isinstance(campaign, Campaign):
         from fmuid.campaigns.campaign_toml import load_campaign

@@ -1,1 +1,1 @@
-"""From a stage to numbers: cases, criteria, one cost, and its derivatives."""
+"""The numerical problem of a stage: cases, criteria, the cost and its derivatives."""

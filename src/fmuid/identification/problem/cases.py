@@ -1,4 +1,4 @@
-"""Cases: one simulation each, and what its predictions are compared with."""
+"""Cases: one simulation each, with the measurements for comparison."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from fmuid.simulation.simulator import Simulator, Task
 
 _T = TypeVar("_T")
 _Set = tuple[str, str, Conversion]
-"""What is set on a model: the variable, the name of the parameter it takes, and the conversion between them."""
+"""A value set on a model: the variable, the parameter it comes from, and the conversion between them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,13 +37,13 @@ class Channel:
     repeats
         (R, N) samples of the runs that share this case's simulation; NaN where one is missing.
     noise
-        Of one sample, and where that comes from.
+        Noise of one sample, and its source.
     sensor
         Expressions for ``offset``, ``gain`` and ``delay`` (s) between model and sensor, if any.
     differentiated
-        Whether the sensor differentiates what it reads over its samples, as with an encoder's speed.
+        Whether the sensor differentiates its readings over its samples, as for an encoder's speed.
     filter
-        What measurement (already in `repeats`) and prediction both go through.
+        Filter applied to measurement (already in `repeats`) and prediction.
     """
 
     signal: str
@@ -62,22 +62,22 @@ class Channel:
 
     @property
     def mean(self) -> FloatArray:
-        """(N,) mean over the repeats, NaN where none has a sample."""
+        """(N,) mean over the repeats, NaN where no repeat has a sample."""
         with np.errstate(invalid="ignore"):
             return np.asarray(np.nansum(self.repeats, axis=0) / np.where(self.count > 0, self.count, np.nan))
 
     @property
     def plain(self) -> bool:
-        """Whether the sensor shows the model's output as it is."""
+        """Whether the sensor shows the model's output unchanged."""
         return not self.sensor and not self.differentiated and self.filter is None
 
     def sensed(self, time: FloatArray, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
-        """Return what the sensor shows for the model's (N,) output `y`."""
+        """Return the sensor reading for the model's (N,) output `y`."""
         shown = self.scaled(time, y, values)
         return shown + self.sensor["offset"](values) if "offset" in self.sensor else shown
 
     def scaled(self, time: FloatArray, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
-        """Return what the sensor shows of changes `y`, (..., N), of the model's output: all but the offset."""
+        """Return the sensor reading for changes `y`, (..., N), of the model's output (without offset)."""
         if self.differentiated:
             y = np.asarray(np.gradient(y, time, axis=-1))
         if self.filter is not None:
@@ -92,9 +92,9 @@ class Channel:
 class Case:
     """One simulation of a problem: its task, its channels and its criteria.
 
-    `setting` gives, by parameter name, the model's variable and the conversion from the parameter's unit to
-    the variable's; parameters it does not name do not reach this model. The model's first `lead` samples come
-    before the first measured one.
+    `setting` gives, by parameter name, the model's variable and the conversion from the parameter's unit to the
+    variable's; other parameters do not affect this model. The model's first `lead` samples come before the first
+    measured one.
     """
 
     id: str
@@ -115,7 +115,7 @@ class Case:
         return self.task.time[self.lead :]
 
     def values(self, values: Mapping[str, _T]) -> dict[str, _T]:
-        """Return the parameters as this case sees them: ``name@case`` under its plain name."""
+        """Return the parameters for this case, with ``name@case`` under its plain name."""
         shared = {n: v for n, v in values.items() if SEPARATOR not in n}
         if len(shared) == len(values):
             return shared
@@ -124,14 +124,14 @@ class Case:
         return shared
 
     def start_values(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return what is set on the model, by variable, in the model's units."""
+        """Return the values set on the model, by variable, in the model's units."""
         return {
             variable: convert.factor * values[name] + convert.offset
             for variable, name, convert in self.reached(tuple(values))
         }
 
     def reached(self, names: tuple[str, ...]) -> tuple[_Set, ...]:
-        """Return what the parameters `names` set on the model."""
+        """Return the settings of the model that depend on the parameters `names`."""
         if names not in self._reached:
             own = self.values({name: name for name in names})
             self._reached[names] = tuple(
@@ -140,7 +140,7 @@ class Case:
         return self._reached[names]
 
     def sensed(self, prediction: FloatArray, values: Mapping[str, float]) -> FloatArray:
-        """Return the (channels, N) sensor readings that belong to the model's outputs `prediction`."""
+        """Return the (channels, N) sensor readings for the model's outputs `prediction`."""
         prediction = prediction[:, self.lead :]
         if all(channel.plain for channel in self.channels):
             return prediction
@@ -178,11 +178,11 @@ def from_campaign(
     apart: bool = False,
     until: Mapping[str, float] | None = None,
 ) -> tuple[Case, ...]:
-    """Return one case for each group of runs that one simulation can stand for.
+    """Return one case for each group of runs that share a simulation.
 
-    Repeats with the same time axis, inputs and settings share a case; a repeat whose inputs were recorded
-    with their own noise is simulated on its own, and every run if they are to be `apart`. Of a case that `until`
-    names, samples from that time (s) on count as missing.
+    Repeats with the same time axis, inputs and settings share a case; a repeat whose inputs were recorded with
+    their own noise is simulated separately, and so is every run if `apart` is True. For a case in `until`, samples
+    from that time (s) on count as missing.
 
     Raises
     ------
@@ -228,22 +228,22 @@ def measured_case(
     Parameters
     ----------
     id
-        Its name in results.
+        Name of the case in results.
     simulator, task
-        The model, and what is simulated with it.
+        The model and its task.
     measurements
         (N,) or (R, N) samples by variable name, all of them among ``task.outputs``.
     sigma
         Noise standard deviations by variable name.
     criteria
-        Least squares on every measured variable by default.
+        Criteria; by default least squares on every measured variable.
     parameters
         Parameter name -> model variable; a parameter not named here is set under its own name.
     """
     channels = []
     for name in task.outputs:
         if name not in measurements:
-            raise ProblemError(f"output '{name}' has no measurement", where=id, fix="measure it or drop it")
+            raise ProblemError(f"output '{name}' has no measurement", where=id, fix="measure it, or remove it")
         repeats = np.atleast_2d(np.asarray(measurements[name], dtype=np.float64))
         channels.append(
             Channel(name, name, None, read_only(repeats), noise_level(repeats, [(sigma or {}).get(name)]))
@@ -322,7 +322,7 @@ def _case(
     if not criteria:
         specs = [CriterionSpec(n) for n in first.outputs if n in model.map or n in variables]
     if not specs:
-        raise ProblemError("none of its measured outputs is judged", where=where, fix="add a criterion")
+        raise ProblemError("no criterion applies to its measured outputs", where=where, fix="add a criterion")
     # Where no criteria are given, a sensor is what the stages say of it, the last one first.
     told = specs if criteria else [s for stage in campaign.stages.values() for s in stage.criteria]
     sensors = _sensors([s for s in told if s.signal in first.outputs], campaign.parameters, where)

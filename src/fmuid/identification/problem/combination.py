@@ -1,4 +1,4 @@
-"""From a vector of criteria to one cost, and constraints beside it."""
+"""Combination of criteria into one cost, and constraints."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KINDS = ("weighted_sum", "min_max", "p_norm", "lexicographic")
 
 @dataclass(frozen=True, slots=True)
 class Combination:
-    """How criteria become one cost.
+    """How criteria are combined into one cost.
 
     - ``weighted_sum``: sum of weight * residual^2 over all residuals; with least squares on known noise this
       is twice the negative log likelihood.
@@ -35,7 +35,7 @@ class Combination:
 
     @classmethod
     def named(cls, text: str, *, where: str | None = None) -> Combination:
-        """Return the combination a campaign names."""
+        """Return the combination named in a campaign."""
         match = re.fullmatch(r"(\w+?)(?:\((\d+(?:\.\d+)?)\))?", text.replace(" ", ""))
         if match is None or match[1] not in KINDS or (match[2] and match[1] != "p_norm"):
             raise ProblemError(f"unknown combine '{text}'", where=where, fix=f"use one of {', '.join(KINDS)}")
@@ -60,7 +60,7 @@ class Combination:
 
 @dataclass(frozen=True, slots=True)
 class Constraint:
-    """An ``expression`` of parameters, or a ``criterion``, held below `maximum`, above `minimum` or equal.
+    """A limit on an ``expression`` of parameters or on a ``criterion``: at most, at least or equal to a value.
 
     Parameters
     ----------
@@ -104,11 +104,11 @@ class Constraint:
 
     @property
     def is_equality(self) -> bool:
-        """Whether it must be met exactly."""
+        """Whether it is an equality constraint."""
         return self.equal is not None
 
     def check(self, labels: Sequence[str], parameters: Mapping[str, float], *, where: str | None = None) -> None:
-        """Raise ProblemError if it names what does not exist."""
+        """Raise ProblemError if it refers to an unknown parameter or criterion."""
         if self.expression is not None:
             if missing := sorted(self.expression.names - set(parameters)):
                 raise ProblemError(
@@ -122,7 +122,7 @@ class Constraint:
             )
 
     def violation(self, labels: Sequence[str], criteria: FloatArray, parameters: Mapping[str, float]) -> float:
-        """Return how far it is broken: at most 0 (inequality) or exactly 0 (equality) when kept."""
+        """Return the violation: at most 0 (inequality) or exactly 0 (equality) if satisfied."""
         if self.expression is not None:
             number = self.expression(parameters)
         else:
@@ -135,7 +135,7 @@ class Constraint:
 
 
 def matching(labels: Sequence[str], pattern: str) -> list[int]:
-    """Return which of the criteria's labels (``case: name``) a glob names, with the case or without."""
+    """Return the criteria labels (``case: name``) that match a glob, with or without the case."""
     return [
         i
         for i, label in enumerate(labels)

@@ -1,4 +1,4 @@
-"""Criteria: what is measured of the mismatch between a prediction and a measurement.
+"""Criteria: measures of the mismatch between a prediction and a measurement.
 
 Every criterion gives a vector of residuals, already divided by its demand value; its value is their root
 mean square, so at most 1 means "satisfied". Which one to use when:
@@ -48,11 +48,11 @@ Residuals = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Target:
-    """The measurement of one signal, as a criterion sees it; all arrays (N,), in the model's unit.
+    """The measurement of one signal for a criterion; all arrays are (N,), in the model's unit.
 
-    `mean` is the mean over the repeats (NaN where no repeat has a sample), `count` how many repeats have one,
-    `noise` that of a single sample. `repeated` are the runs that the noise's spectrum is
-    estimated from, for criteria that ask for it.
+    `mean` is the mean over the repeats (NaN where no repeat has a sample), `count` is the number of repeats with a
+    sample, and `noise` is the noise of a single sample. `repeated` are the runs for estimating the noise spectrum,
+    for criteria that need it.
     """
 
     signal: str
@@ -65,7 +65,7 @@ class Target:
 
     @property
     def degrees(self) -> float:
-        """Degrees of freedom of the noise level: infinite if it was given, 0 if it is not known."""
+        """Degrees of freedom of the noise level: infinite if given, 0 if unknown."""
         if self.noise.source == "repeats":
             return float(np.sum(np.maximum(self.count - 1.0, 0.0)))
         return math.inf if self.noise.source == "given" else 0.0
@@ -75,11 +75,11 @@ class Target:
 class Criterion:
     """A criterion prepared for one signal of one case.
 
-    `rows` are the sample indices its residuals belong to if it has one residual a sample, else None. If it is
-    `affine`, residuals are such a function of the prediction, and several predictions, (..., N), may be given at
-    once. `priority` orders criteria of a lexicographic combination, 1 first. `scatter` are the standard deviations
-    of its residuals under the noise, which is known to so many `degrees` of freedom; None if it is not known or
-    they are no samples.
+    `rows` are the sample indices of its residuals if it has one residual per sample, else None. If `affine`, the
+    residuals are an affine function of the prediction, and several predictions, (..., N), may be passed at once.
+    `priority` orders criteria of a lexicographic combination, 1 first. `scatter` are the standard deviations of
+    its residuals under the noise, whose level has `degrees` degrees of freedom; None if the noise is unknown or
+    residuals do not correspond to samples.
     """
 
     label: str
@@ -96,18 +96,18 @@ class Criterion:
     degrees: float = 0.0
 
     def length(self, measured: FloatArray) -> int:
-        """Return the number of its residuals; (N,) `measured` tells, or what lies beside it.
+        """Return the number of its residuals, from its value on (N,) `measured` or on data close to it.
 
         Raises
         ------
         ProblemError
-            A user's function has a value on neither.
+            A user's function is undefined for both.
         """
         for prediction in (measured, 1.1 * measured + 1e-3):
             with suppress(SimulationError):
                 return len(self.residuals(prediction))
         raise ProblemError(
-            "has a value neither on the measurement nor beside it",
+            "is undefined on the measurement and on data close to it",
             where=f"criterion '{self.label}'",
             fix="correct its function",
         )
@@ -120,17 +120,17 @@ _registered: dict[str, User] = {}
 
 
 def register(name: str, function: User) -> None:
-    """Make `function` a criterion of kind `name`, for `kind = name` in a stage."""
+    """Register `function` as a criterion of kind `name`, for use as `kind = name` in a stage."""
     _registered[name] = function
 
 
 def prepare(spec: CriterionSpec, target: Target) -> Criterion:
-    """Return the criterion `spec` asks for on `target`.
+    """Return the criterion for `spec` on `target`.
 
     Raises
     ------
     ProblemError
-        The kind is unknown, an option is wrong, or no sample is left.
+        The kind is unknown, an option is invalid, or no sample is left.
     """
     where = f"criterion '{spec.kind}' on '{spec.signal}'"
     if not spec.demand > 0.0:
@@ -197,7 +197,9 @@ def _residuals(kind: str, target: Target, rows: Rows, options: dict[str, Any], w
         feature = features.FEATURES[kind]
         aim = feature(time, measured)
         if not np.isfinite(aim):
-            raise ProblemError("the measurement does not show it", where=where, fix="choose another feature")
+            raise ProblemError(
+                "the measurement does not show this feature", where=where, fix="choose another feature"
+            )
         return lambda p: np.array([feature(time, p[rows]) - aim])
     if kind == "user" or kind in _registered:
         user = _registered[kind] if kind in _registered else _load(options.pop("function", None), where)
@@ -223,7 +225,7 @@ def _least_squares(
 
 
 def whitened(spec: CriterionSpec) -> bool:
-    """Whether `spec` asks for the spectrum of the noise between repeats."""
+    """Return whether `spec` needs the noise spectrum from repeats."""
     return spec.options.get("whiten") == "repeats"
 
 

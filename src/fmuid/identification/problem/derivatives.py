@@ -1,4 +1,4 @@
-"""Jacobians: exact where the models differentiate their runs, else differences that know the noise floor.
+"""Jacobians: exact if the models differentiate their runs, else noise-aware finite differences.
 
 A co-simulation's output is only piecewise smooth in its parameters (adaptive steps, events), so textbook
 steps of 1e-8 measure noise. The noise is estimated from a sixth difference (Hamming; More and Wild, 2011)
@@ -31,14 +31,14 @@ _SMALLEST_STEP = 1e-7
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseFloor:
-    """How much predictions scatter when parameters change by next to nothing.
+    """Scatter of predictions under tiny changes of the parameters.
 
     Parameters
     ----------
     residual
         Root mean square scatter of a residual (in sigmas).
     size
-        Root mean square of the predictions in the same unit, to judge it by.
+        Root mean square of the predictions in the same unit, for comparison.
     outputs
         (channels,) root mean square scatter for each case, in the outputs' units.
     """
@@ -49,7 +49,7 @@ class NoiseFloor:
 
     @property
     def relative(self) -> float:
-        """Scatter over size, not below rounding."""
+        """Relative scatter, at least the rounding error."""
         return max(self.residual / self.size if self.size > 0.0 else 0.0, 4.0 * np.finfo(float).eps)
 
     @property
@@ -95,19 +95,19 @@ def noise_floor(problem: Problem, x: FloatArray, *, evaluate: EvaluateMany | Non
 
 
 class Differences:
-    """Jacobians of a problem's residuals: exact if every model can tell, else finite differences.
+    """Jacobians of a problem's residuals: exact if every model supports it, else finite differences.
 
     Remembers the step each parameter needs.
 
     Parameters
     ----------
     problem
-        Whose residuals.
+        The problem.
     floor
-        Its simulator's noise floor, which the steps follow.
+        The simulator's noise floor, which determines the steps.
     central
-        Two points a parameter instead of one: for covariances. A minimum does not need them: the bias of the
-        one-sided gradient is the step times the curvature, some thousandths of a standard error.
+        Use two points per parameter instead of one, for covariances. A minimisation does not need them: the bias
+        of the one-sided gradient is the step times the curvature, a few thousandths of a standard error.
     """
 
     def __init__(self, problem: Problem, floor: NoiseFloor, *, central: bool) -> None:
@@ -125,9 +125,9 @@ class Differences:
     def column_scale(self, jacobian: FloatArray) -> FloatArray:
         """Return divisors, (n,), after which each column of an (m, n) Jacobian has an error of `tolerance`.
 
-        So scaled, it tells by its singular values what is determined, whatever the units and the values of the
-        parameters are (Stewart, SIAM Review 26:567, 1984). A column no larger than what scatter of the simulator
-        leaves of it, at the largest step, stays small.
+        The singular values of the scaled Jacobian show what is determined, independent of the units and values of
+        the parameters (Stewart, SIAM Review 26:567, 1984). A column within the simulator's scatter at the largest
+        step stays small.
         """
         norms = np.linalg.norm(jacobian, axis=0)
         scatter = 0.0 if self.exact else self.floor.residual / _LARGEST_STEP * math.sqrt(len(jacobian))
@@ -135,20 +135,20 @@ class Differences:
         return np.asarray(np.maximum(norms, least / self.tolerance))
 
     def adopt(self, floor: NoiseFloor) -> None:
-        """Follow a noise floor measured elsewhere; steps only grow."""
+        """Use a noise floor measured elsewhere; steps only increase."""
         self.floor = floor
         step = floor.central_step if self.central else floor.forward_step
         self.steps = [max(step, old) for old in self.steps]
 
     def jacobian(self, evaluate: EvaluateMany, here: Evaluation, first: int = 0) -> FloatArray:
-        """Return d residuals / d search point, (m, n), at `here`; of the coordinates from `first` on.
+        """Return d residuals / d search point, (m, n), at `here`, for the coordinates from `first` on.
 
-        Near a bound, or where one side cannot be simulated, the other side alone is used.
+        Near a bound, or if one side cannot be simulated, only the other side is used.
 
         Raises
         ------
         SimulationError
-            A parameter can be moved to neither side.
+            Neither side of a parameter can be simulated.
         """
         exact = self._exact.jacobian(here, first)
         self.exact = exact is not None
@@ -166,7 +166,7 @@ class Differences:
                     sides = [e for e in evaluate(self._moved(here.x, i, -self.steps[i], False)) if e.ok]
                 if not sides:
                     raise SimulationError(
-                        f"no simulation beside {dict(here.parameters)} succeeds", fix="narrow the bounds"
+                        f"no simulation close to {dict(here.parameters)} succeeds", fix="narrow the bounds"
                     )
                 a, b = (sides[0], sides[1]) if len(sides) == 2 else (sides[0], here)
                 change = a.residuals - b.residuals

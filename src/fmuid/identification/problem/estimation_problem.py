@@ -1,4 +1,4 @@
-"""Problems: cases and parameters together, and the evaluation of a candidate."""
+"""Problems: cases with parameters, and the evaluation of candidates."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ _REMEMBERED = 1_500_000  # samples of predictions, 12 MB: enough for the columns
 
 
 class Problem:
-    """Any number of cases that share parameters, judged together.
+    """Any number of cases with shared parameters and one cost.
 
     Parameters
     ----------
     cases
-        What is simulated and compared.
+        The simulations and their measurements.
     parameters
-        Free and fixed parameters, or a ready search space.
+        Free and fixed parameters, or a complete search space.
     combination
-        How the criteria become one cost.
+        How the criteria are combined into one cost.
     constraints
-        On parameters and criteria.
+        Constraints on parameters and criteria.
     runner
-        Where simulations run.
+        Runner of the simulations.
     name
-        Shown in progress and results.
+        Name in progress reports and results.
 
     Raises
     ------
     ProblemError
-        A free parameter reaches no model.
+        A free parameter affects no model.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Problem:
     ) -> None:
         self.cases = tuple(cases)
         if not self.cases:
-            raise ProblemError("no case to compare with", where=name, fix="add one")
+            raise ProblemError("the problem has no case", where=name, fix="add one or more")
         self.space = parameters if isinstance(parameters, SearchSpace) else _space(parameters, self.cases)
         self.combination = combination or Combination()
         self.constraints = tuple(constraints)
@@ -78,9 +78,9 @@ class Problem:
         self._predictor: Predictor[tuple[int, tuple[float, ...]]] = Predictor(_REMEMBERED)
         if self.space.priors and self.combination.kind != "weighted_sum":
             raise ProblemError(
-                f"a prior is a residual, and {self.combination.kind} is no sum of them",
+                f"a prior is a residual, but {self.combination.kind} is not a sum of residuals",
                 where=name,
-                fix='leave the priors out, or use combine = "weighted_sum"',
+                fix='remove the priors, or use combine = "weighted_sum"',
             )
         self._check_reach()
 
@@ -95,9 +95,9 @@ class Problem:
         runner: Runner = in_process,
         settled: bool = True,
     ) -> Problem:
-        """Return the problem that a stage of a campaign poses, started from the `best` values so far.
+        """Return the problem of a stage of a campaign, starting from the `best` values so far.
 
-        Unless it is to be `settled`, nothing is simulated, and models keep their own tolerances.
+        Unless `settled` is True, nothing is simulated and models keep their default tolerances.
         """
         where = f"stage '{stage.name}'"
         experiments = case_building.experiments_of(campaign, stage.experiments, where=where)
@@ -143,7 +143,7 @@ class Problem:
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:
-        """Where each criterion's residuals are in the residual vector; needs no simulation of its own."""
+        """Slice of each criterion in the residual vector; needs no simulation."""
         slices, begin = [], 0
         for case, criterion in self.criteria:
             channel = next(c for c in case.channels if c.signal == criterion.signal)
@@ -155,7 +155,7 @@ class Problem:
 
     @cached_property
     def exact(self) -> ExactDerivatives:
-        """Its exact Jacobians."""
+        """Exact Jacobians of the problem."""
         return ExactDerivatives(self)
 
     @property
@@ -174,11 +174,11 @@ class Problem:
     def evaluate_many(
         self, points: Sequence[FloatArray], *, differentiated: Sequence[bool] = ()
     ) -> list[Evaluation]:
-        """Evaluate several candidates; what two of them share is simulated once.
+        """Evaluate several candidates; simulations that they share run once.
 
-        A candidate for which a tie, a criterion or a constraint has no value has failed, as one that cannot be
-        simulated. The runs of those that are `differentiated` find their Jacobians as well, where the models can
-        tell them (`exact` then has them).
+        A candidate fails if it cannot be simulated or if a tie, a criterion or a constraint is undefined for it.
+        For `differentiated` candidates the same runs also compute Jacobians if the models support it (`exact` then
+        contains them).
         """
         begin = clock.perf_counter()
         points = [np.array(x, dtype=np.float64) for x in points]
@@ -238,7 +238,7 @@ class Problem:
         criteria = np.array([value(r) for r in vectors])
         if not np.isfinite(criteria).all():
             label = self.labels[int(np.argmin(np.isfinite(criteria)))]
-            return self._failed(x, values, f"{label}: the prediction does not show it", seconds)
+            return self._failed(x, values, f"{label}: the prediction does not show this feature", seconds)
         prior = np.array([(values[self.space.names[i]] - p.mean) / p.sd for i, p in self.space.priors])
         residuals = np.concatenate([*(w * r for w, r in zip(self.root_weights, vectors, strict=True)), prior])
         return Evaluation(
@@ -258,17 +258,17 @@ class Problem:
         return Evaluation(x, values, nothing, np.full(0, np.nan), float("nan"), constraints, why, seconds)
 
     def over(self, space: SearchSpace) -> Problem:
-        """Return the same problem over other free parameters."""
+        """Return the same problem with other free parameters."""
         kept: dict[str, Any] = {"combination": self.combination, "constraints": self.constraints}
         return Problem(self.cases, space, **kept, runner=self.runner, name=self.name)
 
     @property
     def nuisances(self) -> int:
-        """Number of unknowns that are fitted along, beside the free parameters: initial states of segments."""
+        """Number of unknowns fitted in addition to the free parameters: initial states of segments."""
         return sum(getattr(case.simulator, "nuisances", 0) for case in self.cases)
 
     def sees(self, name: str) -> bool:
-        """Return whether a parameter reaches a model, a sensor or a tie of this problem."""
+        """Return whether a parameter affects a model, a sensor or a tie of this problem."""
         plain, _, run = name.partition(SEPARATOR)
         return plain in self._used and (not run or any(run in (case.id, case.machine) for case in self.cases))
 
@@ -287,7 +287,7 @@ class Problem:
             if name.split(SEPARATOR)[0] not in self._used:
                 raise ProblemError(
                     f"no model of {self.name} has the parameter '{name}'",
-                    fix="correct its name, map it in [models], or take it out of 'free'",
+                    fix="correct its name, map it in [models], or remove it from 'free'",
                 )
 
 

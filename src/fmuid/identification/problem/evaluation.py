@@ -21,17 +21,17 @@ class Evaluation:
     criteria
         (n_criteria,) values, each divided by its demand; NaN if the candidate failed.
     residuals
-        (m,) residuals of all criteria, each times the root of its criterion's weight.
+        (m,) residuals of all criteria, each multiplied by the square root of its criterion's weight.
     cost
         The scalar that is minimised; NaN if the candidate failed.
     constraints
-        (n_constraints,) violations: at most 0 means kept (inequalities), 0 means kept (equalities).
+        (n_constraints,) violations: satisfied if at most 0 (inequalities) or 0 (equalities).
     failure
         Why there is no prediction, or None.
     seconds
         Wall time of its simulations.
     predictions
-        (channels, N) for each case, as the sensors show them.
+        (channels, N) sensor readings for each case.
     """
 
     x: FloatArray

@@ -1,8 +1,8 @@
-"""The exact Jacobian of a problem, where its models differentiate their own runs (forward sensitivities).
+"""The exact Jacobian of a problem whose models differentiate their own runs (forward sensitivities).
 
-One run of each case gives its outputs and their derivatives by everything that the free parameters set on the
-model. What lies around the simulation is linear in it (scales, units, most criteria) or costs next to nothing
-(ties, sensors, other criteria) and is differentiated by central differences of its own.
+One run of each case gives its outputs and their derivatives with respect to everything that the free parameters
+set on the model. The steps around the simulation are either linear (scales, units, most criteria) or cheap (ties,
+sensors, other criteria), and the latter are differentiated by central differences.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _KEPT = 4_000_000  # numbers of Jacobians, 32 MB
 
 
 class Posed(Protocol):
-    """What of a `Problem` its derivatives depend on."""
+    """The parts of a `Problem` on which its derivatives depend."""
 
     cases: tuple[Case, ...]
     space: SearchSpace
@@ -36,11 +36,11 @@ class Posed(Protocol):
 
     @property
     def slices(self) -> tuple[slice, ...]:
-        """Where each criterion's residuals are in the residual vector."""
+        """Slice of each criterion in the residual vector."""
 
 
 class ExactDerivatives:
-    """Jacobians of a problem's residuals by forward sensitivities; remembers the last ones."""
+    """Jacobians of a problem's residuals by forward sensitivities; the latest ones are cached."""
 
     def __init__(self, problem: Posed) -> None:
         self._problem = problem
@@ -49,9 +49,9 @@ class ExactDerivatives:
         self._found: OrderedDict[tuple[bytes, int], FloatArray | None] = OrderedDict()  # None: it was refused
 
     def jacobian(self, here: Evaluation, first: int = 0) -> FloatArray | None:
-        """Return d residuals / d search point, (m, n), at `here`; None where a model cannot tell.
+        """Return d residuals / d search point, (m, n), at `here`; None if a model has no derivatives.
 
-        Of the coordinates from `first` on.
+        Only the coordinates from `first` on are included.
         """
         key = here.x.tobytes(), first
         if key not in self._found:
@@ -61,14 +61,14 @@ class ExactDerivatives:
     def simulate(
         self, points: Sequence[tuple[FloatArray, Mapping[str, float]]], first: int = 0
     ) -> dict[tuple[int, tuple[float, ...]], FloatArray]:
-        """Simulate (n,) search points with all parameters' values, and remember their Jacobians; see `jacobian`.
+        """Simulate (n,) search points with all parameters' values, and cache their Jacobians; see `jacobian`.
 
-        Nothing is simulated where a model cannot tell its derivatives, or for more Jacobians than are remembered.
+        Nothing is simulated if a model has no derivatives, or beyond the number of cached Jacobians.
 
         Returns
         -------
         dict
-            The predictions, by number of the case and the start values of its model.
+            Predictions by case number and start values of the model.
         """
         problem, jobs = self._problem, list[Job]()
         if len(points) > 1 and len(points) * problem.slices[-1].stop * len(problem.space) > _KEPT:

@@ -23,7 +23,7 @@ def peak(_time: FloatArray, y: FloatArray) -> float:
 
 
 def overshoot(time: FloatArray, y: FloatArray) -> float:
-    """Return how far the response goes beyond its final value, in % of the change (0 if it does not)."""
+    """Return the overshoot beyond the final value in % of the change (0 if there is none)."""
     change = steady_state(time, y) - y[0]
     if change == 0.0:
         return 0.0

@@ -1,4 +1,4 @@
-"""Between model space (what the FMU gets) and search space (what a solver moves in)."""
+"""Mapping between model space (values for the FMU) and search space (coordinates for a solver)."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _STEP = 1e-6  # of differences of expressions, in search units
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """How the parameters move with one that is free, in model space.
+    """Change of the parameters with one free parameter, in model space.
 
     Parameters
     ----------
     slopes
-        Derivative by it of every parameter that moves, its own of 1 included.
+        Derivatives of every dependent parameter with respect to it, including its own of 1.
     ends
-        A small distance up and one down, within its bounds.
+        Small upward and downward steps within its bounds.
     """
 
     slopes: Mapping[str, float]
@@ -37,7 +37,7 @@ class Move:
     def derivative(
         self, function: Callable[[Mapping[str, float]], FloatArray], values: Mapping[str, float]
     ) -> FloatArray:
-        """Return the derivative of a function of every parameter's value, by differences."""
+        """Return the derivative of a function of the parameters' values, by differences."""
         above, below = (
             function({**values, **{name: values[name] + end * slope for name, slope in self.slopes.items()}})
             for end in self.ends
@@ -55,13 +55,13 @@ class SearchSpace:
     Parameters
     ----------
     free
-        The parameters a solver moves, per-experiment ones already named ``name@experiment``.
+        The parameters a solver varies; per-experiment parameters are already named ``name@experiment``.
     fixed
         Every other parameter's value.
     ties
         Follower name -> expression of other parameters.
     least
-        Name of a free parameter -> the least size of a unit of its search coordinate, whatever its start.
+        Name of a free parameter -> the smallest unit of its search coordinate, independent of its start.
     """
 
     free: tuple[ParameterSpec, ...]
@@ -81,7 +81,7 @@ class SearchSpace:
         known = free | set(self.fixed) | set(self.ties)
         for name, expression in self.ties.items():
             if name in free:
-                raise ProblemError(f"parameter '{name}' is both free and tied", fix="leave it out of 'free'")
+                raise ProblemError(f"parameter '{name}' is both free and tied", fix="remove it from 'free'")
             if missing := sorted(expression.names - known):
                 raise ProblemError(
                     f"the tie of '{name}' names unknown parameter '{missing[0]}'",
@@ -91,7 +91,7 @@ class SearchSpace:
             order = graphlib.TopologicalSorter({n: e.names & set(self.ties) for n, e in self.ties.items()})
             object.__setattr__(self, "_order", tuple(order.static_order()))
         except graphlib.CycleError as error:
-            raise ProblemError(f"ties in a circle: {' -> '.join(error.args[1])}", fix="break one") from None
+            raise ProblemError(f"circular ties: {' -> '.join(error.args[1])}", fix="break one") from None
         object.__setattr__(self, "fixed", frozen_mapping(self.fixed))
         object.__setattr__(self, "ties", frozen_mapping(self.ties))
         object.__setattr__(self, "_log", np.array([spec.scale == "log" for spec in self.free], dtype=bool))
@@ -144,19 +144,19 @@ class SearchSpace:
         Raises
         ------
         ProblemError
-            What is tied has no value there.
+            A tied parameter is undefined there.
         """
         return self.followed(self._untied(x))
 
     def tried(self, x: FloatArray) -> tuple[dict[str, float], str | None]:
-        """Return the values as `to_model` does, and why there are none: what is tied is NaN then."""
+        """Return the values as `to_model` does, and the reason if some are undefined; tied values are NaN then."""
         try:
             return self.to_model(x), None
         except ProblemError as error:
             return self._untied(x) | dict.fromkeys(self._order, math.nan), str(error)
 
     def followed(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return `values` with what is tied to them."""
+        """Return `values` together with the parameters tied to them."""
         found = dict(values)
         for name in self._order:
             found[name] = self.ties[name](found)
@@ -168,7 +168,7 @@ class SearchSpace:
 
     @property
     def priors(self) -> tuple[tuple[int, Prior], ...]:
-        """The free parameters of which something is known beforehand: number and prior."""
+        """Index and prior of the free parameters that have a prior."""
         return tuple((i, spec.prior) for i, spec in enumerate(self.free) if spec.prior is not None)
 
     def slope(self, x: FloatArray) -> FloatArray:
@@ -176,7 +176,7 @@ class SearchSpace:
         return np.where(self._log, self._model(x), self._unit)
 
     def moves(self, x: FloatArray, values: Mapping[str, float]) -> list[Move]:
-        """Return how the parameters move with every free one at the (n,) search point `x` with its `values`."""
+        """Return the changes of the parameters with each free one at the (n,) search point `x`."""
         found = []
         for spec, step in zip(self.free, (_STEP * self.slope(x)).tolist(), strict=True):
             slopes = {spec.name: 1.0}
@@ -212,11 +212,11 @@ def expanded(
     specs
         The campaign's parameters.
     free
-        Names that are free in this stage; a per-experiment one stands for one each of `experiments`.
+        Names that are free in this stage; a per-experiment name is expanded to one for each of `experiments`.
     best
         Best values so far, by (expanded) name.
     ties
-        Follower -> expression text. What follows a per-experiment parameter has to be one too.
+        Follower -> expression text. A follower of a per-experiment parameter must be per-experiment as well.
     experiments, machines
         Ids of the stage's experiments, and names of the machines that they were made with.
     """
@@ -262,7 +262,7 @@ def _of_owners(
             if (kind := specs[leader].per if leader in specs else "campaign") not in ("campaign", per):
                 run = "run" if kind == "experiment" else kind
                 raise ProblemError(
-                    f"'{name}' is tied to '{leader}', which each {run} has its own of",
+                    f"'{name}' is tied to '{leader}', which has one value per {run}",
                     fix=f"write per = \"{kind}\" for '{name}' too",
                 )
         leaders = {n for n in expression.names if n in specs and specs[n].per != "campaign"}

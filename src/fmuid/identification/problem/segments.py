@@ -1,6 +1,6 @@
-"""Cases of plants that run away: runs in segments (`fmuid.simulation.segmented`) or under an observer.
+"""Cases of plants that diverge in open loop: runs in segments, or with an observer.
 
-The latter: `fmuid.simulation.observer_model`.
+See `fmuid.simulation.segmented` and `fmuid.simulation.observer_model`.
 """
 
 from __future__ import annotations
@@ -26,17 +26,16 @@ def segmented(case: Case, length: Length, values: Mapping[str, float], free: Col
     case
         The case.
     length
-        Of the segments.
+        Length of the segments.
     values
-        Of all parameters, in model space: with them the segments are laid out.
+        Values of all parameters in model space, for choosing the segments.
     free
         Names of the parameters that are estimated.
 
     Raises
     ------
     ProblemError
-        The model's states cannot be set, a sensor stands between model and measurement, or a free parameter is an
-        initial state.
+        The model's states cannot be set, the signal has a sensor model, or a free parameter is an initial state.
     """
     where = f"segments of '{case.id}'"
     _require_plain(case, where)
@@ -47,9 +46,9 @@ def segmented(case: Case, length: Length, values: Mapping[str, float], free: Col
     for name in free:
         if name in case.setting and case.setting[name][0] in simulator.states:
             raise ProblemError(
-                f"'{name}' is an initial state, which each segment has its own of",
+                f"'{name}' is an initial state, which is estimated for each segment",
                 where=where,
-                fix="take it out of 'free'",
+                fix="remove it from 'free'",
             )
     return replace(case, simulator=simulator)
 
@@ -57,14 +56,14 @@ def segmented(case: Case, length: Length, values: Mapping[str, float], free: Col
 def observed(
     cases: Sequence[Case], observer: bool | Mapping[str, Mapping[str, float]], values: Mapping[str, float]
 ) -> tuple[tuple[Case, ...], dict[str, float]]:
-    """Return cases that are predicted with output feedback, and the gains to begin with, by name.
+    """Return cases predicted with output feedback, and the initial gains by name.
 
     Parameters
     ----------
     cases
         The cases.
     observer
-        True for the gains of a Kalman filter at the start of the first run of each setup, or the gains.
+        The gains, or True for those of a Kalman filter at the start of the first run of each setup.
     values
         Of all parameters, in model space.
 
@@ -104,14 +103,14 @@ def _require_plain(case: Case, where: str) -> None:
     for channel in case.channels:
         if not channel.plain:
             raise ProblemError(
-                f"'{channel.signal}' has a sensor of its own (gradient, filter, offset, gain or delay)",
+                f"'{channel.signal}' has a sensor model (gradient, filter, offset, gain or delay)",
                 where=where,
-                fix="put the sensor into the model, or simulate whole runs",
+                fix="include the sensor in the model, or simulate whole runs",
             )
 
 
 def growth_of(case: Case, values: Mapping[str, float]) -> Growth | None:
-    """Return how errors grow when a case is simulated as a whole; None where its model cannot be started anywhere.
+    """Return the growth of errors in a case simulated as a whole; None if its states cannot be set.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
-"""How tightly a model must be solved for its errors to stay below the noise of what it is compared with.
+"""Solver tolerances that keep the errors of a model below the noise of its measurements.
 
-An integrator's tolerance bounds its error in a step, not that of a prediction. So the tolerance is tightened
-until the prediction no longer moves: until all samples of a run together change by less than `UNSEEN` standard
-deviations of their noise. No test, cost or standard error can then differ by more than that. Where a prediction
-goes on to move however tight the tolerance is (chaos, a stick that slips by a hair), nobody can predict the run
-from there on, and it is left out from there on.
+An integrator's tolerance bounds its error in one step, not the error of a prediction. The tolerance is therefore
+tightened until all samples of a run together change by less than `UNSEEN` standard deviations of their noise. No
+test, cost or standard error can then differ by more than that. If a prediction keeps changing however tight the
+tolerance is (chaos, or stick-slip at its limit), the run cannot be predicted from that time on, and its later
+samples are excluded.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ _SHRINKING = 0.25  # a tolerance of a tenth should leave a smaller share than th
 
 @dataclass(frozen=True, slots=True)
 class SolverAccuracy:
-    """What tolerances the cases need.
+    """Solver tolerances that the cases need.
 
     Parameters
     ----------
     tolerances
-        By case; those not named are solved to their model's own tolerance.
+        Tolerances by case; other cases use their model's default tolerance.
     until
-        By case: the time (s) from which its prediction never settles.
+        By case: the time (s) from which its prediction does not converge.
     """
 
     tolerances: Mapping[str, float] = field(default_factory=dict)
@@ -49,7 +49,7 @@ class SolverAccuracy:
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What a user should know."""
+        """Findings for the user."""
         return tuple(
             f"'{case}' cannot be predicted from {time:.6g} s on and is left out from there: "
             "the prediction changes however tight the solver's tolerance is"
@@ -66,18 +66,18 @@ def solver_accuracy(
     sigma: Sequence[FloatArray] | None = None,
     loosest: Sequence[float] = (),
 ) -> SolverAccuracy:
-    """Find the loosest tolerance of each case whose error no measurement would show.
+    """Find for each case the loosest tolerance whose error stays below the measurement noise.
 
     Parameters
     ----------
     values, starts
-        The point where this is asked: parameters by name, and what each case sets on its model.
+        The point to evaluate: parameters by name, and the start values that each case sets on its model.
     sigma
         (C,) standard deviations of the means that the predictions of each case are compared with, if not those of
         its channels.
     loosest
-        Tolerances to begin with, largest first; without them a model's own, which is then only tightened. A case
-        that cannot be simulated keeps its model's.
+        Tolerances to try, largest first; by default the model's tolerance, which is then only tightened. A case
+        that cannot be simulated keeps its model's tolerance.
     """
     pending = {k: [*loosest] for k, c in enumerate(cases) if default_tolerance(c.simulator) is not None}
     for k, ladder in pending.items():

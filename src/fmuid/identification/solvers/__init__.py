@@ -1,4 +1,4 @@
-"""Solvers by one signature; `make` finds one by name, `choose` by the structure of the problem.
+"""Solvers with a common signature; `make` finds one by name, `choose` by the structure of the problem.
 
 Names: ``trf``, ``lm``, ``dfols`` (least squares); ``nelder_mead``, ``sbplx``, ``cobyla``, ``bobyqa``,
 ``newuoa_bound``, ``praxis``, ``pattern_search``, ``lbfgs``, ``slsqp`` (local); ``crs2``, ``isres``, ``direct``,
@@ -46,19 +46,21 @@ NAMES = ("auto", "trf", "lm", "dfols", "pattern_search", *ALGORITHMS)
 
 
 def make(name: str, options: Mapping[str, Any], problem: Problem) -> tuple[Solver, str]:
-    """Return the solver asked for by `name` and `options`, and why it was taken.
+    """Return the solver for `name` and `options`, and the reason for the choice.
 
     Raises
     ------
     ProblemError
-        The name or an option is unknown, or the solver cannot take the problem.
+        The name or an option is unknown, or the solver cannot handle the problem.
     """
     options = dict(options)
     starts, seed = options.pop("starts", 1), options.pop("seed", 0)  # the latter is the search's
     for key, value, least in (("starts", starts, 1), ("seed", seed, 0)):
         if not isinstance(value, int) or value < least:
-            raise ProblemError(f"solver option {key} is {value!r}", fix=f"write a whole number from {least} on")
-    why = "asked for"
+            raise ProblemError(
+                f"solver option {key} is {value!r}", fix=f"write a whole number of at least {least}"
+            )
+    why = "requested"
     if name == "auto":
         name, why = choose(problem)
     links = [part.strip() for part in name.split(">")]
@@ -87,10 +89,10 @@ def choose(problem: Problem) -> tuple[str, str]:
     if problem.smooth:
         return "trf", f"smooth sum of squares over {free}: least squares uses its structure"
     if problem.constraints or problem.combination.kind in ("min_max", "lexicographic"):
-        return "cobyla", "constraints or a minimum of the worst criterion: COBYLA models each of them"
+        return "cobyla", "constraints or a worst-case criterion: COBYLA models each of them"
     if all(criterion.smooth for _, criterion in problem.criteria) and n > 1:
-        return "bobyqa", f"smooth cost of {free} that is no sum of squares: quadratic models"
-    return "sbplx", "criteria with kinks: a simplex search needs no smoothness"
+        return "bobyqa", f"smooth cost of {free} that is not a sum of squares: quadratic models"
+    return "sbplx", "non-smooth criteria: a simplex search needs no derivatives"
 
 
 def _of_link(link: str, options: Any) -> dict[str, Any]:

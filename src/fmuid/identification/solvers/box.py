@@ -1,4 +1,4 @@
-"""Hidden constraints: how solvers that cannot take "this candidate fails" go on."""
+"""Hidden constraints: how to continue solvers that cannot handle failed candidates."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _EDGE = 1e-6
 
 
 class CandidateFailedError(Exception):
-    """The candidate `x` cannot be simulated, and the solver has no way to be told."""
+    """The candidate `x` cannot be simulated, and the solver has no way to handle that."""
 
     def __init__(self, x: FloatArray) -> None:
         super().__init__("a candidate failed")
@@ -26,7 +26,7 @@ class CandidateFailedError(Exception):
 def around_failures(
     search: Search, start: FloatArray, run: Callable[[FloatArray, FloatArray, FloatArray], Outcome]
 ) -> Outcome:
-    """Run a solver, and again in a smaller box from the best point whenever a candidate fails.
+    """Run a solver; whenever a candidate fails, restart it from the best point in a smaller box.
 
     The box is cut half-way to the failed candidate, across the coordinate that differs most. An optimum on a
     cut moves the cut.
@@ -60,7 +60,7 @@ def around_failures(
         for i in map(int, np.flatnonzero(on_cut)):
             bound = upper if failed_at[i] > x[i] else lower
             bound[i] = 0.5 * (bound[i] + failed_at[i])
-    return Outcome(Status.FAILED, "simulations keep failing around the best point")
+    return Outcome(Status.FAILED, "simulations near the best point keep failing")
 
 
 def _cuts_reached(x: FloatArray, lower: FloatArray, upper: FloatArray, search: Search) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""Solvers made of solvers: chains, multistart, and lexicographic order."""
+"""Composite solvers: chains, multistart, and lexicographic order."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from fmuid.identification.solvers.search import Outcome, Search, Solver, Start, 
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """One solver after the other, each from the best point of those before: global, then local.
+    """Several solvers in sequence, each from the best point so far: global, then local.
 
-    Each has an equal share of the budget that is left, the last one all of it.
+    Each gets an equal share of the remaining budget; the last one gets all of it.
     """
 
     links: tuple[Solver, ...]
@@ -32,7 +32,7 @@ class Chain:
 
     @property
     def needs_residuals(self) -> bool:
-        """Whether any link does."""
+        """Whether any link needs residuals."""
         return any(link.needs_residuals for link in self.links)
 
     def check(self, problem: Problem) -> None:
@@ -60,10 +60,10 @@ class Chain:
 
 @dataclass(frozen=True, slots=True)
 class MultiStart:
-    """The same solver from several starts: the given one, and a scrambled Sobol sequence in the bounds.
+    """The same solver from several starts: the given start, and a scrambled Sobol sequence within the bounds.
 
-    The starts depend on the seed alone; they are searched from side by side (`parallel_searches`). Where each one
-    led is kept for the waterfall plot.
+    The starts depend on the seed only; the searches run side by side (`parallel_searches`). The outcome of each
+    start is kept for the waterfall plot.
     """
 
     solver: Solver
@@ -76,7 +76,7 @@ class MultiStart:
 
     @property
     def needs_residuals(self) -> bool:
-        """Whether the solver does."""
+        """Whether the solver needs residuals."""
         return self.solver.needs_residuals
 
     def check(self, problem: Problem) -> None:
@@ -114,12 +114,12 @@ class MultiStart:
             if search.best is not None and branch.best is search.best:
                 search.noise_floor = branch.noise_floor
                 return outcome
-        return Outcome(Status.FAILED, "no start could be simulated")
+        return Outcome(Status.FAILED, "none of the starts could be simulated")
 
 
 @dataclass(frozen=True, slots=True)
 class Lexicographic:
-    """Minimises the criteria of priority 1, then those of 2 while the first get no worse, and so on."""
+    """Minimises the criteria of priority 1, then those of priority 2 without making the first worse, and so on."""
 
     solver: Solver
     slack: float = field(default=1e-3)  # relative: without it later levels could not move
@@ -131,7 +131,7 @@ class Lexicographic:
 
     @property
     def needs_residuals(self) -> bool:
-        """Whether the inner solver does."""
+        """Whether the inner solver needs residuals."""
         return self.solver.needs_residuals
 
     def check(self, problem: Problem) -> None:

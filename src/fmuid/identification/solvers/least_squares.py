@@ -43,7 +43,7 @@ class TrustRegion:
     name
         ``trf`` (bounds) or ``lm`` (MINPACK; only without bounds).
     tolerance
-        Relative change of the point to stop at.
+        Stop at this relative change of the point.
     """
 
     name: Literal["trf", "lm"] = "trf"
@@ -204,7 +204,7 @@ def _in_words(status: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class DfoLs:
-    """DFO-LS (Cartis and others, 2019): least squares by interpolation, at ease with noisy simulations."""
+    """DFO-LS (Cartis and others, 2019): least squares by interpolation, suitable for noisy simulations."""
 
     options: Mapping[str, Any] = field(default_factory=dict)
     name: str = field(default="dfols", init=False)

@@ -1,4 +1,4 @@
-"""NLopt's solvers behind the one signature; the only importer of nlopt."""
+"""NLopt's solvers with the common signature; only this module imports nlopt."""
 
 from __future__ import annotations
 
@@ -214,9 +214,9 @@ class NloptSolver:
 def minimised(
     function: Callable[[FloatArray], float], start: FloatArray, *, step: float, evaluations: int
 ) -> None:
-    """Search the unit cube for the least value of a function by Subplex (Rowan 1990), from (n,) `start`.
+    """Minimise a function in the unit cube with Subplex (Rowan 1990), from (n,) `start`.
 
-    The function keeps what it was asked; what it raises is raised here once NLopt's C code has ended.
+    The function must record its own evaluations; its exceptions are raised here after NLopt's C code has ended.
     """
     import nlopt
 
@@ -256,7 +256,7 @@ def _optimized(opt: Any, functions: _Functions, start: FloatArray) -> Outcome | 
         functions.reraise()
         if functions.stuck:
             return Outcome(Status.CONVERGED, "the solver no longer moves")
-        return Outcome(Status.FAILED, f"NLopt gave up {error}".strip())
+        return Outcome(Status.FAILED, f"NLopt failed {error}".strip())
     functions.reraise()
     messages = {
         nlopt.FTOL_REACHED: "cost no longer changes",

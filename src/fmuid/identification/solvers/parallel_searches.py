@@ -1,8 +1,8 @@
-"""Searches side by side: what each of them wants next is simulated together.
+"""Searches side by side: their next points are simulated together.
 
-Every search runs in a thread of its own up to its next evaluations and waits there; only one thread runs at a
-time. When all of them wait, their points are evaluated as one batch, in the order of the searches. So what is
-done, and in which order, depends neither on the number of workers nor on how long a simulation takes.
+Every search runs in its own thread up to its next evaluations and waits there; only one thread runs at a time.
+When all of them wait, their points are evaluated as one batch, in the order of the searches. The evaluations and
+their order thus depend neither on the number of workers nor on the duration of a simulation.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ _REMEMBERED = 8  # evaluations that one of many searches may ask for again
 
 
 class Branch(Search):
-    """One of several searches of the same problem. It counts and compares what is its own; `ask` evaluates.
+    """One of several searches of the same problem. It counts and compares its own points; `ask` evaluates them.
 
-    Each draws its own random numbers.
+    Each search draws its own random numbers.
     """
 
     def __init__(self, trunk: Search, number: int, ask: Simulate) -> None:
@@ -82,14 +82,14 @@ class _Strand:
 
 
 class Abreast:
-    """Searches side by side on the evaluations of one, `trunk`.
+    """Searches side by side that share the evaluations of `trunk`.
 
     Parameters
     ----------
     trunk
-        Counts, records, stops, and keeps the best of all.
+        Search that counts, records, stops, and keeps the best point of all.
     runs
-        What each search does.
+        The function that each search runs.
     """
 
     def __init__(self, trunk: Search, runs: Sequence[Callable[[Search], Outcome]]) -> None:
@@ -97,12 +97,12 @@ class Abreast:
         self._strands = [_Strand(trunk, number, run) for number, run in enumerate(runs)]
 
     def run(self) -> None:
-        """Run all of them to their ends.
+        """Run all searches to their end.
 
         Raises
         ------
         StopSearch
-            A stop rule of the trunk holds.
+            A stop rule of the trunk applies.
         """
         wishes: dict[int, Sequence[Wish]] = {}
         with warnings.catch_warnings():  # solvers change the filters, and end in any order
@@ -127,5 +127,5 @@ class Abreast:
 
     @property
     def ended(self) -> list[tuple[Search, Outcome]]:
-        """Every search and how it ended, in their order."""
+        """Every search and its outcome, in order."""
         return [(s.branch, s.outcome or Outcome(Status.INTERRUPTED, "stopped")) for s in self._strands]

@@ -1,4 +1,4 @@
-"""Trade-offs: points of the Pareto front, where no objective gets better unless another gets worse."""
+"""Trade-offs: points of the Pareto front, where no objective can improve unless another gets worse."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SMALLEST_WEIGHT = 0.02
 
 @dataclass(frozen=True, slots=True)
 class FrontPoint:
-    """One trade-off: the objectives' values (over their demands), and the free parameters in model space."""
+    """One trade-off: the objectives' values (divided by their demands), and the free parameters in model space."""
 
     values: tuple[float, ...]
     parameters: dict[str, float]
@@ -33,9 +33,9 @@ class FrontPoint:
 
 @dataclass(frozen=True, slots=True)
 class Front:
-    """Trade-offs that were found, sorted by the first objective; none is worse than another in everything.
+    """The trade-offs found, sorted by the first objective; none is worse than another in every objective.
 
-    `chosen` are the objectives' values at the stage's estimate. `message` says how the search for them ended.
+    `chosen` are the objectives' values at the stage's estimate. `message` says how the search ended.
     """
 
     objectives: tuple[str, ...]
@@ -46,7 +46,7 @@ class Front:
 
     @property
     def beats_chosen(self) -> bool:
-        """Whether a point is better than the stage's estimate by more than a hundredth, and worse in nothing."""
+        """Whether a point is better than the stage's estimate by more than 1 % and worse in no objective."""
         return any(
             all(v <= c * (1.0 + _EQUAL) for v, c in zip(p.values, self.chosen, strict=True))
             and any(v < 0.99 * c for v, c in zip(p.values, self.chosen, strict=True))
@@ -65,7 +65,7 @@ class Front:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Objectives:
-    """The objectives of a problem: each is the weighted root mean square of the criteria that belong to it."""
+    """The objectives of a problem: each is the weighted root mean square of its criteria."""
 
     names: tuple[str, ...]
     rows: tuple[NDArray[np.intp], ...]
@@ -73,12 +73,12 @@ class Objectives:
 
     @classmethod
     def of(cls, problem: Problem, names: Sequence[str]) -> Objectives:
-        """Return the objectives that `names` (labels of criteria or globs) stand for; one for each label if empty.
+        """Return the objectives for `names` (labels of criteria or globs); one for each label if empty.
 
         Raises
         ------
         ProblemError
-            There are less than two, or one matches no criterion.
+            There are fewer than two objectives, or one matches no criterion.
         """
         names = tuple(names or dict.fromkeys(criterion.label for _, criterion in problem.criteria))
         rows = [np.array(matching(problem.labels, name), dtype=np.intp) for name in names]
@@ -91,7 +91,7 @@ class Objectives:
                 )
         if len(names) < 2:
             raise ProblemError(
-                "a Pareto front needs two objectives or more",
+                "a Pareto front needs at least two objectives",
                 where=f"stage '{problem.name}'",
                 fix="add a criterion",
             )
@@ -114,9 +114,9 @@ def trace(search: Search, spec: ParetoSpec, solver: Solver, best: Evaluation) ->
     Parameters
     ----------
     search
-        A search of its own: what is best for an objective is not the stage's estimate.
+        A separate search, because the best point of an objective is not the stage's estimate.
     solver
-        Minimises along a ray, from the nearest point that was found.
+        Solver for the minimum along a ray, from the nearest known point.
     best
         The stage's estimate, where the search begins.
     """

@@ -18,16 +18,17 @@ _OPTIONS: Mapping[str, float] = {"initial_step": 0.1, "tolerance": 1e-6, "evalua
 
 @dataclass(frozen=True, slots=True)
 class PatternSearch:
-    """Steps along the coordinates while they help, then on in the same direction; else half the step.
+    """Steps along the coordinates while they help, then in the same overall direction; else halves the step.
 
-    It needs neither smoothness nor derivatives. The polls are independent and fill the workers. Of two points,
-    the one that keeps the constraints is better; diagonal steps go along them. Curved equalities are not followed.
+    It needs neither smoothness nor derivatives. The polls are independent and keep the workers busy. A point that
+    satisfies the constraints is better than one that does not; diagonal steps move along constraints. Curved
+    equality constraints are not followed.
 
     Parameters
     ----------
     options
-        ``initial_step`` (search units, 0.1), ``tolerance`` (step to end at, 1e-6), ``evaluations`` (of this
-        solver alone, as a link of a chain).
+        ``initial_step`` (search units, 0.1), ``tolerance`` (final step, 1e-6), ``evaluations`` (of this solver
+        alone, as a link of a chain).
     """
 
     options: Mapping[str, Any] = field(default_factory=dict)

@@ -23,7 +23,7 @@ _REMEMBERED = 64  # evaluations a solver may ask for again
 
 
 class Status(enum.StrEnum):
-    """How a search ended; a flag and a readable word."""
+    """How a search ended: a flag with a readable text."""
 
     CONVERGED = "converged"
     BUDGET = "budget spent"
@@ -33,7 +33,7 @@ class Status(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """A solver's last word."""
+    """Status and message of a solver."""
 
     status: Status
     message: str
@@ -41,7 +41,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class StopRules:
-    """When to stop a search: number of evaluations, seconds of evaluation, or a cost that is good enough."""
+    """When to stop a search: number of evaluations, seconds of evaluation, or a sufficient cost."""
 
     evaluations: int | None = None
     seconds: float | None = None
@@ -58,7 +58,7 @@ class StopSearch(Exception):  # noqa: N818 - not an error: control flow out of a
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """One start of a search and where it led, in search space."""
+    """A start of a search and its end point, in search space."""
 
     start: tuple[float, ...]
     end: tuple[float, ...]
@@ -68,13 +68,13 @@ class Start:
 
 
 Record = Callable[[Evaluation, str, bool], None]
-"""Told of every evaluation: the evaluation, its purpose, whether it is the best so far."""
+"""Called with every evaluation, its purpose, and whether it is the best so far."""
 Recall = Callable[[FloatArray, bool], Evaluation | None]
-"""Gives an evaluation back that an earlier, interrupted run made; the flag asks for residuals too."""
+"""Returns an evaluation of an earlier, interrupted run; the flag requests residuals too."""
 
 
 class Wish(NamedTuple):
-    """A point to evaluate, what for, and whether its Jacobian is best found in the same runs."""
+    """A point to evaluate, the purpose, and whether to compute its Jacobian in the same runs."""
 
     x: FloatArray
     purpose: str = "search"
@@ -88,7 +88,7 @@ Goals = Callable[[Evaluation], FloatArray]
 
 
 class Search:
-    """The objective of one stage, as solvers see it.
+    """The objective of one stage, as presented to solvers.
 
     Failed candidates have the cost NaN and never become the best.
     """
@@ -132,7 +132,7 @@ class Search:
         return len(self.problem.space)
 
     def refocus(self, cost_of: Callable[[Evaluation], float], limits_of: Goals) -> None:
-        """Minimise something else from now on, subject to further limits (each at most 0)."""
+        """Minimise another objective from now on, subject to additional limits (each at most 0)."""
         self.cost_of, self.limits_of, self.goals_of = cost_of, limits_of, None
         self.reached, self.starts = None, []
         if self.best is not None:
@@ -148,7 +148,7 @@ class Search:
         return self.evaluate_all([Wish(x, differentiated=differentiated)])[0]
 
     def evaluate_many(self, points: Sequence[FloatArray], purpose: str = "search") -> list[Evaluation]:
-        """Evaluate points, in parallel where the problem's runner can.
+        """Evaluate points, in parallel if the problem's runner supports it.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class Search:
         return self.evaluate_all([Wish(x, purpose) for x in points])
 
     def evaluate_all(self, wanted: Sequence[Wish]) -> list[Evaluation]:
-        """Evaluate points with a purpose each; see `evaluate_many`."""
+        """Evaluate points, each with its purpose; see `evaluate_many`."""
         self._check_budget()
         keys: list[bytes] = []
         wishes: dict[bytes, Wish] = {}
@@ -196,7 +196,7 @@ class Search:
         return own if equality else np.concatenate([own, self.limits_of(evaluation)])
 
     def feasible(self, evaluation: Evaluation) -> bool:
-        """Whether every constraint is kept."""
+        """Return whether every constraint is satisfied."""
         return bool(
             np.all(self.violations(evaluation, equality=False) <= FEASIBLE)
             and np.all(np.abs(self.violations(evaluation, equality=True)) <= FEASIBLE)
@@ -204,7 +204,7 @@ class Search:
 
     @contextmanager
     def share(self, links: int) -> Iterator[None]:
-        """Leave to what is done inside its share of the budget that is left, one of `links`; then `StopSearch`."""
+        """Limit the block to its share, one of `links`, of the remaining budget; then raise `StopSearch`."""
         whole = self.stop
         evaluations, seconds = whole.evaluations, whole.seconds
         if evaluations is not None:
@@ -264,30 +264,30 @@ class Search:
 
 
 class Solver(Protocol):
-    """A way to search. Solvers are small immutable values; all of them have this one signature."""
+    """A search method. Solvers are small immutable values with a common signature."""
 
     @property
     def name(self) -> str:
-        """The name it is asked for by."""
+        """The solver's name."""
         ...
 
     @property
     def needs_residuals(self) -> bool:
-        """Whether it works on the residual vector, not on the cost alone."""
+        """Whether the solver needs the residual vector, not only the cost."""
         ...
 
     def check(self, problem: Problem) -> None:
-        """Raise what makes it impossible to solve a problem.
+        """Raise an error if the solver cannot solve a problem.
 
         Raises
         ------
         ProblemError
-            The solver cannot take the problem's bounds, constraints or cost.
+            The solver cannot handle the problem's bounds, constraints or cost.
         """
         ...
 
     def solve(self, search: Search, start: FloatArray) -> Outcome:
-        """Search from the (n,) `start`; what is reached is in ``search.reached`` and ``search.best``.
+        """Search from the (n,) `start`; the results are ``search.reached`` and ``search.best``.
 
         Raises
         ------
@@ -298,12 +298,12 @@ class Solver(Protocol):
 
 
 def number_of(options: Mapping[str, Any], key: str, default: float, *, solver: str) -> float:
-    """Return a solver's option that is a positive number.
+    """Return a solver option, which must be a positive number.
 
     Raises
     ------
     ProblemError
-        It is none.
+        The option is not a positive number.
     """
     value = options.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:

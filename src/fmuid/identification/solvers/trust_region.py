@@ -1,4 +1,4 @@
-"""Least squares within bounds by a trust region that shrinks where a simulation fails."""
+"""Bounded least squares with a trust region that shrinks when a simulation fails."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fmuid.core.immutable import FloatArray
 
 
 class SettledError(Exception):
-    """Raised by a residual function: the trial points no longer differ by more than matters."""
+    """Raised by a residual function when trial points no longer differ by a relevant amount."""
 
 
 def trust_region(
@@ -25,20 +25,20 @@ def trust_region(
     cost_tolerance: float,
     step_tolerance: float,
 ) -> int:
-    """Minimise the sum of squares of residuals; SciPy's status of how it ended.
+    """Minimise the sum of squares of residuals, and return SciPy's status.
 
-    The caller keeps the points: those that `residuals` is asked for. Residuals that are NaN say that a point has
-    none, and the region shrinks.
+    The caller records the points at which `residuals` is called. NaN residuals mark a failed point, and the region
+    shrinks.
 
     Parameters
     ----------
     residuals, jacobian
-        Of (n,) points: (m,) and (m, n).
+        Functions of an (n,) point with results (m,) and (m, n).
     method
         ``trf`` (Branch, Coleman and Li, 1999), ``dogbox`` (Voglis and Lagaris, 2004), which takes fewer steps to a
         minimum at a bound, or ``lm`` (MINPACK; without bounds).
     cost_tolerance, step_tolerance
-        Relative changes to end at.
+        Relative changes at which the search ends.
     """
     from scipy.optimize import least_squares
 

@@ -1,1 +1,1 @@
-"""How far results can be trusted: covariances, intervals, identifiability."""
+"""Uncertainty of results: covariances, intervals, identifiability."""

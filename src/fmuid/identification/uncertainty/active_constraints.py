@@ -1,4 +1,4 @@
-"""What constraints leave of the directions in which an estimate can be wrong."""
+"""The directions in which an estimate can vary under active constraints."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _NEAR = 0.01  # of the way that the estimate would go beyond a constraint
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Active:
-    """Constraints that an estimate is held by.
+    """Constraints that are active at an estimate.
 
     Attributes
     ----------
     texts
-        What they are on.
+        Their expressions or criteria.
     gradients
-        (k, n) their derivatives in search space.
+        (k, n) derivatives of the constraints in search space.
     """
 
     texts: tuple[str, ...]
@@ -34,20 +34,20 @@ class Active:
 def active_constraints(
     problem: Problem, here: Evaluation, evaluate: EvaluateMany, step: float, descent: FloatArray
 ) -> Active:
-    """Return the constraints that hold the estimate where it is.
+    """Return the constraints that are active at the estimate.
 
-    Equalities do. An inequality does if the estimate is at it, and the (n,) step `descent` to where the cost would
-    be least without constraints leads beyond it.
+    Equalities always are. An inequality is if the estimate is at its limit and the (n,) step `descent`, to the
+    minimum of the cost without constraints, violates it.
 
     Parameters
     ----------
     step
-        Of the central differences, in search units.
+        Step of the central differences, in search units.
 
     Raises
     ------
     SimulationError
-        A constraint is on a criterion, and the neighbourhood of the estimate cannot be simulated.
+        A constraint depends on a criterion, and the neighbourhood of the estimate cannot be simulated.
     """
     n, constraints = len(here.x), problem.constraints
     if not constraints:
@@ -72,7 +72,7 @@ def active_constraints(
 
 
 def tangent_space(gradients: FloatArray) -> FloatArray:
-    """Return an orthonormal basis, (n, n - rank), of the directions along (k, n) gradients' constraints."""
+    """Return an orthonormal basis, (n, n - rank), of the directions orthogonal to (k, n) gradients."""
     sizes = np.linalg.norm(gradients, axis=1, keepdims=True)
     unit = gradients[sizes[:, 0] > 0.0] / sizes[sizes[:, 0] > 0.0]
     if not len(unit):

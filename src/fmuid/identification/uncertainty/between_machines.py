@@ -1,4 +1,4 @@
-"""What differs from machine to machine: parameters that every unit has its own of, and the next unit's."""
+"""Differences between machines: spread of per-machine parameters, and prediction for the next machine."""
 
 from __future__ import annotations
 
@@ -24,12 +24,11 @@ class MachineSpread:
     machines
         The machines' names.
     mean, spread
-        Over all machines of that kind, and the standard deviation between them beyond what the estimates' own
-        errors explain.
+        Mean over all machines of the kind, and standard deviation between them beyond the errors of the estimates.
     p_value
-        Of Cochran's test that all machines have the same value.
+        p-value of Cochran's test that all machines have the same value.
     next_machine
-        95 % prediction interval of the next machine's value (Higgins and others, 2009); None from two machines.
+        95 % prediction interval of the next machine's value (Higgins and others, 2009); None for two machines.
     """
 
     name: str
@@ -41,7 +40,7 @@ class MachineSpread:
 
     @property
     def differs(self) -> bool:
-        """Whether machines differ beyond the uncertainty of their estimates."""
+        """Whether machines differ by more than the uncertainty of their estimates."""
         return self.p_value < _DIFFERENT
 
     def __str__(self) -> str:
@@ -52,13 +51,13 @@ class MachineSpread:
         text = f"{self.name} {verdict} (p = {self.p_value:.2g}): mean {self.mean:.4g}, spread {self.spread:.2g}"
         if self.next_machine is None:
             return text
-        return f"{text}; the next machine's, 95 %: {interval_text(*self.next_machine)}"
+        return f"{text}; next machine, 95 %: {interval_text(*self.next_machine)}"
 
 
 def machine_spread(
     name: str, machines: Sequence[str], values: Sequence[float], errors: Sequence[float]
 ) -> MachineSpread:
-    """Return what the estimates of one parameter on several machines say of all of them.
+    """Return the summary of one parameter's estimates on several machines.
 
     Parameters
     ----------

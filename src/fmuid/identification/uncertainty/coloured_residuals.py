@@ -1,4 +1,4 @@
-"""Residuals that are not white: their covariance, their memory, and what a sample is worth."""
+"""Coloured residuals: their covariance, autocorrelation and effective number of samples."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from fmuid.identification.problem.evaluation import Evaluation
 
 @dataclass(frozen=True, slots=True)
 class Whiteness:
-    """Whether the residuals of one channel are noise.
+    """Test of whether the residuals of one channel are white noise.
 
     Parameters
     ----------
     variance
-        Mean square of the residuals in sigmas; 1 if the model is complete and sigma right.
+        Mean square of the residuals in sigmas; 1 if the model is complete and sigma is right.
     lag_one
         Autocorrelation from sample to sample.
     p_value
-        Of Ljung and Box's test on 20 lags; small means not white.
+        p-value of Ljung and Box's test on 20 lags; a small value means that the residuals are not white.
     samples, effective
-        Number of samples, and of independent ones that carry as much.
+        Number of samples, and number of independent samples with the same information.
     """
 
     case: str
@@ -57,7 +57,7 @@ def score_covariance(
 ) -> tuple[FloatArray, tuple[Whiteness, ...]]:
     """Return J' W J, (n, n), with W the covariance of coloured residuals, and the residuals' statistics.
 
-    W holds each case's auto- and cross-covariances, tapered (Bartlett) beyond the lag where they drown in their
+    W holds each case's auto- and cross-covariances, tapered (Bartlett) beyond the lag where they vanish in their
     own scatter.
     """
     n = j.shape[1]

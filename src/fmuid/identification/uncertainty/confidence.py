@@ -1,4 +1,4 @@
-"""How far estimates can be trusted: their covariance, under coloured residuals and near-collinearity."""
+"""Covariance of estimates under coloured residuals and near-collinearity."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ _FOLLOWING = 4  # evaluations for the others to follow a parameter that is moved
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """Covariance of the free parameters, and what it rests on.
+    """Covariance of the free parameters, and its basis.
 
     `covariance` (n, n) and `correlation` are in search space, `standard_errors` (n,) and `intervals` (95 %) in
-    model space; the latter are None where the experiments do not determine the parameter. All of them contain
-    what is `inherited`, (n, n), from the errors of parameters that earlier stages identified and this one holds:
-    `held` are their names, `held_slopes` (n, h) the derivatives of the estimate by them in model space.
-    `degrees_of_freedom` are those of the stage's own noise, `degrees` (n,) those of the standard errors; None
-    means without limit. `notes` say what the errors are subject to, and why there are none; `constraints` are the
-    active ones.
+    model space; the latter are None if the experiments do not determine the parameter. All of them include the
+    `inherited` part, (n, n), from errors of parameters that earlier stages identified and this stage fixes: `held`
+    are their names, `held_slopes` (n, h) the derivatives of the estimate with respect to them in model space.
+    `degrees_of_freedom` belong to the stage's own noise, `degrees` (n,) to the standard errors; None means
+    infinite. `notes` state conditions of the standard errors, or why there are none; `constraints` are the active
+    ones.
     """
 
     names: tuple[str, ...]
@@ -60,12 +60,12 @@ class Uncertainty:
 
     @property
     def freedom(self) -> FloatArray:
-        """(n,) degrees of freedom of the standard errors, infinite where there is no limit."""
+        """(n,) degrees of freedom of the standard errors, possibly infinite."""
         return np.array([math.inf if d is None else d for d in self.degrees])
 
     @property
     def inherited_shares(self) -> tuple[float, ...]:
-        """(n,) share of each variance that comes from what the stage holds."""
+        """(n,) share of each variance due to parameters fixed at earlier estimates."""
         if not self.inherited:
             return (0.0,) * len(self.names)
         pairs = zip(np.diag(self.inherited), np.diag(self.covariance), strict=True)
@@ -84,12 +84,12 @@ def uncertainty_of(
     """Return the uncertainty of the estimate `best` of a problem.
 
     The covariance is the sandwich ``(J'J)^-1 J' W J (J'J)^-1`` in search space. If sigma was given for every
-    residual, W is that noise, known without limit. If the residuals contradict it (their energy or their colour,
-    at 1 %), or if sigma was not given, W holds each case's residual auto- and cross-covariances, tapered
-    (Bartlett) beyond the lag where they drown in their own scatter: coloured residuals (model error, friction)
-    give a wider covariance than white ones. As many residuals as parameters say nothing of the noise: without a
-    sigma there are no standard errors then. At active constraints the covariance is that along them. The errors of
-    what the problem holds at an earlier stage's estimate are added
+    residual, W is that noise, taken as exactly known. If the residuals contradict it (by their energy or colour,
+    at 1 %), or if sigma was not given, W contains each case's residual auto- and cross-covariances, tapered
+    (Bartlett) beyond the lag where they vanish in their own scatter, so coloured residuals (model error, friction)
+    give a wider covariance than white ones. With only as many residuals as parameters, the noise is unknown, and
+    without a sigma there are no standard errors. At active constraints, the covariance is restricted to directions
+    along them. Errors of parameters fixed at an earlier stage's estimate are added
     (`fmuid.identification.uncertainty.inherited`).
 
     Parameters
@@ -97,11 +97,12 @@ def uncertainty_of(
     problem, best
         The problem, and its evaluation at the estimate.
     evaluate
-        Instead of the problem's own, as when evaluations are recorded.
+        Replacement for the problem's `evaluate_many`, for example to record evaluations.
     floor
-        The simulator's noise floor, if it is known already.
+        The simulator's noise floor, if already known.
     held, evaluate_held
-        What the problem holds at an estimate of earlier stages (`inherited`), and what evaluates its problem.
+        Parameters fixed at estimates of earlier stages (`inherited`), and the evaluation function of their
+        problem.
 
     Raises
     ------
@@ -252,14 +253,14 @@ def _notes(scatter: _Scatter, active: Active, fixed: Sequence[str]) -> list[str]
     notes = []
     if scatter.degrees <= 0.0:
         notes.append(
-            f"no standard errors: {scatter.residuals} residuals for {scatter.parameters} parameters leave nothing "
-            "to judge the noise by; give sigma, or record more"
+            f"no standard errors: {scatter.residuals} residuals for {scatter.parameters} parameters say nothing "
+            "about the noise; give sigma, or record more data"
         )
     if active.texts:
         held = ", ".join(f"'{text}'" for text in active.texts)
-        notes.append(f"standard errors are those along the active constraint on {held}")
+        notes.append(f"standard errors apply along the active constraint on {held}")
     if fixed:
-        notes.append(f"no standard error: the active constraints alone determine {', '.join(fixed)}")
+        notes.append(f"no standard error, because the active constraints alone determine: {', '.join(fixed)}")
     return notes
 
 
@@ -325,13 +326,13 @@ def _matrix(values: FloatArray) -> Matrix:
 
 
 def without_intervals(estimate: Uncertainty, names: Sequence[str]) -> Uncertainty:
-    """Return `estimate` without standard errors for `names`, as for parameters at a bound."""
+    """Return `estimate` without standard errors for `names`, for example for parameters at a bound."""
     hide = partial(_hidden, estimate.names, names)
     return replace(estimate, standard_errors=hide(estimate.standard_errors), intervals=hide(estimate.intervals))
 
 
 def with_held(estimate: Uncertainty, held: Held) -> Uncertainty:
-    """Return `estimate` with what the stage holds as further parameters, for draws of both together."""
+    """Return `estimate` with the fixed parameters added, to draw both together."""
     space, n = held.problem.space, len(estimate.names)
     point = held.point(np.array(estimate.point))
     slope = space.slope(point)

@@ -1,4 +1,4 @@
-"""What the stages so far have found and how sure of it they are, for a stage that fixes parameters there."""
+"""Estimates of earlier stages and their errors, for a stage that fixes parameters at them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _STEP = 1e-3  # standard errors, of the differences of ties
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """What the stages so far are sure of.
+    """Errors of the estimates of the stages so far.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class Known:
     unsure: frozenset[str] = frozenset()
 
     def held_in(self, problem: Problem, specs: Mapping[str, ParameterSpec]) -> Held | None:
-        """Return what of it the problem holds and its models see; None if that is nothing."""
+        """Return the part that `problem` fixes and that affects its models; None if there is none."""
         space = problem.space
         names = [n for n in self.rows if n in space.fixed and problem.sees(n)]
         if not names:
@@ -53,7 +53,7 @@ class Known:
         return Held(joint, np.array([self.rows[n] for n in names]) / slope[:, None], self.degrees)
 
     def after(self, problem: Problem, found: Uncertainty | None, values: Mapping[str, float]) -> Known:
-        """Return what is known after the stage `problem` with its uncertainty, at the `values` it ended with."""
+        """Return the knowledge after the stage `problem`, given its uncertainty and its final `values`."""
         space = problem.space
         own = np.zeros((0, 0))
         if found is not None:

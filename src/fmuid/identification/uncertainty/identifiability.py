@@ -1,4 +1,4 @@
-"""Which parameter combinations the experiments determine, and their names."""
+"""Parameter combinations that the experiments determine, and their names."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Identifiability:
     rank
         Number of independent combinations that the experiments determine.
     singular_values
-        (n,) of that Jacobian, largest first: the root of the number of parameters at most.
+        (n,) singular values of that Jacobian, largest first; at most the root of the number of parameters.
     undetermined
-        Parameters that are not determined one by one.
+        Parameters that are not determined individually.
     combinations
-        What is determined of them, such as ``c/J``.
+        Combinations of them that are determined, such as ``c/J``.
     """
 
     rank: int
@@ -63,7 +63,7 @@ def identifiability(
     tolerance: float = 1e-6,
     covariance: FloatArray | None = None,
 ) -> Identifiability:
-    """Return which combinations of the free parameters the residuals determine at the search point `x`.
+    """Return the combinations of free parameters that the residuals determine at the search point `x`.
 
     Parameters
     ----------
@@ -74,8 +74,7 @@ def identifiability(
     tolerance
         Singular values below this count as zero.
     covariance
-        (n, n) in search space, if known: a direction that is uncertain by more than 100 % counts as
-        undetermined too.
+        (n, n) in search space, if known: a direction with an uncertainty above 100 % also counts as undetermined.
     """
     names = problem.space.names
     relative = _relative_scale(problem, x)

@@ -1,8 +1,9 @@
-"""What earlier stages found is not exactly known: two-step estimates (Murphy and Topel, 1985).
+"""Errors inherited from earlier stages: two-step estimates (Murphy and Topel, 1985).
 
-A stage that holds parameters at an earlier stage's estimate inherits its errors. To first order its own estimate
-moves by S dh with ``S = -(J'J)^-1 J' J_h``, so its covariance is that of its own noise plus ``S C_h S'``. The
-noises of different stages count as independent; where two stages fit the same runs their noise is counted twice.
+A stage that fixes parameters at an earlier stage's estimates inherits their errors. To first order its own
+estimate moves by S dh with ``S = -(J'J)^-1 J' J_h``, so its covariance is that of its own noise plus ``S C_h S'``.
+The noise of different stages is taken as independent; if two stages fit the same runs, their noise is counted
+twice.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from fmuid.identification.problem.estimation_problem import Problem
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Held:
-    """Parameters that a stage holds at what earlier stages found.
+    """Parameters that a stage fixes at estimates of earlier stages.
 
     Parameters
     ----------
     problem
-        The stage's, with them free after its own.
+        The stage's problem, with these parameters free after its own.
     rows
         (h, k) errors in the search space of `problem`, as sums of k independent sources of unit variance.
     degrees
@@ -35,11 +36,11 @@ class Held:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters."""
+        """Names of the parameters."""
         return self.problem.space.names[-len(self.rows) :]
 
     def point(self, x: FloatArray) -> FloatArray:
-        """Return where `problem` is when the stage is at its (n,) search point `x`."""
+        """Return the search point of `problem` for the stage's (n,) search point `x`."""
         return np.concatenate([x, self.problem.space.start[len(x) :]])
 
 

@@ -1,4 +1,4 @@
-"""Samples of the posterior by an affine-invariant ensemble sampler: the only importer of emcee."""
+"""Posterior samples from an affine-invariant ensemble sampler; only this module imports emcee."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ class Posterior:
     Parameters
     ----------
     names
-        Of the free parameters.
+        Names of the free parameters.
     samples
         (draws, n), in model space.
     quantiles
         (n, 5): 2.5, 16, 50, 84 and 97.5 %.
     acceptance
-        Mean share of the proposals that were accepted.
+        Mean share of accepted proposals.
     autocorrelation
-        Steps after which draws are independent; the chain's length over it should be 30 or more (`reliable`).
+        Number of steps between independent draws; the chain should be at least 30 times as long (`reliable`).
     temperature
-        By what the squared residuals were divided: their variance, and how many samples carry what one would.
+        Divisor of the squared residuals: their variance times the number of samples per independent sample.
     reliable
         Whether the chain was long enough.
     """
@@ -52,21 +52,23 @@ def posterior_of(
 ) -> Posterior:
     """Return `draws` samples of the posterior of a problem's free parameters.
 
-    The likelihood is that of the residuals with the variance that they have, reduced to as many independent ones
-    as their colour leaves; the prior is that of the parameters, flat within the bounds where none is stated.
-    Goodman and Weare's ensemble sampler (emcee; Foreman-Mackey and others, 2013).
+    The likelihood uses the actual variance of the residuals and the effective number of independent ones; the
+    prior is that of the parameters, flat within the bounds if none is stated. Goodman and Weare's ensemble sampler
+    (emcee; Foreman-Mackey and others, 2013).
 
     Raises
     ------
     ProblemError
-        emcee is not installed, or the cost is no sum of squares.
+        emcee is not installed, or the cost is not a sum of squares.
     """
     try:
         import emcee
     except ImportError:
         raise ProblemError("needs emcee", where="posterior", fix="pip install 'fmuid[bayes]'") from None
     if problem.combination.kind != "weighted_sum":
-        raise ProblemError("the cost is no sum of squares", where="posterior", fix='use combine = "weighted_sum"')
+        raise ProblemError(
+            "the cost is not a sum of squares", where="posterior", fix='use combine = "weighted_sum"'
+        )
     evaluate = evaluate or problem.evaluate_many
     n, count = len(problem.space), len(problem.space.priors)
     samples = sum(w.samples for w in estimate.whiteness)

@@ -1,4 +1,4 @@
-"""Profile likelihood: how the cost grows along one parameter while the others are fitted again."""
+"""Profile likelihood: the cost along one parameter while the others are refitted."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Profile:
     values
         (k,) in model space, ascending.
     rise
-        (k,) growth of the cost from the estimate's; 1 is what `level` allows.
+        (k,) increase of the cost over that of the estimate; 1 is the limit for `level`.
     interval
-        Where the rise is 1; the parameter's bound, or None without one, where that is never reached.
+        Values where the rise is 1; if that is never reached, the parameter's bound, or None without a bound.
     """
 
     name: str
@@ -50,10 +50,10 @@ def profile_of(
     evaluate: EvaluateMany | None = None,
     floor: NoiseFloor | None = None,
 ) -> Profile:
-    """Return the profile of one parameter around the estimate that `estimate` belongs to.
+    """Return the profile of one parameter around the point of `estimate`.
 
-    The others are fitted again while this one moves outwards, until the cost has grown by what `level` allows
-    (scaled as the covariance is, so coloured residuals and the errors of what is held count).
+    The others are refitted while this one moves outwards, until the cost has risen to the limit for `level`
+    (scaled like the covariance, so coloured residuals and errors of fixed parameters are included).
 
     Parameters
     ----------
@@ -64,14 +64,14 @@ def profile_of(
     level
         Confidence of the interval, such as 0.95.
     evaluate
-        Instead of the problem's own, as when evaluations are recorded or run in parallel.
+        Replacement for the problem's `evaluate_many`, for example to record evaluations or run them in parallel.
     floor
-        The simulator's noise floor, if it is known already.
+        The simulator's noise floor, if already known.
 
     Raises
     ------
     ProblemError
-        The cost is no sum of squares, or the experiments do not determine the parameter.
+        The cost is not a sum of squares, or the experiments do not determine the parameter.
     SimulationError
         A refit fails.
     """
@@ -166,5 +166,5 @@ class _Walk:
     def _evaluated(self, x: FloatArray) -> Evaluation:
         (evaluation,) = self.evaluate([x])
         if evaluation.failure is not None:
-            raise SimulationError(f"the profile meets a failing point ({evaluation.failure})")
+            raise SimulationError(f"the profile reaches a failing point ({evaluation.failure})")
         return evaluation

@@ -1,4 +1,4 @@
-"""What the uncertainty of the parameters means for predictions and criteria: Monte Carlo and worst case."""
+"""Propagation of parameter uncertainty to predictions and criteria: Monte Carlo and worst case."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from fmuid.identification.uncertainty.confidence import LEVEL, Uncertainty
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Propagated:
-    """Predictions and criteria over the uncertainty of the parameters, by Monte Carlo.
+    """Distribution of predictions and criteria under parameter uncertainty, by Monte Carlo.
 
-    `lower` and `upper` are the (channels, N) bounds of the level asked for, one pair a case; `criteria` the
-    (draws, n_criteria) values over their demands of the draws that could be simulated.
+    `lower` and `upper` are the (channels, N) bounds for the requested level, one pair per case; `criteria` are the
+    (draws, n_criteria) values divided by their demands, for draws that could be simulated.
     """
 
     lower: tuple[FloatArray, ...]
@@ -29,24 +29,24 @@ class Propagated:
 
     @property
     def worst(self) -> FloatArray:
-        """(n_criteria,) largest values met."""
+        """(n_criteria,) largest values of the draws."""
         return np.asarray(np.max(self.criteria, axis=0))
 
 
 @dataclass(frozen=True, slots=True)
 class CriterionSpread:
-    """One criterion over the uncertainty of the parameters, over its demand: at most 1 is satisfied.
+    """Distribution of one criterion, divided by its demand: satisfied if at most 1.
 
     Parameters
     ----------
     value
         At the estimate.
     median, high
-        Of the draws: half of them and 95 % of them are below.
+        Median and 95 % quantile of the draws.
     worst
-        The largest of the draws, and of the point of the joint 95 % region where it is expected to be worst.
+        The largest value of the draws and of the expected worst point in the joint 95 % region.
     satisfied
-        Share of the draws that satisfy it.
+        Share of the draws that satisfy the criterion.
     """
 
     label: str
@@ -73,13 +73,13 @@ def propagate(
     problem, estimate
         The problem, and the uncertainty of its estimate (`uncertainty_of`).
     draws
-        How many points.
+        Number of draws.
     level
-        Share of the draws that the bands hold, such as 0.95.
+        Share of the draws within the bands, such as 0.95.
     seed
-        Of the draws.
+        Seed of the draws.
     evaluate
-        Instead of the problem's own, as when evaluations are run in parallel.
+        Replacement for the problem's `evaluate_many`, for example to run evaluations in parallel.
 
     Returns
     -------
@@ -160,14 +160,14 @@ def criteria_spread(
     evaluate: EvaluateMany | None = None,
     floor: NoiseFloor | None = None,
 ) -> tuple[CriterionSpread, ...]:
-    """Return every criterion over the uncertainty of the parameters; see `propagate` and `worst_points`.
+    """Return the distribution of every criterion; see `propagate` and `worst_points`.
 
     Raises
     ------
     ProblemError
-        The experiments do not determine every parameter: there is no distribution to draw from.
+        The experiments do not determine every parameter, so there is no distribution to draw from.
     SimulationError
-        No draw, or not the neighbourhood of the estimate, can be simulated.
+        No draw can be simulated, or the neighbourhood of the estimate cannot.
     """
     if not estimate.identifiability.complete:
         raise ProblemError(str(estimate.identifiability), fix="fix one of them")

@@ -1,4 +1,4 @@
-"""Before an identification: what the experiments can tell about the parameters."""
+"""Sensitivity before an identification: what the experiments can show about the parameters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LOADS = ("N.m", "Nm", "N", "A")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensitivity:
-    """What small changes of the parameters do around one point.
+    """Effects of small parameter changes around one point.
 
     Parameters
     ----------
@@ -30,11 +30,11 @@ class Sensitivity:
         (n_parameters, n_criteria): root mean square change of a criterion's residuals (in sigmas) for a 1 %
         change of a parameter.
     steps
-        (n_parameters,) relative finite-difference steps that the noise floor calls for.
+        (n_parameters,) relative finite-difference steps, chosen from the noise floor.
     floor
         The simulator's noise floor.
     identifiability
-        What the experiments determine, to first order.
+        Identifiability, to first order.
     """
 
     names: tuple[str, ...]
@@ -46,14 +46,14 @@ class Sensitivity:
 
     @property
     def dead(self) -> tuple[str, ...]:
-        """Parameters that move no output by more than the simulator's own noise."""
+        """Parameters that affect no output by more than the simulator's own noise."""
         silent = np.max(self.effect, axis=1) <= max(self.floor.residual, 1e-12)
         return tuple(name for name, dead in zip(self.names, silent, strict=True) if dead)
 
     def __str__(self) -> str:
         """Return the strongest effect of each parameter, and the findings."""
         lines = [
-            f"{name}: 1 % moves '{self.labels[int(np.argmax(row))]}' by {np.max(row):.3g} sigma"
+            f"{name}: a change of 1 % moves '{self.labels[int(np.argmax(row))]}' by {np.max(row):.3g} sigma"
             for name, row in zip(self.names, self.effect, strict=True)
         ]
         lines.append(f"noise floor of the simulator: {self.floor.residual:.2g} sigma")
@@ -66,7 +66,7 @@ def sensitivity_of(problem: Problem, x: FloatArray | None = None) -> Sensitivity
     Parameters
     ----------
     problem
-        With n free parameters.
+        A problem with n free parameters.
     x
         (n,) in search space; the start by default.
 
@@ -91,21 +91,23 @@ def sensitivity_of(problem: Problem, x: FloatArray | None = None) -> Sensitivity
 
 
 def excitation(campaign: Campaign) -> tuple[str, ...]:
-    """Return what the identification runs do not excite, as sentences; empty if nothing is missing.
+    """Return sentences on missing excitation in the identification runs; empty if nothing is missing.
 
-    Judged by the measured signals: speeds (rad/s, m/s) and loads (N.m, N, A) of the runs.
+    The judgement uses measured signals: speeds (rad/s, m/s) and loads (N.m, N, A).
     """
     runs = [campaign.measurements[i] for i in campaign.identification]
     findings = []
     speeds = {(e.id, s.name): s.values for e in runs for s in e.signals.values() if s.unit in _SPEEDS}
     if speeds:
         if not any(_reverses(v) for v in speeds.values()):
-            findings.append("no run reverses: friction of one direction cannot be told from an offset")
+            findings.append("no run reverses direction: friction cannot be distinguished from an offset")
         elif not any(_reverses_loaded(e) for e in runs):
-            findings.append("no run reverses under load: load-dependent friction near standstill is not seen")
+            findings.append(
+                "no run reverses direction under load: load-dependent friction near standstill is not excited"
+            )
         if not any(_varies(v) for v in speeds.values()):
             findings.append(
-                "every run has one constant speed: inertia is not excited, viscous and Coulomb friction"
+                "every run has a constant speed: inertia is not excited, and viscous and Coulomb friction"
                 " cannot be distinguished within a run"
             )
     for e in runs:
