@@ -231,7 +231,7 @@ WRONG: dict[str, tuple[str, str, str]] = {
     "setting_and_parameter": (
         "c_S = 130000",
         "d_S = 1",
-        "campaign.toml [settings]: 'd_S' is a parameter too; give it in one of the two tables",
+        "campaign.toml [settings]: 'd_S' is also a parameter; give it in one of the two tables",
     ),
     "setting_of_a_run_and_parameter": (
         "[parameters.d_S]",
@@ -251,7 +251,7 @@ WRONG: dict[str, tuple[str, str, str]] = {
     "both_roles": (
         'validation = ["prbs"]',
         'validation = ["prbs", "free"]',
-        "campaign.toml [roles]: 'free' is in identification and in validation; validate on runs that are not used",
+        "campaign.toml [roles]: 'free' is both in identification and in validation; validate on runs that are not used",
     ),
     "stage_on_validation": (
         'experiments = ["free"]',
@@ -261,7 +261,7 @@ WRONG: dict[str, tuple[str, str, str]] = {
     "stage_without_runs": (
         'experiments = ["free"]',
         "experiments = []",
-        "campaign.toml [stages.table]: has no experiments; name some of the identification set",
+        "campaign.toml [stages.table]: has no experiments; name experiments of the identification set",
     ),
     "experiments_is_text": (
         'experiments = ["free"]',
@@ -276,7 +276,7 @@ WRONG: dict[str, tuple[str, str, str]] = {
     "frees_nothing": (
         'free = ["d_S", "J_S"]',
         "free = []",
-        'campaign.toml [stages.linear]: frees no parameter; write free = ["..."]',
+        'campaign.toml [stages.linear]: has no free parameter; write free = ["..."]',
     ),
     "unknown_start": (
         "start = { d_S = 0.7 }",
@@ -306,12 +306,12 @@ WRONG: dict[str, tuple[str, str, str]] = {
     "circle": (
         "0.9*lossTable[2,4] + J_S",
         "2*lossTable[2,5]",
-        "campaign.toml [stages.table] tie: parameters follow each other: lossTable[2,5] -> lossTable[2,5]; break it",
+        "campaign.toml [stages.table] tie: circular ties: lossTable[2,5] -> lossTable[2,5]; break the circle",
     ),
     "free_and_tied": (
         'free = ["lossTable[2,4]"]',
         'free = ["lossTable[2,4]", "lossTable[2,5]"]',
-        "campaign.toml [stages.table] tie: 'lossTable[2,5]' is free and tied; take it out of one of the two",
+        "campaign.toml [stages.table] tie: 'lossTable[2,5]' is both free and tied; remove it from one of the two",
     ),
     "unknown_signal": (
         'signal = "tau"',
@@ -326,7 +326,7 @@ WRONG: dict[str, tuple[str, str, str]] = {
     "times_reversed": (
         "from = 0.1",
         "from = 0.1, to = 0.05",
-        "campaign.toml [stages.linear] criterion 1: from 0.1 is not before to 0.05; swap them",
+        "campaign.toml [stages.linear] criterion 1: 'from' (0.1) is not before 'to' (0.05); swap them",
     ),
     "solver_without_name": (
         'name = "bobyqa", ',

@@ -55,7 +55,7 @@ def test_init_makes_a_campaign_that_runs(
     assert (code, err) == (0, "")
     assert "step.csv and 2 more: 'U' is input 'u', taken to be in N, as the FMU's" in out
     assert "step.csv and 2 more: 'position_lvdt' is output 'x', in mm" in out
-    assert "step.csv and 2 more: column 'oil' is not used, no input or output of the FMU fits" in out
+    assert "step.csv and 2 more: column 'oil' is not used: no input or output of the FMU matches" in out
     assert sorted(p.name for p in Path("drive").iterdir()) == [
         "campaign.toml",
         "measurements.h5",
@@ -75,7 +75,7 @@ def test_init_makes_a_campaign_that_runs(
 def test_init_without_a_fitting_column(folder: Path, oscillator: Path, fmuid: Command) -> None:
     Path("run.csv").write_text("time,a,b\n0,1,2\n1,2,3\n")
     assert fmuid("init", "run.csv", "--fmu", oscillator, "--out", "drive") == (
-        2, "", "fmuid: run.csv: no column is an output of Oscillator.fmu by its name or its unit; rename columns, or state their units (--unit); known: x [m], y [V]\n"
+        2, "", "fmuid: run.csv: no column matches an output of Oscillator.fmu by name or unit; rename columns, or state their units (--unit); known: x [m], y [V]\n"
     )  # fmt: skip
     assert not Path("drive").exists()
 
@@ -112,7 +112,8 @@ def test_init_sees_when_the_inputs_act(
     lines = out.splitlines()
     if at_once:
         assert any(
-            re.match(r"inputs are linear between their samples; if held, .* \d\S* times worse", s) for s in lines
+            re.match(r"inputs are linear between their samples; held inputs .* \d\S* times worse", s)
+            for s in lines
         )
     else:
         assert "inputs are held between their samples" in lines

@@ -304,7 +304,7 @@ def test_excitation_says_what_no_run_shows():
 
     swing = np.sin(2 * np.pi * time)
     assert any("no run reverses direction:" in line for line in moving(1 + 0.5 * swing, np.ones(101)))
-    assert any("reverses under load" in line for line in moving(swing, swing))
+    assert any("reverses direction under load" in line for line in moving(swing, swing))
     assert moving(swing, np.cos(2 * np.pi * time)) == ()
 
 

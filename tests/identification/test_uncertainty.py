@@ -62,7 +62,8 @@ def test_as_many_samples_as_parameters_and_no_sigma_give_no_interval_and_say_why
     stage = sparse(analytic, [2.0, 7.0])
     assert (stage["a"].standard_error, stage["a"].interval) == (None, None)
     assert stage.warnings == (
-        "no standard errors: 2 residuals for 2 parameters say nothing about the noise; give sigma, or record more",
+        "no standard errors: 2 residuals for 2 parameters say nothing about the noise; give sigma, or "
+        "record more data",
     )
     assert "2 residuals for 2 parameters" in str(stage)
 

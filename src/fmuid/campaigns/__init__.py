@@ -1,1 +1,1 @@
-"""Campaign files: read and checked, held against their models, and begun from recorded runs."""
+"""Campaign files: reading, checking, and creating them from recorded runs."""

@@ -200,20 +200,22 @@ def load_campaign(
     path
         The campaign's folder, or the TOML file itself.
     measurements
-        A measurement file instead of the one that it names.
+        A measurement file to use instead of the one in the campaign.
     judged
-        Every run is for validation, whatever the file says of roles: those of `measurements` are others.
+        Use every run for validation and ignore [roles], since `measurements` contains other runs.
     trust
-        Whether functions that it names (criteria of kind ``user``) may be imported and called later on.
+        Whether functions named by the campaign (criteria of kind ``user``) may be imported and called.
     planned
-        Whether its runs may be still to come: without a measurement file it then has none, and no stages.
+        Whether the runs may not have been recorded yet; without a measurement file the campaign then has no runs
+        and no stages.
 
     Raises
     ------
     CampaignError
-        The TOML is missing, malformed, or names what does not exist; the line says in which table.
+        The TOML file is missing or malformed, or refers to something that does not exist; the message names the
+        table.
     MeasurementsError
-        The measurement file is missing or breaks its format.
+        The measurement file is missing or violates its format.
     """
     path = Path(path)
     file = path / FILE_NAME if path.is_dir() else path
@@ -240,7 +242,7 @@ def load_campaign(
     settings = numbers(document.settings, f"{file} [settings]")
     for name in settings.keys() & parameters.keys():
         raise CampaignError(
-            f"'{name}' is a parameter too", where=f"{file} [settings]", fix="give it in one of the two tables"
+            f"'{name}' is also a parameter", where=f"{file} [settings]", fix="give it in one of the two tables"
         )
     if judged:
         _have_every_run_judged(document, recorded)
@@ -306,7 +308,7 @@ def _robot(
         for quantity, text in joints[name].items():
             for used in sorted(parse(text, where=f"{here} {quantity}").names - parameters.keys()):
                 fix = suggestion(used, parameters)
-                raise CampaignError(f"'{used}' is no parameter", where=f"{here} {quantity}", fix=fix)
+                raise CampaignError(f"'{used}' is not a parameter", where=f"{here} {quantity}", fix=fix)
     return RobotSpec(folder / table.file, frozen_mapping(joints))
 
 
@@ -366,7 +368,7 @@ def _derived(time: FloatArray, signal: Signal, name: str, causality: Causality, 
         if causality == "input" and not np.isfinite(values).all():
             raise MeasurementsError(
                 f"'{table.derivative_of}' has missing samples, and so has its derivative",
-                fix="cut the run there, or fill them on import",
+                fix="cut the run there, or fill the samples on import",
             )
     return Signal(name, values, unit, causality, resampled=signal.resampled)
 
@@ -391,7 +393,7 @@ def _effects(
             raise CampaignError(
                 f"'{name}' is kept for validation",
                 where=f"{where} experiments",
-                fix="take it out of one of the two; `fmuid diagnose --experiment` uses it once",
+                fix="remove it from one of the two; `fmuid diagnose --experiment` uses it once",
             )
     unseen = tuple(name for name in measurements.experiments if name not in validation)
     experiments = expand(table.experiments or ["*"], measurements, unseen, f"{where} experiments")
@@ -479,10 +481,12 @@ def _source(table: _ModelTable, folder: Path, where: str) -> ModelSource | None:
         if table.class_:
             raise CampaignError("names a class without its source", where=where, fix='write source = "file.mo"')
         if table.effects:
-            raise CampaignError("adds effects to no source", where=where, fix='write source = "file.mo"')
+            raise CampaignError("has effects but no source", where=where, fix='write source = "file.mo"')
         return None
     if table.fmus or table.fmu.endswith(".ssp"):
-        raise CampaignError("source goes with one FMU", where=where, fix="leave it out for coupled ones")
+        raise CampaignError(
+            "source applies to a single FMU only", where=where, fix="leave it out for coupled ones"
+        )
     file = folder / table.source
     effects = folder / table.effects if table.effects else None
     return ModelSource(file, table.class_ or file.stem, effects)
@@ -528,7 +532,7 @@ def _prior(table: _ParameterTable, where: str) -> Prior | None:
             f"tolerance is {table.tolerance:g}", where=where, fix="write tolerance > 0, relative; or known = true"
         )
     if table.known and table.tolerance is not None:
-        raise CampaignError("is known, and has a tolerance", where=where, fix="leave one of the two out")
+        raise CampaignError("is known and has a tolerance", where=where, fix="remove one of the two")
     if table.prior is None:
         return None
     prior = convert(table.prior, _PriorTable, f"{where} prior")
@@ -554,13 +558,15 @@ class _Roles:
         else:
             used = expand(table.identification, measurements, everything, f"{where} identification")
         if not used:
-            raise CampaignError("no run is left to identify with", where=where, fix="name some in identification")
+            raise CampaignError(
+                "no run is left for identification", where=where, fix="name some in identification"
+            )
         # A repeat that one role names by its id does not come along in the other.
         used = tuple(i for i in used if i not in named or i in (table.identification or ()))
         for experiment_id in used:
             if experiment_id in held_out:
                 raise CampaignError(
-                    f"'{experiment_id}' is in identification and in validation",
+                    f"'{experiment_id}' is both in identification and in validation",
                     where=where,
                     fix="validate on runs that are not used",
                 )
@@ -570,9 +576,9 @@ class _Roles:
 def expand(
     patterns: Sequence[str], measurements: Measurements, among: Sequence[str], where: str
 ) -> tuple[str, ...]:
-    """Return the experiments that ids and globs name, with their repeats, in the file's order.
+    """Return the experiments named by ids and globs, with their repeats, in the file's order.
 
-    Globs choose among the experiment ids `among`; repeats come along if they are among them too.
+    Globs select from the experiment ids `among`; repeats are included if they are in `among` too.
 
     Raises
     ------
@@ -651,12 +657,12 @@ def _stage(
     patterns = ["*"] if table.experiments is None else table.experiments
     experiments = expand(patterns, measurements, roles.identification, f"{where} experiments")
     if not experiments:
-        raise CampaignError("has no experiments", where=where, fix="name some of the identification set")
+        raise CampaignError("has no experiments", where=where, fix="name experiments of the identification set")
     free = tuple(p.name for p in parameters.values() if p.free) if table.free is None else tuple(table.free)
     free = tuple(f for f in dict.fromkeys(free) if table.free is not None or f not in table.tie)
     _known(free, parameters, f"{where} free")
     if not free:
-        raise CampaignError("frees no parameter", where=where, fix='write free = ["..."]')
+        raise CampaignError("has no free parameter", where=where, fix='write free = ["..."]')
     start = numbers(table.start, f"{where} start")
     _known(start, parameters, f"{where} start")
     for key, value in start.items():
@@ -741,7 +747,9 @@ def _criterion(raw: _Table, experiments: Sequence[str], measurements: Measuremen
         if not (math.isfinite(value) and value > 0):
             raise CampaignError(f"{key} is {value:g}", where=where, fix="write a positive number")
     if not table.from_ < table.to:
-        raise CampaignError(f"from {table.from_:g} is not before to {table.to:g}", where=where, fix="swap them")
+        raise CampaignError(
+            f"'from' ({table.from_:g}) is not before 'to' ({table.to:g})", where=where, fix="swap them"
+        )
     return CriterionSpec(
         signal=table.signal,
         kind=table.kind,
@@ -760,7 +768,9 @@ def _check_ties(
     leaders: dict[str, frozenset[str]] = {}
     for follower, text in ties.items():
         if follower in free:
-            raise CampaignError(f"'{follower}' is free and tied", where=where, fix="take it out of one of the two")
+            raise CampaignError(
+                f"'{follower}' is both free and tied", where=where, fix="remove it from one of the two"
+            )
         try:
             leaders[follower] = parse(text).names
         except ProblemError as error:
@@ -770,7 +780,7 @@ def _check_ties(
         TopologicalSorter({f: names & leaders.keys() for f, names in leaders.items()}).prepare()
     except CycleError as error:
         circle = " -> ".join(error.args[1])
-        raise CampaignError(f"parameters follow each other: {circle}", where=where, fix="break it") from None
+        raise CampaignError(f"circular ties: {circle}", where=where, fix="break the circle") from None
 
 
 def _solver(raw: str | _Table, where: str) -> tuple[str, dict[str, Any]]:

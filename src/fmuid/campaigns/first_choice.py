@@ -1,4 +1,4 @@
-"""What a first campaign frees and how its inputs act, seen from its first runs: nothing is fitted yet."""
+"""Choice of free parameters and input interpolation for a first campaign, from its first runs, without fitting."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ _CLEARLY = 0.1  # share of the squared error left that makes one reading of the 
 
 NO_EFFECT = "does not affect any measured output"
 EXPLAINED = "redundant with the free parameters; if you know one of those, fix it instead"
-CONSTRUCTION = "redundant with the free parameters, and a dimension or ratio, which a drawing tells"
+CONSTRUCTION = "redundant with the free parameters; a dimension or ratio, which is known from a drawing"
 FROM_ZERO = "starts at 0, so no bounds can be guessed"
 NOT_TRIED = "not tried"
 
 
 @dataclass(frozen=True, slots=True)
 class FirstChoice:
-    """What to start with.
+    """The choices for a first campaign.
 
     Parameters
     ----------
     free
-        The most influential parameter first, lengths and ratios last.
+        Free parameters, the most influential first, lengths and ratios last.
     held
-        Reason -> parameters that stay at the FMU's value because of it.
+        Reason -> parameters that are fixed at the FMU's value for this reason.
     interpolation
-        How the inputs act between their samples.
+        Interpolation of the inputs between their samples.
     gain
-        By what factor held inputs explain the runs worse than linear ones, if these are chosen.
+        Factor by which held inputs explain the runs worse than linear ones, if linear was chosen.
     """
 
     free: tuple[Variable, ...]
@@ -62,13 +62,13 @@ def first_choice(
     progress: Callable[[float], None] | None,
     runner: Runner,
 ) -> FirstChoice:
-    """Choose from the sensitivities at the start values of the first three runs.
+    """Choose by the sensitivities of the first three runs at the start values.
 
-    Free are the parameters with independent effects on the outputs (QR with column pivoting of the relative
-    sensitivities). Lengths and ratios come last: where one is redundant with what only measurements tell, it is
-    fixed, since drawings tell it. Inputs are linear between their samples, not held, where that leaves less than a
-    tenth of the squared error after one Gauss-Newton step of the free parameters: as where an output answers at
-    once to an input that was sampled together with it.
+    Parameters with independent effects on the outputs are free (QR with column pivoting of the relative
+    sensitivities). Lengths and ratios come last: if one is redundant with parameters that only measurements can
+    show, it is fixed, because it is known from drawings. Inputs are linear between their samples instead of held
+    if that leaves less than a tenth of the squared error after one Gauss-Newton step of the free parameters, for
+    example if an output responds instantly to an input sampled at the same time.
     """
     parameters = [
         v
@@ -111,10 +111,10 @@ def first_choice(
 def solver_error(
     model: Simulator, other: Simulator, run: Experiment, mapping: Mapping[str, str], runner: Runner
 ) -> float:
-    """Return by how much two simulators of one model differ.
+    """Return the difference between two simulators of one model.
 
-    Such as an FMU's own solver of fixed step, and one that keeps to its tolerance. It is the root mean square
-    difference over the range, of the output where it is largest; 0 where that is little.
+    For example an FMU's fixed-step solver and one with error control. The difference is the root mean square over
+    the range, for the output where it is largest; 0 if it is negligible.
     """
     try:
         one, two = (_seen(each, run, mapping, runner) for each in (model, other))
@@ -125,7 +125,7 @@ def solver_error(
 
 
 def runs_away(model: Simulator, runs: Sequence[Experiment], mapping: Mapping[str, str]) -> Growth | None:
-    """Return how errors grow in the longest run, if they grow so much that it cannot be simulated open loop."""
+    """Return the growth of errors in the longest run if it is too large for an open-loop simulation."""
     run = max(runs, key=lambda run: float(np.ptp(run.time)))
     inputs, measured = _ports(model, run, mapping)
     task = Task(run.time, inputs, tuple(measured))
@@ -152,9 +152,9 @@ def _converts(unit: str, other: str) -> bool:
 
 
 def independent_columns(columns: Mapping[str, FloatArray], last: Collection[str] = ()) -> list[str]:
-    """Return the names of the columns that are neither small nor explained by others, by pivoted QR.
+    """Return the names of columns that are neither small nor dependent on others, by pivoted QR.
 
-    Those that are to come `last` do so, whatever their size.
+    Names in `last` come last, whatever their size.
     """
     own = {n: float(np.linalg.norm(c)) for n, c in columns.items()}
     least = _LEAST_EFFECT * max(own.values(), default=0.0)

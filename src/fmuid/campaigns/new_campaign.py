@@ -1,4 +1,4 @@
-"""A first campaign from recorded runs and an FMU: guessed, written with comments, ready to run."""
+"""A first campaign from recorded runs and an FMU: guessed, commented and ready to run."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _MAX_NAMES = 8  # of parameters that are held, in one line
 
 @dataclass(frozen=True, slots=True)
 class NewCampaign:
-    """What was written, and one line for each guess behind it."""
+    """The campaign written, and one line for each guess."""
 
     folder: Path
     guesses: tuple[str, ...]
@@ -59,37 +59,37 @@ def new_campaign(
     progress: Callable[[float], None] | None = None,
     runner: Runner = in_process,
 ) -> NewCampaign:
-    """Write a campaign that runs from recorded runs and an FMU.
+    """Write a campaign, ready to run, from recorded runs and an FMU.
 
-    Columns become signals by the name or, where that is unique, the unit of the FMU's inputs and outputs.
-    Which parameters are free and how inputs act between samples: see `fmuid.campaigns.first_choice`. The last run
-    is kept for validation.
+    Columns are matched with the FMU's inputs and outputs by name or, if unique, by unit. See
+    `fmuid.campaigns.first_choice` for the choice of free parameters and input interpolation. The last run is kept
+    for validation.
 
     Parameters
     ----------
     logs
-        Runs by name, a file or a data frame each.
+        Runs by name, each a file or a data frame.
     fmu, folder
-        The FMU, and where the campaign goes.
+        The FMU, and the folder of the campaign.
     source
-        The FMU's Modelica source, named in its place.
+        The FMU's Modelica source, which the campaign names instead of the FMU.
     signals
-        Those to use; all by default.
+        Signals to use; all by default.
     base
-        What signals with different time bases are brought onto.
+        Common time base for signals with different time bases.
     units, sigmas
         Units (these win over the logs') and noise standard deviations by column.
     columns
-        Headers of CSV files that have none.
+        Column headers for CSV files without a header.
     progress
-        Called with the share of the work that is behind.
+        Called with the fraction done (0 to 1).
     runner
-        What simulates; in this process by default.
+        Runner of the simulations; this process by default.
 
     Raises
     ------
     FmuidError
-        A file cannot be read, nothing in it fits the FMU, or there is a campaign already.
+        A file cannot be read, no column matches the FMU, or the campaign already exists.
     """
     target = folder / FILE_NAME
     check_folder(folder)
@@ -129,14 +129,14 @@ def new_campaign(
     choice = first_choice(model, used, mapping, progress, runner)
     if not choice.free:
         raise CampaignError(
-            f"no parameter of {fmu.name} moves a measured output",
+            f"no parameter of {fmu.name} affects a measured output",
             where=next(iter(logs)),
             fix="check inputs and outputs",
         )
     guesses += _choice_lines(choice, any(run.inputs for run in runs.values()))
     away = runs_away(model, used, mapping)
     if away is not None:
-        guesses.append(f"runs are cut into segments: simulated open loop the model runs away ({away})")
+        guesses.append(f"runs are cut into segments, because the simulation diverges in open loop ({away})")
     write_measurements(Measurements(runs), folder / "measurements.h5")
     write_atomically(
         target,
@@ -147,10 +147,11 @@ def new_campaign(
 
 
 def match_columns(table: Table, ports: Mapping[str, Variable]) -> dict[str, str]:
-    """Return column -> FMU variable for the columns that one stands for.
+    """Return column -> FMU variable for the columns that match a variable.
 
-    In this order: the same name; the same but for case and punctuation; the one unclaimed variable of the
-    same unit, if no other column may be it; the most similar name among the unclaimed variables of that unit.
+    Matches are tried in this order: the same name; the same name except for case and punctuation; the only
+    unmatched variable of the same unit, if no other column is a candidate; the most similar name among unmatched
+    variables of that unit.
     """
     matched: dict[str, str] = {}
 
@@ -197,7 +198,7 @@ def _require_output(matched: Mapping[str, str], ports: Mapping[str, Variable], f
     if not any(ports[v].causality == "output" for v in matched.values()):
         outputs = [f"{n} [{v.unit or '1'}]" for n, v in ports.items() if v.causality == "output"]
         raise CampaignError(
-            f"no column is an output of {fmu.name} by its name or its unit",
+            f"no column matches an output of {fmu.name} by name or unit",
             where=file,
             fix=f"rename columns, or state their units (--unit); {known_names(outputs)}",
         )
@@ -254,7 +255,7 @@ def _for_identification(runs: Mapping[str, Experiment]) -> list[Experiment]:
 def _choice_lines(choice: FirstChoice, driven: bool) -> list[str]:
     lines = ["inputs are held between their samples"] if driven else []
     if choice.interpolation == "linear":
-        worse = f"if held, they explain the runs {choice.gain:.2g} times worse"
+        worse = f"held inputs explain the runs {choice.gain:.2g} times worse"
         lines = [f"inputs are linear between their samples; {worse}"]
     lines.append(f"free parameters: {', '.join(v.name for v in choice.free)}")
     for reason, variables in choice.held.items():
@@ -268,7 +269,7 @@ def _lines(table: Table, matched: Mapping[str, str], ports: Mapping[str, Variabl
     lines = []
     for column in table.columns:
         if column not in matched:
-            lines.append(f"column '{column}' is not used, no input or output of the FMU fits")
+            lines.append(f"column '{column}' is not used: no input or output of the FMU matches")
             continue
         variable = ports[matched[column]]
         unit = table.units.get(column)
@@ -308,7 +309,11 @@ def _toml(
         f"map = {{ {renamed} }}" if renamed else "map = {}",
         "# Inputs between their samples: hold, linear, or preceding (a sample acts from the one before it on).",
         f"interpolation = {toml_text(choice.interpolation)}",
-        *(["# On fmuid's solver, not on the FMU's.", f"interface = {toml_text(interface)}"] if interface else []),
+        *(
+            ["# Simulated with fmuid's solver, not the FMU's.", f"interface = {toml_text(interface)}"]
+            if interface
+            else []
+        ),
         "",
         "# Parameters: start and bounds in the FMU's unit. Narrow the bounds to what you know.",
     ]
@@ -321,7 +326,7 @@ def _toml(
         for variable in variables:
             lines += [f"# {line}" if line else "" for line in _parameter_lines(variable)]
     lines += [
-        "# Which runs the fit sees, and which only judge it. Repeats come along.",
+        "# Runs for the fit, and runs kept for validation. Repeats are included.",
         "[roles]",
         f"identification = [{', '.join(map(toml_text, identification))}]",
         f"validation = [{', '.join(map(toml_text, validation))}]",

@@ -1,4 +1,4 @@
-"""A first catalogue of effects for `fmuid diagnose`: what may go wrong between any FMU and its signals."""
+"""A first catalogue of effects for `fmuid diagnose`: errors between any FMU and its signals."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ _TWO_SIDED = ("gain", "offset", "drift", "crosstalk")
 
 
 def signal_catalogue(runs: Iterable[Experiment], mapping: Mapping[str, str], model: Mapping[str, Variable]) -> str:
-    """Return the text of a catalogue with the effects of every signal that is not zero throughout.
+    """Return the text of a catalogue with effects for every signal that is not always zero.
 
-    Trials are 2 and 10 % of scale, 1 and 5 % of the range, from one to twenty-five sample times.
+    Trials are 2 and 10 % of scale, 1 and 5 % of the range, and one to twenty-five sample times.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""From logs and a model to a campaign, in one call: what `fmuid init` does, for notebooks and scripts."""
+"""Creating a campaign from logs and a model: `fmuid init` for notebooks and scripts."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from fmuid.simulation.pool.choice import runner_on
 
 @dataclass(frozen=True, slots=True)
 class GivenModel:
-    """An FMU, and the Modelica source that it was built from, if there is one."""
+    """An FMU, and the Modelica source that it was built from, if any."""
 
     fmu: Path
     source: ModelSource | None = None
 
 
 def given_model(model: Path, class_name: str | None = None) -> GivenModel:
-    """Return the FMU at a path; the one of a Modelica file is built.
+    """Return the FMU at a path; for a Modelica file, build it.
 
     Raises
     ------
     FmuidError
-        It cannot be built, or `class_name` is of no Modelica file.
+        The FMU cannot be built, or `class_name` is given without a Modelica file.
     """
     if model.suffix.casefold() != ".mo":
         if class_name is not None:
@@ -43,17 +43,17 @@ def given_model(model: Path, class_name: str | None = None) -> GivenModel:
 
 
 def by_name(files: Sequence[Path]) -> dict[str, Path]:
-    """Return files of runs by the names of the runs, which are theirs.
+    """Return run files by run name, the stem of the file.
 
     Raises
     ------
     CampaignError
-        Two of them are called the same.
+        Two files have the same name.
     """
     named: dict[str, Path] = {}
     for file in files:
         if file.stem in named:
-            raise CampaignError(f"two runs are called '{file.stem}'", where=file, fix="rename one file")
+            raise CampaignError(f"two runs are named '{file.stem}'", where=file, fix="rename one file")
         named[file.stem] = file
     return named
 
@@ -73,42 +73,42 @@ def start(
     workers: int | None = 0,
     say: Callable[[str], object] = print,
 ) -> Campaign:
-    """Start a campaign from recorded runs and a model, and return it; as ``fmuid init`` does.
+    """Create a campaign from recorded runs and a model, as ``fmuid init`` does, and return it.
 
-    Columns become signals by the name or the unit of the model's inputs and outputs. Parameters that the runs
-    determine are free. The last of three runs or more is kept for validation.
+    Columns are matched with the model's inputs and outputs by name or unit. Parameters that the runs determine are
+    free. With three or more runs, the last one is kept for validation.
 
     Parameters
     ----------
     logs
         A file or a data frame (pandas, polars, pyarrow), or several: a sequence of files, or files and frames by
-        name of the run. Columns state units as in ``tau [N.m]``; one is called ``time``.
+        run name. Columns state units as in ``tau [N.m]``; one is named ``time``.
     model
-        An FMU, an SSP file, or a Modelica file, whose class is called like it or `class_name`.
+        An FMU, an SSP file, or a Modelica file, whose class is `class_name` or has the name of the file.
     out, replace
-        Folder of the campaign; one that is there is only replaced if asked for.
+        Folder of the campaign; an existing one is only replaced if `replace` is True.
     signals
-        Those to use; all by default.
+        Signals to use; all by default.
     base
-        What signals with different time bases are brought onto.
+        Common time base for signals with different time bases.
     units, sigmas
         Units (these win over the logs') and noise standard deviations by column.
     columns
-        Headers of CSV files that have none.
+        Column headers for CSV files without a header.
     workers
-        Worker processes to simulate in; 0 for none, None for one a processor.
+        Number of worker processes; 0 for none, None for one per processor.
     say
-        Hears what was guessed, a line each.
+        Called with one line for each guess.
 
     Returns
     -------
     Campaign
-        Ready for `fmuid.identify`; its ``campaign.toml`` is there to look through.
+        Ready for `fmuid.identify`; look through its ``campaign.toml`` first.
 
     Raises
     ------
     FmuidError
-        A log cannot be read, nothing in it fits the model, or there is a campaign already.
+        A log cannot be read, no column matches the model, or the campaign already exists.
 
     Examples
     --------
