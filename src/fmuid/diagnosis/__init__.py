@@ -1,1 +1,1 @@
-"""Where simulation and measurement part, which effect is why, and how much of the gap it closes."""
+"""Diagnosis of the gap between simulation and measurement: its place, its cause, and its reduction."""

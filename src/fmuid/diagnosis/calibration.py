@@ -1,9 +1,9 @@
-"""Probabilities that come true: how often verdicts are right on plants simulated from the model and its noise.
+"""Calibration of probabilities: how often verdicts are right on plants simulated from the model and its noise.
 
 Plants are the fitted nominal model with no effect, one, two, one whose law has another shape, or a free function
-at a port that no effect of the catalogue has; their noise is mixed, frequency by frequency, from what repeats
-differ by. Each is diagnosed as the measurements are, and for each kind of verdict a logistic curve (Platt 1999)
-maps the weight of what it says to how often that was true. No label of any real measurement is involved.
+at a port that no effect of the catalogue has; their noise is mixed, frequency by frequency, from the differences
+between repeats. Each plant is diagnosed like the measurements, and for each kind of verdict a logistic curve
+(Platt 1999) maps the weight of its answers to how often they were true. No label of any real measurement is used.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _EDGE = 1e-3  # probabilities are kept this far from 0 and 1
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What came of one simulated plant: the verdict's kind, the weight of what it says, and whether it is true."""
+    """Outcome for one simulated plant: the verdict's kind, the weight of its answers, and their truth."""
 
     kind: str
     weight: float
@@ -55,16 +55,16 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """By kind of verdict, offset and slope of the curve that maps log odds of a weight to those of being right.
+    """For each kind of verdict, offset and slope of the map from log odds of a weight to those of being right.
 
     Attributes
     ----------
     curves
-        Kinds that are missing keep their weights.
+        Curves by kind; verdicts of other kinds keep their weights.
     trials
-        Plants that they were fitted to.
+        Number of plants used for the fit.
     source
-        Where they are from, in words.
+        Origin of the plants, as text.
     """
 
     curves: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -73,15 +73,15 @@ class Calibration:
 
     @property
     def note(self) -> str:
-        """What the probabilities rest on, in a sentence."""
+        """The basis of the probabilities, as a sentence."""
         return f"Probabilities are calibrated on {self.trials} simulated plants {self.source}."
 
     def apply(
         self, verdict: Verdict, probability: Mapping[tuple[str, ...], float]
     ) -> dict[tuple[str, ...], float]:
-        """Return the probabilities of answers, with those that the verdict leaves open scaled.
+        """Return the probabilities of answers, after scaling those that the verdict leaves open.
 
-        Together they have how often such verdicts are right.
+        Their sum is the rate at which such verdicts are right.
         """
         weight = says(verdict, probability)
         if verdict.kind not in self.curves or not 0.0 < weight < 1.0:
@@ -99,13 +99,13 @@ class Calibration:
 
 
 def says(verdict: Verdict, probability: Mapping[tuple[str, ...], float]) -> float:
-    """Return the probability of the answers that a verdict leaves open, one of which it takes to be true."""
+    """Return the total probability of the answers that a verdict leaves open."""
     said = {frozenset(answer) for answer in verdict.answers}
     return sum(p for answer, p in probability.items() if frozenset(answer) in said)
 
 
 def is_true(verdict: Verdict, truth: frozenset[str]) -> bool:
-    """Return whether one of a verdict's answers is `truth`; of a partial one, whether it is a part of it."""
+    """Return whether one of a verdict's answers is `truth`; for a partial verdict, a part of it."""
     if verdict.kind == "partial":
         return set(verdict.effects) <= truth
     return truth in {frozenset(answer) for answer in verdict.answers}
@@ -132,21 +132,21 @@ def fit_curves(trials: Sequence[Trial], source: str) -> Calibration:
 def simulated_plants(
     subject: Subject, fit: Refit, paths: Mapping[str, tuple[FloatArray, ...]], count: int, *, seed: int = 0
 ) -> Iterator[tuple[Subject, frozenset[str]]]:
-    """Make plants from the nominal model refitted, and say what is true of each.
+    """Make plants from the refitted nominal model, each with the truth about it.
 
     Parameters
     ----------
     subject, fit
-        What was diagnosed, and its nominal refit.
+        The subject of the diagnosis, and its nominal refit.
     paths
         Samples of the regimes' variables along the nominal model's trajectory.
     count
-        At least 1. One that cannot be simulated is drawn anew.
+        Number of plants, at least 1. A plant that cannot be simulated is drawn again.
 
     Raises
     ------
     SimulationError
-        None of a kind can be simulated.
+        No plant of a kind can be simulated.
     """
     rng = np.random.default_rng(seed)
     maker = _Maker(subject, fit, paths, rng)
@@ -250,7 +250,7 @@ def _weights(observed: Observed) -> FloatArray:
 
 @cache
 def shipped() -> Calibration:
-    """Return the calibration that comes with the package, from plants of the actuator's FMU."""
+    """Return the calibration shipped with the package, from plants of the actuator's FMU."""
     return _read(
         (files("fmuid.diagnosis") / "calibration.json").read_text(),
         "of the Harmonic Drive actuator, the default (of repeated runs, --calibrate 60 makes them from this model "
@@ -259,13 +259,13 @@ def shipped() -> Calibration:
 
 
 def kept(key: str) -> Calibration | None:
-    """Return the calibration that was kept under `key` in the user's cache, if there is one."""
+    """Return the calibration stored under `key` in the user's cache, if any."""
     file = user_cache() / f"calibration-{key}.json"
     return _read(file.read_text(), "of this model, noise and set-up") if file.is_file() else None
 
 
 def keep(key: str, calibration: Calibration) -> None:
-    """Keep a calibration in the user's cache."""
+    """Store a calibration in the user's cache."""
     write_atomically(user_cache() / f"calibration-{key}.json", json.dumps(calibration.to_dict(), indent=1) + "\n")
 
 

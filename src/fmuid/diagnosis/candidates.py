@@ -1,4 +1,4 @@
-"""Refitting effects: each with all nominal parameters free, from the trial that scored best, then in company."""
+"""Refits of effects: each with all nominal parameters free, from its best trial, then combined with others."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ _TWINS = 4  # of the effects left out for one that was found, how many are refit
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """A model with effects added, refitted; none for the nominal model.
+    """A refitted model with effects added; no effects for the nominal model.
 
     Attributes
     ----------
     effects
-        All of them.
+        All effects in the model.
     names
-        Those that are named as causes; the others, which no signal tells from one of them, give it another shape.
+        Effects named as causes; the others modify the shape of an effect from which the signals cannot distinguish
+        them.
     """
 
     effects: tuple[str, ...]
@@ -41,7 +42,7 @@ class Fitted:
 
     @property
     def id(self) -> str:
-        """Effects joined, ``none`` for the nominal model."""
+        """Ids of the effects, joined; ``none`` for the nominal model."""
         return "+".join(self.effects) or "none"
 
 
@@ -75,9 +76,9 @@ def fit_effects(
 def score_further(
     subject: Subject, fitted: Fitted, *, likely: Sequence[Score] = (), most: int | None = None
 ) -> tuple[Score, ...]:
-    """Score the effects that `fitted` does not have yet, at its estimate; those that no data tell apart once.
+    """Score the effects that `fitted` lacks, at its estimate; indistinguishable effects are scored once.
 
-    With scores of a simpler model, only the `most` effects whose signatures there promise something here.
+    With scores of a simpler model, only the `most` promising effects by their signatures there.
     """
     left_out = {twin.effect for s in likely for twin in s.same}
     others = [e for e in subject.effects if e.id not in fitted.effects and e.id not in left_out]
@@ -106,10 +107,10 @@ def without(subject: Subject, fitted: Fitted, name: str) -> Fitted | None:
 
 
 def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
-    """Refit `fitted` with the scored effect added, from the best start beside `fitted` and the best beside none.
+    """Refit `fitted` with the scored effect added, from its best starts with and without the effects of `fitted`.
 
-    Parameters that were refitted without the effect may have bent to imitate it: the campaign's own start values
-    are another way in.
+    Parameters refitted without the effect may have shifted to imitate it, so the campaign's start values are tried
+    as well.
     """
     by_id = {e.id: e for e in subject.effects}
     effect = by_id[score.effect]
@@ -127,7 +128,7 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
 
 
 def twins(subject: Subject, fitted: Fitted, scores: Sequence[Score]) -> list[Fitted]:
-    """Refit `fitted` with each of its effects replaced by those that were left out for it."""
+    """Refit `fitted` with each of its effects replaced by those that were left out in its favour."""
     found = []
     for name in fitted.names if fitted.names == fitted.effects else ():
         same = next((s.same for s in scores if s.effect == name), ())
@@ -150,7 +151,7 @@ def _best_start(subject: Subject, starts: Sequence[Mapping[str, float]]) -> Mapp
 
 
 def contribution(subject: Subject, fitted: Fitted, name: str) -> float:
-    """Return by how many sigmas an effect of `fitted` moves the predictions, the others held where they are."""
+    """Return by how many sigmas an effect of `fitted` moves the predictions, with the others fixed."""
     neutral = next(e.neutral for e in subject.effects if e.id == name)
     (outcome,) = subject.model.predict([{**fitted.fit.values, **neutral}])
     if isinstance(outcome, SimulationError):
@@ -160,7 +161,7 @@ def contribution(subject: Subject, fitted: Fitted, name: str) -> float:
 
 
 def estimates(fitted: Fitted, subject: Subject) -> dict[str, Estimate]:
-    """Return every parameter with its standard error; None where the data do not determine it."""
+    """Return every parameter with its standard error, None if the data do not determine it."""
     (prediction,) = subject.model.predict([fitted.fit.values])  # remembered from the refit
     errors: FloatArray = np.full(len(fitted.fit.unknowns), np.nan)
     if not isinstance(prediction, SimulationError):

@@ -1,4 +1,4 @@
-"""Effects as data: what a model may lack, the parameters that add it, and plausible magnitudes to try.
+"""Effects as data: what a model may lack, the parameters that add it, and plausible magnitudes.
 
 The file format: ``docs/formats.md``.
 """
@@ -32,28 +32,29 @@ class Effect:
     id
         Short name; part of the interface.
     description, source
-        What it is, and what it physically comes from.
+        Description of the effect, and its physical source.
     port
-        Where it acts on the model.
+        Place where it acts on the model.
     unknowns
-        Its parameters, sizes and shapes alike: all are free in a refit.
+        Its parameters, both sizes and shapes; all are free in a refit.
     neutral
-        Values at which the effect is off; for a shape, which matters only while it is on, where to start.
+        Values at which the effect is off; for a shape, which matters only while the effect is on, the start value.
     shapes
-        Which of the parameters are shapes.
+        The parameters that are shapes.
     acts, expression
-        How it acts at a port of the model's source, and the Modelica expression that is added there; empty if the
-        model has the effect already (see `fmu_build.instrument`).
+        How it acts at a port of the model's source, and the Modelica expression added there; empty if the model
+        already has the effect (see `fmu_build.instrument`).
     states
-        States of the expression's own.
+        States of the expression.
     usual
-        Whether such a law is physically usual at this port: of effects that no data tell apart it is preferred.
+        Whether this law is physically usual at this port; it is then preferred among indistinguishable effects.
     variant
-        Whether it makes another model even while it is off, to be built only where it is tried.
+        Whether it changes the model even while it is off, so that the model is built only when the effect is
+        tried.
     trials
-        Plausible values to score it by: two or three magnitudes, shapes where they matter.
+        Plausible values for scoring: two or three magnitudes, with shapes where they matter.
     two_sided
-        Whether a size of the other sign is as plausible.
+        Whether a size of the opposite sign is equally plausible.
     units
         Of the parameters.
     """
@@ -75,7 +76,7 @@ class Effect:
     variant: bool = False
 
     def scaled(self, trial: Mapping[str, float], factor: float) -> dict[str, float]:
-        """Return the values of a trial whose sizes are scaled from neutral by `factor`, within bounds."""
+        """Return the values of a trial with sizes scaled from neutral by `factor`, within bounds."""
         values = {**self.neutral, **trial}
         for u in self.unknowns:
             if u.name in trial and u.name not in self.shapes:
@@ -97,7 +98,7 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:
-    """Effects, ports, regimes and sensors by id, and which FMU carries effects (by the plain one's file stem)."""
+    """Effects, ports, regimes and sensors by id, and FMUs with effects (by file stem of the plain FMU)."""
 
     effects: Mapping[str, Effect]
     ports: Mapping[str, Port]
@@ -209,7 +210,7 @@ def _refuse_shared(effects: Mapping[str, Effect], path: Path) -> None:
         for u in effect.unknowns:
             if owner.setdefault(u.name, effect.id) != effect.id:
                 raise CampaignError(
-                    f"'{u.name}' is a parameter of '{owner[u.name]}', too",
+                    f"'{u.name}' is also a parameter of '{owner[u.name]}'",
                     where=f"{path} [effects.{effect.id}]",
                     fix="give each parameter to one effect",
                 )
@@ -221,7 +222,7 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
         for key in trial:
             if key not in raw.parameters:
                 raise CampaignError(
-                    f"a trial names '{key}', which is none of its parameters",
+                    f"a trial names '{key}', which is not one of its parameters",
                     where=where,
                     fix=suggestion(key, raw.parameters),
                 )
@@ -235,7 +236,7 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
         unknowns.append(Unknown(key, start, p.lower, p.upper, abs(p.step), p.sd))
         neutral[key] = start
     if not raw.trials or not np.all([len(t) > 0 for t in raw.trials]):
-        raise CampaignError("has no trials", where=where, fix="give plausible values to score it by")
+        raise CampaignError("has no trials", where=where, fix="give plausible values for scoring it")
     return Effect(
         id=name,
         description=raw.description,

@@ -1,4 +1,4 @@
-"""From a verdict to a model with the named effects and the values found, and a campaign that goes on from it."""
+"""The corrected model: the named effects with the values found, and a campaign to continue with."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _COMMUTE = ("gain", "lag", "delay")  # with the differentiation of a signal afte
 
 @dataclass(frozen=True, slots=True)
 class Corrected:
-    """What was written: the folder, the files of models and source in it, and what the user should know."""
+    """The files written: the folder, its models and source, and notes for the user."""
 
     folder: Path
     files: tuple[Path, ...]
@@ -51,27 +51,27 @@ def write_corrected(
     folder: Path,
     runner: Runner,
 ) -> Corrected | None:
-    """Write the model with effects in it, and a campaign in which their parameters are free.
+    """Write the model with effects included, and a campaign in which their parameters are free.
 
     Parameters
     ----------
     campaign
-        That was diagnosed, with the catalogue of its effects.
+        The diagnosed campaign, with its catalogue of effects.
     subject
-        What was diagnosed.
+        The subject of the diagnosis.
     named
         Ids of the effects that go into the model.
     values
         Parameters of the campaign and of the effects.
     folder
-        Where it goes, in place of what an earlier diagnosis has written there.
+        Output folder; files of an earlier diagnosis there are replaced.
     runner
-        Simulates, to see whether FMUs start as they should.
+        Runs simulations that check the start values of the FMUs.
 
     Returns
     -------
     Corrected
-        None if no effect is named, or the campaign was read from no file.
+        None if no effect is named, or if the campaign was not read from a file.
     """
     if folder.exists():
         shutil.rmtree(folder)

@@ -1,8 +1,8 @@
-"""Judging models on experiments that did not shape them.
+"""Judging models on experiments that were not used to fit them.
 
-Each experiment is left out in turn. The parameters that the others alone would give come from one Gauss-Newton
-step at the full estimate (the exact answer for a linear model, and what is needed to tell an effect from an
-accident), so that a round of leaving out costs linear algebra, not simulations.
+Each experiment is left out in turn. The parameters for the other experiments come from one Gauss-Newton step at
+the full estimate (exact for a linear model, and sufficient to distinguish an effect from chance), so a round of
+cross-validation costs linear algebra, not simulations.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _PRIOR_STEPS = 1e3  # a parameter that the remaining experiments cannot see move
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOut:
-    """Losses of one model on experiments that were left out.
+    """Losses of one model on held-out experiments.
 
     Attributes
     ----------
@@ -29,9 +29,9 @@ class HeldOut:
         (E,) mean squared whitened residual of a single run of the experiment, beyond the noise floor's 1, over the
         components in its signals' bandwidth.
     per_run
-        The same for every run on its own, one array an experiment.
+        The same for every single run, one array per experiment.
     size
-        (E,) number of these components.
+        (E,) number of components.
     """
 
     loss: FloatArray
@@ -78,7 +78,7 @@ def in_sample(fit: Refit, observed: Observed) -> HeldOut:
 
 
 def losses(residuals: Sequence[FloatArray], observed: Observed) -> HeldOut:
-    """Return the losses of given whitened residuals (of the mean runs), one a fold."""
+    """Return the losses of whitened residuals of the mean runs, one per fold."""
     per_run, loss, size = [], [], []
     for whole, (e, rows) in zip(residuals, observed.folds, strict=True):
         run, whiten, band = observed.runs[e], observed.whiteners[e], observed.in_band[e][rows]
@@ -92,7 +92,7 @@ def losses(residuals: Sequence[FloatArray], observed: Observed) -> HeldOut:
 
 
 def closure(before: HeldOut, after: HeldOut) -> float:
-    """Return 1 - G1/G0, the share of the gap that is gone; 0 where there was none."""
+    """Return 1 - G1/G0, the share of the gap that is closed; 0 if there was no gap."""
     return 1.0 - after.gap / before.gap if before.gap > 0 else 0.0
 
 
@@ -105,10 +105,10 @@ def closure_interval(
     draws: int = 2000,
     seed: int = 0,
 ) -> tuple[float, float]:
-    """Return a bootstrap interval of the closure: runs are drawn within experiments, experiments among all.
+    """Return a bootstrap interval of the closure: experiments are drawn, and runs within experiments.
 
-    With `noise`, draws of the excess that noise alone leaves (`Null.excess`), it is that of new runs: what is
-    left of a gap cannot be measured better than that.
+    With `noise`, draws of the excess that noise alone leaves (`Null.excess`), the interval applies to new runs:
+    the remaining gap cannot be measured more precisely.
     """
     rng = np.random.default_rng(seed)
     n = len(before.loss)
@@ -130,8 +130,8 @@ def closure_interval(
 def advantage(better: HeldOut, worse: HeldOut) -> tuple[float, float]:
     """Return the mean difference of losses (worse - better) and its standard error over the runs.
 
-    Experiments are what the campaign is about, not a sample of others: an effect that one of them alone shows is
-    no less there. What is random is which runs were recorded. Where none was repeated, pieces of runs are.
+    Experiments are not a sample from a population: an effect that only one of them shows is just as real. The
+    recorded runs are the random part, or pieces of runs if none was repeated.
     """
     size = better.size / better.size.sum()
     difference = (worse.loss - better.loss) * size

@@ -1,4 +1,4 @@
-"""From refitted candidates to a verdict: what is supported, what cannot be told apart, what none explains."""
+"""From refitted candidates to a verdict: which effects are supported, indistinguishable or insufficient."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def separation(a: Fitted, b: Fitted, observed: Observed, *, without: int | None 
     """Return by how many standard deviations the data prefer `a` to `b` (negative: `b` to `a`).
 
     The predictions of the two models differ by D sigma; if one of them is true the difference of their costs is
-    D^2 with a standard deviation of 2 D. What even the better of the two leaves unexplained counts as noise as
-    well, and is far from white: `_BLOCK` of its samples count as one. With `without`, the data are all but one
-    experiment.
+    D^2 with a standard deviation of 2 D. The part that even the better model leaves unexplained counts as noise
+    too, but it is far from white: `_BLOCK` of its samples count as one. With `without`, that experiment is
+    excluded.
     """
     ra, rb = (_stacked(f, observed, without) for f in (a, b))
     difference = float(np.linalg.norm(ra - rb))
@@ -52,9 +52,9 @@ def separation(a: Fitted, b: Fitted, observed: Observed, *, without: int | None 
 
 
 def spread(left: float) -> float:
-    """Return how many times wider a separation scatters than under noise alone.
+    """Return the factor by which a separation scatters more than under noise alone.
 
-    `left` is the energy that a model leaves unexplained, in that of the noise.
+    `left` is the unexplained energy of a model, relative to that of the noise.
     """
     return float(np.sqrt(1.0 + _BLOCK * left))
 
@@ -64,17 +64,17 @@ def _stacked(fitted: Fitted, observed: Observed, without: int | None) -> FloatAr
 
 
 def best_of(candidates: Sequence[Fitted]) -> Fitted:
-    """Return the candidate with the least loss on experiments left out, among those that fit about as well."""
+    """Return the candidate with the least held-out loss among those that fit about equally well."""
     least = min(c.fit.cost for c in candidates)
     close = [c for c in candidates if c.fit.cost <= 1.05 * least + 20.0]
     return min(close, key=lambda c: c.held_out.mean)
 
 
 def survivors(best: Fitted, candidates: Sequence[Fitted], observed: Observed) -> tuple[Fitted, ...]:
-    """Return the answers that the data leave open, `best` first: sets of as many effects that fit about as well.
+    """Return the answers that the data leave open, `best` first: equally large sets that fit equally well.
 
-    The data do not prefer `best` to them, and they leave about as much of the gap: what closes far less is no
-    answer, however little the data say.
+    The data do not prefer `best` to them, and they leave about as much of the gap. A set that closes far less is
+    not an answer, however uninformative the data are.
     """
     most = ABOUT_AS_WELL * best.gap + GAP_THAT_MATTERS
     found = {frozenset(best.names): best}
@@ -85,9 +85,9 @@ def survivors(best: Fitted, candidates: Sequence[Fitted], observed: Observed) ->
 
 
 def stable(surviving: Sequence[Fitted], rivals: Sequence[Fitted], observed: Observed) -> bool | None:
-    """Return whether without any single experiment the data still prefer no rival to the surviving answers.
+    """Return whether the data prefer no rival to the surviving answers when any single experiment is left out.
 
-    That an experiment takes the evidence with it is no contradiction. None with fewer than three experiments.
+    Losing the evidence with an experiment is not a contradiction. None with fewer than three experiments.
     """
     if len(observed.runs) < 3:
         return None
@@ -101,7 +101,7 @@ def stable(surviving: Sequence[Fitted], rivals: Sequence[Fitted], observed: Obse
 
 
 def worth_adding(before: Fitted, after: Fitted) -> bool:
-    """Return whether a further effect closes enough of what was left, on held-out experiments too."""
+    """Return whether another effect closes enough of the remaining gap, also on held-out experiments."""
     gained, error = advantage(after.held_out, before.held_out)
     left = 1.0 - after.gap / before.gap if before.gap > 0 else 0.0
     return gained > error and left >= GAIN_OF_A_SECOND and closure(before.held_out, after.held_out) > 0.0
@@ -110,8 +110,8 @@ def worth_adding(before: Fitted, after: Fitted) -> bool:
 def names(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
     """Return whether `best` closes enough of the gap for its effects to be named.
 
-    Of a weak gap much is chance, and where one experiment alone shows it, leaving that out leaves little to
-    learn from: there it is enough that with the effects the model is complete, unless *unknown* is likelier.
+    A weak gap is largely chance, and if only one experiment shows it, little can be learnt without that
+    experiment. It is then sufficient that the model is complete with the effects, unless *unknown* is more likely.
     """
     trained = 1.0 - best.gap / nominal.gap if nominal.gap > 0.0 else 0.0
     held_out = closure(nominal.held_out, best.held_out)
@@ -120,16 +120,16 @@ def names(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
 
 
 def beyond_doubt(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
-    """Return whether no free function could show that the gap is none of the effects of `best`."""
+    """Return whether no free function could disprove that the gap is due to the effects of `best`."""
     closed = closure(nominal.held_out, best.held_out)
     return closed >= CLOSURE_BEYOND_DECOYS or (finished and names(nominal, best, finished=True))
 
 
 def strained(fitted: Fitted, effects: Sequence[Effect]) -> bool:
-    """Return whether a named effect's sizes and shapes ended at bounds that neither its start nor a trial has.
+    """Return whether a named effect's parameters ended at bounds that are neither its start nor a trial.
 
-    Bounds count together: what two trials have one by one is no law that anybody thought plausible. The law is
-    then used for something else than what its effect is.
+    Bounds are considered jointly: a combination of values from two different trials is not plausible by itself. At
+    such bounds, the law imitates something other than its effect.
     """
     for effect in (e for e in effects if e.id in fitted.names):
         near = {u.name: 0.01 * u.step for u in effect.unknowns}
@@ -154,11 +154,11 @@ def _limits(effect: Effect, unknown: Unknown) -> set[float]:
 
 
 def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy], ports: Sequence[str]) -> Decoy | None:
-    """Return the decoy that shows the gap to be none of the named effects, if one does.
+    """Return the decoy that shows that the gap is due to none of the named effects, if any.
 
     That is: it leaves much less of the gap on experiments left out than the best named effect does, and that
-    effect does not close nearly all of it. Where an effect at one of `ports` is named, what a sensor there makes
-    of its own past is no evidence: any lag is that, of whatever order.
+    effect does not close nearly all of it. If an effect at one of `ports` is named, a free function of a sensor's
+    own past there is no evidence, because it can imitate a lag of any order.
     """
     lumped = len(best.names) > 1 and len(set(ports)) == 1
     decoys = [d for d in decoys if (d.port in ports if lumped else d.over != OWN_PAST or d.port not in ports)]
@@ -174,10 +174,10 @@ def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy], ports: S
 
 
 def needed_beside(alone: Sequence[Decoy], beside: Sequence[Decoy], nominal: Fitted) -> bool:
-    """Return whether effects explain what no free function does, though one explains much of the gap without them.
+    """Return whether effects explain a part that free functions do not, though one closes much of the gap.
 
     `beside` are free functions fitted beside the effects: the best of them must leave hardly anything, and much
-    less than the best of those `alone`. Else the effects only imitate what the free function is.
+    less than the best of those `alone`. Otherwise the effects only imitate the free function.
     """
     first, second = (min(decoys, key=lambda d: d.held_out.mean) for decoys in (alone, beside))
     gained, error = advantage(second.held_out, first.held_out)
@@ -189,10 +189,11 @@ def needed_beside(alone: Sequence[Decoy], beside: Sequence[Decoy], nominal: Fitt
 
 
 def of_its_law(best: Fitted, alone: Sequence[Decoy], beside: Sequence[Decoy], ports: Sequence[str]) -> bool:
-    """Return whether what `best` leaves is due to the shape of its own law.
+    """Return whether the remaining gap of `best` is due to the shape of its own law.
 
-    That is: beside it, a free function at one of its `ports` takes away much of what is left, about as much as
-    any; and that function by itself does about as well as `best`, so that it is of the variable of that law.
+    This holds if a free function at one of its `ports`, added to `best`, removes much of the rest, about as much
+    as any other; and if that function alone does about as well as `best`, so it depends on the variable of that
+    law.
     """
     if not beside:
         return False
@@ -207,7 +208,7 @@ def of_its_law(best: Fitted, alone: Sequence[Decoy], beside: Sequence[Decoy], po
 
 
 def places(nominal: Fitted, decoys: Sequence[Decoy]) -> tuple[str, ...]:
-    """Return the ports at which free functions close the gap about as well as anywhere, the best first."""
+    """Return the ports where free functions close the gap about as well as at any port, the best first."""
     left: dict[str, float] = {}
     for d in sorted(decoys, key=lambda d: d.held_out.mean):
         for port in (d.port, *d.alike):
@@ -223,8 +224,8 @@ def weigh(
 ) -> dict[tuple[str, ...], float]:
     """Return the probability of every surviving answer, of `NONE` and of `UNKNOWN`, before they are calibrated.
 
-    Weights fall with the square of the separation from the best answer; `UNKNOWN` weighs as much as its closure
-    leaves open.
+    Weights decrease with the square of the separation from the best answer; the weight of `UNKNOWN` is the part
+    that the closure leaves open.
     """
     closed = float(np.clip(closure(nominal.held_out, surviving[0].held_out), 0.0, 1.0)) if surviving else 0.0
     match kind:

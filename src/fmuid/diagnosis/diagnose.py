@@ -1,4 +1,4 @@
-"""The pipeline of a diagnosis, in order: floor, refit, where, scores, refits, held-out data, company, verdict."""
+"""The pipeline of a diagnosis: noise floor, refit, place, scores, refits, held-out data, combinations, verdict."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ from fmuid.diagnosis.verdict import (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """A diagnosis with what its pictures need.
+    """A diagnosis with the data for its figures.
 
-    `best` is the model that fits best, named or not; `surviving` are the answers that are named, the best first.
+    `best` is the model that fits best, named or not; `surviving` are the named answers, the best first.
     """
 
     diagnosis: Diagnosis
@@ -80,18 +80,18 @@ def _quiet(_: str, __: float) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What speaks for a gap.
+    """Evidence for a gap.
 
     Attributes
     ----------
     present
-        Whether it is more than noise, and matters.
+        Whether the gap exceeds the noise and is large enough to matter.
     p_value
-        Of the nominal model refitted, under noise alone.
+        p-value of the refitted nominal model under noise alone.
     null
-        What noise alone would leave.
+        Null distribution under noise alone.
     power
-        By effect, its parameters' values from which on it would have been seen.
+        By effect, the smallest parameter values at which it would have been detected.
     """
 
     present: bool
@@ -102,7 +102,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judgement:
-    """The verdict, the answers that survive, and the free functions that were held against them."""
+    """The verdict, the surviving answers, and the free functions they were compared with."""
 
     verdict: Verdict
     surviving: tuple[Fitted, ...] = ()
@@ -124,11 +124,11 @@ def diagnose_subject(
     subject
         The model, the measurements with their noise floor, the nominal parameters and the effects.
     say
-        Hears about progress.
+        Called with progress.
     seed
-        Of the null distribution and the bootstrap.
+        Seed of the null distribution and the bootstrap.
     calibration
-        What turns weights into probabilities; that which comes with the package by default.
+        Conversion of weights to probabilities; by default the one shipped with the package.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def diagnose_subject(
     nominal = fit_effects(subject, (), [{}])
     if nominal is None:
         raise SimulationError("the nominal model cannot be refitted", fix="check its start values")
-    say("where the gap lies", 0.08)
+    say("locating the gap", 0.08)
     paths = trajectories(model, nominal.fit.values, subject.catalogue.regimes)
     prediction = _prediction(subject, nominal.fit.values)
     energy = excess_map(observed, prediction, folded(paths, subject.catalogue.regimes))

@@ -1,4 +1,4 @@
-"""The search: the best-scored effects refitted one by one, then in company as long as that is worth it."""
+"""The search: the best-scored effects are refitted one by one, then combined as long as that pays off."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fmuid.diagnosis.scores import Score, alias_classes, nominal_basis, project_
 from fmuid.diagnosis.subject import Subject
 
 Say = Callable[[str, float], None]
-"""Hears what is being done, and the share of the work that is behind."""
+"""Called with the current task and the fraction done (0 to 1)."""
 
 _SINGLES = 7  # effects refitted on their own
 _SHARE = 0.05  # of the best score that another one must have to be refitted
@@ -44,9 +44,9 @@ def search(
     Parameters
     ----------
     scores
-        Of all effects beside the nominal model.
+        Scores of all effects with the nominal model.
     noise
-        What noise alone leaves: nothing is added to a model that leaves no more.
+        Null distribution: no effect is added to a model whose residual is within the noise.
     present
         Whether there is a gap; without one only the two best are refitted.
     """
@@ -62,7 +62,7 @@ def search(
     best = decide.best_of(candidates)
     signatures = _signatures(subject, nominal, candidates, scores)
     while present and len(best.effects) <= _MOST and best.gap > decide.GAP_THAT_MATTERS:
-        say(f"what is missing beside {best.id}", 0.5 + 0.1 * len(best.names))
+        say(f"looking for effects in addition to {best.id}", 0.5 + 0.1 * len(best.names))
         known = best.gap < _SHAPE * nominal.gap
         company = [
             replace(c, names=best.names)
@@ -91,11 +91,11 @@ def search(
 def aliases(
     subject: Subject, nominal: Fitted, candidates: Sequence[Fitted], scores: Sequence[Score], *, seen: float
 ) -> tuple[tuple[str, ...], ...]:
-    """Return the classes of effects that could not be told apart if one of them were what the gap is.
+    """Return the classes of effects that could not be distinguished if one of them caused the gap.
 
     That is: explaining a gap of this size, or one that would just be `seen` (as a drop of the cost), their
-    predictions would differ by fewer standard deviations than a preference takes. By the refitted effects'
-    signatures where there are some, by the trials' elsewhere.
+    predictions would differ by fewer standard deviations than a preference takes. The comparison uses signatures
+    of refitted effects if available, else those of trials.
     """
     base = stack(nominal.fit.residuals, subject.observed)
     energy = max(float(base @ base) - base.size, seen)
@@ -194,7 +194,7 @@ def _further(
 
 
 def finished(subject: Subject, best: Fitted, scores: Sequence[Score], noise: NoiseDraws) -> bool:
-    """Return whether `best` leaves nothing that matters, or nothing that noise alone would not leave."""
+    """Return whether the remaining gap of `best` is irrelevant or within the noise."""
     return best.gap <= decide.GAP_THAT_MATTERS or _further(subject, best, scores, noise)[1]
 
 

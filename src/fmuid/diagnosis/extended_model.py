@@ -1,4 +1,4 @@
-"""The simulated side of a diagnosis: predictions of every experiment for values of any parameters."""
+"""The simulated side of a diagnosis: predictions of every experiment for any parameter values."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from fmuid.simulation.signal_effects import (
 from fmuid.simulation.simulator import Simulator, Task, differentiates, takes_any_times
 
 Prediction = tuple[FloatArray, ...]
-"""(C, N) predicted signals, one array an experiment."""
+"""(C, N) predicted signals, one array per experiment."""
 
 _WIDTH = 1e-4  # of the differences around a simulation, relative: ties and sensors
 Direction = tuple[dict[str, float], float]
@@ -51,15 +51,15 @@ class CampaignModel:
     Parameters
     ----------
     cases
-        One an experiment.
+        One case per experiment.
     runner
-        Where simulations run.
+        Runner of the simulations.
     fixed
-        Parameter values that stay, by name.
+        Fixed parameter values, by name.
     tie
-        Model variables that follow an expression of campaign parameters.
+        Model variables that are expressions of campaign parameters.
     variant
-        By setup and values, the model with effects that are built in only where they are tried; else None.
+        Function of setup and values for the model with effects that are only built when tried; else None.
     """
 
     cases: tuple[Case, ...]
@@ -72,7 +72,7 @@ class CampaignModel:
 
     @property
     def runs(self) -> tuple[RepeatedRuns, ...]:
-        """What was measured, in the model's units."""
+        """Measured runs, in the model's units."""
         return tuple(
             RepeatedRuns(
                 case.id,
@@ -87,13 +87,13 @@ class CampaignModel:
         )
 
     def predict(self, points: Sequence[Mapping[str, float]]) -> list[Prediction | SimulationError]:
-        """Return the predictions of every point, or why one has none."""
+        """Return the prediction of every point, or the error for a point without one."""
         return self._simulate([(point, None) for point in points])
 
     def predict_driven(
         self, values: Mapping[str, float], drives: Sequence[Mapping[str, Sequence[FloatArray]]]
     ) -> list[Prediction | SimulationError]:
-        """Return predictions at `values` with further inputs driven.
+        """Return predictions at `values` with additional inputs driven.
 
         Each drive gives, by input, (N,) samples for every experiment.
         """
@@ -123,16 +123,17 @@ class CampaignModel:
         )
 
     def tangents(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, Prediction]:
-        """Return d prediction / d parameter by name, exactly, by one run of each case.
+        """Return the exact d prediction / d parameter by name, from one run of each case.
 
-        Empty where a model cannot differentiate its runs by these parameters, or signals are disturbed.
+        Empty if a model cannot differentiate its runs with respect to these parameters, or if signals are
+        disturbed.
         """
         return self.tangents_at([values], names)[0]
 
     def tangents_at(
         self, points: Sequence[Mapping[str, float]], names: Sequence[str]
     ) -> list[dict[str, Prediction]]:
-        """Return the `tangents` at several points, which are simulated at once."""
+        """Return the `tangents` at several points, simulated together."""
         posed = [self._differentiated(values, names) for values in points]
         outcomes = iter(self.runner([job for one in posed for job in one.jobs]))
         return [self._tangents(one, [next(outcomes) for _ in one.jobs]) for one in posed]

@@ -1,4 +1,4 @@
-"""Where the gap lies: shares of the excess energy by experiment and signal, and by regime within them."""
+"""Localisation of the gap: shares of the excess energy by experiment and signal, and by regime within them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class ExcessMap:
     binned: Mapping[str, FloatArray]
 
     def shares(self, limit: int = 8) -> tuple[Share, ...]:
-        """Return the largest shares, each with the regime that stands out most in it, if one does."""
+        """Return the largest shares, each with its most prominent regime, if any."""
         total = float(self.energy.sum())
         if total <= 0.0:
             return ()

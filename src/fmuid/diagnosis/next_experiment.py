@@ -1,4 +1,4 @@
-"""How far apart a run to come sets rival answers, in standard deviations, and which run or sensor to add.
+"""Separation of rival answers by a future run, in standard deviations, and which run or sensor to add.
 
 A rival that is wrong is refitted once the run is made, and bends as far as the recorded runs let it: of what two
 predictions differ by only that part counts that the rival's parameters cannot follow at less cost.
@@ -40,18 +40,18 @@ Whiten = Callable[[Prediction], FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """An answer that may be right, and how sure the recorded runs are of its parameters.
+    """An answer that may be right, with the uncertainty of its parameters from the recorded runs.
 
     Attributes
     ----------
     told
         (P, P) triangular factor of the information there is: a change d of the parameters costs ``|told d|^2``.
     draws
-        Values that the parameters may have, the estimate first.
+        Plausible parameter values, the estimate first.
     residual
-        (M,) what it leaves of the recorded runs, whitened.
+        (M,) whitened residual on the recorded runs.
     left
-        Energy of what it leaves unexplained there, in that of the noise.
+        Energy of the unexplained part there, relative to that of the noise.
     """
 
     names: tuple[str, ...]
@@ -68,7 +68,7 @@ class Rival:
 
 
 def rival_of(fitted: Fitted, observed: Observed, *, draws: int = 1, seed: int = 0) -> Rival:
-    """Return a refitted model as a rival, with so many draws of what its parameters may be."""
+    """Return a refitted model as a rival, with a number of draws of its parameters."""
     unknowns, fit = fitted.fit.unknowns, fitted.fit
     here = np.array([fit.values[u.name] for u in unknowns])
     width = [(u.upper - u.lower) / np.sqrt(12.0) for u in unknowns]
@@ -161,9 +161,9 @@ def distance_matrix(
 
 
 def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
-    """Return the variation of an experiment that separates the first two of `alike` best; None if none does.
+    """Return the variation of an experiment that best separates the first two of `alike`; None if none does.
 
-    It is taken to be repeated as often as the experiment that it varies.
+    It is assumed to be repeated as often as the original experiment.
     """
     if len(alike) < 2:
         return None
@@ -190,9 +190,9 @@ def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
 
 
 def sensor_to_add(subject: Subject, alike: Sequence[Fitted], *, beyond: float = 0.0) -> AddedSensor | None:
-    """Return the sensor that separates the first two of `alike` best in the experiments as they are.
+    """Return the sensor that best separates the first two of `alike` in the existing experiments.
 
-    None if none does by more than `beyond` sigma: what the best of further experiments would.
+    None if no sensor exceeds `beyond` sigma, the separation by the best additional experiment.
     """
     if len(alike) < 2:
         return None
@@ -226,7 +226,7 @@ def _is_new(case: Case, variable: str) -> bool:
 
 
 def with_sensors(case: Case, sensors: Sequence[Sensor]) -> Case:
-    """Return a case that has further sensors below its own."""
+    """Return a case with additional sensors after its own."""
     shape = case.channels[0].repeats.shape
     more = tuple(
         Channel(s.name, s.variable, s.unit, np.zeros(shape), NoiseLevel(s.noise**2, source="given"))

@@ -41,7 +41,7 @@ class Observed:
     def from_runs(cls, runs: Sequence[RepeatedRuns]) -> Observed:
         """Estimate each setup's noise, from its repeats where there are some.
 
-        Few runs that were not repeated are cut into pieces: something must be left out to be judged on.
+        If there are only a few runs without repeats, they are cut into pieces for cross-validation.
         """
         setups = dict.fromkeys(run.setup for run in runs)
         noise = {s: estimate_noise([r for r in runs if r.setup == s]) for s in setups}
@@ -52,7 +52,7 @@ class Observed:
 
     @property
     def bounded(self) -> bool:
-        """Whether some of the noise is a bound, for want of repeats: more may be noise than it says."""
+        """Whether some noise level is only a bound because there are no repeats; the true noise may be larger."""
         return any(n.bounded for n in self.noise.values())
 
     def select(self, ids: Sequence[str]) -> Observed:
@@ -64,12 +64,12 @@ class Observed:
 
     @cached_property
     def whiteners(self) -> tuple[Whitener | PiecewiseWhitener, ...]:
-        """What whitens each experiment's residual."""
+        """Whitener of each experiment's residual."""
         return tuple(_whitener(r, self.noise[r.setup]) for r in self.runs)
 
     @cached_property
     def folds(self) -> tuple[tuple[int, NDArray[np.intp] | slice], ...]:
-        """What is left out at a time: experiment, and components of its whitened residual.
+        """Cross-validation folds: experiment, and components of its whitened residual.
 
         Whole experiments where they were repeated; pieces of those that were not.
         """
@@ -111,11 +111,11 @@ class Observed:
         return np.array([float(r.n_repeats) for r in self.runs])
 
     def residuals(self, predictions: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
-        """Return prediction minus the mean of the repeats, whitened: one (C * N,) vector an experiment."""
+        """Return prediction minus the mean of the repeats, whitened: one (C * N,) vector per experiment."""
         return tuple(w(p - r.mean).ravel() for p, r, w in zip(predictions, self.runs, self.whiteners, strict=True))
 
     def whiten(self, differences: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
-        """Whiten differences of predictions: (C, N) to (C * N,), one an experiment."""
+        """Whiten differences of predictions: (C, N) to (C * N,), one per experiment."""
         return tuple(w(d).ravel() for d, w in zip(differences, self.whiteners, strict=True))
 
 

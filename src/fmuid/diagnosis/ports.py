@@ -1,4 +1,4 @@
-"""Ports and decoys: what a free function of speed, angle, load or time could explain, if it acted at a port.
+"""Ports and decoys: how much a free function of speed, angle, load or time at a port could explain.
 
 A port is an input of the model that is zero by default and acts where effects act. Driving it with basis
 functions evaluated along the model's own trajectory gives the responses that any unnamed effect of that form would
@@ -30,7 +30,7 @@ Basis = tuple[tuple[FloatArray, ...], ...]
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """Where an effect may act: an additive input of the model, or an output that is read wrongly.
+    """A place where an effect may act: an additive input of the model, or an output that is read wrongly.
 
     Attributes
     ----------

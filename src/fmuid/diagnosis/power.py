@@ -1,4 +1,4 @@
-"""What a diagnosis could have seen: the smallest size of each effect that its data would have shown."""
+"""Power of a diagnosis: the smallest size of each effect that its data would have shown."""
 
 from __future__ import annotations
 

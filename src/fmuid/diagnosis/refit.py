@@ -1,4 +1,4 @@
-"""Least squares in units of noise, within bounds, from several starts of which the best end counts."""
+"""Bounded least squares in units of noise, from several starts; the best end point counts."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Unknown:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refit:
-    """Where a refit ended.
+    """Result of a refit.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""From a campaign to what a diagnosis works on: the model with effects, the nominal parameters, the noise."""
+"""The subject of a diagnosis: the model with effects, the nominal parameters and the noise."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _SLICE = re.compile(r"^(?P<name>.*)\[(?P<index>[\d:,\s]+)\]$")
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """What is diagnosed: model, measurements with their noise, nominal parameters and the effects to consider.
+    """Model, measurements with their noise, nominal parameters and effects to consider.
 
     `recordings` are the runs that it rests on, by id, and their digests. `modelled` are the effects of the
     catalogue that the campaign's own values put into the model, and which values: they are no candidates.
@@ -93,7 +93,7 @@ def subject_of(
     )
     if modelled and not effects:
         raise FmuError(
-            f"every effect is in the model already: {', '.join(modelled.values())}",
+            f"every effect is already in the model: {', '.join(modelled.values())}",
             where=spec.catalogue,
             fix="set their parameters to neutral values, or add effects",
         )
@@ -202,7 +202,7 @@ def _without(case: Case, variables: Collection[str]) -> Case:
 def _spec(campaign: Campaign) -> EffectsSpec:
     if campaign.effects is None:
         raise CampaignError(
-            "no effects to look for",
+            "the campaign names no catalogue of effects",
             where=f"{campaign.folder / 'campaign.toml'}",
             fix='add [effects] with catalogue = "..."',
         )
@@ -262,7 +262,9 @@ def _nominal(campaign: Campaign, spec: EffectsSpec, *, cases_parameters: set[str
     for name in spec.nominal:
         if name not in cases_parameters and name not in helpers:
             raise CampaignError(
-                f"nominal parameter '{name}' acts on no model", where="[effects]", fix="drop it or tie to it"
+                f"nominal parameter '{name}' affects no model",
+                where="[effects]",
+                fix="remove it, or tie a variable to it",
             )
         unknowns.append(unknown_of(campaign.parameters[name]))
     return tuple(unknowns)

@@ -1,4 +1,4 @@
-"""A diagnosis in words: where, what, how much, and the likeliest effects as a table."""
+"""A diagnosis as text: place, cause and size of the gap, and the likeliest effects as a table."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _ROWS = 6
 
 
 def summary(diagnosis: Mapping[str, Any]) -> list[str]:
-    """Return the verdict, where the gap lies and how far it shrinks, one line each."""
+    """Return the verdict, the place of the gap and its reduction, one line each."""
     lines = [f"{fact.label}: {fact.value}" for fact in facts(diagnosis)]
     alike = [" or ".join(names) for names in diagnosis["alias_classes"]]
     if alike:
@@ -63,14 +63,16 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     if verdict.get("rest"):
         found.append(Fact("What is left", _rest_text(verdict["rest"])))
     if verdict.get("stable") is False:
-        found.append(Fact("Stable", "no: without one experiment another answer would be preferred", "warn"))
+        found.append(
+            Fact("Stable", "no: without one of the experiments, another answer would be preferred", "warn")
+        )
     if verdict["kind"] == "unknown":
         found += _closest(diagnosis)
     return (*found, *_law_found(diagnosis))
 
 
 def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
-    """Return the verdict in one to three sentences, as an engineer would say it."""
+    """Return the verdict in one to three sentences."""
     verdict = diagnosis["verdict"]
     said = [f"{verdict_text(diagnosis)}."]
     best = next((a for a in diagnosis["answers"] if a.get("closure")), None)
@@ -141,8 +143,10 @@ def _gap_text(gap: Mapping[str, Any]) -> str:
 def _more_data(diagnosis: Mapping[str, Any]) -> str:
     """Return what to record where the data cannot tell: see `powerless` in `diagnose_subject`."""
     if diagnosis["gap"]["present"] or diagnosis.get("power"):
-        return "record a run with another input; a single one, even repeated, leaves nothing to judge on"
-    return "record runs with other or larger inputs, and more repeats; no effect of a plausible size would be seen"
+        return (
+            "record a run with a different input; a single experiment, even if repeated, cannot be cross-validated"
+        )
+    return "record runs with different or larger inputs, and more repeats; the data would show no plausible effect"
 
 
 def _law_found(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:

@@ -1,4 +1,4 @@
-"""A diagnosed model on other data: errors and gaps of every run, beside those of the nominal model refitted."""
+"""Validation of a diagnosed model on other data: errors and gaps compared with the refitted nominal model."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisValidation:
-    """What the correction is worth on data that the diagnosis has not seen.
+    """Benefit of the correction on data that the diagnosis has not seen.
 
     `runs` are the recordings that it is judged by, `used` those of them that the diagnosis was made from: only
     those asked for by name can be, and None means that it does not say. `gaps` gives, by experiment and for
@@ -191,7 +191,7 @@ def validate_diagnosis(
 
 
 def law_of(answer: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the law that a diagnosis found, if it found one: the corrected model is then the one with it."""
+    """Return the law found by a diagnosis, if any; the corrected model then contains it."""
     law = answer.get("law_found")
     return law if isinstance(law, dict) and law.get("formula") else None
 
@@ -210,7 +210,7 @@ def _chosen(
             if e.id in named or (e.origin in named.values() and e.digest not in seen)
         )
         return chosen, tuple(e.id for e in chosen if e.digest in seen) if told else None
-    fix = "record others, or name the runs with --experiment"
+    fix = "record other runs, or name runs with --experiment"
     if not campaign.validation and not told:
         raise FmuidError(
             "the diagnosis does not say which runs it was made from",

@@ -1,4 +1,4 @@
-"""Models that carry effects: in one those that are nothing while off, in others those that are tried."""
+"""Models with effects: one for effects that vanish while off, variants for the others when tried."""
 
 from __future__ import annotations
 

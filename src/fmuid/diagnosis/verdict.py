@@ -1,4 +1,4 @@
-"""What a diagnosis says, and its JSON form (format ``fmuid-diagnosis``, version 2)."""
+"""Verdict and results of a diagnosis, and their JSON form (format ``fmuid-diagnosis``, version 2)."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any, Literal
 
 Kind = Literal["complete", "effect", "partial", "ambiguous", "unknown", "insufficient"]
 NONE, UNKNOWN = ("none",), ("unknown",)
-"""Answers without an effect: nothing is missing; something is that no effect explains."""
+"""Answers without an effect: nothing is missing, or something is missing that no effect explains."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """What is left after the verdict: its size in noise floors, and where it lies, in words."""
+    """The remaining gap after the verdict: its size in noise floors, and its place as text."""
 
     gap: float
     where: str
@@ -28,15 +28,15 @@ class Verdict:
     kind
         ``effect`` explains the gap, ``partial`` a part of it.
     effects
-        What every surviving answer contains.
+        Effects that every surviving answer contains.
     one_of
-        Sets of effects of which one is needed besides; of an ``ambiguous`` verdict only.
+        Sets of effects, one of which is needed in addition; for an ``ambiguous`` verdict only.
     ports
         The places that these sensors cannot separate where the gap enters; empty if none is named.
     stable
         Whether no single experiment, left out, would give a contradictory verdict; None if that cannot be judged.
     rest
-        What the effects leave, if that is more than noise.
+        The gap that the effects leave, if it exceeds the noise.
     """
 
     kind: Kind
@@ -48,7 +48,7 @@ class Verdict:
 
     @property
     def answers(self) -> tuple[tuple[str, ...], ...]:
-        """The answers that it leaves open, one of which is taken to be true."""
+        """The answers that the verdict leaves open, one of which is taken to be true."""
         match self.kind:
             case "complete" | "insufficient":
                 return (NONE,)
@@ -67,9 +67,9 @@ class Gap:
     Attributes
     ----------
     present
-        Whether the refitted nominal model is outside what noise leaves.
+        Whether the residual of the refitted nominal model exceeds the noise.
     p_value
-        Of that, under the noise floor.
+        p-value of that residual under the noise floor.
     nominal, nominal_refit, corrected
         At the start values, with the nominal parameters refitted, and with the verdict's effects added.
     floor_units
@@ -99,7 +99,7 @@ class Share:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A value with its standard error; None where the data do not determine it."""
+    """A value with its standard error, None if the data do not determine it."""
 
     value: float
     standard_error: float | None
@@ -114,7 +114,7 @@ class PhysicalGap:
     before, after
         With the nominal parameters refitted, and with the effects added.
     floor
-        What noise alone leaves in the mean of the repeats.
+        The gap that noise alone leaves in the mean of the repeats.
     """
 
     unit: str
@@ -163,7 +163,7 @@ class Candidate:
     Attributes
     ----------
     probability
-        That it is in the right answer.
+        Probability that the effect is in the right answer.
     score
         Fall of the cost that its signature promises, in squared noise units.
     closure
@@ -179,7 +179,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """Samples that were left out: spiked, held or lost."""
+    """Samples that were excluded: spikes, held or lost samples."""
 
     experiment: str
     signal: str
@@ -188,7 +188,7 @@ class LeftOut:
 
 @dataclass(frozen=True, slots=True)
 class NextExperiment:
-    """A run that would tell apart what is still open."""
+    """A run that would distinguish the open answers."""
 
     setup: str
     description: str
@@ -198,7 +198,7 @@ class NextExperiment:
 
 @dataclass(frozen=True, slots=True)
 class AddedSensor:
-    """A sensor with which the campaign's own experiments would tell apart what is still open."""
+    """A sensor with which the existing experiments would distinguish the open answers."""
 
     id: str
     description: str
