@@ -22,7 +22,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.identification.check import load_models
 from fmuid.identification.result import Result, StageResult
 from fmuid.identification.validate import Validation, validate
-from fmuid.report.figures import Overlay, overlay_figure, residual_figure
+from fmuid.report.figures import Overlay, overlay_figure
 from fmuid.report.plots import save_figure
 from fmuid.report.plots.figure_data import Role, Table
 
@@ -170,11 +170,7 @@ def write_rivals(rivals: Sequence[Rival], signal: str, out: Path) -> tuple[Path,
         channel = case.channels[row]
         overlays.append(Overlay(case.id, signal, channel.unit or "", case.time, channel.mean, tuple(lines)))
     title = f"{rivals[0].stage} and {best.stage} on the runs kept back"
-    figures = (
-        overlay_figure("rivals", title, overlays),
-        residual_figure("rivals-errors", f"Errors of {title}", overlays),
-    )
-    return (out / "rivals.csv", *(path for figure in figures for path in save_figure(figure, out)))
+    return (out / "rivals.csv", *save_figure(overlay_figure("rivals", title, overlays), out))
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -71,7 +71,7 @@ def test_an_effect_of_one_s_own_is_found(trolley, tmp_path, capsys):
     assert answer["model"]["parameters"] == pytest.approx({"m": 1.0, "d": 0.8, "drag": 0.3}, rel=0.03)
     page = (out / "index.html").read_text()
     assert "air_drag" in page
-    assert {"residuals", "missing", "excess-energy", "gap"} <= {p.stem for p in (out / "figures").iterdir()}
+    assert {"before-after", "missing", "excess-energy", "gap"} <= {p.stem for p in (out / "figures").iterdir()}
 
     # From the verdict to action: identify goes on from the corrected model, and nothing more is missing in it.
     corrected = out / "corrected"

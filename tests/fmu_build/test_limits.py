@@ -90,20 +90,19 @@ def test_homotopy_chooses_the_first_solution_and_nothing_is_told(simulate, tmp_p
     assert "may have several solutions" in warning
 
 
-def test_initial_equations_are_solved_past_a_point_where_they_are_singular(tmp_path):
+def test_initial_equations_are_solved_past_a_point_where_they_are_singular(simulate):
     text = (  # Newton's first step from (10, 10) ends at (15, 2.5), where the Jacobian is singular
         "Real x(start = 10); Real y(start = 10); initial equation der(x) = 0; der(y) = 0; "
         "equation der(x) = x*(0.1 - 0.02*y); der(y) = y*(0.01*x - 0.3);"
     )
-    found = simulate(tmp_path, text, ["x", "y"], stop_time=0.1)[0]
+    found = simulate(text, ["x", "y"], stop_time=0.1)[0]
     assert (found["x"], found["y"]) == pytest.approx((30.0, 5.0), rel=1e-9)
 
 
-def test_what_is_driven_back_to_its_threshold_stays_there_within_the_tolerance(tmp_path):
+def test_what_is_driven_back_to_its_threshold_stays_there_within_the_tolerance(simulate):
     text = "Real x(start = 1.2, fixed = true); equation der(x) = if x >= 1 then -1 else 1;"
     said = []
     found = simulate(
-        tmp_path,
         text,
         ["x"],
         stop_time=0.5,

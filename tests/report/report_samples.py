@@ -8,8 +8,8 @@ from fmuid.report.diagnosis_figures import (
     ExcessEnergy,
     MissingQuantity,
     RegimeBins,
-    ResidualPair,
 )
+from fmuid.report.figures import Overlay, overlay_figure
 from fmuid.report.plots.figure_data import (
     Axis,
     Bar,
@@ -43,14 +43,12 @@ def history():
 
 
 def overlays(n=5):
-    panels = []
-    for k in range(n):
-        series = (
-            Series("measurement", TIME, step_response(10 * k + 5), "measurement"),
-            Series("simulation", TIME, step_response(10 * k + 4), "final"),
-        )
-        panels.append(Panel(f"step {k}", Axis("time", "s"), TORQUE, series))
-    return LineFigure("validation", "Validation", tuple(panels))
+    def overlay(k):
+        simulated = (("simulation", "final", step_response(10 * k + 4)),)
+        measured = step_response(10 * k + 5)
+        return Overlay(f"step {k}", TORQUE.name, TORQUE.unit, TIME, measured, simulated, f"step {k}", 0.2)
+
+    return overlay_figure("validation", "Validation", [overlay(k) for k in range(n)])
 
 
 def friction():
@@ -182,9 +180,16 @@ def pictures():
     time = np.linspace(0, 50, 20_000)
     before = 2.0 * np.sin(0.3 * time) ** 3 + rng.normal(0, 0.1, time.size)
     after = rng.normal(0, 0.11, time.size)
-    pair = ResidualPair("eccentric_load", "load_35p5", "tau_sensor", "N.m", time, before, after, 0.1)
-    fixed = ResidualPair("fixed_shaft", "prbs_0p8", "tau_sensor", "N.m", time / 100, after, after, 0.1)
-    free = ResidualPair("free_shaft", "free_100", "i_motor", "A", time / 10, after / 50, None, 0.002)
+    measured = 5.0 * np.sin(time)
+
+    def overlay(experiment, signal, unit, over, *residuals, sigma=0.1):
+        names = (("nominal, refitted", "before"), ("corrected", "after"))
+        lines = tuple((*name, measured + r) for name, r in zip(names, residuals, strict=False))
+        return Overlay(experiment, signal, unit, over, measured, lines, f"{experiment}: {signal}", sigma)
+
+    worst = overlay("load_35p5", "tau_sensor", "N.m", time, before, after)
+    fixed = overlay("prbs_0p8", "tau_sensor", "N.m", time / 100, after, after)
+    free = overlay("free_100", "i_motor", "A", time / 10, after / 50, sigma=0.002)
     regimes = (
         RegimeBins(Axis("speed", "rad/s"), np.array([-30, -10, 0, 10, 30])),
         RegimeBins(Axis("load torque", "N.m"), np.array([-36, -12, 12, 36])),
@@ -210,4 +215,4 @@ def pictures():
                 (Branch(x, y + rng.normal(0, 0.003, 13), np.full(13, 0.004), (("mesh_loss", x, y),)),),
             )
         )
-    return DiagnosisPictures((pair, fixed, free), excess, tuple(missing))
+    return DiagnosisPictures((worst, fixed, free), excess, tuple(missing))

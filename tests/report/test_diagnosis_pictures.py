@@ -85,11 +85,12 @@ def pictures():
 
 
 def test_residuals_are_in_units_before_and_after(pictures):
-    (pair,) = pictures.residuals
-    assert (pair.setup, pair.experiment, pair.signal, pair.unit) == ("bench", "run", "tau", "N.m")
-    np.testing.assert_allclose(pair.before, -FRICTION, atol=0.05)
-    np.testing.assert_allclose(pair.after, -0.1 * FRICTION, atol=0.05)
-    assert pair.floor == pytest.approx(0.02 / np.sqrt(5), rel=0.1)
+    (overlay,) = pictures.overlays
+    assert (overlay.experiment, overlay.signal, overlay.unit) == ("run", "tau", "N.m")
+    (_, _, before), (_, _, after) = overlay.predictions
+    np.testing.assert_allclose(before - overlay.measurement, -FRICTION, atol=0.05)
+    np.testing.assert_allclose(after - overlay.measurement, -0.1 * FRICTION, atol=0.05)
+    assert overlay.sigma == pytest.approx(0.02 / np.sqrt(5), rel=0.1)
 
 
 def test_shares_of_every_variable_add_up_to_the_whole(pictures):

@@ -139,7 +139,34 @@ def test_series_over_different_abscissae_are_written_one_below_the_other():
 
 def test_one_table_for_each_panel():
     names = [name for name, _ in tables(samples.overlays(3))]
-    assert names == ["validation-01-step-0", "validation-02-step-1", "validation-03-step-2"]
+    steps = [f"validation-0{k + 1}-step-{k}" for k in range(3)]
+    assert names == [name for step in steps for name in (step, f"{step}-residual")]
+
+
+def test_a_good_fits_residual_lies_beneath_it_between_two_standard_deviations_of_the_noise():
+    (panel, *_) = samples.overlays(2).panels
+    residual, *band = panel.beneath.series
+    np.testing.assert_allclose(residual.y, samples.step_response(4) - samples.step_response(5))
+    assert sorted({float(y) for s in band for y in s.y}) == [-0.4, 0.4]
+
+
+def test_panels_of_a_run_zoom_together_and_lie_below_each_other_on_a_phone():
+    spec = specification(samples.overlays(3))
+    assert sorted(spec["links"].values()) == sorted([f"step {k}" for k in range(3)] * 2)
+    assert spec["layout"]["xaxis2"]["matches"] == "x"
+    assert spec["layout"]["xaxis6"]["matches"] == "x5"
+    assert spec["layout"]["xaxis3"]["domain"][0] > 0.5  # the second run, beside the first
+    assert spec["narrow"]["xaxis3"]["domain"][0] == 0.0
+    ends = [spec["narrow"][f"yaxis{k}"]["domain"] for k in ("", 2, 3, 4, 5, 6)]
+    assert all(upper[0] > lower[1] for upper, lower in pairwise(ends))
+    assert spec["narrow"]["height"] > 1.3 * spec["layout"]["height"]
+
+
+def test_a_maps_blocks_share_the_width_that_there_is():
+    spec = specification(samples.energy_map())
+    assert [len(trace["z"][0]) for trace in spec["data"]] == [4, 4, 4]
+    assert spec["layout"]["yaxis3"]["domain"] == spec["layout"]["yaxis"]["domain"]
+    assert spec["narrow"]["yaxis3"]["domain"][1] < spec["narrow"]["yaxis"]["domain"][0]
 
 
 def test_missing_values_are_empty_in_csv():

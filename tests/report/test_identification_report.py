@@ -96,13 +96,13 @@ def read(path):
 
 def test_report_has_what_the_paper_shows(written):
     names = {p.stem for p in (written.parent / "figures").iterdir()}
-    assert {"history-both", "validation-bench-y", "validation-bench-y-residual", "nrmse-validation"} <= names
+    assert {"before-after", "history-both", "validation-bench-y", "nrmse-validation"} <= names
     assert {"cost", "parallel-both", "correlation-both", "deviations"} <= names
 
 
 def test_history_starts_at_the_start_and_ends_at_the_best(written):
     data = written.parent / "data"
-    path = next(p for p in data.glob("history-both-*.csv") if "high" in p.name)
+    path = next(p for p in data.glob("history-both-*.csv") if "high" in p.name and "residual" not in p.name)
     header = path.read_text().splitlines()[0].split(",")
     values = np.loadtxt(path, delimiter=",", skiprows=1)
     assert header[:3] == ["time [s]", "measurement: y [N.m]", "start: y [N.m]"]
@@ -118,6 +118,16 @@ def test_residual_is_prediction_minus_measurement(written):
         for name in ("validation-bench-y", "validation-bench-y-residual")
     )
     np.testing.assert_allclose(residual[:, 1], fit[:, 2] - fit[:, 1], atol=1e-8)
+    np.testing.assert_allclose(residual[:, 2:], [[-0.02, 0.02]] * TIME.size)  # two standard deviations
+
+
+def test_the_page_opens_with_start_and_end_of_the_worst_run(written):
+    data = np.loadtxt(written.parent / "data" / "before-after.csv", delimiter=",", skiprows=1)
+    errors = np.abs(data[:, 2:] - data[:, [1]]).mean(axis=0)
+    assert errors[1] < 0.02 < errors[0]
+    text = Page(written.read_text()).text
+    assert "predicted to within" in " ".join(text.split())
+    assert text.index("Worst run") < text.index("Parameters") < text.index("NRMSE of every run")
 
 
 def test_estimates_stand_beside_truth_and_published_values(written):

@@ -53,12 +53,17 @@ def range_text(low: float, high: float, span: float | None = None) -> str:
 
 
 def interval_text(low: float, high: float) -> str:
-    """Return "low .. high" with enough digits to show the width to two digits."""
-    width, size = high - low, max(abs(low), abs(high))
-    digits = 5
-    if 0.0 < width < math.inf and size > 0.0:
-        digits = max(digits, min(17, math.ceil(math.log10(size / width)) + 2))
+    """Return "low .. high" with enough digits to show its width to two digits."""
+    digits = interval_digits(low, high)
     return f"{low:.{digits}g} .. {high:.{digits}g}"
+
+
+def interval_digits(low: float, high: float) -> int:
+    """Return how many significant digits tell the ends of an interval apart, to two digits of its width."""
+    width, size = high - low, max(abs(low), abs(high))
+    if not (0.0 < width < math.inf and size > 0.0):
+        return 5
+    return max(5, min(17, math.ceil(math.log10(size / width)) + 2))
 
 
 def once_each(notes: Sequence[tuple[str, str]]) -> list[str]:

@@ -23,9 +23,9 @@ from fmuid.report.diagnosis_figures import (
     ExcessEnergy,
     MissingQuantity,
     RegimeBins,
-    ResidualPair,
 )
-from fmuid.report.plots.figure_data import Axis
+from fmuid.report.figures import Overlay
+from fmuid.report.plots.figure_data import Axis, Role
 
 _KNOTS = 11
 _CURVE_KNOTS = 25  # of what is estimated beside a law: standstill shows
@@ -57,7 +57,7 @@ def pictures_of(found: Found) -> DiagnosisPictures:
     }
     after = next(iter(laws.values()), None)
     missing = _curves(found) or _missing(found, nominal, laws)
-    return DiagnosisPictures(_residuals(found, nominal, after), _excess(found), missing, _steps(found))
+    return DiagnosisPictures(_overlays(found, nominal, after), _excess(found), missing, _steps(found))
 
 
 def _steps(found: Found) -> dict[str, float]:
@@ -68,31 +68,34 @@ def _steps(found: Found) -> dict[str, float]:
     return {" + ".join(c.effects): c.gap for part in parts for c in found.candidates if c.effects == part}
 
 
-def _residuals(found: Found, before: Prediction, after: Prediction | None) -> tuple[ResidualPair, ...]:
+def _overlays(found: Found, before: Prediction, after: Prediction | None) -> tuple[Overlay, ...]:
     """Return the signal with the most excess energy of each setup."""
     cases = {case.id: case for case in found.subject.model.cases}
     runs = {run.id: k for k, run in enumerate(found.subject.observed.runs)}
-    pairs: dict[str, ResidualPair] = {}
+    overlays: dict[str, Overlay] = {}
     for row in np.argsort(-found.excess.energy):
         experiment, signal = found.excess.rows[row]
         index = runs[experiment]
         run = found.subject.observed.runs[index]
-        if run.setup in pairs:
+        if run.setup in overlays:
             continue
         c = run.channels.index(signal)
         measured = np.where(run.mask[c] > 0, run.mean[c], np.nan)
         sigma = found.subject.observed.noise[run.setup].sigma[signal]
-        pairs[run.setup] = ResidualPair(
-            run.setup,
+        lines: list[tuple[str, Role, FloatArray]] = [("nominal, refitted", "before", before[index][c])]
+        if after is not None:
+            lines.append(("corrected", "after", after[index][c]))
+        overlays[run.setup] = Overlay(
             experiment,
             signal,
             cases[experiment].channels[c].unit or "",
             run.time,
-            before[index][c] - measured,
-            None if after is None else after[index][c] - measured,
+            measured,
+            tuple(lines),
+            f"{experiment}: {signal}",
             float(sigma / np.sqrt(run.n_repeats)),
         )
-    return tuple(pairs.values())
+    return tuple(overlays.values())
 
 
 def _excess(found: Found) -> ExcessEnergy | None:

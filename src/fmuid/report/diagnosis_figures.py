@@ -16,29 +16,21 @@ import numpy as np
 from fmuid.core.formatting import range_text
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.summary import named, ranked, regime_text
-from fmuid.report.figures import TIME
-from fmuid.report.plots.figure_data import Axis, Bar, BarFigure, LineFigure, MapFigure, Panel, Role, Series, Table
-from fmuid.report.thinning import kept_samples
+from fmuid.report.figures import Overlay, overlay_figure
+from fmuid.report.plots.figure_data import (
+    Axis,
+    Bar,
+    BarFigure,
+    Cell,
+    LineFigure,
+    MapFigure,
+    Panel,
+    Role,
+    Series,
+    Table,
+)
 
 _NO_GAP = 0.03  # floors: where the logarithmic axis of gaps begins
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ResidualPair:
-    """Residual (prediction - measurement, in `unit`) of one signal before and after the correction, all (N,).
-
-    The worst experiment of each setup is meant. `before` is that of the refitted nominal model, `after` of
-    the corrected one (None without a correction); `floor` is the standard deviation of the noise.
-    """
-
-    setup: str
-    experiment: str
-    signal: str
-    unit: str
-    time: FloatArray
-    before: FloatArray
-    after: FloatArray | None = None
-    floor: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,42 +106,39 @@ class MissingQuantity:
 class DiagnosisPictures:
     """Everything the report draws that is not in the diagnosis' JSON.
 
+    `overlays` are the worst signal of each setup: measured, with the nominal parameters refitted, corrected.
     `steps` are the gaps that part of the verdict's effects leave, by their names.
     """
 
-    residuals: tuple[ResidualPair, ...] = ()
+    overlays: tuple[Overlay, ...] = ()
     excess: ExcessEnergy | None = None
     missing: tuple[MissingQuantity, ...] = ()
     steps: Mapping[str, float] = field(default_factory=dict)
 
 
-def residuals_figure(pairs: Sequence[ResidualPair]) -> LineFigure | None:
-    """Return the residuals over time before and after, one panel for each setup's worst experiment."""
-    if not pairs:
+def before_and_after(overlays: Sequence[Overlay]) -> LineFigure | None:
+    """Return the worst signal of each setup: measured, before and after the correction."""
+    if not overlays:
         return None
-    panels = tuple(_residual_panel(p, alone=len(pairs) == 1) for p in pairs)
     caption = (
-        "Prediction minus measurement (repeats averaged, their noise too) in the worst experiment of each setup: "
-        "nominal parameters refitted (before) and with the effect added (after)."
+        "The signal with the largest gap"
+        + (" of each setup" if len(overlays) > 1 else "")
+        + ", repeats averaged. "
+        "Beneath: what the best of these models leaves, prediction minus measurement."
     )
-    return LineFigure("residuals", "Residual before and after", panels, caption, 1 if len(panels) == 1 else 2)
+    return overlay_figure("before-after", "Before and after", overlays, caption)
 
 
-def _residual_panel(pair: ResidualPair, *, alone: bool) -> Panel:
-    rows = [pair.before] + ([] if pair.after is None else [pair.after])
-    keep = kept_samples(rows)
-    time = pair.time[keep]
-    series = []
-    if pair.floor is not None:
-        for side in (-2, 2):
-            level = np.full(time.size, side * pair.floor)
-            series.append(Series("noise, ±2 standard deviations", time, level, "floor"))
-    series.append(Series("before", time, pair.before[keep], "before"))
-    if pair.after is not None:
-        series.append(Series("after", time, pair.after[keep], "after"))
-    # One panel alone is drawn without its heading, many leave no room for a long label.
-    axis = Axis(f"residual of {pair.signal}, {pair.experiment}" if alone else "residual", pair.unit)
-    return Panel(f"{pair.experiment}: {pair.signal}", TIME, axis, tuple(series))
+def parameters_table(diagnosis: Mapping[str, Any]) -> Table:
+    """Return every parameter refitted without and with what is missing, and by how much that moves it."""
+    before, after = diagnosis.get("nominal", {}).get("parameters", {}), diagnosis["model"]["parameters"]
+    rows: list[tuple[Cell, ...]] = []
+    for name, value in after.items():
+        old = before.get(name)
+        rows.append((name, old, value, None if not old else 100 * (value - old) / abs(old)))
+    header = ("parameter", "nominal, refitted", "corrected", "change, %")
+    caption = "What is missing had pulled the nominal parameters away. A dash: a parameter of the effect itself."
+    return Table(header, tuple(rows), "corrected-model", "Parameters that moved", caption, (5, 5, 5, 2))
 
 
 def excess_figure(excess: ExcessEnergy | None) -> MapFigure | None:
@@ -269,9 +258,19 @@ def gap_figure(diagnosis: Mapping[str, Any], steps: Mapping[str, float] | None =
         tuple(replace(b, value=max(b.value, _NO_GAP), note=f"{b.value:.3g}") for b in bars),
         Axis("gap, in multiples of the noise floor", log=True),
         caption="Root of the mean squared whitened residual above what noise alone gives, over the signals'"
-        " bandwidth.",
+        f" bandwidth. {_floors(diagnosis)}".rstrip(),
         limits=(_NO_GAP, 2.0 * max(b.value for b in bars)),
     )
+
+
+def _floors(diagnosis: Mapping[str, Any]) -> str:
+    floors = diagnosis["gap"]["floor_units"]
+    if not floors:
+        return ""
+    text = "Noise floor: " + ", ".join(f"{name} {value:.3g}" for name, value in floors.items()) + "."
+    if not diagnosis["gap"].get("calibrated", True):
+        text += " Not calibrated: some experiments have fewer than five repeats."
+    return text
 
 
 def law_figure(diagnosis: Mapping[str, Any]) -> LineFigure | None:
@@ -299,11 +298,16 @@ def law_table(diagnosis: Mapping[str, Any]) -> Table | None:
     return Table(header, rows, "law-found-parameters", "Its parameters") if rows else None
 
 
-def effects_table(diagnosis: Mapping[str, Any]) -> Table:
-    """Return every candidate with probability, score and closures."""
-    rows = []
+def effects_table(diagnosis: Mapping[str, Any], *, refitted: bool) -> Table:
+    """Return the candidates with probability, score and closures: those that were refitted, or the others."""
+    rows: list[tuple[Cell, ...]] = []
     for effect in ranked(diagnosis["effects"]):
         closure = effect.get("closure") or {}
+        if bool(closure) is not refitted:
+            continue
+        if not refitted:
+            rows.append((effect["id"], effect.get("score")))
+            continue
         interval = closure.get("interval") or (None, None)
         parameters = ", ".join(
             f"{name} = {p['value']:.4g}"
@@ -331,7 +335,11 @@ def effects_table(diagnosis: Mapping[str, Any]) -> Table:
         "to",
         "parameters ± standard error",
     )
-    return Table(header, tuple(rows), "effects-table", "Every candidate", digits=(5, 2, 3, 2, 2, 2, 2, 5))
+    if not refitted:
+        return Table(("effect", "score"), tuple(rows), "effects-not-refitted", digits=(5, 3))
+    return Table(
+        header, tuple(rows), "effects-table", "Effects that were refitted", digits=(5, 2, 3, 2, 2, 2, 2, 5)
+    )
 
 
 def where_table(diagnosis: Mapping[str, Any]) -> Table:

@@ -52,6 +52,15 @@ def write_diagnosis_report(
         The folder cannot be written.
     """
     sections = (
+        Section(
+            "Before and after",
+            _present(
+                pictures_of.before_and_after(pictures.overlays),
+                pictures_of.gap_figure(diagnosis, pictures.steps),
+                pictures_of.parameters_table(diagnosis),
+            ),
+            abreast=bool(pictures.overlays),
+        ),
         Section("Where", _present(model, _excess(pictures), pictures_of.where_table(diagnosis))),
         Section(
             "What",
@@ -59,24 +68,16 @@ def write_diagnosis_report(
                 pictures_of.effects_figure(diagnosis),
                 pictures_of.missing_figure(pictures.missing),
                 pictures_of.ports_figure(diagnosis),
-                pictures_of.effects_table(diagnosis),
+                pictures_of.effects_table(diagnosis, refitted=True),
             ),
             _aliases(diagnosis),
+            _present(pictures_of.effects_table(diagnosis, refitted=False)),
+            "Effects that promised too little to be refitted",
         ),
         Section(
             "A law found",
             _present(pictures_of.law_figure(diagnosis), pictures_of.law_table(diagnosis)),
             _law(diagnosis),
-        ),
-        Section(
-            "How much",
-            _present(
-                pictures_of.gap_figure(diagnosis, pictures.steps),
-                pictures_of.residuals_figure(pictures.residuals),
-            ),
-            _floors(diagnosis),
-            _present(_model_table(diagnosis)),
-            "The corrected model",
         ),
         Section("Next experiment", (), f"{_next_experiment(diagnosis)} {_added_sensor(diagnosis)}".strip()),
         Section("Notes", (), " ".join(diagnosis.get("notes", ()))),
@@ -111,21 +112,6 @@ def _law(diagnosis: Mapping[str, Any]) -> str:
     if not law["formula"]:
         return f"None: {law['reason']}."
     return f"In Modelica, a flow at {law['port']}: {law['modelica']}."
-
-
-def _floors(diagnosis: Mapping[str, Any]) -> str:
-    floors = diagnosis["gap"]["floor_units"]
-    if not floors:
-        return ""
-    text = "Noise floor: " + ", ".join(f"{name} {value:.3g}" for name, value in floors.items()) + "."
-    if not diagnosis["gap"].get("calibrated", True):
-        text += " Not calibrated: some experiments have fewer than five repeats."
-    return text
-
-
-def _model_table(diagnosis: Mapping[str, Any]) -> Table:
-    rows = tuple(diagnosis["model"]["parameters"].items())
-    return Table(("parameter", "value"), rows, "corrected-model", "The corrected model")
 
 
 def _next_experiment(diagnosis: Mapping[str, Any]) -> str:

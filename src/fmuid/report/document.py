@@ -36,13 +36,17 @@ Item = Figure | Table | Drawing
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A heading, a paragraph, and the figures and tables under it; `details` are folded on the screen."""
+    """A heading, a paragraph, and the figures and tables under it; `details` are folded on the screen.
+
+    In a section that is `abreast`, a wide screen shows the first item on the left, and the others on the right.
+    """
 
     title: str
     items: tuple[Item, ...]
     text: str = ""
     details: tuple[Item, ...] = ()
     details_title: str = "Details"
+    abreast: bool = False
 
     @property
     def anchor(self) -> str:

@@ -42,6 +42,8 @@ class Overlay:
         (N,) the mean over repeats if there are any; NaN where a sample is missing.
     predictions
         (label, role, (N,) values), in the order they are drawn.
+    sigma
+        Standard deviation of the measurement's noise, one number or (N,); None if it is not known.
     """
 
     experiment: str
@@ -51,6 +53,7 @@ class Overlay:
     measurement: FloatArray
     predictions: tuple[tuple[str, Role, FloatArray], ...]
     title: str = ""
+    sigma: float | FloatArray | None = None
 
     @property
     def heading(self) -> str:
@@ -59,34 +62,41 @@ class Overlay:
 
 
 def overlay_panel(overlay: Overlay) -> Panel:
-    """Return measurement and predictions over time."""
+    """Return measurement and predictions over time, and what the best prediction leaves of it beneath."""
     rows = [overlay.measurement, *(y for _, _, y in overlay.predictions)]
     keep = kept_samples(rows)
     time = overlay.time[keep]
     series = [Series("measurement", time, overlay.measurement[keep], "measurement")]
     series += [Series(label, time, y[keep], role) for label, role, y in overlay.predictions]
-    return Panel(overlay.heading, TIME, Axis(overlay.signal, overlay.unit), tuple(series))
+    quantity = Axis(overlay.signal, overlay.unit)
+    return Panel(
+        overlay.heading, TIME, quantity, tuple(series), beneath=_residual(overlay), link=overlay.experiment
+    )
 
 
-def residual_panel(overlay: Overlay) -> Panel:
-    """Return prediction minus measurement over time, for each prediction."""
-    residuals = [(label, role, y - overlay.measurement) for label, role, y in overlay.predictions]
-    keep = kept_samples([r for _, _, r in residuals])
-    roles: dict[Role, Role] = {"start": "before", "final": "after"}
-    series = [Series(label, overlay.time[keep], r[keep], roles.get(role, role)) for label, role, r in residuals]
-    return Panel(overlay.heading, TIME, Axis(f"residual of {overlay.signal}", overlay.unit), tuple(series))
+def _residual(overlay: Overlay) -> Panel | None:
+    """Return the last prediction minus the measurement, between two standard deviations of the noise.
+
+    The predictions before it are left out: beside theirs, a good one's residual is a line.
+    """
+    if not overlay.predictions:
+        return None
+    label, role, predicted = overlay.predictions[-1]
+    residual = predicted - overlay.measurement
+    keep = kept_samples([residual])
+    time = overlay.time[keep]
+    series = [Series(label, time, residual[keep], role)]
+    if overlay.sigma is not None:
+        sigma = np.broadcast_to(overlay.sigma, overlay.time.shape)[keep]
+        sigma = np.where(np.isfinite(sigma), sigma, np.nan)
+        series += [Series("noise, ±2σ", time, side * sigma, "floor") for side in (-2, 2)]
+    return Panel("residual", TIME, Axis("residual", overlay.unit), tuple(series))
 
 
 def overlay_figure(name: str, title: str, overlays: Sequence[Overlay], caption: str = "") -> LineFigure:
-    """Return a grid of overlays (the paper's Figs. 6, 7, 13 and 14)."""
+    """Return a grid of overlays (the paper's Figs. 6, 7, 13 and 14), each with its residual beneath it."""
     columns = 1 if len(overlays) == 1 else 2
     return LineFigure(name, title, tuple(overlay_panel(o) for o in overlays), caption, columns)
-
-
-def residual_figure(name: str, title: str, overlays: Sequence[Overlay], caption: str = "") -> LineFigure:
-    """Return a grid of residuals over time."""
-    columns = 1 if len(overlays) == 1 else 2
-    return LineFigure(name, title, tuple(residual_panel(o) for o in overlays), caption, columns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,8 +149,9 @@ def cost_figure(stages: Sequence[StageHistory]) -> LineFigure:
         Series("best so far", number, np.concatenate(best), "final"),
     )
     y = Axis("cost over the stage's first", log=log)
-    panel = Panel("Search", Axis("evaluation"), y, series, tuple(marks))
-    caption = "Failed simulations have no cost and leave a gap. Vertical lines: the stages."
+    panel = Panel("Search", Axis("evaluation"), y, series, tuple(marks) if len(marks) > 1 else ())
+    caption = "Failed simulations have no cost and leave a gap."
+    caption += " Vertical lines: the stages." if len(marks) > 1 else ""
     return LineFigure("cost", "Cost over the evaluations", (panel,), caption, 1)
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from fmuid.core.campaign import Campaign
-from fmuid.core.formatting import Fact, counted
+from fmuid.core.formatting import Fact, counted, interval_digits
+from fmuid.core.immutable import FloatArray
 from fmuid.identification.history import read_history
 from fmuid.identification.result import LEAST_SHOWN, Estimate, Result
 from fmuid.identification.solvers import Status
@@ -18,13 +19,14 @@ from fmuid.report.document import Document, Section, write_document
 from fmuid.report.figures import Overlay
 from fmuid.report.friction_figures import bearing_friction
 from fmuid.report.plots import Format
-from fmuid.report.plots.figure_data import Cell, Figure, Table, pretty_unit, slug
+from fmuid.report.plots.figure_data import Cell, Figure, Role, Table, pretty_unit, slug
 from fmuid.report.predicted import judged_signals, overlays
 from fmuid.report.provenance_table import provenance_table
 from fmuid.report.stage_sections import search_history, stage_section
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
+_CLOSE = 2.0  # times the noise: what a residual of two standard deviations would be
 _SIMULATED = 0.3  # of the time that a report takes, until figures are drawn
 
 
@@ -80,7 +82,7 @@ def write_report(
     progress(0.0, "simulating the runs")
     if campaign is not None:
         seen, validation = _fit_sections(result, campaign, models, runner)
-        sections += seen
+        sections = [*_before_and_after(result, campaign, validation, models, runner), *sections, *seen]
     searches = [search_history(s, recorded[s.name]) for s in result.stages if s.name in recorded]
     searches = [s for s in searches if np.isfinite(s.cost).any()]
     if searches:
@@ -106,13 +108,21 @@ def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
     """Return what a reader wants first: did it work, how near, how well on runs that were not used."""
     evaluations = sum(s.evaluations for s in result.stages)
     good = result.status is Status.CONVERGED
-    found = [
+    found = []
+    judged = [(s.rmse / s.noise_floor, s) for s in validation if s.noise_floor and np.isfinite(s.rmse)]
+    if judged:
+        ratio, worst_run = max(judged, key=lambda pair: pair[0])
+        close = ratio <= _CLOSE
+        missed = f"missed by up to {ratio:.3g} times the noise ({worst_run.experiment}, {worst_run.signal})"
+        text = f"predicted to within {ratio:.2g} times the noise" if close else f"{missed}: run fmuid diagnose"
+        found.append(Fact("Runs that were not used", text, "good" if close else "warn"))
+    found.append(
         Fact(
-            "Outcome",
+            "Search",
             f"{result.status.value}, {evaluations} evaluations in {result.seconds:.1f} s",
             "good" if good else "warn",
         )
-    ]
+    )
     known = [e for e in result.estimates if e.relative_error is not None]
     if known:
         worst = max(known, key=lambda e: abs(e.relative_error or 0.0))
@@ -133,12 +143,41 @@ def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
     if criteria:
         largest, middle = max(criteria.values()), float(np.median(list(criteria.values())))
         # A perfect fit scatters about 1, where a demand is the noise: how many are below says little.
-        text = f"{middle:.3g} in the middle, {largest:.3g} at most, of {len(criteria)}"
-        found.append(Fact("Criteria over their demands", text, "good" if largest <= 1 else "plain"))
+        text = f"{middle:.3g} in the middle, {largest:.3g} at most"
+        found.append(Fact("Error over what was demanded", text, "good" if largest <= 1 else "plain"))
     warnings = sum(len(s.warnings) for s in result.stages)
     if warnings:
         found.append(Fact("Warnings", f"{warnings}, in the stages below", "warn"))
     return tuple(found)
+
+
+def _before_and_after(
+    result: Result,
+    campaign: Campaign,
+    validation: Sequence[RunScore],
+    simulators: Mapping[str, Simulator],
+    runner: Runner,
+) -> list[Section]:
+    """Return the run that is predicted worst, with the values at the start and with those found."""
+    used = sorted({e for s in result.stages for e in s.experiments})
+    runs = [s.experiment for s in validation] or used
+    start = {e.name: e.start for s in reversed(result.stages) for e in s.estimates}
+    values: tuple[Result | dict[str, float], ...] = ({**result.parameters, **start}, result)
+    before, after = (validate(v, campaign, experiments=runs, simulators=simulators, runner=runner) for v in values)
+    judged = {(setup, signal) for setup, _, signal in judged_signals(campaign)}
+    scores = [s for s in after.scores if s.failure is None and (s.setup, s.signal) in judged]
+    if not scores:
+        return []
+    worst = max(scores, key=lambda s: s.rmse / s.noise_floor if s.noise_floor else s.nrmse)
+    k = next(k for k, case in enumerate(after.cases) if case.id == worst.experiment)
+    lines: list[tuple[str, Role, FloatArray | None]] = [
+        ("start", "start", before.predictions[k]),
+        ("identified", "final", after.predictions[k]),
+    ]
+    (shown,) = (o for o in overlays(campaign, after.cases[k], lines) if o.signal == worst.signal)
+    kind = "The run kept for validation" if validation else "The run"
+    caption = f"{kind} that is predicted worst, {worst.experiment}. Beneath: simulation minus measurement."
+    return [Section("Before and after", (figures.overlay_figure("before-after", "Worst run", [shown], caption),))]
 
 
 def _estimates_section(result: Result, campaign: Campaign | None) -> Section:
@@ -166,13 +205,15 @@ def _estimates_table(
     first = {e.name: e.start for s in reversed(result.stages) for e in s.estimates}
     truths = any(e.truth is not None for e in result.estimates)
     inherited = any((e.inherited or 0.0) >= LEAST_SHOWN for e in result.estimates)
-    header = ["parameter", "unit", "start", "estimate", "standard error", "95 % from", "to"]
+    header = ["parameter", "unit", "start", "estimate", "moved, %", "standard error", "95 % from", "to"]
     header += ["inherited, %"] if inherited else []
     header += ["truth", "deviation, %"] if truths else []
     header += [*published, "stage", "note"]
     rows = []
     for e in _in_order(result, campaign):
-        row: list[Cell] = [e.name, pretty_unit(e.unit or ""), first[e.name], e.value, e.standard_error]
+        row: list[Cell] = [e.name, pretty_unit(e.unit or ""), first[e.name], e.value]
+        moved = e.value - first[e.name]
+        row += [100 * moved / abs(first[e.name]) if first[e.name] else None, e.standard_error]
         row += e.interval or (None, None)
         row += [None if e.inherited is None else round(100 * e.inherited)] if inherited else []
         if truths:
@@ -185,8 +226,12 @@ def _estimates_table(
         "fixed at estimates of earlier stages (inherited: their share of the variance). What no stage identified "
         "counts as known. A dash: none can be given; the stage's warnings say why."
     )
-    digits = tuple({"standard error": 2, "deviation, %": 2, "inherited, %": 2}.get(name, 5) for name in header)
-    return Table(tuple(header), tuple(rows), "estimates", "Estimates", caption, digits)
+    digits = tuple(
+        dict.fromkeys(("moved, %", "standard error", "deviation, %", "inherited, %"), 2).get(name, 5)
+        for name in header
+    )
+    precise = tuple(interval_digits(*e.interval) if e.interval else 5 for e in _in_order(result, campaign))
+    return Table(tuple(header), tuple(rows), "estimates", "Parameters", caption, digits, precise)
 
 
 def _in_order(result: Result, campaign: Campaign | None) -> list[Estimate]:
@@ -273,15 +318,15 @@ def _fit_section(
     scores: Sequence[RunScore],
 ) -> Section:
     items: list[Figure | Table] = []
-    residuals: list[Figure | Table] = []
+    overlaid: list[Figure | Table] = []
+    caption = "Beneath: simulation minus measurement (mean of the repeats)."
     for (setup, signal), some in drawn.items():
-        stem, what = f"{role}-{slug(setup)}-{slug(signal)}", f"{signal}, {setup}"
-        if role == "validation":  # the stages show the other runs with their history
-            items.append(figures.overlay_figure(stem, f"{what}: measurement and simulation", some))
-        caption = "Simulation minus measurement (mean of the repeats)."
-        simulated = [o for o in some if o.predictions]
-        if simulated:
-            residuals.append(figures.residual_figure(f"{stem}-residual", f"{what}: residual", simulated, caption))
+        stem = f"{role}-{slug(setup)}-{slug(signal)}"
+        heading = f"{signal}, {setup}: measurement and simulation"
+        overlaid.append(figures.overlay_figure(stem, heading, some, caption))
+    if role == "validation":  # the stages show the other runs with their history
+        items += overlaid
+        overlaid = []
     if any(s.failure is None for s in judged):
         items.append(figures.fit_figure(f"nrmse-{role}", judged))
     header = ("run", "signal", "unit", "repeats", "RMSE", "noise floor", "NRMSE, %", "relative error, %", "note")
@@ -305,7 +350,7 @@ def _fit_section(
     )
     digits = (5, 5, 5, 5, 3, 3, 3, 3, 5)
     items.append(Table(header, rows, f"fit-{role}", "Fit, run by run", caption, digits))
-    return Section(title, tuple(items), text, tuple(residuals), "Residuals")
+    return Section(title, tuple(items), text, tuple(overlaid), "Every run over time")
 
 
 def _plain(e: Estimate, reference: float | None) -> figures.Estimate:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import html
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,8 @@ _FONT = {"family": "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif", "size": 1
 def specification(figure: Figure) -> Spec:
     """Return `figure` as plotly's ``{"data": [...], "layout": {...}}``.
 
+    ``"narrow"`` is what is different in the layout on a phone; ``"links"`` names the axes that zoom together.
+
     Lines often share their abscissa: it is kept once, in ``"shared"``, and a trace has the number of it for
     its ``x``; the page puts it back before it draws.
     """
@@ -52,8 +55,8 @@ def specification(figure: Figure) -> Spec:
             data, layout = _parallel(figure)
     common = {
         "font": _FONT,
-        "paper_bgcolor": "white",
-        "plot_bgcolor": "white",
+        "paper_bgcolor": "rgba(255,255,255,0)",  # so that a dark page shows through
+        "plot_bgcolor": "rgba(255,255,255,0)",
         "autosize": True,
         "legend": {"orientation": "h", "x": 0, "y": 1.0, "yref": "container", "yanchor": "top"},
         "hoverlabel": {"font": {"size": 11}},
@@ -68,50 +71,76 @@ def specification(figure: Figure) -> Spec:
                 shared[key] = len(arrays)
                 arrays.append(x)
             trace["x"] = shared[key]
-    return {"data": data, "layout": common | layout, "shared": arrays}
+    narrow, links = layout.pop("narrow", {}), layout.pop("links", {})
+    return {"data": data, "layout": common | layout, "narrow": narrow, "links": links, "shared": arrays}
 
 
 def _lines(figure: LineFigure) -> tuple[list[Spec], Spec]:
-    n = max(1, len(figure.panels))
-    columns = min(figure.columns, n)
-    rows = -(-n // columns)
-    height = 380 if columns == 1 else 265
     labelled = any(text for panel in figure.panels for _, text in panel.marks)
-    layout: Spec = {
-        "height": 60 + height * rows + (80 if labelled else 0),
-        "margin": {"l": 64, "r": 16, "t": 130 if labelled else 48, "b": 44},
-        "hovermode": "x unified",
-        "annotations": [],
-        "shapes": [],
-    }
+    layout: Spec = {"hovermode": "x unified", "annotations": [], "shapes": [], "links": {}}
     data: list[Spec] = []
     seen: set[str] = set()
-    gap_x, gap_y = 0.1 if columns < 3 else 0.12, min(72 / (height * rows), 0.3 / rows)
-    width, tall = (1 - gap_x * (columns - 1)) / columns, (1 - gap_y * (rows - 1)) / rows
-    for k, panel in enumerate(figure.panels):
-        suffix = "" if k == 0 else str(k + 1)
-        row, column = divmod(k, columns)
-        left, top = column * (width + gap_x), 1 - row * (tall + gap_y)
-        layout[f"xaxis{suffix}"] = _axis(panel.x) | {
-            "domain": [left, min(left + width, 1.0)],
-            "anchor": f"y{suffix}",
-        }
-        layout[f"yaxis{suffix}"] = _axis(panel.y, panel.y.wrapped("\n")) | {
-            "domain": [max(top - tall, 0.0), top],
-            "anchor": f"x{suffix}",
-        }
-        if len(figure.panels) > 1:
-            layout["annotations"].append(_text(panel.title, f"x{suffix}", f"y{suffix}", at_x=0, at_y=1, size=12))
-        _marks(layout, panel, suffix)
-        for series in panel.series:
-            text = html.escape(style.legend(series), quote=False)
-            place = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}", "legendgroup": text}
-            trace = _series(panel, series)
-            if text not in seen:  # an empty trace of its own carries the legend, each line keeps its name
-                data.append(trace | place | {"name": text, "x": [None], "y": [None]})
-                seen.add(text)
-            data.append(trace | place | {"showlegend": False})
+    number = 0
+    for panel in figure.panels:
+        first = number
+        for part in _parts(panel):
+            suffix = "" if number == 0 else str(number + 1)
+            number += 1
+            layout[f"xaxis{suffix}"] = _axis(part.x) | {"anchor": f"y{suffix}"}
+            layout[f"yaxis{suffix}"] = _axis(part.y, part.y.wrapped("\n")) | {"anchor": f"x{suffix}"}
+            if part is panel.beneath:
+                layout[f"xaxis{suffix}"]["matches"] = "x" if first == 0 else f"x{first + 1}"
+                layout[f"yaxis{suffix}"]["nticks"] = 4
+            elif panel.beneath is not None:
+                layout[f"xaxis{suffix}"] |= {"showticklabels": False, "title": None}
+            if panel.link:
+                layout["links"][f"xaxis{suffix}"] = panel.link
+            if part is panel and len(figure.panels) > 1:
+                layout["annotations"].append(
+                    _text(panel.title, f"x{suffix}", f"y{suffix}", at_x=0, at_y=1, size=12)
+                )
+            _marks(layout, part, suffix)
+            for series in part.series:
+                text = html.escape(style.legend(series), quote=False)
+                place = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}", "legendgroup": text}
+                trace = _series(part, series)
+                if text not in seen:  # an empty trace of its own carries the legend, each line keeps its name
+                    data.append(trace | place | {"name": text, "x": [None], "y": [None]})
+                    seen.add(text)
+                data.append(trace | place | {"showlegend": False})
+    top = 130 if labelled else 48
+    wide = _places(figure, min(figure.columns, max(1, len(figure.panels))), top)
+    layout["narrow"] = _places(figure, 1, top + 20 * (len(seen) // 2))
+    for name, value in wide.items():
+        layout[name] = layout.get(name, {}) | value if isinstance(value, dict) else value
     return data, layout
+
+
+def _parts(panel: Panel) -> tuple[Panel, ...]:
+    return (panel,) if panel.beneath is None else (panel, panel.beneath)
+
+
+def _places(figure: LineFigure, columns: int, top: int) -> Spec:
+    """Return where the axes of every panel lie in a grid of `columns`, and how high that is."""
+    rows = -(-max(1, len(figure.panels)) // columns)
+    paired = any(panel.beneath is not None for panel in figure.panels)
+    tall, between = (300 if len(figure.panels) == 1 else 205) + (110 if paired else 0), 72
+    inner = rows * tall + (rows - 1) * between
+    places: Spec = {"height": inner + top + 44, "margin": {"l": 64, "r": 16, "t": top, "b": 44}}
+    gap = 0.1 if columns < 3 else 0.12
+    width, share = (1 - gap * (columns - 1)) / columns, tall / inner
+    number = 0
+    for k, panel in enumerate(figure.panels):
+        row, column = divmod(k, columns)
+        left, bottom = column * (width + gap), 1 - (row * (tall + between) + tall) / inner
+        split = bottom if panel.beneath is None else bottom + 0.32 * share
+        ends = ((split, bottom + share), (bottom, split - 0.05 * share))
+        for low, high in ends[: len(_parts(panel))]:
+            suffix = "" if number == 0 else str(number + 1)
+            number += 1
+            places[f"xaxis{suffix}"] = {"domain": [left, min(left + width, 1.0)]}
+            places[f"yaxis{suffix}"] = {"domain": [max(low, 0.0), min(high, 1.0)]}
+    return places
 
 
 def _marks(layout: Spec, panel: Panel, suffix: str) -> None:
@@ -189,68 +218,90 @@ def _axis(axis: Axis, label: str = "") -> Spec:
 
 
 def _map(figure: MapFigure) -> tuple[list[Spec], Spec]:
+    """Return a heat map for each group of columns, side by side; fewer in a row where the window is narrow."""
     n_rows, n_columns = figure.values.shape
     stops = style.DIVERGING if figure.diverging else style.SEQUENTIAL
-    columns = [html.escape(c, quote=False) for c in figure.columns]
-    groups = [f"{html.escape(name)}: " for name, n in figure.groups for _ in range(n)] or [""] * n_columns
-    trace = {
-        "type": "heatmap",
-        "z": [[None if math.isnan(v) else round(v, 6) for v in row] for row in figure.values.tolist()],
-        "zmin": figure.limits[0],
-        "zmax": figure.limits[1],
+    blocks = figure.headings or (("", n_columns),)
+    rows = [html.escape(r, quote=False) for r in figure.rows]
+    traces: list[Spec] = []
+    layout: Spec = {"annotations": [], "coloraxis": _colours(figure, stops)}
+    start = 0
+    for k, (name, width) in enumerate(blocks):
+        suffix = "" if k == 0 else str(k + 1)
+        columns = [html.escape(c, quote=False) for c in figure.columns[start : start + width]]
+        values = figure.values[:, start : start + width].tolist()
+        start += width
+        trace = {
+            "type": "heatmap",
+            "z": [[None if math.isnan(v) else round(v, 6) for v in row] for row in values],
+            "y": rows,
+            "customdata": [columns] * n_rows,
+            "hovertemplate": "%{y}<br>%{customdata}<br>%{z:.3~g}<extra></extra>",
+            "coloraxis": "coloraxis",
+            "xaxis": f"x{suffix}",
+            "yaxis": f"y{suffix}",
+            "xgap": 1,
+            "ygap": 1,
+            "hoverongaps": False,
+        }
+        if figure.values.size <= 150:
+            trace |= {"texttemplate": "%{z:.2f}", "textfont": {"size": 10}}
+        traces.append(trace)
+        bare = {"showgrid": False, "zeroline": False, "fixedrange": True}
+        ticks = {"tickvals": list(range(width)), "ticktext": columns, "tickangle": -60, "tickfont": {"size": 10}}
+        layout[f"xaxis{suffix}"] = ticks | bare | {"anchor": f"y{suffix}", "automargin": True}
+        layout[f"yaxis{suffix}"] = bare | {"anchor": f"x{suffix}", "autorange": "reversed", "type": "category"}
+        if name:
+            note = _text(name, f"x{suffix}", f"y{suffix}", at_x=0, at_y=1, size=11)
+            layout["annotations"].append(note | {"text": note["text"].replace("\n", "<br>"), "align": "left"})
+    wide = _map_places(figure, min(4, len(blocks)))
+    layout["narrow"] = _map_places(figure, min(2, len(blocks)))
+    layout["narrow"]["coloraxis"] = {"colorbar": None, "showscale": False}
+    if not figure.groups:
+        wide |= {"width": 260 + 44 * n_columns, "autosize": False}
+        layout["narrow"] |= {"width": None, "autosize": True}
+    for name, value in wide.items():
+        layout[name] = layout.get(name, {}) | value if isinstance(value, dict) else value
+    return traces, layout
+
+
+def _colours(figure: MapFigure, stops: Sequence[tuple[float, str]]) -> Spec:
+    return {
+        "cmin": figure.limits[0],
+        "cmax": figure.limits[1],
         "colorscale": [list(stop) for stop in stops],
         "colorbar": {
             "title": {"text": html.escape(figure.quantity.label), "side": "right"},
             "thickness": 12,
             "outlinewidth": 0,
         },
-        "xgap": 1,
-        "ygap": 1,
-        "customdata": [[g + c for g, c in zip(groups, columns, strict=True)]] * n_rows,
-        "hovertemplate": "%{y}<br>%{customdata}<br>%{z:.3~g}<extra></extra>",
-        "y": [html.escape(r, quote=False) for r in figure.rows],
-        "hoverongaps": False,
     }
-    if figure.values.size <= 150:
-        trace |= {"texttemplate": "%{z:.2f}", "textfont": {"size": 10}}
-    annotations, shapes, start = [], [], 0
-    for name, width in figure.headings:
-        note = _text(name, "x", "y", at_x=start + width / 2 - 0.5, at_y=1, size=11, domain=False)
-        annotations.append(note | {"xanchor": "center", "text": note["text"].replace("\n", "<br>")})
-        start += width
-        if start < n_columns:
-            line = {"color": "white", "width": 5}
-            shapes.append(
-                {
-                    "type": "line",
-                    "x0": start - 0.5,
-                    "x1": start - 0.5,
-                    "yref": "paper",
-                    "y0": 0,
-                    "y1": 1,
-                    "line": line,
-                }
-            )
-    layout = {
-        "height": max(300, 165 + 26 * n_rows),
-        "margin": {"l": 10, "r": 10, "t": 75, "b": 10},  # plotly's buttons above the headings
-        "xaxis": {
-            "tickvals": list(range(n_columns)),
-            "ticktext": columns,
-            "automargin": True,
-            "showgrid": False,
-            "zeroline": False,
-            "tickangle": -45,
-        },
-        "yaxis": {"autorange": "reversed", "automargin": True, "showgrid": False, "type": "category"},
-        "annotations": annotations,
-        "shapes": shapes,
+
+
+def _map_places(figure: MapFigure, columns: int) -> Spec:
+    """Return where the blocks of a map lie in a grid of `columns`, and how high that is."""
+    count = max(1, len(figure.groups))
+    lines = -(-count // columns)
+    cells = 40 if not figure.groups else 24 if len(figure.rows) < 20 else 16
+    labels = 16 + round(4.8 * max(len(c) for c in figure.columns))
+    tall, between = cells * len(figure.rows), labels + 36
+    inner = lines * tall + (lines - 1) * between
+    left = 20 + 7 * max(len(r) for r in figure.rows)
+    places: Spec = {
+        "height": inner + 60 + labels,
+        "margin": {"l": min(left, 150), "r": 10, "t": 60, "b": labels},
     }
-    if n_rows == n_columns and not figure.groups:
-        layout["width"] = 260 + 44 * n_columns
-        layout["height"] = 160 + 40 * n_rows
-        layout["autosize"] = False
-    return [trace], layout
+    gap = 0.03
+    width = (1 - gap * (columns - 1)) / columns
+    for k in range(count):
+        suffix = "" if k == 0 else str(k + 1)
+        line, column = divmod(k, columns)
+        top = 1 - line * (tall + between) / inner
+        at = column * (width + gap)
+        places[f"xaxis{suffix}"] = {"domain": [at, min(at + width, 1.0)]}
+        low = max(top - tall / inner, 0.0)
+        places[f"yaxis{suffix}"] = {"domain": [low, top], "showticklabels": column == 0}
+    return places
 
 
 def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
@@ -277,6 +328,10 @@ def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
             "color": style.INK,
         }
     layout: Spec = {
+        "narrow": {
+            "xaxis": {"dtick": 1} if figure.quantity.log else {"nticks": 5},
+            "margin": {"l": 10, "r": 70, "t": 36, "b": 44},
+        },
         "height": 100 + 28 * max(1, len(bars)),
         "margin": {"l": 10, "r": 90, "t": 48, "b": 44},
         "showlegend": False,

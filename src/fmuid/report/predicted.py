@@ -38,6 +38,7 @@ def overlays(
                 channel.mean,
                 drawn,
                 heading(campaign, case),
+                None if channel.noise.source == "unknown" else channel.noise.of_mean(channel.count),
             )
         )
     return found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from fmuid.report.predicted import overlays
 from fmuid.simulation.simulator import Simulator
 
 _PANELS = 6
-_DETAILS = "Residuals, parallel coordinates, correlation, criteria"
+_DETAILS = "Parallel coordinates, correlation, criteria"
 
 
 def stage_section(
@@ -38,7 +37,6 @@ def stage_section(
     if campaign is not None and recorded is not None and result.name in campaign.stages:
         shown = _most_improved(result, iterates(result, recorded, campaign, simulators))
         items.append(_history_figure(result.name, shown))
-        details.append(_residual_figure(result.name, shown))
     if history is not None and np.isfinite(history.cost).any() and len(history.names) > 1:
         specs = {} if campaign is None else campaign.parameters
         truths = {e.name: e.truth for e in result.estimates if e.truth is not None}
@@ -108,16 +106,11 @@ def _history_figure(name: str, shown: Sequence[Overlay]) -> Figure | None:
     if not shown:
         return None
     title = f"Optimisation history over the measurement: {name}"
-    caption = "Measurement, start, some iterates that were the best when they were made, and the final one."
+    caption = (
+        "Measurement, start, some iterates that were the best when they were made, and the final one; beneath, "
+        "what the final one leaves: prediction minus measurement."
+    )
     return figures.overlay_figure(f"history-{slug(name)}", title, shown, caption)
-
-
-def _residual_figure(name: str, shown: Sequence[Overlay]) -> Figure | None:
-    if not shown:
-        return None
-    ends = [replace(o, predictions=tuple(p for p in o.predictions if p[1] in ("start", "final"))) for o in shown]
-    title, caption = f"Residual at the start and at the end: {name}", "Prediction minus measurement."
-    return figures.residual_figure(f"history-residual-{slug(name)}", title, ends, caption)
 
 
 def _correlation(result: StageResult) -> Figure | None:
@@ -130,12 +123,13 @@ def _correlation(result: StageResult) -> Figure | None:
 def _criteria(result: StageResult) -> Table | None:
     if not result.criteria:
         return None
-    rows = tuple((c.case, c.label, c.start, c.value, "yes" if c.value <= 1 else "no") for c in result.criteria)
+    rows = tuple((c.case, c.label, c.start, c.value) for c in result.criteria)
     return Table(
-        ("case", "criterion", "start", "end", "satisfied"),
+        ("case", "criterion", "start", "end"),
         rows,
         f"criteria-{slug(result.name)}",
         "Criteria over their demands",
-        "Each criterion is divided by its demand value: at most 1 means satisfied.",
-        (5, 5, 3, 3, 5),
+        "Each criterion is divided by what was demanded of it: at most 1 is as good as asked. Where the demand is "
+        "the noise, a perfect fit scatters about 1.",
+        (5, 5, 3, 3),
     )

@@ -107,8 +107,10 @@ def _lines(figure: LineFigure) -> Canvas:
     columns = min(figure.columns, n)
     rows = -(-n // columns)
     # A grid has margins of its own: measuring every text of a large one takes longer than drawing it.
-    canvas = _canvas(_WIDTH, 0.35 + (3.5 if n == 1 else 2.1) * rows, constrained=n == 1)
-    if n > 1:
+    paired = any(panel.beneath is not None for panel in figure.panels)
+    height = (3.5 if n == 1 else 2.1) + (1.0 if paired else 0.0)
+    canvas = _canvas(_WIDTH, 0.35 + height * rows, constrained=n == 1 and not paired)
+    if n > 1 or paired:
         wrapped = any("\n" in panel.y.wrapped("\n") for panel in figure.panels)
         canvas.subplots_adjust(**_margins(canvas, rows, columns, 0.15 if wrapped else 0.0))
     grid = canvas.subplots(rows, columns, squeeze=False)
@@ -117,13 +119,23 @@ def _lines(figure: LineFigure) -> Canvas:
         if k >= len(figure.panels):
             axes.set_axis_off()
             continue
-        _panel(axes, figure.panels[k], handles)
-        if n > 1:
-            width = axes.get_position().width * _WIDTH
+        panel = figure.panels[k]
+        width = axes.get_position().width * _WIDTH
+        _panel(axes, panel, handles)
+        if panel.beneath is not None:
+            box = axes.get_position()
+            under = canvas.add_axes((box.x0, box.y0, box.width, 0.28 * box.height))
+            axes.set_position((box.x0, box.y0 + 0.34 * box.height, box.width, 0.66 * box.height))
+            _panel(under, panel.beneath, handles)
+            under.yaxis.set_label_coords(-0.54 / width, 0.5)
+            axes.set_xlabel("")
+            axes.tick_params(labelbottom=False)
+        if n > 1 or paired:
             axes.yaxis.set_label_coords(-0.54 / width, 0.5)
-            _fit_title(axes, figure.panels[k].title, width)
+        if n > 1:
+            _fit_title(axes, panel.title, width)
     if handles:
-        where: Any = "outside upper center" if n == 1 else "upper center"
+        where: Any = "upper center" if n > 1 or paired else "outside upper center"
         canvas.legend(list(handles.values()), list(handles), loc=where, ncols=min(len(handles), 5))
     return canvas
 

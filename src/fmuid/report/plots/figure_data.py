@@ -85,13 +85,25 @@ class Series:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Panel:
-    """One pair of axes with the series drawn into it; `marks` are vertical lines, such as stage borders."""
+    """One pair of axes with the series drawn into it.
+
+    Parameters
+    ----------
+    marks
+        Vertical lines, such as stage borders.
+    beneath
+        A smaller panel under this one, over the same abscissa, such as a residual.
+    link
+        Panels of a page with the same text are zoomed together, such as those of one run.
+    """
 
     title: str
     x: Axis
     y: Axis
     series: tuple[Series, ...]
     marks: tuple[tuple[float, str], ...] = ()
+    beneath: Panel | None = None
+    link: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,7 +224,8 @@ Figure = LineFigure | MapFigure | BarFigure | ParallelFigure
 class Table:
     """Rows under a header; numbers stay numbers until they are written or shown.
 
-    `digits` are the significant digits that a reader is shown, column by column; five by default.
+    `digits` are the significant digits that a reader is shown, column by column; five by default. `precise` are
+    those of a row, where it needs more in every column that would have five.
     """
 
     header: tuple[str, ...]
@@ -221,6 +234,12 @@ class Table:
     title: str = ""
     caption: str = ""
     digits: tuple[int, ...] = ()
+    precise: tuple[int, ...] = ()
+
+    def digits_at(self, row: int, column: int) -> int:
+        """Return the significant digits of a cell."""
+        digits = self.digits[column] if self.digits else 5
+        return self.precise[row] if self.precise and digits == 5 else digits
 
     def csv(self) -> str:
         """Return the table as CSV (comma, header, nine significant digits, empty where unknown)."""
@@ -241,6 +260,8 @@ def tables(figure: Figure) -> Iterator[tuple[str, Table]]:
             for k, panel in enumerate(figure.panels, start=1):
                 stem = figure.name if len(figure.panels) == 1 else f"{figure.name}-{k:02d}-{slug(panel.title)}"
                 yield stem, _panel_table(panel)
+                if panel.beneath is not None:
+                    yield f"{stem}-{slug(panel.beneath.title)}", _panel_table(panel.beneath)
         case MapFigure():
             header = ("row", *figure.columns)
             groups = [name for name, n in figure.groups for _ in range(n)]
