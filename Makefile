@@ -30,7 +30,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed sealed-abroad blind designed-experiments blind-abroad discovery bench coverage fuzz kills standard-library modelica-by-example docs clean
+.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed sealed-abroad blind designed-experiments blind-abroad discovery bench coverage fuzz kills standard-library modelica-by-example screenshots docs clean
 all: identify
 
 setup: $(READY)
@@ -186,6 +186,10 @@ modelica-by-example: $(DEVELOPER)
 mutation: $(DEVELOPER)
 	$(PIP) --editable ".[mutation]"
 	$(BIN)/python benchmarks/mutation.py $(MODULE)
+
+# Pictures of reports in docs/figures; takes a browser: Chromium, or Chrome.
+screenshots: $(DEVELOPER)
+	$(BIN)/python -m benchmarks.documentation_pictures
 
 # Pages in build/site; a warning is an error.
 docs: $(READY)

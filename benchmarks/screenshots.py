@@ -100,7 +100,7 @@ class Browser:
         clip = {"x": 0, "y": top, "width": width, "height": min(height, _TALLEST), "scale": 1}
         shot = self.call("Page.captureScreenshot", clip=clip)
         with Image.open(io.BytesIO(base64.b64decode(shot["data"]))) as image:
-            small = image.convert("RGB").quantize(128, dither=Image.Dither.NONE)
+            small = image.convert("RGB").quantize(48, dither=Image.Dither.NONE)
         file = io.BytesIO()
         small.save(file, "PNG", optimize=True)
         return file.getvalue()

@@ -596,3 +596,22 @@ def test_a_shell_completes_solvers_and_stages(folder: Path) -> None:
     assert completion.stages(SimpleNamespace(params={"campaign": "nowhere"}), "") == []
     assert completion.solvers("bob") == ["bobyqa"]
     assert completion.solvers("crs2 > bob") == ["crs2 > bobyqa"]
+
+
+@pytest.mark.parametrize("command", ["--help", "identify --help", "check nowhere"])
+def test_without_colours_nothing_is_bold_or_dim_either(command):
+    environment = os.environ | {"FORCE_COLOR": "1", "NO_COLOR": "1", "TERM": "xterm-256color"}
+    line = [str(Path(sys.executable).parent / "fmuid"), *command.split()]
+    done = subprocess.run(line, env=environment, capture_output=True, text=True)
+    assert "\x1b" not in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    "command", ["identify", "validate", "diagnose", "report", "design", "simulate", "compare"]
+)
+def test_a_place_for_results_that_cannot_be_written_is_refused_before_anything_else(tmp_path, command):
+    (tmp_path / "file").write_text("")
+    line = [str(Path(sys.executable).parent / "fmuid"), command, "nowhere", "--out", str(tmp_path / "file" / "x")]
+    done = subprocess.run(line, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "cannot be a folder" in done.stderr

@@ -46,8 +46,10 @@ SLOW = {
     "notebook",
     "own-drive",
     "paper",
+    "read-diagnosis",
     "report",
     "runaway",
+    "three-rigs",
 }  # identify, diagnose or build once more
 BLOCK = re.compile(r"(?:^<!-- file: (\S+) -->\n)?^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 MAKE = f'make() {{ command make --dry-run --directory "{ROOT}" "$@" > /dev/null; }}\n'

@@ -13,9 +13,10 @@ def main() -> None:
     """Entry point of the console script."""
     interruption = Interruption()
     try:
-        from fmuid.cli.app import run, warn_in_one_line
+        from fmuid.cli.app import no_escapes_without_colour, run, warn_in_one_line
 
         warn_in_one_line()
+        no_escapes_without_colour()
         code = run()
     except KeyboardInterrupt:  # while modules are loaded
         print("fmuid: interrupted", file=sys.stderr)

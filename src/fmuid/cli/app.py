@@ -79,6 +79,14 @@ def run(arguments: Sequence[str] | None = None) -> int:
     return code if isinstance(code, int) else DONE
 
 
+def no_escapes_without_colour() -> None:
+    """Have help pages without bold and dim text either where NO_COLOR is set."""
+    if os.environ.get("NO_COLOR"):
+        from typer import rich_utils
+
+        rich_utils.COLOR_SYSTEM = None
+
+
 def warn_in_one_line() -> None:
     """Have warnings look like errors do."""
     warnings.formatwarning = _warning

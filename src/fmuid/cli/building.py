@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from fmu_build.errors import ModelicaError
-from fmuid.cli.output import Json, Printer, Quiet
+from fmuid.cli.output import Json, Printer, Quiet, writable
 
 Fmi = Literal["2", "3"]
 Compiler = Literal["own", "omc"]
@@ -20,7 +20,7 @@ def build(
         Path, typer.Argument(help="A .mo file, the folder of a package, or one that is shipped: Drives.")
     ],
     class_name: Annotated[str, typer.Argument(metavar="CLASS", help="Qualified name of the model to export.")],
-    out: Annotated[Path, typer.Option(help="Folder for the FMU.")] = Path("build/fmus"),
+    out: Annotated[Path, typer.Option(help="Folder for the FMU.", callback=writable)] = Path("build/fmus"),
     fmi: Annotated[Fmi, typer.Option(help="Version of FMI.")] = "2",
     compiler: Annotated[Compiler, typer.Option(help="Modelica front end; omc has to be on the PATH.")] = "own",
     root: Annotated[

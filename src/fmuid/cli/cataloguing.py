@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fmuid.cli.output import Json, Printer, Quiet
+from fmuid.cli.output import Json, Printer, Quiet, writable
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 from fmuid.core.errors import CampaignError
 from fmuid.core.files import check_folder
@@ -21,7 +21,9 @@ def effects(
     class_name: Annotated[
         str | None, typer.Argument(metavar="[CLASS]", help="Class in the file; by default called like it.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Write the catalogue of a campaign's effects here.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the catalogue of a campaign's effects here.", callback=writable)
+    ] = None,
     workers: Workers = None,
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from fmuid.cli.output import Json, Printer, Quiet, numbers
+from fmuid.cli.output import Json, Printer, Quiet, numbers, writable
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 from fmuid.core.errors import FmuidError
 
@@ -43,7 +43,10 @@ def compare(
     ] = "hold",
     out: Annotated[
         Path | None,
-        typer.Option(help="Write the table as CSV; into a folder: a report with a figure of all that is out."),
+        typer.Option(
+            help="Write the table as CSV; into a folder: a report with a figure of all that is out.",
+            callback=writable,
+        ),
     ] = None,
     workers: Workers = None,
     time_limit: TimeLimit = None,

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from fmuid.cli.interruption import INTERRUPTED
-from fmuid.cli.output import Json, Printer, Quiet, Trust
+from fmuid.cli.output import Json, Printer, Quiet, Trust, writable
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, in_bytes
 
 
@@ -37,7 +37,9 @@ def design(
     from_: Annotated[
         Path | None, typer.Option("--from", metavar="RUN", help="What identify or diagnose made of the campaign.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder; runs/<campaign>-design by default.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder; runs/<campaign>-design by default.", callback=writable)
+    ] = None,
     stage: Annotated[str | None, typer.Option(help="Parameters of this stage; all free ones by default.")] = None,
     optimality: Annotated[
         Optimality, typer.Option(help="D: least volume of what parameters may be; A: least sum of squared errors.")

@@ -15,7 +15,7 @@ import typer
 from fmuid.cli import completion
 from fmuid.cli.diagnosis_text import print_diagnosis, print_validation
 from fmuid.cli.interruption import INTERRUPTED
-from fmuid.cli.output import CampaignPath, Json, Printer, Quiet, Trust
+from fmuid.cli.output import CampaignPath, Json, Printer, Quiet, Trust, writable
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, in_bytes, supervised
 from fmuid.core.errors import FmuidError
 
@@ -33,7 +33,9 @@ Dask = Annotated[
 
 def identify(
     campaign: CampaignPath,
-    out: Annotated[Path | None, typer.Option(help="Run folder; runs/<campaign> by default.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Run folder; runs/<campaign> by default.", callback=writable)
+    ] = None,
     stage: Annotated[
         list[str] | None,
         typer.Option("--stage", help="Run this stage only (repeat).", autocompletion=completion.stages),
@@ -136,7 +138,9 @@ def validate(
     measurements: Annotated[
         Path | None, typer.Option(help="Of a diagnosis: validate on all the runs of this measurement file.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Write measurements and predictions as CSV into it.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Write measurements and predictions as CSV into it.", callback=writable)
+    ] = None,
     workers: Workers = None,
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,
@@ -177,7 +181,7 @@ def diagnose(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for the results; runs/<campaign>-diagnosis by default."),
+        typer.Option(help="Folder for the results; runs/<campaign>-diagnosis by default.", callback=writable),
     ] = None,
     experiment: Annotated[
         list[str] | None,
@@ -263,7 +267,9 @@ def diagnose(
 
 def report(
     run: RunFolder,
-    out: Annotated[Path | None, typer.Option(help="Folder for index.html, figures and data.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for index.html, figures and data.", callback=writable)
+    ] = None,
     format_: Annotated[
         list[str] | None, typer.Option("--format", help="Format of the figures: png, svg, pdf (repeat).")
     ] = None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fmuid.cli.output import Json, Printer, Quiet, command_line, numbers, pairs
+from fmuid.cli.output import Json, Printer, Quiet, command_line, numbers, pairs, writable
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 from fmuid.core.errors import FmuidError
 
@@ -53,7 +53,9 @@ def import_(
     ],
     setup: Annotated[str, typer.Option(help="Setup that the runs were made with.")],
     input_: Annotated[list[str], typer.Option("--input", "-i", help="Signal that drives the model (repeat).")],
-    out: Annotated[Path, typer.Option(help="Measurement file to write.")] = Path("measurements.h5"),
+    out: Annotated[Path, typer.Option(help="Measurement file to write.", callback=writable)] = Path(
+        "measurements.h5"
+    ),
     signal: Signals = None,
     resample: Resample = None,
     align: Align = None,
@@ -181,7 +183,7 @@ def import_(
 
 def export(
     measurements: Annotated[Path, typer.Argument(help="A measurement file.")],
-    out: Annotated[Path, typer.Option(help="Folder for the CSV files.")] = Path(),
+    out: Annotated[Path, typer.Option(help="Folder for the CSV files.", callback=writable)] = Path(),
     experiment: Annotated[
         list[str] | None, typer.Option("--experiment", "-e", help="Id or glob of the runs (repeat).")
     ] = None,
@@ -217,7 +219,7 @@ def init(
     class_name: Annotated[
         str | None, typer.Option("--class", help="Its class; by default called like the file.")
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder of the new campaign.")] = Path("campaign"),
+    out: Annotated[Path, typer.Option(help="Folder of the new campaign.", callback=writable)] = Path("campaign"),
     signal: Signals = None,
     resample: Resample = None,
     align: Align = None,

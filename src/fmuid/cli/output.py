@@ -25,6 +25,19 @@ CampaignPath = Annotated[
 ]
 
 
+def writable(context: typer.Context, place: Path | None) -> Path | None:
+    """Refuse a folder, or a file in one, that cannot be written, before there is anything to write.
+
+    Raises
+    ------
+    FmuidError
+        The folder cannot be made or written in.
+    """
+    if place is not None and not context.resilient_parsing:
+        check_folder(place.parent if place.suffix else place)
+    return place
+
+
 class Printer:
     """Prints unless told to be quiet, and writes the JSON file."""
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from fmuid.cli.output import Json, Printer, Quiet, numbers
+from fmuid.cli.output import Json, Printer, Quiet, numbers, writable
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 from fmuid.core.errors import FmuError, FmuidError
 
@@ -47,7 +47,9 @@ def simulate(
             metavar="WORD=VALUE", help="How FMUs of an .ssp are stepped, in the words of campaign.toml: step=1e-3."
         ),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="CSV file for an FMU, folder for a campaign.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="CSV file for an FMU, folder for a campaign.", callback=writable)
+    ] = None,
     workers: Workers = None,
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from types import TracebackType
 from typing import Self
 
@@ -14,7 +15,9 @@ class MovingLine:
     """An updating status line, removed at the end; shown on a terminal only. Use it as a context manager."""
 
     def __init__(self, console: Console | None, *columns: ProgressColumn) -> None:
-        self.console = console or Console(stderr=True)
+        # Under NO_COLOR rich would go on with bold and dim text; with no system of colours there is neither.
+        plain = bool(os.environ.get("NO_COLOR"))
+        self.console = console or Console(stderr=True, color_system=None if plain else "auto")
         self._bar = Progress(
             SpinnerColumn(),
             *columns,

@@ -20,7 +20,8 @@ from fmuid.identification.solvers.search import Status, StopRules
 class TerminalProgress(MovingLine, Observer):
     """An updating line for the current stage, and a permanent line for each completed stage.
 
-    Use it as a context manager; without a terminal, only the permanent lines are printed.
+    Use it as a context manager; without a terminal, only the permanent lines are printed. The result shows
+    warnings.
     """
 
     def __init__(self, console: Console | None = None) -> None:
@@ -66,8 +67,6 @@ class TerminalProgress(MovingLine, Observer):
         good = result.status in (Status.CONVERGED, Status.BUDGET)
         style = "green" if result.status is Status.CONVERGED else "yellow" if good else "red"
         self.console.print(Text(result.summary, style=style), soft_wrap=True)
-        for warning in result.warnings:
-            self.console.print(Text(f"  ! {warning}", style="yellow"), soft_wrap=True)
 
 
 class _TimeLeft(ProgressColumn):

@@ -335,7 +335,7 @@ def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
         "height": 100 + 28 * max(1, len(bars)),
         "margin": {"l": 10, "r": 90, "t": 48, "b": 44},
         "showlegend": False,
-        "xaxis": _axis(figure.quantity),
+        "xaxis": _axis(figure.quantity) | {"tickangle": 0},
         "yaxis": {
             "tickvals": list(range(len(bars))),
             "ticktext": [html.escape(b.label, quote=False) for b in bars],
