@@ -129,8 +129,10 @@ def before_and_after(overlays: Sequence[Overlay]) -> LineFigure | None:
     return overlay_figure("before-after", "Before and after", overlays, caption)
 
 
-def parameters_table(diagnosis: Mapping[str, Any]) -> Table:
+def parameters_table(diagnosis: Mapping[str, Any]) -> Table | None:
     """Return every parameter refitted without and with what is missing, and by how much that moves it."""
+    if not named(diagnosis["verdict"]):
+        return None
     before, after = diagnosis.get("nominal", {}).get("parameters", {}), diagnosis["model"]["parameters"]
     rows: list[tuple[Cell, ...]] = []
     for name, value in after.items():

@@ -329,13 +329,13 @@ def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
         }
     layout: Spec = {
         "narrow": {
-            "xaxis": {"dtick": 1} if figure.quantity.log else {"nticks": 5},
+            "xaxis": {} if figure.quantity.log else {"nticks": 5},
             "margin": {"l": 10, "r": 70, "t": 36, "b": 44},
         },
         "height": 100 + 28 * max(1, len(bars)),
         "margin": {"l": 10, "r": 90, "t": 48, "b": 44},
         "showlegend": False,
-        "xaxis": _axis(figure.quantity) | {"tickangle": 0},
+        "xaxis": _axis(figure.quantity) | {"tickangle": 0} | ({"dtick": 1} if figure.quantity.log else {}),
         "yaxis": {
             "tickvals": list(range(len(bars))),
             "ticktext": [html.escape(b.label, quote=False) for b in bars],
