@@ -112,7 +112,7 @@ def test_commands_and_links_in_the_text_exist(page: Path) -> None:
         assert name in commands, f"fmuid {name}"
         known = {o for parameter in commands[name].params for o in parameter.opts + parameter.secondary_opts}
         assert set(re.findall(r"(?<!\S)--[a-z-]+", rest)) <= known, f"fmuid {name}{rest}"
-    for link in re.findall(r"\]\(([^)#:]+)", text):
+    for link in re.findall(r"\]\(([^)#:]+)[)#]", text):
         assert (page.parent / link).exists(), link
 
 
