@@ -591,9 +591,14 @@ def test_build_finds_the_packages_that_are_shipped(
 
 
 def test_a_shell_completes_solvers_and_stages(folder: Path) -> None:
-    context = SimpleNamespace(params={"campaign": str(folder)})
+    context = SimpleNamespace(params={"campaign": str(folder)}, args=[])
     assert completion.stages(context, "a") == ["all"]
-    assert completion.stages(SimpleNamespace(params={"campaign": "nowhere"}), "") == []
+    assert completion.stages(SimpleNamespace(params={"campaign": "nowhere"}, args=[]), "") == []
+    typed = f"fmuid identify {folder} --stage a"
+    asked = {"_FMUID_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": "4"}
+    program = Path(sys.executable).with_name("fmuid")
+    shown = subprocess.run([program], env=os.environ | asked, capture_output=True, text=True, timeout=600)
+    assert shown.stdout.split() == ["all"]
     assert completion.solvers("bob") == ["bobyqa"]
     assert completion.solvers("crs2 > bob") == ["crs2 > bobyqa"]
 

@@ -19,10 +19,12 @@ def solvers(incomplete: str) -> list[str]:
 
 def stages(context: typer.Context, incomplete: str) -> list[str]:
     """Return the names of the campaign's stages that begin so; none as long as the campaign cannot be read."""
-    campaign = Path(context.params.get("campaign") or ".")
-    file = campaign / "campaign.toml" if campaign.is_dir() else campaign
+    # After an option that still waits for its value, the arguments before it have not been taken yet.
+    words = [context.params.get("campaign"), *context.args]
+    places = [Path(word) for word in words if word] or [Path()]
+    files = [place / "campaign.toml" if place.is_dir() else place for place in places]
     try:
-        names = tomllib.loads(file.read_text()).get("stages", {})
-    except (OSError, ValueError):
+        names = tomllib.loads(next(file for file in files if file.is_file()).read_text()).get("stages", {})
+    except (OSError, ValueError, StopIteration):
         return []
     return [name for name in names if name.startswith(incomplete)]
