@@ -18,6 +18,7 @@ from fmuid import (
     identify,
 )
 from fmuid.core.campaign import ModelSpec
+from fmuid.identification.uncertainty.inherited import effective_degrees
 
 A, B, SIGMA = 2.0, 0.5, 0.1
 IDLE, LOADED = np.linspace(0.0, 10.0, 50), np.linspace(0.0, 10.0, 400)
@@ -54,6 +55,15 @@ def campaign(*stages, seed=2, **specs):
 @pytest.fixture
 def bench(analytic):
     return {"bench": analytic(line, ["a", "b", "c", "load"])}
+
+
+def test_degrees_of_freedom_of_a_sum_of_variances():
+    """Welch and Satterthwaite: (sum of variances)^2 over the sum of variance^2 / degrees."""
+    parts = np.array([[1.0, 3.0], [2.0, 2.0], [4.0, 0.0], [0.0, 4.0], [0.0, 0.0]])
+    assert effective_degrees(parts, np.array([5.0, np.inf])) == pytest.approx([80.0, 20.0, 5.0, np.inf, np.inf])
+    assert effective_degrees(parts[:3], np.array([5.0, 9.0])) == pytest.approx(
+        [16 / 1.2, 16 / (4 / 5 + 4 / 9), 5.0]
+    )
 
 
 def textbook():
