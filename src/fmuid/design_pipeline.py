@@ -1,4 +1,4 @@
-"""Designing an experiment: load, search in worker processes, write what the rig is to play."""
+"""Designing an experiment: load, search in worker processes, and write the input for the rig."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _FURTHER = {"sensor": "It takes", "setting": "Or set", "limits": "Or allow"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Designed:
-    """A designed experiment: the value of its JSON, and the samples (N,) at (N,) times that the rig plays."""
+    """A designed experiment: its JSON value, and the input samples (N,) at (N,) times for the rig."""
 
     answer: Mapping[str, Any]
     time: FloatArray
@@ -71,31 +71,31 @@ def design_experiment(
     say: Say = lambda _, __: None,
     trust: bool = False,
 ) -> Designed:
-    """Design the next experiment within the limits that a campaign gives.
+    """Design the next experiment within the limits of a campaign.
 
     Parameters
     ----------
     campaign
-        A campaign, or its folder; nothing need be measured yet. Or an identification's result or run folder.
+        A campaign or its folder, even without measurements; or an identification's result or run folder.
     purpose
-        ``parameters``: the run that tells most of the free parameters. ``diagnosis``: the run that tells the
-        answers of a diagnosis apart.
+        ``parameters``: the most informative run for the free parameters. ``diagnosis``: the run that best
+        distinguishes the answers of a diagnosis.
     start
-        An identification of the campaign: parameters have the values found. Or its diagnosis, the folder or
+        An identification of the campaign, whose values the parameters take. Or its diagnosis, the folder or
         ``diagnosis.json``; `campaign` may be that as well.
     out
-        Folder for ``input.csv``, ``design.json`` and the page ``index.html``. Nothing is written without it.
+        Folder for ``input.csv``, ``design.json`` and the page ``index.html``. If None, nothing is written.
     stage, optimality
         Of a design for parameters: whose parameters, and whether the volume (``D``) or the sum of squares (``A``)
         of what they may be becomes least.
     evaluations
-        Excitations that are tried.
+        Number of excitations to try.
     seed
-        Of the search, and of drawn phases and parameter values.
+        Seed of the search and of drawn phases and parameter values.
     workers, time_limit, memory_limit
         As in `fmuid.diagnose`.
     say
-        Hears what is being done and the share that is behind.
+        Called with the current task and the fraction done (0 to 1).
     trust
         Whether functions that the campaign names may be imported and called.
 
@@ -109,21 +109,21 @@ def design_experiment(
     CampaignError, FmuError
         The campaign's limits do not fit its model.
     FmuidError
-        No excitation keeps every limit.
+        No excitation stays within every limit.
     """
     from fmuid.simulation.coupled.loading import load_simulator
 
     loaded, left_open = campaign_and_diagnosis(campaign, start, trust=trust)
     if purpose == "diagnosis" and left_open is None:
         raise FmuidError(
-            "there is no diagnosis to go on from",
+            "there is no diagnosis to continue from",
             where="--for diagnosis",
-            fix="name what `fmuid diagnose` wrote, as CAMPAIGN or with --from",
+            fix="name the folder written by `fmuid diagnose`, as CAMPAIGN or with --from",
         )
     made: ParameterDesign | DiagnosisDesign
     with runner_on(workers, time_limit=time_limit, memory_limit=memory_limit) as runner:
         if purpose == "diagnosis" and left_open is not None:
-            say("what the diagnosis left open", 0.0)
+            say("refitting the open answers", 0.0)
             loaded = with_catalogue(loaded, load_simulator, runner=runner)
             runs = [e["id"] for e in left_open["experiments"]]
             subject = subject_of(loaded, load_simulator, runner=runner, experiments=runs)

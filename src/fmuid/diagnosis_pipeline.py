@@ -1,4 +1,4 @@
-"""Diagnosing a campaign: load, run in worker processes, write what was found."""
+"""Diagnosing a campaign: load, run in worker processes, and write the results."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ def diagnose(
     calibrate: int = 0,
     law: bool = True,
 ) -> Found:
-    """Say where model and measurements part, which unmodelled effect causes it, and how far it shrinks with it.
+    """Locate the gap between model and measurements, and name the unmodelled effect that causes it.
 
-    The gap is whitened by the noise between repeats; effects of the campaign's catalogue are scored, refitted
-    with the nominal parameters and judged on experiments left out (``docs/diagnosis.md``).
+    The gap is whitened by the noise between repeats; effects of the campaign's catalogue are scored, refitted with
+    the nominal parameters and judged on held-out experiments (``docs/diagnosis.md``).
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def diagnose(
         A campaign, or its folder. Without an ``[effects]`` table the catalogue is made from its models. Or an
         identification's result or run folder: its campaign, from the values found.
     start
-        An identification of the campaign: parameters start from the values found.
+        An identification of the campaign, whose values are the parameters' start values.
     out
         Folder for ``diagnosis.json``, the report ``index.html``, and ``corrected``: the model with the named
         effects, and a campaign that goes on from it. Nothing is written without it. While the diagnosis goes on,
@@ -79,22 +79,22 @@ def diagnose(
         Ids or globs, instead of the campaign's choice: what ``[effects]`` names, or every run that is not kept for
         validation. Repeats come along.
     resume
-        Go on with the interrupted diagnosis in `out`: nothing it did is simulated again.
+        Continue the interrupted diagnosis in `out` without repeating its simulations.
     executor
         Any `concurrent.futures` executor to simulate on, such as a Dask client's; results do not depend on it.
     workers
-        Number of supervised worker processes to simulate in instead; 0 for none, None for one a processor.
+        Number of supervised worker processes to simulate in instead; 0 for none, None for one per processor.
     time_limit, memory_limit
         Seconds and resident bytes that one simulation may take in a worker process; those of a `WorkerPool` by
         default.
     say
-        Hears what is being done and the share of the work that is behind, 0 to 1.
+        Called with the current task and the fraction done (0 to 1).
     seed
-        Of the null distribution and the bootstrap.
+        Seed of the null distribution and the bootstrap.
     calibrate
         Number of plants to simulate from the fitted model and its noise and to diagnose first, so that the
-        probabilities are those of this model and set-up. What comes of it is kept in the user's cache and used
-        again; without it they rest on the calibration that comes with the package.
+        probabilities are calibrated for this model and set-up. The calibration is stored in the user's cache and
+        reused; the default is the calibration shipped with the package.
     law
         Whether to look for an equation where the verdict is *unknown* or *partial*.
 
@@ -108,7 +108,7 @@ def diagnose(
     CampaignError
         The catalogue does not fit the campaign, or it is to be calibrated on without repeated runs.
     JournalError
-        `out` contains an interrupted diagnosis and `resume` is not asked for, or a complete one and it is.
+        `out` contains an interrupted diagnosis and `resume` is False, or a complete one and `resume` is True.
     SimulationError
         The nominal model cannot be simulated at its start values, or no plant to calibrate on can.
     """
@@ -119,7 +119,7 @@ def diagnose(
 
     folder = None if out is None else Path(out)
     if folder is not None and (folder / FOLDER).resolve() == campaign.folder.resolve():
-        what = "is where the campaign lies, which its corrected model would replace"
+        what = "is the campaign's folder, which the corrected model would replace"
         raise FmuidError(what, where=folder / FOLDER, fix="name another --out")
     with (
         nullcontext() if folder is None else claim(folder),
@@ -142,9 +142,9 @@ def diagnose(
         key = calibration.key_of(_files(campaign, subject), subject)
         if calibrate and subject.observed.bounded:
             raise CampaignError(
-                "runs were not repeated, so plants would have no measured noise",
+                "runs were not repeated, so there is no measured noise for simulated plants",
                 where="calibrate",
-                fix="leave it out, or repeat runs",
+                fix="omit calibrate, or repeat runs",
             )
         if calibrate:
             calibration.keep(key, _calibrated(subject, calibrate, seed, telling))

@@ -89,7 +89,7 @@ def test_limits_are_kept_whatever_the_parameters_may_be() -> None:
     (u,) = found.excitation.samples
     assert np.ptp(u) > 0.3
     assert 2.0 * u.max() + 1.0 < 2.0  # with a margin for a that is larger
-    with pytest.raises(FmuidError, match=r"none of .* excitations keeps every limit: each left y"):
+    with pytest.raises(FmuidError, match=r"none of .* excitations stays within every limit: each one exceeds y"):
         designed(campaign(replace(DESIGN, limits={**DESIGN.limits, "y": Limit("y", 5.0, 6.0)})))
 
 
@@ -99,15 +99,17 @@ def test_the_same_seed_gives_the_same_run() -> None:
 
 
 def test_what_does_not_fit_the_model_is_told() -> None:
-    with pytest.raises(CampaignError, match=r"no input of setup 'line' may be driven.*give min and max of u"):
+    with pytest.raises(
+        CampaignError, match=r"no input of setup 'line' has limits, so none can be driven.*give min and max of u"
+    ):
         designed(campaign(replace(DESIGN, limits={})))
     with pytest.raises(FmuError, match="no variable 'v'"):
         designed(campaign(replace(DESIGN, limits={"v": Limit("v", 0.0, 1.0)})))
     with pytest.raises(CampaignError, match="only an input has a rate"):
         designed(campaign(replace(DESIGN, limits={**DESIGN.limits, "y": Limit("y", -9.0, 9.0, rate=1.0)})))
-    with pytest.raises(CampaignError, match="needs both of its ends"):
+    with pytest.raises(CampaignError, match="needs both limits"):
         designed(campaign(replace(DESIGN, limits={"u": Limit("u", 0.0)})))
-    with pytest.raises(CampaignError, match="says no output's noise"):
+    with pytest.raises(CampaignError, match="gives no noise of the outputs"):
         designed(campaign(replace(DESIGN, sigma={})))
     with pytest.raises(CampaignError, match="has 3 samples"):
         designed(campaign(replace(DESIGN, sample_time=0.3)))

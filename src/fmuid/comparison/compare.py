@@ -16,7 +16,7 @@ from fmuid.data.crosscheck_csv import Table
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """How far one variable of a result is from its reference.
+    """Deviation of one variable of a result from its reference.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class Comparison:
     max_error, max_error_time
         Largest absolute error in the variable's unit, and when (s).
     outside
-        Fraction of the result's samples that are outside the funnel; None if no funnel was asked for.
+        Fraction of the result's samples that are outside the funnel; None without a funnel.
     spans
         From when to when (s) the result is outside: of the funnel or, without one, further from the reference
         than three times the tolerance, if it is out of tolerance.
@@ -99,7 +99,7 @@ def _compare(
     known = last & np.isfinite(reference.columns[name])
     time, expected = reference.time[known], reference.columns[name][known]
     if not time.size:
-        raise FmuidError(f"the reference of '{name}' has no samples", fix="leave the column out")
+        raise FmuidError(f"the reference of '{name}' has no samples", fix="remove the column")
     values = result.columns[name]
     error = np.interp(time, result.time, values) - expected
     scale = _scale(expected)

@@ -1,4 +1,4 @@
-"""An FMU, or results, held against stored references: how far it has drifted, and where."""
+"""Comparison of an FMU or results with stored references: how far it has drifted, and where."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fmuid.simulation.simulator import Simulator, Task
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drift:
-    """One result beside its reference."""
+    """One result compared with its reference."""
 
     name: str
     result: Table
@@ -66,12 +66,12 @@ def drift_of(
     parameters
         Values to set on the FMU.
     runner
-        What simulates; in this process by default.
+        Runner of the simulations; this process by default.
 
     Raises
     ------
     FmuidError
-        There is no reference, a result is missing, a reference names what the FMU does not have, or the FMU
+        There is no reference, a result is missing, a reference names a variable that the FMU lacks, or the FMU
         cannot be simulated.
     """
     if reference.suffix in (".fmu", ".ssp"):
@@ -109,7 +109,7 @@ def drift_of(
 
 
 def write_drift_report(drifts: Sequence[Drift], folder: Path, title: str) -> Path:
-    """Write ``report.md``, and of what drifted a figure and its data; return the report's path."""
+    """Write ``report.md``, with a figure and data for each drifted variable; return the report's path."""
     from fmuid.report.plots import save_data, save_figure
 
     lines = [f"# {title}", "", *_table(drifts), ""]

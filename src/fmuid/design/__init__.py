@@ -1,1 +1,1 @@
-"""Experiments designed within the limits of a rig: excitations, the search among them, and what they tell."""
+"""Design of experiments within the limits of a rig: excitations, their search, and their information."""

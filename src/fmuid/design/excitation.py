@@ -24,7 +24,7 @@ _ORDER = 9  # of the shift register
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What an input may do: its range, its largest slope a second, and where it rests."""
+    """Limits of an input: range, largest slope per second, and rest value."""
 
     lower: float
     upper: float
@@ -55,7 +55,7 @@ class Shape:
 
     @property
     def size(self) -> int:
-        """How many numbers in [0, 1] make one excitation."""
+        """Number of values in [0, 1] that define one excitation."""
         return len(self.bounds) * self._each
 
     @property
@@ -78,7 +78,7 @@ class Shape:
         )
 
     def words(self, x: FloatArray, time: FloatArray) -> str:
-        """Return what the excitation is, in words."""
+        """Return a description of the excitation."""
         part = np.split(np.clip(x, 0.0, 1.0), len(self.bounds))[0]
         match self.family:
             case "multisine":

@@ -1,4 +1,4 @@
-"""The search for an excitation: a few of every family, then the best ones bettered without derivatives."""
+"""The search for an excitation: a few of every family, then derivative-free improvement of the best."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _STEP = 0.15  # of the local search
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """What one excitation is worth.
+    """The evaluation of one excitation.
 
     Attributes
     ----------
     cost
-        The less the better.
+        Cost; lower is better.
     violation
-        By how much limits are left, as a share of their range; 0 within them, infinite where the run cannot be
+        Violation of the limits as a share of their range; 0 within the limits, infinite if the run cannot be
         simulated.
     worst
-        The limit that is left by most.
+        The limit with the largest violation.
     """
 
     cost: float
@@ -39,13 +39,13 @@ class Judged:
 
     @property
     def total(self) -> float:
-        """One number to compare by: every run within limits is better than any that is not."""
+        """One number for comparison: every run within the limits is better than any run outside them."""
         return self.cost if self.violation <= 0.0 else _BARRIER * (1.0 + min(self.violation, 1e6))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Excitation:
-    """The best excitation that was found: (inputs, N) samples, what they are worth, and what they are."""
+    """The best excitation found: (inputs, N) samples, their evaluation, and a description."""
 
     samples: FloatArray
     judged: Judged
@@ -63,24 +63,25 @@ def search(
     seed: int = 0,
     say: Callable[[float], None] = lambda _: None,
 ) -> Excitation:
-    """Return the excitation of the least cost that keeps every limit.
+    """Return the excitation of least cost that stays within every limit.
 
-    Every family is begun from as many points of a Sobol' sequence; one that leaves a limit is made smaller. The
-    best of each is bettered by Subplex, then the best of all. Interrupted, the search returns what it has reached.
+    Every family starts from the same number of points of a Sobol' sequence; an excitation that violates a limit is
+    scaled down. Subplex improves the best of each family, then the best of all. If interrupted, the search returns
+    the best excitation so far.
 
     Parameters
     ----------
     judge
         Of (inputs, N) samples.
     evaluations
-        Calls of it.
+        Number of calls of `judge`.
     say
-        Hears the share that is behind.
+        Called with the fraction done (0 to 1).
 
     Raises
     ------
     FmuidError
-        No excitation that was tried keeps every limit.
+        None of the excitations tried stays within every limit.
     """
     tried: list[tuple[Judged, int, FloatArray]] = []
 
@@ -111,9 +112,9 @@ def search(
             raise
     judged, k, x = min(tried, key=lambda t: t[0].total)
     if judged.violation > 0.0:
-        reason = f"each left {judged.worst}" if np.isfinite(judged.violation) else "none could be simulated"
+        reason = f"each one exceeds {judged.worst}" if np.isfinite(judged.violation) else "none could be simulated"
         raise FmuidError(
-            f"none of {len(tried)} excitations keeps every limit: {reason}",
+            f"none of {len(tried)} excitations stays within every limit: {reason}",
             where="[limits]",
             fix="widen it, or shorten the run",
         )

@@ -1,4 +1,4 @@
-"""The excitation that tells most of the parameters: D- or A-optimal, on average over what they may be.
+"""The most informative excitation for the parameters: D- or A-optimal, averaged over plausible values.
 
 The information of a run is ``J' J`` with J the whitened derivatives of its predictions by the parameters, each
 taken relative to its value; what recorded runs and bounds say adds to it (Fedorov 1972; Pronzato and Pazman 2013).
@@ -38,21 +38,21 @@ _UNBOUNDED = 10.0  # relative standard deviation of a parameter of which nothing
 
 @dataclass(frozen=True, eq=False)
 class ParameterDesign:
-    """A designed run, and what it tells of the parameters.
+    """A designed run, and its information about the parameters.
 
     Attributes
     ----------
     planned, excitation
         The run.
     criterion
-        What it was judged by.
+        The optimality criterion.
     values
-        Of the parameters, where it was designed.
+        Parameter values for which it was designed.
     before, after
         Relative standard error of each parameter, by name, from the recorded runs and with the designed one;
-        infinite where nothing is known.
+        infinite if nothing is known.
     repeated
-        The same with the best of the recorded runs made once more in its place, and which; None without one.
+        The same if the best recorded run is repeated instead, and the name of that run; None without one.
     """
 
     planned: Planned
@@ -65,7 +65,7 @@ class ParameterDesign:
 
     @property
     def gain(self) -> float:
-        """How many times smaller the sum of squared relative standard errors becomes."""
+        """Factor by which the sum of squared relative standard errors decreases."""
         return _sum_of_squares(self.before) / _sum_of_squares(self.after)
 
 
@@ -84,26 +84,26 @@ def design_for_parameters(
     seed: int = 0,
     say: Callable[[str, float], None] = lambda _, __: None,
 ) -> ParameterDesign:
-    """Design the run that tells most of a campaign's free parameters beside what its runs have told.
+    """Design the run that adds most information about a campaign's free parameters to the recorded runs.
 
     Parameters
     ----------
     load
         Loads the model of a setup.
     stage
-        Whose parameters, ties and signals are meant; all free parameters by default.
+        Stage with the parameters, ties and signals to use; all free parameters by default.
     optimality
-        ``D``: the volume of what the parameters may be becomes least; ``A``: the sum of their squared relative
-        standard errors.
+        ``D`` minimises the volume of the confidence region; ``A`` minimises the sum of squared relative standard
+        errors.
     evaluations
-        Excitations that are tried.
+        Number of excitations to try.
 
     Raises
     ------
     CampaignError, FmuError
         The campaign has no limits, or they do not fit its model.
     FmuidError
-        No excitation keeps every limit.
+        No excitation stays within every limit.
     """
     posed = _posed(campaign, stage)
     setup = campaign.design.setup or next(iter(_setups(campaign, posed)), None)
@@ -159,14 +159,14 @@ def design_for_parameters(
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What an excitation tells, as the cost of a search.
+    """Information of an excitation, as the cost of a search.
 
     Attributes
     ----------
     draws
-        Values of the parameters; the cost is the mean over them.
+        Draws of the parameters; the cost is the mean over them.
     known
-        (P, P) information there is already, in the parameters' units.
+        (P, P) existing information, in the parameters' units.
     """
 
     planned: Planned
@@ -199,7 +199,7 @@ class Information:
         return found
 
     def cost_of(self, information: FloatArray) -> float:
-        """Return the cost of all there is to know, (P, P) in the parameters' units."""
+        """Return the cost of the total information, (P, P) in the parameters' units."""
         sizes = _sizes(self.unknowns)
         relative = information * np.outer(sizes, sizes)
         if self.optimality == "D":
@@ -234,15 +234,15 @@ def _unknowns(
     for spec in free:
         if spec.per != "campaign":
             raise CampaignError(
-                f"is one value for each {spec.per}, which a run to come does not have yet",
+                f"has one value per {spec.per}, which is unknown for a future run",
                 where=f"{campaign.file or campaign.folder} [parameters.{spec.name}] per",
-                fix="hold it (free = false), or name a --stage without it",
+                fix="fix it (free = false), or name a --stage without it",
             )
     if not free:
         raise CampaignError(
-            "no free parameter acts on the model",
+            "no free parameter affects the model",
             where=campaign.file or campaign.folder,
-            fix="free one in [parameters]",
+            fix="set free = true for one in [parameters]",
         )
     return tuple(unknown_of(spec) for spec in free)
 

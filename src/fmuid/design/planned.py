@@ -1,4 +1,4 @@
-"""The run that is to be designed: a setup's model with its sensors, what drives it, and what it may not leave."""
+"""The run to be designed: a setup's model with its sensors, driven inputs and limits."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ _FEWEST = 20  # samples of a run that a design makes sense for
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """An input that is designed: its name in measurements, FMU variable, and bounds in the variable's unit.
+    """An input to be designed: its name in measurements, FMU variable, and bounds in the variable's unit.
 
-    `written` converts from the variable's unit to `unit`, that of the file that is written.
+    `written` converts from the variable's unit to `unit`, the unit in the output file.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Driven:
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """A quantity that may not leave its range (in the model's unit), read by a sensor or inside the model."""
+    """A quantity with limits (in the model's unit), read by a sensor or inside the model."""
 
     name: str
     variable: str
@@ -55,7 +55,7 @@ class Watched:
     channel: int | None = None
 
     def left(self, values: FloatArray) -> float:
-        """Return by how much of its range (or of its bound) the values leave it, 0 if they do not."""
+        """Return by which share of the range (or bound) the values exceed the limits, 0 if they do not."""
         over = max(float(np.max(values)) - self.upper, self.lower - float(np.min(values)))
         finite = [abs(b) for b in (self.lower, self.upper) if np.isfinite(b)]
         width = self.upper - self.lower if len(finite) == 2 else max(finite, default=1.0)
@@ -79,7 +79,7 @@ class Planned:
     Attributes
     ----------
     model
-        With the one run, at rest.
+        Model of the single run, at rest.
     whiten
         Whitens (C, N) differences of predictions by the noise of the mean of the run's repeats.
     sigma
@@ -140,7 +140,7 @@ class Planned:
     def violation(
         self, model: CampaignModel, points: Sequence[Mapping[str, float]], predictions: Sequence[Prediction]
     ) -> tuple[float, str]:
-        """Return by how much the runs leave the limits at worst, and which one.
+        """Return the largest violation of the limits by the runs, and the limit concerned.
 
         Raises
         ------
@@ -160,14 +160,14 @@ class Planned:
 
 
 def template_of(campaign: Campaign, simulator: Simulator, setup: str) -> Case:
-    """Return a run of a setup that nobody has made yet, at rest, with the outputs whose noise the user gives.
+    """Return a run at rest for a setup without recordings, with the outputs whose noise the user gives.
 
     Raises
     ------
     CampaignError
-        No duration, or no standard deviation is given.
+        No duration or no standard deviation is given.
     FmuError
-        An output is none of the model's.
+        An output does not exist in the model.
     """
     spec, model = campaign.design, campaign.models[setup]
     where = f"{campaign.file or campaign.folder}"
@@ -177,7 +177,7 @@ def template_of(campaign: Campaign, simulator: Simulator, setup: str) -> Case:
         )
     if not spec.sigma:
         raise CampaignError(
-            "says no output's noise, and no run is recorded",
+            "gives no noise of the outputs, and no run is recorded",
             where=f"{where} [design]",
             fix="write sigma = { output = ... }",
         )
@@ -208,21 +208,21 @@ def template_of(campaign: Campaign, simulator: Simulator, setup: str) -> Case:
 def planned_run(
     campaign: Campaign, model: CampaignModel, template: Case, noise: SetupNoise | None = None
 ) -> Planned:
-    """Return the run that is to be designed.
+    """Return the run to be designed.
 
     Parameters
     ----------
     model
-        What simulates it; its own runs say how far the rig has been driven.
+        Model to simulate; its recorded runs show how far the rig has been driven.
     template
         A run of the same setup.
     noise
-        Of the setup; by default what the user gave for the template's outputs.
+        Noise of the setup; by default as given by the user for the template's outputs.
 
     Raises
     ------
     CampaignError, FmuError, UnitError
-        A limit is none of the model's quantities, or cannot be kept.
+        A limit applies to no quantity of the model, or cannot be satisfied.
     """
     spec, of_setup = campaign.design, campaign.models[template.setup]
     step = spec.sample_time or float(np.median(np.diff(template.time)))
@@ -235,7 +235,7 @@ def planned_run(
     if not driven:
         inputs = [v.name for v in template.simulator.variables.values() if v.causality == "input"]
         raise CampaignError(
-            f"no input of setup '{template.setup}' may be driven",
+            f"no input of setup '{template.setup}' has limits, so none can be driven",
             where=f"{campaign.file or campaign.folder} [limits]",
             fix=f"give min and max of {' or '.join(inputs) or 'an input'}",
         )
@@ -294,7 +294,7 @@ def _limits(
         if low < high:
             limits[back.get(name, name)] = Limit(name, low, high, float(max(slopes)), variables[name].unit)
             assumed.append(
-                f"{back.get(name, name)} from {low:.4g} to {high:.4g}, at most {max(slopes):.4g} a second"
+                f"{back.get(name, name)} from {low:.4g} to {high:.4g}, at most {max(slopes):.4g} per second"
             )
     for k, channel in enumerate(template.channels):
         if channel.signal in limits:
@@ -331,7 +331,7 @@ def _resolved(
         match variables[variable].causality:
             case "input":
                 if not (np.isfinite(low) and np.isfinite(high)):
-                    raise CampaignError("an input needs both of its ends", where=where, fix="give min and max")
+                    raise CampaignError("an input needs both limits", where=where, fix="give min and max")
                 at = float(np.clip(rest.get(variable, variables[variable].start or 0.0), low, high))
                 written = recorded[name].unit if name in recorded else limit.unit or unit or "1"
                 back = conversion_at(unit, written, where) if unit else Conversion()
@@ -341,7 +341,7 @@ def _resolved(
                 settable.append(Settable(name, variable, low, high))
             case _:
                 if np.isfinite(limit.rate):
-                    raise CampaignError("only an input has a rate", where=where, fix="leave rate out")
+                    raise CampaignError("only an input has a rate", where=where, fix="remove rate")
                 channel = next(
                     (k for k, c in enumerate(template.channels) if name in (c.signal, c.variable)), None
                 )

@@ -1,4 +1,4 @@
-"""The excitation that tells the answers of a diagnosis apart (T-optimal: Atkinson and Fedorov 1975).
+"""The excitation that best distinguishes the answers of a diagnosis (T-optimal: Atkinson and Fedorov 1975).
 
 A run settles it if in nine cases of ten a diagnosis will prefer the right answer by as many standard deviations as
 it takes to name one alone (`decide.SAME`). By noise alone the wrong one would then fit better in fewer than one
@@ -36,7 +36,7 @@ _SENSORS = (1e-6, 1.0)  # of its own range, between which the noise of an added 
 
 @dataclass(frozen=True, slots=True)
 class Beyond:
-    """What no excitation within the limits gives, and the separation (sigma) with it.
+    """A change beyond the limits that would help, and the separation (sigma) with it.
 
     `kind` is ``sensor``, ``setting`` or ``limits``.
     """
@@ -48,14 +48,14 @@ class Beyond:
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisDesign:
-    """A designed run, and how far apart it sets the rivals.
+    """A designed run, and the separation of the rivals in it.
 
     Attributes
     ----------
     separations
         (R, R) standard deviations by which a diagnosis will prefer the first, if it is right, to the second.
     beyond
-        What else would help.
+        Other changes that would help.
     """
 
     planned: Planned
@@ -75,7 +75,7 @@ class DiagnosisDesign:
 
     @property
     def least(self) -> float:
-        """Separation of the two that are closest together."""
+        """Separation of the two closest rivals."""
         return _least(self.separations)
 
     @property
@@ -86,9 +86,10 @@ class DiagnosisDesign:
 
 
 def rivals_of(subject: Subject, answer: Mapping[str, object]) -> list[Fitted]:
-    """Refit what a diagnosis (its JSON) left open, from what it found, at most six answers.
+    """Refit the answers that a diagnosis (as JSON) left open, at most six, starting from its values.
 
-    Where it left fewer than two, the likeliest effects join them; and *none*, where it doubts that there is any.
+    If there are fewer than two, the likeliest effects are added, and *none* if the diagnosis doubts that there is
+    a gap.
 
     Raises
     ------
@@ -124,7 +125,7 @@ def rivals_of(subject: Subject, answer: Mapping[str, object]) -> list[Fitted]:
             rivals.append(fitted)
     if len(rivals) < 2:
         raise CampaignError(
-            "the diagnosis leaves nothing open that a run could tell apart",
+            "the diagnosis leaves no answers open that a run could distinguish",
             where="--for diagnosis",
             fix="design for parameters: --for parameters",
         )
@@ -146,14 +147,14 @@ def design_for_diagnosis(
     seed: int = 0,
     say: Callable[[str, float], None] = lambda _, __: None,
 ) -> DiagnosisDesign:
-    """Design the run that tells refitted answers apart.
+    """Design the run that best distinguishes refitted answers.
 
     Raises
     ------
     CampaignError, FmuError
         The campaign's limits do not fit its model.
     FmuidError
-        No excitation keeps every limit.
+        No excitation stays within every limit.
     """
     setups = list(dict.fromkeys(case.setup for case in subject.model.cases))
     setup = campaign.design.setup or setups[0]

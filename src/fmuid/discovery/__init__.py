@@ -1,1 +1,1 @@
-"""From "unknown" to an equation: a law of a model's own quantities, found where a diagnosis names no effect."""
+"""Discovery of laws: an equation in a model's own quantities for a gap that no effect explains."""

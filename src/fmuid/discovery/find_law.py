@@ -1,4 +1,4 @@
-"""The search: from an unknown or partly explained gap to a law at a port, or to the reason why there is none."""
+"""The search for a law at a port that explains an unknown or partly explained gap."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _NOTHING = 0.05  # floors that are left or not, whatever the law
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A law that was refitted in the model that carries it."""
+    """A law, refitted in the model that contains it."""
 
     law: Law
     effect: Effect
@@ -51,7 +51,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Discovery:
-    """What came of the search: a law and the model that carries it, or why there is none."""
+    """Result of the search: a law and the model that contains it, or the reason why there is none."""
 
     found: LawFound
     best: Candidate | None = None
@@ -65,23 +65,23 @@ def find_law(
     say: Say = lambda _, __: None,
     seed: int = 0,
 ) -> Discovery | None:
-    """Look for an equation where a diagnosis names no effect, or a part only; None if its verdict is another.
+    """Look for a law if a diagnosis is *unknown* or *partial*; return None for any other verdict.
 
-    Terms of a library are chosen sparsely for what the nominal model leaves; the best few laws are put into the
-    model at the port, which is rebuilt, and refitted with all parameters. A law is extended as long as it leaves
-    more than noise, and further terms close enough of it on experiments left out. Where effects explain a part, a
-    law is first looked for in their place, then beside them.
+    A few terms of a library are selected to explain the residual of the nominal model; the best laws are added to
+    the model at the port, and the model is rebuilt and refitted with all parameters. A law is extended as long as
+    it leaves more than noise and further terms close enough of the rest on held-out experiments. If effects
+    explain a part, a law is first sought in their place, then in addition to them.
 
     Parameters
     ----------
     models
-        By setup; those with Modelica source can carry a law.
+        Models by setup; those with Modelica source can contain a law.
     load
         Loads a model.
     say
-        Hears about progress.
+        Called with progress.
     seed
-        Of the null distribution and the bootstrap.
+        Seed of the null distribution and the bootstrap.
     """
     if found.diagnosis.verdict.kind not in ("unknown", "partial"):
         return None
@@ -89,7 +89,7 @@ def find_law(
     setups = {case.setup for case in subject.model.cases}
     flats = {s: flat_model(source) for s in setups if s in models and (source := models[s].source) is not None}
     if set(flats) != setups:
-        return _none("the campaign names no Modelica source of its model, so no law can be put into it")
+        return _none("the campaign names no Modelica source of its model, so no law can be added to it")
     noise = draw_noise(subject.observed, seed=seed)
     # In place of the effects that explain a part, then beside them.
     bases = [found.nominal, *(found.surviving[:1] if found.diagnosis.verdict.kind == "partial" else ())]

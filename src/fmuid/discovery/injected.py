@@ -1,4 +1,4 @@
-"""Laws as effects of a catalogue, and models that carry them: injected as a law that a user writes is."""
+"""Laws as effects of a catalogue, and models that contain them, built like laws that a user writes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Law:
     terms
         Of the law.
     base
-        What its parameters are called after.
+        Prefix of the names of its parameters.
     """
 
     spot: Spot
@@ -89,7 +89,7 @@ class Law:
 
     @property
     def rank(self) -> int:
-        """How complicated it is."""
+        """Complexity of the law."""
         return sum(t.rank + 1 for t in self.terms)
 
     def effect(self, id: str, description: str, starts: Mapping[str, float] | None = None) -> Effect:

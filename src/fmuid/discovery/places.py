@@ -1,4 +1,4 @@
-"""Places of a model where a law may act, with the quantities there and their courses."""
+"""Places of a model where a law may act, with the quantities there and their time series."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _POSITION: Mapping[str, Kind] = {"rotational": "angle", "translational": "positi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spot:
-    """A port with what is at hand there.
+    """A port, with the quantities available there.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Spot:
     time
         (N,) times of these samples.
     terms
-        What a law there may be made of.
+        Terms that a law there may contain.
     """
 
     port: Port

@@ -1,4 +1,4 @@
-"""Sparse selection: which few terms of a library explain what is left, by linear least squares.
+"""Sparse selection of a few library terms that explain the residual, by linear least squares.
 
 What each term does to the signals is simulated: the model's input at the port is driven by the term's course along
 the model's own trajectory. Few terms are chosen forward, beside the parameters that are fitted, and are judged on

@@ -1,4 +1,4 @@
-"""The library of terms that a law may be made of: Modelica of the quantities of a place, dimensionless each.
+"""The library of terms for laws: dimensionless Modelica expressions of the quantities at a place.
 
 A quantity x comes as x/X, X being the largest absolute value that it reached, so that the coefficient of every
 term is a flow, and the size of the term there. Widths, limits, pitches and lags are parameters in x's own unit.
@@ -38,9 +38,9 @@ class Quantity:
     name
         Of the variable in it.
     size
-        The largest absolute value that it reached.
+        Largest absolute value reached.
     low, high
-        What it ranged over.
+        Range of values reached.
     """
 
     text: str
@@ -81,7 +81,7 @@ class Term:
     text
         Modelica of a place's quantities, of its own `shapes` and of the state `HIDDEN`, of size one.
     rank
-        How complicated it is.
+        Complexity of the term.
     shapes
         Its parameters, by the name that they have in the text.
     rate
