@@ -91,7 +91,7 @@ def test_a_controller_of_another_tool(drive, single, python_pi):
     finer = np.linspace(0, 1, 2001)
     task = Task(finer, {"controller.w_ref": 30 * np.sin(2 * np.pi * finer)}, SIGNALS, {}, "hold", 1e-8)
     assert error(model.simulate(task, {})[:, ::20], single)[:3].max() < 1e-2
-    with pytest.raises(FmuError, match=r"system, component 'controller': it cannot interpolate its inputs"):
+    with pytest.raises(FmuError, match=r"system, component 'controller': this FMU cannot interpolate its inputs"):
         model.simulate(TASK, {})
     linear_plant = split({**drive, "controller": python_pi}, step=5e-4, extrapolation={"plant": "linear"})
     assert error(linear_plant.simulate(task, {})[:, ::20], single)[0] < 6e-3

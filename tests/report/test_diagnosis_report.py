@@ -85,7 +85,7 @@ def test_a_verdict_is_said_as_an_engineer_would():
 
 
 @pytest.mark.parametrize(
-    ("present", "words"), [(True, "record a run with another input"), (False, "larger inputs")]
+    ("present", "words"), [(True, "record a run with a different input"), (False, "larger inputs")]
 )
 def test_where_the_data_cannot_tell_it_is_said_what_to_record(present, words):
     diagnosis = copy.deepcopy(samples.diagnosis())

@@ -64,7 +64,7 @@ def test_a_setup_names_them_and_what_is_no_signal_is_refused(plain):
     assert load_simulator(spec) is load_simulator(spec)
     with pytest.raises(FmuError, match=r"'u.gian' is not an effect of an input or output.*did you mean 'gain'"):
         SignalModel(plain, ("u.gian",))
-    with pytest.raises(FmuError, match=r"'d\.gain' is no effect"):
+    with pytest.raises(FmuError, match=r"'d\.gain' is not an effect"):
         SignalModel(plain, ("d.gain",))
     with pytest.raises(FmuError, match="'y' is differentiated after its offset"):
         SignalModel(plain, ("y.offset",), {"y"})
