@@ -88,7 +88,7 @@ def test_an_effect_of_one_s_own_is_found(trolley, tmp_path, capsys):
     assert second["nominal"]["parameters"]["drag"] == pytest.approx(0.3, rel=0.03)
     assert not (again / "corrected").exists()
     assert run(["diagnose", str(corrected), "--out", str(out), "--quiet"]) == 2
-    assert "is where the campaign lies" in capsys.readouterr().err
+    assert "is the campaign's folder" in capsys.readouterr().err
 
     # On other data: the corrected model beside the nominal one.
     other = tmp_path / "other"
