@@ -114,6 +114,17 @@ def test_output_that_cannot_be_written_is_one_line(folder: Path) -> None:
     assert (done.returncode, done.stderr) == (2, said)
 
 
+@pytest.mark.parametrize("closed", ["1", "12", "012"])
+def test_standard_streams_may_be_closed(folder: Path, closed: str) -> None:
+    def close() -> None:
+        for descriptor in closed:
+            os.close(int(descriptor))
+
+    done = subprocess.run([*FMUID, "check", "bench", "--json", "found.json"], preexec_fn=close, check=False)
+    assert done.returncode == 0
+    assert json.loads(Path("found.json").read_text())  # and nothing that was printed is in it
+
+
 def test_help_lists_the_commands_without_loading_a_library() -> None:
     script = "import sys, fmuid.cli.app; print(*sorted(m for m in ('numpy', 'h5py', 'fmpy', 'pint', 'casadi', 'scipy', 'matplotlib') if m in sys.modules))"
     loaded = subprocess.run(

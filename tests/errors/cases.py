@@ -361,6 +361,7 @@ CASES = [
         ("FMUs", "a file that is no archive", write("Oscillator.fmu", "MZ"), CHECK),
         ("FMUs", "an archive without a description", archive(("readme.txt", "")), CHECK),
         ("FMUs", "a description that is no XML", archive(("modelDescription.xml", "<fmi")), CHECK),
+        ("FMUs", "a description in an unknown encoding", archive(("modelDescription.xml", '<?xml version="1.0" encoding="UTF-18"?><fmi/>')), CHECK),
         ("FMUs", "FMI 1.0", archive(("modelDescription.xml", DESCRIPTION.format("1.0"))), CHECK),
         ("FMUs", "an archive that climbs out of its folder", archive(("../../.bashrc", "true")), CHECK),
         ("FMUs", "a value reference outside of FMI's", description('<ScalarVariable name="x" valueReference="4294967296"><Real/></ScalarVariable>'), CHECK),

@@ -1,3 +1,3 @@
-from tests.cli.conftest import measurements, oscillator
+from tests.cli.conftest import folder, measurements, oscillator
 
-__all__ = ["measurements", "oscillator"]
+__all__ = ["folder", "measurements", "oscillator"]

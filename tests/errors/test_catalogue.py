@@ -99,7 +99,7 @@ def write_page(case: Case, found: str) -> None:
 
 
 def test_the_page_has_nothing_else() -> None:
-    text = PAGE.read_text()
+    text, _, _ = PAGE.read_text().partition("\n## Runs that are stopped")  # test_endings.py has those
     assert text.startswith(HEAD)
     assert sum(line.startswith("| ") and "`fmuid " in line for line in text.splitlines()) == len(CASES)
     assert len({case.what for case in CASES}) == len(CASES) >= 40

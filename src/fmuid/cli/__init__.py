@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 from fmuid.cli.interruption import INTERRUPTED, Interruption
@@ -13,6 +14,7 @@ def main() -> None:
     """Entry point of the console script."""
     interruption = Interruption()
     try:
+        _open_what_is_closed()
         from fmuid.cli.app import no_escapes_without_colour, run, warn_in_one_line
 
         warn_in_one_line()
@@ -23,3 +25,15 @@ def main() -> None:
         code = INTERRUPTED
     interruption.end()
     sys.exit(code)
+
+
+def _open_what_is_closed() -> None:
+    """Have standard streams that are closed lead nowhere: else the next file that is opened gets their text."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            descriptor = os.open(os.devnull, os.O_RDWR)
+            if descriptor != number:
+                os.dup2(descriptor, number)
+                os.close(descriptor)
+            os.set_inheritable(number, True)
+            setattr(sys, name, open(number, "r" if number == 0 else "w", closefd=False))  # noqa: SIM115

@@ -104,7 +104,7 @@ def identify(
         summary: dict[str, Any] = {"out": folder, "result": json_library.loads(result.to_json())}
         interrupted = result.status is Status.INTERRUPTED
         with runner_on(workers, executor=executor, **limits) as runner:
-            if not interrupted and loaded.validation:
+            if loaded.validation and not interrupted and result.stages[-1].cost is not None:
                 summary |= _validation(_validated(result, printer, runner), printer)
             if with_report and not interrupted:
                 from fmuid.report import write_report

@@ -49,8 +49,8 @@ def check_folder(folder: Path) -> None:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove partly written files that a killed process left in a folder."""
-    for path in folder.glob(f".*{_UNFINISHED}"):
+    """Remove partly written files that a killed process left in a folder or below it."""
+    for path in folder.rglob(f".*{_UNFINISHED}"):
         with suppress(OSError):
             path.unlink()
 

@@ -12,7 +12,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from fmuid.core.errors import FmuidError
-from fmuid.core.files import make_folder
+from fmuid.core.files import make_folder, remove_unfinished
 
 NAME = ".lock"
 _claimed: ContextVar[frozenset[Path]] = ContextVar("_claimed", default=frozenset())
@@ -26,8 +26,9 @@ class LockedError(FmuidError):
 def claim(folder: Path) -> Iterator[None]:
     """Lock `folder` for writing while the context is active; nested calls may lock it again.
 
-    The folder is made if it is missing, and removed again if nothing is written to it. The kernel holds the lock
-    and releases it when the process ends for any reason.
+    The folder is made if it is missing, and removed again if nothing is written to it. Partly written files that a
+    killed process left there are removed. The kernel holds the lock and releases it when the process ends for any
+    reason.
 
     Raises
     ------
@@ -45,6 +46,7 @@ def claim(folder: Path) -> Iterator[None]:
         return
     descriptor = _locked(folder)
     token = _claimed.set(claimed | {place})
+    remove_unfinished(folder)
     try:
         yield
     finally:

@@ -75,7 +75,9 @@ class Expression:
             result = _value(self._tree, values)
         except (ArithmeticError, ValueError, TypeError) as error:
             raise ProblemError(f"'{self.text}' has no value ({error})", fix="change the bounds") from None
-        if isinstance(result, complex) or not math.isfinite(result):
+        if isinstance(result, complex):
+            raise ProblemError(f"'{self.text}' has no real value", fix="change the bounds")
+        if not math.isfinite(result):
             raise ProblemError(f"'{self.text}' is {result}", fix="change the bounds")
         return float(result)
 

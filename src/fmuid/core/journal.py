@@ -120,8 +120,8 @@ def records(path: Path, magic: bytes) -> Iterator[tuple[Any, int, int]]:
         while len(head := file.read(_HEAD.size)) == _HEAD.size:
             length, checksum = _HEAD.unpack(head)
             data = file.read(length) if length < _LARGEST else b""
-            if len(data) != length or zlib.crc32(data) != checksum:
-                return  # cut short by a kill
+            if not data or len(data) != length or zlib.crc32(data) != checksum:
+                return  # cut short by a kill, or zeros that a machine left which lost its power
             end = file.tell()
             yield msgspec.msgpack.decode(data), begin, end
             begin = end

@@ -6,6 +6,7 @@ One process reads all files for its parent, and is replaced when it dies.
 from __future__ import annotations
 
 import atexit
+import math
 import os
 import pickle
 import signal
@@ -22,7 +23,8 @@ from typing import Any, TypeVar
 from fmuid.core.errors import MeasurementsError
 
 _T = TypeVar("_T")
-TIME_LIMIT = 60.0  # s, and a second more for every 5 MB
+TIME_LIMIT = 60.0  # s of processor time, and a second more for every 5 MB
+_WAITING = 30.0  # times that, on a machine that is busy with other things
 _BYTES_PER_SECOND = 5e6
 
 
@@ -64,8 +66,8 @@ def read_apart(read: Callable[[Path], _T], path: Path, *, limit: float | None = 
     Raises
     ------
     MeasurementsError
-        Reading takes longer than `limit` seconds (by default a minute, more for a large file), or crashes. Errors
-        of `read` are raised again here.
+        Reading takes more than `limit` seconds of processor time (by default a minute, more for a large file), or
+        crashes. Errors of `read` are raised again here.
     """
     global _reader
     size = path.stat().st_size if path.is_file() else 0
@@ -74,15 +76,16 @@ def read_apart(read: Callable[[Path], _T], path: Path, *, limit: float | None = 
         if _reader is None or _reader.parent != os.getpid() or _reader.process.poll() is not None:
             _reader = _Reader()
         try:
-            _reader.connection.send((read, path, Path.cwd()))
-            if not _reader.connection.poll(limit):
+            _reader.connection.send((read, path, Path.cwd(), limit))
+            if not _reader.connection.poll(_WAITING * limit if hasattr(signal, "SIGXCPU") else limit):
                 _end()
-                raise MeasurementsError(
-                    f"cannot be read in {limit:.0f} s", where=path, fix="write it again: it may be damaged"
-                )
+                raise _too_slow(path, limit)
             fine, result = pickle.loads(_reader.connection.recv_bytes())
         except (EOFError, OSError):
+            ended = _reader.process.wait()  # its end of the line is closed: it is gone
             _end()
+            if ended == -getattr(signal, "SIGXCPU", 0):
+                raise _too_slow(path, limit) from None
             raise MeasurementsError(
                 "crashes the library that reads it", where=path, fix="write it again: it may be damaged"
             ) from None
@@ -93,6 +96,12 @@ def read_apart(read: Callable[[Path], _T], path: Path, *, limit: float | None = 
         raise result
     found: _T = result
     return found
+
+
+def _too_slow(path: Path, limit: float) -> MeasurementsError:
+    return MeasurementsError(
+        f"cannot be read in {limit:.0f} s", where=path, fix="write it again: it may be damaged"
+    )
 
 
 def _end() -> None:
@@ -113,14 +122,26 @@ def serve() -> None:
     connection = Connection(int(sys.argv[1]))
     while True:
         try:
-            read, path, folder = connection.recv()
+            read, path, folder, limit = connection.recv()
         except (EOFError, OSError):
             return
         try:
             os.chdir(folder)  # that the path is relative to
+            _limit_processor_time(limit)
             answer: tuple[bool, Any] = (True, read(path))
         except Exception as error:
             # What it came from stays here: libraries raise errors that no other process can rebuild.
             error.__cause__ = error.__context__ = None
             answer = (False, error)
         connection.send_bytes(pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL))
+
+
+def _limit_processor_time(seconds: float) -> None:
+    """Have the system end this process once it has computed for so long from now."""
+    with suppress(ImportError):  # Windows
+        import resource
+
+        usage = resource.getrusage(resource.RUSAGE_SELF)
+        spent = usage.ru_utime + usage.ru_stime
+        _, hard = resource.getrlimit(resource.RLIMIT_CPU)
+        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(spent + seconds), hard))

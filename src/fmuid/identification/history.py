@@ -28,7 +28,7 @@ and ``iterates/<row>/<case>``, (signals, N): the predictions of each row that im
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -38,13 +38,14 @@ from typing import Any
 import numpy as np
 
 from fmuid.core.errors import FmuidError, MeasurementsError
-from fmuid.core.files import make_folder, remove_unfinished
+from fmuid.core.files import make_folder
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.core.journal import Journal, check_resumable, records
 from fmuid.data import hdf5
 from fmuid.data.isolated_reader import read_apart
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
+from fmuid.identification.recorded_rows import Row, Rows
 
 JOURNAL, FILE = "history.journal", "history.h5"
 FORMAT, VERSION = "fmuid-history", 1
@@ -53,38 +54,6 @@ _MAGIC = b"fmuid-journal 2\n"
 
 class HistoryError(FmuidError):
     """A history cannot be read, or belongs to another problem."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Row:
-    """One recorded evaluation."""
-
-    search: FloatArray
-    parameters: Mapping[str, float]
-    criteria: FloatArray
-    constraints: FloatArray
-    cost: float
-    failure: str | None
-    purpose: str
-    seconds: float
-    improved: bool
-    residuals: FloatArray | None = None
-    predictions: tuple[FloatArray, ...] = ()
-
-    def evaluation(self) -> Evaluation:
-        """Return the row as an evaluation."""
-        residuals = np.zeros(0) if self.residuals is None else self.residuals
-        return Evaluation(
-            self.search,
-            self.parameters,
-            self.criteria,
-            residuals,
-            self.cost,
-            self.constraints,
-            self.failure,
-            self.seconds,
-            self.predictions,
-        )
 
 
 @dataclass(slots=True, eq=False)
@@ -97,7 +66,7 @@ class StageHistory:
     criteria: tuple[str, ...]
     cases: tuple[str, ...]
     signals: tuple[tuple[str, ...], ...]
-    rows: list[Row] = field(default_factory=list)
+    rows: Rows = field(default_factory=Rows)
     begun: bytes | None = None  # its result, as JSON, before the first evaluation
     result: bytes | None = None
     asked: str = ""  # what was to be found about the result
@@ -105,11 +74,11 @@ class StageHistory:
     @property
     def costs(self) -> FloatArray:
         """(n,) costs."""
-        return read_only([row.cost for row in self.rows])
+        return read_only(self.rows.costs)
 
     def iterates(self) -> Iterator[tuple[int, Row]]:
         """Return the rows that improved, with their numbers."""
-        return ((i, row) for i, row in enumerate(self.rows) if row.improved)
+        return ((i, self.rows[i]) for i in np.flatnonzero(self.rows.improved).tolist())
 
 
 @dataclass(slots=True, eq=False)
@@ -169,12 +138,11 @@ class History:
     def __init__(self, folder: Path | None, *, resume: bool = False, begun: bytes = b"") -> None:
         self.folder = folder
         self._run = RecordedRun()
-        self._known: dict[str, dict[bytes, Row]] = {}
+        self._known: dict[str, dict[bytes, int]] = {}
         self._journal: Journal | None = None
         if folder is None:
             return
         make_folder(folder)
-        remove_unfinished(folder)
         path = folder / JOURNAL
         recorded, end = _read_journal(path) if path.exists() else (RecordedRun(), None)
         worked = any(stage.rows for stage in recorded.stages.values())
@@ -245,16 +213,18 @@ class History:
             evaluation.residuals if residuals and self._journal is not None else None,
             evaluation.predictions if improved else (),
         )
-        self.stages[stage].rows.append(row)
+        rows = self.stages[stage].rows
         if stage in self._known:
-            self._known[stage][row.search.tobytes()] = row
+            self._known[stage][row.search.tobytes()] = len(rows)
+        rows.append(row)
         self._append("row", {"stage": stage, **_packed(row)})
 
     def recall(self, stage: str, x: FloatArray, residuals: bool) -> Evaluation | None:
         """Return the evaluation of an interrupted run at `x`, if recorded."""
         if stage not in self._known:
-            self._known[stage] = {row.search.tobytes(): row for row in self.stages[stage].rows}
-        row = self._known[stage].get(x.tobytes())
+            self._known[stage] = {x.tobytes(): k for k, x in enumerate(self.stages[stage].rows.search)}
+        number = self._known[stage].get(x.tobytes())
+        row = None if number is None else self.stages[stage].rows[number]
         if row is None or (residuals and row.residuals is None and row.failure is None):
             return None
         return row.evaluation()
@@ -264,9 +234,7 @@ class History:
         record = {"stage": stage, "result": result, "asked": asked}
         self._append("result", record)
         self._run.take("result", record)
-        for row_number, row in enumerate(self.stages[stage].rows):
-            if row.residuals is not None:  # nobody asks for them again
-                object.__setattr__(self.stages[stage].rows[row_number], "residuals", None)
+        self.stages[stage].rows.forget_residuals()  # nobody asks for them again
 
     def conclude(self, result: bytes) -> None:
         """Record the final result of the run as JSON, and write ``history.h5``."""
@@ -380,53 +348,34 @@ def _fill(file: Any, run: RecordedRun) -> None:
         for key in ("parameters", "criteria", "cases"):
             group.attrs[key] = list(getattr(stage, key)) or ""
         group.attrs["signals"] = ["\n".join(names) for names in stage.signals]
-        rows: Sequence[Row] = stage.rows
-        group["parameters"] = _table([[r.parameters[p] for p in stage.parameters] for r in rows])
-        n_free = len(rows[0].search) if rows else 0
-        group["search"] = _table([r.search[:n_free] for r in rows])
-        for key in ("criteria", "constraints"):
-            group[key] = _table([getattr(r, key) for r in rows])
-        for key in ("cost", "seconds"):
-            group[key] = np.array([getattr(r, key) for r in rows], dtype=np.float64)
-        group["improved"] = np.array([r.improved for r in rows], dtype=bool)
-        group["failure"] = [r.failure or "" for r in rows] or np.zeros(0)
-        group["purpose"] = [r.purpose for r in rows] or np.zeros(0)
+        rows = stage.rows
+        group["parameters"] = rows.parameters(stage.parameters)
+        for key in ("search", "criteria", "constraints", "seconds", "improved"):
+            group[key] = getattr(rows, key)
+        group["cost"] = rows.costs
+        group["failure"] = rows.failures or np.zeros(0)
+        group["purpose"] = rows.purposes or np.zeros(0)
         for i, row in stage.iterates():
             iterate = group.create_group(f"iterates/{i}")
             for case, prediction in zip(stage.cases, row.predictions, strict=True):
                 iterate.create_dataset(case, data=prediction, compression="gzip", compression_opts=1)
 
 
-def _table(rows: Sequence[Any]) -> FloatArray:
-    """Return rows as (n, columns), also where there is none of either."""
-    return np.array(rows, dtype=np.float64).reshape(len(rows), len(rows[0]) if rows else 0)
-
-
 def _read_stage(name: str, group: Any) -> StageHistory:
     labels = {key: tuple(map(str, group.attrs[key])) for key in ("parameters", "criteria", "cases", "signals")}
-    columns = {key: group[key][()] for key in ("parameters", "search", "criteria", "constraints")}
-    flat = {key: group[key][()] for key in ("cost", "seconds", "improved")}
+    columns = {key: group[key][()] for key in ("search", "criteria", "constraints", "parameters")}
     failures, purposes = (
-        [v.decode() for v in group[key][()]] if len(group[key]) else [] for key in ("failure", "purpose")
+        (v.decode() for v in group[key][()]) if len(group[key]) else () for key in ("failure", "purpose")
     )
-    rows = []
-    for i in range(len(flat["cost"])):
-        iterate = group.get(f"iterates/{i}")
-        rows.append(
-            Row(
-                columns["search"][i],
-                dict(zip(labels["parameters"], map(float, columns["parameters"][i]), strict=True)),
-                columns["criteria"][i],
-                columns["constraints"][i],
-                float(flat["cost"][i]),
-                failures[i] or None,
-                purposes[i],
-                float(flat["seconds"][i]),
-                bool(flat["improved"][i]),
-                None,
-                () if iterate is None else tuple(iterate[case][()] for case in labels["cases"]),
-            )
-        )
+    iterates = group.get("iterates", {})
+    rows = Rows.of_columns(
+        labels["parameters"],
+        [*columns.values(), np.column_stack([group["cost"][()], group["seconds"][()]])],
+        purposes,
+        group["improved"][()],
+        {k: failure for k, failure in enumerate(failures) if failure},
+        {int(k): tuple(iterates[k][case][()] for case in labels["cases"]) for k in iterates},
+    )
     return StageHistory(
         name,
         str(group.attrs["fingerprint"]),

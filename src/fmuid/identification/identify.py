@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
@@ -337,6 +338,7 @@ def _result(
 ) -> StageResult:
     best, found = search.best, findings.uncertainty
     values = problem.space.tried(problem.space.start)[0] if best is None else dict(best.parameters)
+    values = {name: value for name, value in values.items() if math.isfinite(value)}  # no tie without a value
     estimates = []
     for i, free in enumerate(problem.space.free):
         spec = run.specs.get(free.name.split(SEPARATOR)[0], free)
@@ -357,7 +359,7 @@ def _result(
             )
         )
     for name in problem.space.ties:
-        if name in run.specs and run.specs[name].truth is not None:
+        if name in values and name in run.specs and run.specs[name].truth is not None:
             spec = run.specs[name]
             estimates.append(
                 Estimate(name, values[name], spec.start, spec.unit, truth=spec.truth, description="tied")

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
+import numpy as np
 
 from fmuid.core.errors import FmuidError
 from fmuid.core.files import write_atomically
@@ -269,14 +270,16 @@ def _reached(stage: StageHistory) -> StageResult:
     begun = msgspec.json.decode(stage.result or stage.begun or b"", type=StageResult)
     if stage.result is not None:
         return begun
-    rows = [row for row in stage.rows if row.purpose in ("search", "derivative")]
-    first = next((row for row in rows if row.failure is None), None)
-    best = next((row for _, row in reversed(list(stage.iterates()))), None)
+    rows, searched, failed = stage.rows, stage.rows.searched, stage.rows.failed
+    first, best = (
+        rows[int(numbers[end])] if numbers.size else None
+        for numbers, end in ((np.flatnonzero(searched & ~failed), 0), (np.flatnonzero(rows.improved), -1))
+    )
     counted = replace(
         begun,
-        evaluations=len(rows),
-        failures=sum(row.failure is not None for row in rows),
-        seconds=sum(row.seconds for row in stage.rows),
+        evaluations=int(searched.sum()),
+        failures=int((searched & failed).sum()),
+        seconds=float(rows.seconds.sum()),
         start_cost=None if first is None else first.cost,
     )
     if best is None or first is None:

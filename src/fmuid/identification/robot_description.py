@@ -33,7 +33,7 @@ def described(spec: RobotSpec, values: Mapping[str, float]) -> str:
     try:
         builder = ElementTree.TreeBuilder(insert_comments=True)
         root = ElementTree.fromstring(spec.file.read_bytes(), ElementTree.XMLParser(target=builder))
-    except (OSError, ElementTree.ParseError) as error:
+    except (OSError, ElementTree.ParseError, ValueError, LookupError) as error:
         fix = "name a URDF or MJCF file"
         raise CampaignError(f"cannot be read ({error})", where=spec.file, fix=fix) from None
     if root.tag not in _NAMES:

@@ -18,6 +18,7 @@ from fmuid.report.interactive import specification
 from fmuid.report.plots import Format, save_data, save_figures
 from fmuid.report.plots.figure_data import Cell, Figure, ParallelFigure, Table, slug, tables
 
+_MOST_ROWS = 500  # of a table on the page
 _PLACEHOLDER = "@plotly.js@"
 
 
@@ -116,7 +117,10 @@ def rendered(document: Document) -> str:
     environment.tests["webgl"] = lambda item: isinstance(item, ParallelFigure)
     environment.filters["json"] = _json
     page = environment.get_template("report.html.jinja").render(
-        document=document, specification=specification, stems=lambda figure: [stem for stem, _ in tables(figure)]
+        document=document,
+        specification=specification,
+        stems=lambda figure: [stem for stem, _ in tables(figure)],
+        most_rows=_MOST_ROWS,
     )
     # The library is 5 MB: put in last, so the template engine need not carry it.
     return page.replace(_PLACEHOLDER, get_plotlyjs().replace("</script", "<\\/script"), 1)

@@ -23,7 +23,7 @@ from fmuid.report.plots.figure_data import (
     Series,
     slug,
 )
-from fmuid.report.thinning import kept_samples
+from fmuid.report.thinning import MAX_SAMPLES, kept_samples
 
 TIME = Axis("time", "s")
 
@@ -144,9 +144,13 @@ def cost_figure(stages: Sequence[StageHistory]) -> LineFigure:
         first += stage.cost.size
     number, cost = np.concatenate(numbers), np.concatenate(costs)
     log = bool(np.nanmin(cost) > 0) if np.isfinite(cost).any() else False
+    lowest = np.concatenate(best)
+    keep = np.union1d(
+        kept_samples([cost, lowest]), np.cumsum([n.size for n in numbers]) - 1
+    )  # and the ends of stages
     series = (
-        Series("evaluation", number, cost, "iterate", points=True),
-        Series("best so far", number, np.concatenate(best), "final"),
+        Series("evaluation", number[keep], cost[keep], "iterate", points=True),
+        Series("best so far", number[keep], lowest[keep], "final"),
     )
     y = Axis("cost over the stage's first", log=log)
     panel = Panel("Search", Axis("evaluation"), y, series, tuple(marks) if len(marks) > 1 else ())
@@ -171,14 +175,17 @@ def parallel_figure(
         if low == high:
             low, high = low - 0.5 * abs(low) - 1e-12, high + 0.5 * abs(high) + 1e-12
         scales.append(Scale(Axis(name, unit, log and low > 0), low, high, reference))
+    every = -(-len(stage.cost) // MAX_SAMPLES)
+    shown = np.union1d(np.arange(0, len(stage.cost), every), stage.best)
+    which = "One line an evaluation" if every == 1 else f"One line for one in {every} evaluations"
     return ParallelFigure(
         f"parallel-{slug(stage.stage)}",
         f"Parallel coordinates: {stage.stage}",
         tuple(scales),
-        stage.values,
-        stage.cost,
-        stage.best,
-        "One line an evaluation, darker where the cost is lower. Drag along an axis to filter.",
+        stage.values[shown],
+        stage.cost[shown],
+        int(np.searchsorted(shown, stage.best)),
+        f"{which}, darker where the cost is lower. Drag along an axis to filter.",
     )
 
 

@@ -27,6 +27,7 @@ from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
 _CLOSE = 2.0  # times the noise: what a residual of two standard deviations would be
+_DRAWN = 48  # runs of one figure
 _SIMULATED = 0.3  # of the time that a report takes, until figures are drawn
 
 
@@ -320,15 +321,18 @@ def _fit_section(
     items: list[Figure | Table] = []
     overlaid: list[Figure | Table] = []
     caption = "Beneath: simulation minus measurement (mean of the repeats)."
-    for (setup, signal), some in drawn.items():
+    for (setup, signal), all_ in drawn.items():
+        worst = {s.experiment for s in _worst([s for s in judged if (s.setup, s.signal) == (setup, signal)])}
+        some = [o for o in all_ if o.experiment in worst]
+        chosen = "" if len(some) == len(all_) else f", the {len(some)} largest errors of {len(all_)} runs"
         stem = f"{role}-{slug(setup)}-{slug(signal)}"
-        heading = f"{signal}, {setup}: measurement and simulation"
+        heading = f"{signal}, {setup}{chosen}: measurement and simulation"
         overlaid.append(figures.overlay_figure(stem, heading, some, caption))
     if role == "validation":  # the stages show the other runs with their history
         items += overlaid
         overlaid = []
     if any(s.failure is None for s in judged):
-        items.append(figures.fit_figure(f"nrmse-{role}", judged))
+        items.append(figures.fit_figure(f"nrmse-{role}", _worst(judged)))
     header = ("run", "signal", "unit", "repeats", "RMSE", "noise floor", "NRMSE, %", "relative error, %", "note")
     rows = tuple(
         (
@@ -351,6 +355,12 @@ def _fit_section(
     digits = (5, 5, 5, 5, 3, 3, 3, 3, 5)
     items.append(Table(header, rows, f"fit-{role}", "Fit, run by run", caption, digits))
     return Section(title, tuple(items), text, tuple(overlaid), "Every run over time")
+
+
+def _worst(scores: Sequence[RunScore]) -> list[RunScore]:
+    """Return the scores that are drawn, in their order: all, or the worst of very many."""
+    ranked = sorted(range(len(scores)), key=lambda k: -np.nan_to_num(scores[k].nrmse, nan=np.inf))
+    return [scores[k] for k in sorted(ranked[:_DRAWN])]
 
 
 def _plain(e: Estimate, reference: float | None) -> figures.Estimate:

@@ -55,10 +55,10 @@ def _present(items: Sequence[Figure | Table | None]) -> tuple[Figure | Table, ..
 
 def search_history(result: StageResult, recorded: Recorded) -> StageHistory:
     """Return what the search evaluated, without what was asked about its result."""
-    rows = [r for r in recorded.rows if r.purpose in ("search", "derivative")]
     names = tuple(e.name for e in result.estimates if e.name not in result.ties)
-    values = np.array([[r.parameters[n] for n in names] for r in rows]).reshape(len(rows), len(names))
-    return StageHistory(result.name, names, values, np.array([r.cost for r in rows], dtype=np.float64))
+    searched = recorded.rows.searched
+    values = recorded.rows.parameters(names)[searched].reshape(-1, len(names))
+    return StageHistory(result.name, names, values, recorded.rows.costs[searched])
 
 
 def iterates(

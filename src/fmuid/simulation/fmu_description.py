@@ -98,7 +98,7 @@ def read_description(path: Path) -> FmuDescription:
     with ZipFile(path) as archive:
         try:
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-        except ElementTree.ParseError as error:
+        except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last: an unknown encoding
             raise ValueError(f"modelDescription.xml: {error}") from None
     version = root.get("fmiVersion", "")
     fmi = 2 if version.startswith("2") else 3

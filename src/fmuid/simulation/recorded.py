@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from fmuid.core.files import make_folder, remove_unfinished
+from fmuid.core.files import make_folder
 from fmuid.core.immutable import FloatArray
 from fmuid.core.journal import Journal, check_resumable, records
 from fmuid.simulation.runners import Job, Outcome, Runner
@@ -47,7 +47,6 @@ class RecordedSimulations:
 
     def __init__(self, file: Path, *, resume: bool, complete: bool) -> None:
         make_folder(file.parent)
-        remove_unfinished(file.parent)
         there = file.exists()
         found = list(_positions(file)) if there else []
         check_resumable(file.parent, resume, interrupted=bool(found), complete=complete and not there)

@@ -108,10 +108,10 @@ class Problem:
         space = expanded(
             specs, stage.free, values, stage.tie, [case.id for case in cases], machines=[c.machine for c in cases]
         )
-        here = space.tried(space.start)[0]
+        here, nowhere = space.tried(space.start)
         accuracy = SolverAccuracy()
         # Segments and observers keep predictions close to what was measured.
-        if settled and stage.segments is None and not stage.observer:
+        if settled and nowhere is None and stage.segments is None and not stage.observer:
             accuracy = solver_accuracy(cases, here, [case.start_values(here) for case in cases], runner)
         if accuracy.until:
             cases = case_building.from_campaign(

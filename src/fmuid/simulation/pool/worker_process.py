@@ -50,7 +50,8 @@ def main(connection: Channel, folder: str) -> None:
     threading.Thread(target=_leave_with_parent, args=(folder,), daemon=True).start()
     with suppress(EOFError, OSError):  # the pool has let go of this worker, or is gone
         _serve(connection)
-    sys.stdout.flush()
+    if sys.stdout is not None:  # it may be closed
+        sys.stdout.flush()
     parent = multiprocessing.parent_process()
     if parent is None or not parent.is_alive():  # else it clears up itself
         _clear(folder)

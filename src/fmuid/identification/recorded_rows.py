@@ -1,0 +1,217 @@
+"""Recorded evaluations in columns: some hundred bytes an evaluation, however many there are."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.evaluation import Evaluation
+
+SEARCHED = ("search", "derivative")
+"""Purposes of what a search evaluated; the others were asked about its result."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Row:
+    """One recorded evaluation."""
+
+    search: FloatArray
+    parameters: Mapping[str, float]
+    criteria: FloatArray
+    constraints: FloatArray
+    cost: float
+    failure: str | None
+    purpose: str
+    seconds: float
+    improved: bool
+    residuals: FloatArray | None = None
+    predictions: tuple[FloatArray, ...] = ()
+
+    def evaluation(self) -> Evaluation:
+        """Return the row as an evaluation."""
+        residuals = np.zeros(0) if self.residuals is None else self.residuals
+        return Evaluation(
+            self.search,
+            self.parameters,
+            self.criteria,
+            residuals,
+            self.cost,
+            self.constraints,
+            self.failure,
+            self.seconds,
+            self.predictions,
+        )
+
+
+class Rows(Sequence[Row]):
+    """The evaluations of one stage: numbers in one array, the rest by number of the row where there is any.
+
+    All have the parameters of the first, and as many of everything else.
+    """
+
+    def __init__(self) -> None:
+        self._names: tuple[str, ...] = ()
+        self._ends: tuple[
+            int, ...
+        ] = ()  # of search, criteria, constraints, parameters, cost and seconds in a line
+        self._numbers = array("d")
+        self._purposes: list[str] = []
+        self._improved = bytearray()
+        self._failures: dict[int, str] = {}
+        self._residuals: dict[int, FloatArray] = {}
+        self._predictions: dict[int, tuple[FloatArray, ...]] = {}
+
+    @classmethod
+    def of_columns(
+        cls,
+        names: Sequence[str],
+        blocks: Sequence[FloatArray],
+        purposes: Iterable[str],
+        improved: NDArray[np.bool_],
+        failures: Mapping[int, str],
+        predictions: Mapping[int, tuple[FloatArray, ...]],
+    ) -> Rows:
+        """Return rows of (n, columns) blocks: search, criteria, constraints, parameters, cost and seconds."""
+        rows = cls()
+        rows._names = tuple(names)
+        rows._ends = tuple(np.cumsum([block.shape[1] for block in blocks]).tolist())
+        rows._numbers.frombytes(np.hstack(blocks).tobytes())
+        known: dict[str, str] = {}
+        rows._purposes = [known.setdefault(purpose, purpose) for purpose in purposes]
+        rows._improved = bytearray(improved.astype(np.uint8).tobytes())
+        rows._failures, rows._predictions = dict(failures), dict(predictions)
+        return rows
+
+    def append(self, row: Row) -> None:
+        """Add an evaluation.
+
+        Raises
+        ------
+        ValueError
+            It has other parameters than the first, or another number of anything.
+        """
+        parts: list[Any] = [
+            row.search,
+            row.criteria,
+            row.constraints,
+            row.parameters.values(),
+            (row.cost, row.seconds),
+        ]
+        ends = tuple(accumulate(map(len, parts)))
+        number = len(self)
+        if not number:
+            self._names, self._ends = tuple(row.parameters), ends
+        if (tuple(row.parameters), ends) != (self._names, self._ends):
+            raise ValueError(f"an evaluation with other columns than the first: {tuple(row.parameters)}")
+        for part in parts:
+            self._numbers.extend(part)
+        self._purposes.append(row.purpose)
+        self._improved.append(row.improved)
+        if row.failure is not None:
+            self._failures[number] = row.failure
+        if row.residuals is not None:
+            self._residuals[number] = row.residuals
+        if row.predictions:
+            self._predictions[number] = row.predictions
+
+    def __len__(self) -> int:
+        return len(self._purposes)
+
+    @overload
+    def __getitem__(self, number: int) -> Row: ...
+    @overload
+    def __getitem__(self, number: slice) -> list[Row]: ...
+    def __getitem__(self, number: int | slice) -> Row | list[Row]:
+        if isinstance(number, slice):
+            return [self[k] for k in range(*number.indices(len(self)))]
+        number = range(len(self))[number]
+        width = self._ends[-1]
+        line = np.array(self._numbers[number * width : (number + 1) * width])
+        search, criteria, constraints, parameters, (cost, seconds) = np.split(line, self._ends[:-1])
+        return Row(
+            search,
+            dict(zip(self._names, parameters.tolist(), strict=True)),
+            criteria,
+            constraints,
+            float(cost),
+            self._failures.get(number),
+            self._purposes[number],
+            float(seconds),
+            bool(self._improved[number]),
+            self._residuals.get(number),
+            self._predictions.get(number, ()),
+        )
+
+    @property
+    def search(self) -> FloatArray:
+        """(n, n_free) points of the search space."""
+        return self._block(0)
+
+    @property
+    def criteria(self) -> FloatArray:
+        """(n, n_criteria), NaN if failed."""
+        return self._block(1)
+
+    @property
+    def constraints(self) -> FloatArray:
+        """(n, n_constraints)."""
+        return self._block(2)
+
+    def parameters(self, names: Sequence[str]) -> FloatArray:
+        """(n, names) values of parameters."""
+        return self._block(3)[:, [self._names.index(name) for name in names] if len(self) else []]
+
+    @property
+    def costs(self) -> FloatArray:
+        """(n,) costs, NaN if failed."""
+        return self._block(4)[:, 0] if len(self) else np.zeros(0)
+
+    @property
+    def seconds(self) -> FloatArray:
+        """(n,) times that they took."""
+        return self._block(4)[:, 1] if len(self) else np.zeros(0)
+
+    @property
+    def searched(self) -> NDArray[np.bool_]:
+        """(n,) whether the search evaluated it, not what was asked about its result."""
+        return np.array([purpose in SEARCHED for purpose in self._purposes], dtype=bool)
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """(n,) whether it failed."""
+        failed = np.zeros(len(self), dtype=bool)
+        failed[list(self._failures)] = True
+        return failed
+
+    @property
+    def improved(self) -> NDArray[np.bool_]:
+        """(n,) whether it was the best so far."""
+        return np.array(self._improved, dtype=bool)
+
+    @property
+    def failures(self) -> list[str]:
+        """Why they failed, empty if they did not."""
+        return [self._failures.get(k, "") for k in range(len(self))]
+
+    @property
+    def purposes(self) -> Sequence[str]:
+        """What they were made for."""
+        return self._purposes
+
+    def forget_residuals(self) -> None:
+        """Drop the residuals, which only a solver that resumes asks for."""
+        self._residuals.clear()
+
+    def _block(self, part: int) -> FloatArray:
+        if not len(self):
+            return np.zeros((0, 0))
+        begin = self._ends[part - 1] if part else 0
+        lines = np.frombuffer(self._numbers).reshape(len(self), self._ends[-1])
+        return lines[:, begin : self._ends[part]].copy()  # the array cannot grow while it is looked at

@@ -1,0 +1,47 @@
+"""How runs end that are stopped, or that cannot succeed: the last section of `docs/errors.md` has the line of each."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from endings import ENDINGS, FMUID, Ending, run, shown
+from test_catalogue import PAGE
+
+HEAD = """
+## Runs that are stopped, or cannot succeed
+
+These are said in one line, too, but there is a result, or something to go on from ([nothing is lost](nothing_lost.md)).
+
+| what happens | to | exit code | the line |
+|---|---|---|---|
+"""
+
+
+@pytest.mark.parametrize(
+    "ending",
+    [pytest.param(e, marks=() if k in (0, 5, 8) else pytest.mark.slow, id=e.what) for k, e in enumerate(ENDINGS)],
+)
+def test_how_a_run_ends(ending: Ending, folder: Path) -> None:
+    ending.make()
+    done = (ending.end or run)([*FMUID, *shlex.split(ending.command)])
+    assert "Traceback" not in done.stderr
+    assert done.returncode == ending.code, done.stderr
+    lines = [line for line in (done.stderr + done.stdout).splitlines() if re.search(ending.line, line)]
+    line = shown(lines[-1].strip().removeprefix("! "))
+    row = f"| {ending.what} | `fmuid {ending.command}` | {ending.code} | `{line}` |"
+    if "FMUID_WRITE_ERRORS" in os.environ:
+        text = PAGE.read_text() + (HEAD if ending is ENDINGS[0] else "")
+        PAGE.write_text(f"{text}{row}\n")
+    assert row in PAGE.read_text().splitlines()
+
+
+def test_the_page_has_no_other_endings() -> None:
+    _, _, section = PAGE.read_text().partition(HEAD)
+    assert len(section.splitlines()) == len(ENDINGS)

@@ -1,0 +1,62 @@
+"""A command whose n-th operation on a file fails: one line of JSON for each n.
+
+`LD_PRELOAD=failing_writes.so python every_write.py FMU FOLDER identify|diagnose short|full-once|full|broken STEP`:
+every so many n. The first line is of the run that nothing happens to.
+"""
+
+import ctypes
+import json
+import os
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+import test_survival
+
+from fmuid.cli.app import run
+
+HOW = {"short": 1, "full-once": 2, "full": 3, "broken": 4}
+
+
+def ended(arguments: Sequence[str], said: Path, below: Path, at: int, how: str) -> int:
+    """Run a command in a process of its own, and return its exit code; `said` gets what it says."""
+    child = os.fork()
+    if child:
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    with said.open("w") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+    arm = ctypes.CDLL(None).failing_writes_arm
+    arm.argtypes, arm.restype = (ctypes.c_char_p, ctypes.c_long, ctypes.c_int), ctypes.c_long
+    arm(str(below).encode(), at, HOW[how])
+    code = run(arguments)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    said.with_suffix(".count").write_text(str(arm(b"", 0, 0)))
+    os._exit(code)
+
+
+def main() -> None:
+    fmu, folder, how, step = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[4], int(sys.argv[5])
+    kind = {"identify": test_survival.Identification, "diagnose": test_survival.Diagnosis}[sys.argv[3]]
+    bench, said = kind.campaign(fmu, folder / "bench"), folder / "said.txt"
+    last, at = 0, 0
+    while at <= last:
+        out = bench / "run"
+        code = ended(kind.arguments(bench), said, out, at, how)
+        line = {"at": at, "code": code, "said": said.read_text()}
+        if at == 0:
+            last = int(said.with_suffix(".count").read_text())
+        if code:
+            again = ended([*kind.arguments(bench), "--resume"], said, out, 0, how)
+            line["again"] = 0 if "the run is complete" in said.read_text() else again
+        line["found"] = [sorted(kind.found(bench)[0]), kind.found(bench)[1]]
+        print(json.dumps(line), flush=True)
+        shutil.rmtree(out)
+        at += 1 if at == 0 else step
+
+
+if __name__ == "__main__":
+    main()
