@@ -484,7 +484,7 @@ def _check_version(path: Path) -> None:
             while chunk and count <= MAX_VARIABLES:
                 count += chunk.count(b"valueReference=")
                 chunk = file.read(1_000_000)
-    if version and version[1][:1] not in b"23":
+    if version and version[1].partition(b".")[0] not in (b"2", b"3"):
         words = version[1].decode(errors="replace")
         raise FmuError(f"has FMI version {words}; 2.0 and 3.0 are supported", where=path, fix="export it again")
     if count > MAX_VARIABLES:
