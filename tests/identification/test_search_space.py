@@ -65,7 +65,7 @@ def test_what_all_runs_share_does_not_follow_what_each_has_its_own_of():
 @pytest.mark.parametrize(
     ("ties", "message"),
     [
-        ({"a": "b", "b": "a"}, "circle"),
+        ({"a": "b", "b": "a"}, "circular ties"),
         ({"b": "nothing"}, "unknown parameter 'nothing'"),
         ({"nothing": "a"}, "unknown parameter 'nothing'"),
     ],
