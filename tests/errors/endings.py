@@ -116,7 +116,7 @@ ENDINGS = [
     Ending("a `tie` without a value at the start", IDENTIFY, 1, "the start point fails", stage('free = ["m"]\ntie = { d = "(m - 9)**0.5" }')),
     Ending("a `tie` without a value at some points", IDENTIFY, 1, "candidates", stage('free = ["m"]\ntie = { d = "(1.1 - m)**0.5" }\nsolver = "bobyqa"')),
     Ending("a user's criterion that raises", f"{IDENTIFY} --trust", 1, "the start point fails", stage(f"criteria = [{USER}]"), trusted),
-    Ending("a sensor with the wrong sign", IDENTIFY, 0, "against the direction", scaled(-1.0)),
-    Ending("degrees for radians", IDENTIFY, 0, "look at its unit", scaled(57.29578)),
+    Ending("a sensor with the wrong sign", IDENTIFY, 0, "with the opposite sign", scaled(-1.0)),
+    Ending("degrees for radians", IDENTIFY, 0, "check its unit", scaled(57.29578)),
     Ending("a model that misses something", IDENTIFY, 0, "times its noise", replaced("c = 90", "c = 80")),
 ]  # fmt: skip
