@@ -222,7 +222,7 @@ class History:
     def recall(self, stage: str, x: FloatArray, residuals: bool) -> Evaluation | None:
         """Return the evaluation of an interrupted run at `x`, if recorded."""
         if stage not in self._known:
-            self._known[stage] = {x.tobytes(): k for k, x in enumerate(self.stages[stage].rows.search)}
+            self._known[stage] = self.stages[stage].rows.numbers
         number = self._known[stage].get(x.tobytes())
         row = None if number is None else self.stages[stage].rows[number]
         if row is None or (residuals and row.residuals is None and row.failure is None):

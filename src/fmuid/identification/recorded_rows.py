@@ -53,15 +53,16 @@ class Row:
 class Rows(Sequence[Row]):
     """The evaluations of one stage: numbers in one array, the rest by number of the row where there is any.
 
-    All have the parameters of the first, and as many of everything else.
+    All have the parameters of the first, and as many of everything else. A search point may have further
+    coordinates (those of parameters that a stage holds), which are kept beside the array.
     """
 
     def __init__(self) -> None:
         self._names: tuple[str, ...] = ()
-        self._ends: tuple[
-            int, ...
-        ] = ()  # of search, criteria, constraints, parameters, cost and seconds in a line
+        # Of search, criteria, constraints, parameters, cost and seconds in a line.
+        self._ends: tuple[int, ...] = ()
         self._numbers = array("d")
+        self._further: dict[int, FloatArray] = {}
         self._purposes: list[str] = []
         self._improved = bytearray()
         self._failures: dict[int, str] = {}
@@ -97,21 +98,28 @@ class Rows(Sequence[Row]):
         ValueError
             It has other parameters than the first, or another number of anything.
         """
+        number = len(self)
+        if not number:
+            self._names = tuple(row.parameters)
+        if row.parameters.keys() != set(self._names):
+            raise ValueError(f"an evaluation with other parameters than the first: {tuple(row.parameters)}")
+        free = self._ends[0] if number else len(row.search)
         parts: list[Any] = [
-            row.search,
+            row.search[:free],
             row.criteria,
             row.constraints,
-            row.parameters.values(),
+            [row.parameters[name] for name in self._names],
             (row.cost, row.seconds),
         ]
         ends = tuple(accumulate(map(len, parts)))
-        number = len(self)
         if not number:
-            self._names, self._ends = tuple(row.parameters), ends
-        if (tuple(row.parameters), ends) != (self._names, self._ends):
-            raise ValueError(f"an evaluation with other columns than the first: {tuple(row.parameters)}")
+            self._ends = ends
+        if ends != self._ends:
+            raise ValueError(f"an evaluation with {ends} columns after one with {self._ends}")
         for part in parts:
             self._numbers.extend(part)
+        if len(row.search) > free:
+            self._further[number] = row.search[free:]
         self._purposes.append(row.purpose)
         self._improved.append(row.improved)
         if row.failure is not None:
@@ -136,7 +144,7 @@ class Rows(Sequence[Row]):
         line = np.array(self._numbers[number * width : (number + 1) * width])
         search, criteria, constraints, parameters, (cost, seconds) = np.split(line, self._ends[:-1])
         return Row(
-            search,
+            np.append(search, self._further[number]) if number in self._further else search,
             dict(zip(self._names, parameters.tolist(), strict=True)),
             criteria,
             constraints,
@@ -153,6 +161,14 @@ class Rows(Sequence[Row]):
     def search(self) -> FloatArray:
         """(n, n_free) points of the search space."""
         return self._block(0)
+
+    @property
+    def numbers(self) -> dict[bytes, int]:
+        """Whole search point, as bytes -> the number of its last row."""
+        return {
+            (np.append(x, self._further[k]) if k in self._further else x).tobytes(): k
+            for k, x in enumerate(self.search)
+        }
 
     @property
     def criteria(self) -> FloatArray:
