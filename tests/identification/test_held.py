@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from fmuid import (
     identify,
 )
 from fmuid.core.campaign import ModelSpec
+from fmuid.identification.uncertainty.earlier_stages import Known
 from fmuid.identification.uncertainty.inherited import effective_degrees
 
 A, B, SIGMA = 2.0, 0.5, 0.1
@@ -64,6 +66,40 @@ def test_degrees_of_freedom_of_a_sum_of_variances():
     assert effective_degrees(parts[:3], np.array([5.0, 9.0])) == pytest.approx(
         [16 / 1.2, 16 / (4 / 5 + 4 / 9), 5.0]
     )
+
+
+def test_errors_of_two_correlated_parameters_and_of_what_they_inherit_add_up():
+    """In model space: the stage's own covariance, slopes times errors of what it holds, and differences of ties."""
+    slope, own = np.array([2.0, 0.5]), np.array([[1.0, 0.6], [0.6, 4.0]])
+    slopes, held = np.array([[0.4], [-0.2]]), np.array([3.0, 0.0])
+    inherited = np.outer(slopes / slope[:, None], slopes / slope[:, None]) * (held @ held)
+    space = SimpleNamespace(
+        names=("a", "b"),
+        ties={"t": "a - 3*b"},
+        slope=lambda x: slope,
+        followed=lambda p: {**p, "t": p["a"] - 3.0 * p["b"]},
+    )
+    found = SimpleNamespace(
+        point=(1.0, 1.0),
+        covariance=own + inherited,
+        inherited=inherited.tolist(),
+        standard_errors=(1.0, 1.0),
+        held=("h",),
+        held_slopes=slopes,
+        degrees_of_freedom=11.0,
+    )
+    before = Known({"h": held, "t": np.array([9.0, 9.0]), "b": np.array([9.0, 9.0])}, np.array([5.0, 7.0]))
+    after = before.after(SimpleNamespace(space=space), found, {"h": 1.0, "a": 1.0, "b": 2.0, "t": -5.0})
+    assert list(after.degrees) == [5.0, 7.0, 11.0, 11.0]
+    assert after.rows.keys() == {"h", "a", "b", "t"}
+    rows = np.array([after.rows["a"], after.rows["b"]])
+    np.testing.assert_allclose(rows[:, :2], slopes @ held[None, :])
+    np.testing.assert_allclose(rows[:, 2:] @ rows[:, 2:].T, own * np.outer(slope, slope))
+    np.testing.assert_allclose(after.rows["t"], rows[0] - 3.0 * rows[1], atol=1e-9)
+    np.testing.assert_allclose(after.rows["h"], [3.0, 0.0, 0.0, 0.0])
+    unknown = before.after(SimpleNamespace(space=space), None, {"h": 1.0, "a": 1.0, "b": 2.0, "t": -5.0})
+    assert unknown.rows.keys() == {"h"}
+    assert unknown.unsure == {"a", "b"}
 
 
 def textbook():
