@@ -60,6 +60,17 @@ def test_a_wrong_unit_is_said_first(analytic, measured, factor, units):
     assert first.endswith("check its unit and those of the inputs")
 
 
+def test_only_units_of_the_signals_own_quantity_are_suggested(analytic, measured):
+    def in_units(function, parameters):
+        return analytic(function, parameters, units={"u": "W", "y": "K"})
+
+    (first, *_) = warnings(in_units, np.rad2deg(measured), sigma=0.06)
+    assert "was measured as" in first
+    assert "about as between" not in first
+    (first, *_) = warnings(in_units, 1000.0 * measured, sigma=1.0)
+    assert "any unit and its thousandth" in first
+
+
 def test_what_the_model_misses_is_told_in_terms_of_the_noise(analytic, measured):
     missed = 0.05 * np.sin(TIME / 20.0)  # RMS 35 sigma, 3 % of the signal
     (said,) = warnings(analytic, measured + missed)

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fmuid.core.errors import UnitError
 from fmuid.core.immutable import FloatArray
+from fmuid.core.units import conversion
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 
@@ -17,15 +19,16 @@ _UNEXPLAINED = 0.1  # share of the signal's energy that a fit leaves before its 
 _ALIKE = 0.8  # correlation: scaled by one number, the prediction explains two thirds of the signal
 _SCALED = 2.5  # factor between measurement and prediction that a start value is not likely to be off by
 _NEAR = math.log(1.5)  # from the factor between two units: start values are off as well
-_FACTORS: Mapping[str, float] = {
-    "degrees and radians": 180.0 / math.pi,
-    "turns and radians, or Hz and rad/s": 2.0 * math.pi,
-    "rpm and rad/s": 30.0 / math.pi,
-    "percent and fractions, or cm and m": 100.0,
-    "mm and m, or any unit and its thousandth": 1e3,
-    "a unit and its millionth": 1e6,
-    "kgf and N": 9.80665,
-    "km/h and m/s": 3.6,
+# Factor between two units, and the quantities that are measured in them; none: any quantity.
+_FACTORS: Mapping[str, tuple[float, tuple[str, ...]]] = {
+    "degrees and radians": (180.0 / math.pi, ("rad", "rad/s", "rad/s2")),
+    "turns and radians, or Hz and rad/s": (2.0 * math.pi, ("rad", "rad/s", "rad/s2")),
+    "rpm and rad/s": (30.0 / math.pi, ("rad/s",)),
+    "percent and fractions, or cm and m": (100.0, ("1", "m", "m/s")),
+    "mm and m, or any unit and its thousandth": (1e3, ()),
+    "a unit and its millionth": (1e6, ()),
+    "kgf and N": (9.80665, ("N", "N.m")),
+    "km/h and m/s": (3.6, ("m/s",)),
 }
 
 
@@ -64,7 +67,8 @@ def misfit(problem: Problem, first: Evaluation | None, best: Evaluation) -> tupl
         known = [(seen, where) for seen, where in views if seen is not None]
         if known and known[-1][0].unexplained > _UNEXPLAINED:
             # At the start first: a fit has bent the shape towards what it cannot reach.
-            found += next((d for d in (_doubt(signal, *one) for one in known) if d), [])
+            units = _units(problem, signal)
+            found += next((d for d in (_doubt(signal, units, *one) for one in known) if d), [])
     if times and (worst := max(times, key=lambda name: times[name])) and times[worst] > _TIMES_NOISE:
         found.append(
             f"the residual of {worst} is {times[worst]:.3g} times its noise: "
@@ -105,7 +109,28 @@ def _seen(problem: Problem, evaluation: Evaluation, signal: str) -> _Seen | None
     return _Seen(mp / math.sqrt(mm * pp), mp / pp, float(np.sum(e * e)) / mm)
 
 
-def _doubt(signal: str, seen: _Seen, where: str) -> list[str]:
+def _units(problem: Problem, signal: str) -> tuple[str | None, ...]:
+    """Return the units of a signal and of the inputs it answers to: one of them is the wrong one."""
+    seen = [(case, c) for case in problem.cases for c in case.channels if c.signal == signal]
+    own = [c.unit or case.simulator.variables[c.variable].unit for case, c in seen]
+    inputs = [case.simulator.variables[n].unit for case, _ in seen for n in case.task.inputs]
+    return tuple(dict.fromkeys([*own, *inputs]))
+
+
+def _measured_in(units: tuple[str | None, ...], known: tuple[str, ...]) -> bool:
+    """Return whether one of the units is of a known quantity; a variable without a unit may be of any."""
+    return not known or None in units or any(u is not None and _alike(u, k) for u in units for k in known)
+
+
+def _alike(unit: str, other: str) -> bool:
+    try:
+        conversion(unit, other)
+    except UnitError:
+        return False
+    return True
+
+
+def _doubt(signal: str, units: tuple[str | None, ...], seen: _Seen, where: str) -> list[str]:
     at = f"at the {where} (correlation {seen.correlation:+.2f})"
     if seen.correlation < -_ALIKE:
         return [
@@ -115,11 +140,10 @@ def _doubt(signal: str, seen: _Seen, where: str) -> list[str]:
     if seen.correlation > _ALIKE:
         ratio = max(seen.gain, 1.0 / seen.gain)
         if ratio > _SCALED:
-            far = {units: abs(math.log(ratio / factor)) for units, factor in _FACTORS.items()}
+            possible = {pair: factor for pair, (factor, known) in _FACTORS.items() if _measured_in(units, known)}
+            far = {pair: abs(math.log(ratio / factor)) for pair, factor in possible.items()}
             close = [
-                f"{units} ({_FACTORS[units]:.4g})"
-                for units in sorted(far, key=far.__getitem__)
-                if far[units] < _NEAR
+                f"{pair} ({possible[pair]:.4g})" for pair in sorted(far, key=far.__getitem__) if far[pair] < _NEAR
             ]
             near = f", about as between {' or '.join(close)}" if close else ""
             what = f"{signal} was measured as {seen.gain:.3g} times its prediction {at}{near}"
