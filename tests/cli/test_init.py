@@ -61,6 +61,7 @@ def test_init_makes_a_campaign_that_runs(
         "measurements.h5",
     ]
     campaign = load_campaign("drive")
+    assert campaign.title == oscillator.stem
     assert set(campaign.parameters) == {"m", "d", "c"}  # `spare` and `gain` move no measured output
     assert '# [parameters."spare"]' in Path("drive/campaign.toml").read_text()
     assert (campaign.identification, campaign.validation) == (("step", "sine"), ("pulse",))

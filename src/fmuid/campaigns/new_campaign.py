@@ -301,6 +301,7 @@ def _toml(
         "# A campaign: which model, which parameters, which runs. See docs/formats.md.",
         "[campaign]",
         f"name = {toml_text(folder.resolve().name)}",
+        f"title = {toml_text(model.class_name if isinstance(model, ModelSource) else setup)}",
         'measurements = "measurements.h5"',
         "",
         "# The model of each setup. `map` names the FMU's variable for a signal, setting or parameter.",
