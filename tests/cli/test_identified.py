@@ -128,6 +128,18 @@ def test_a_run_killed_before_its_models_were_written_gets_them_on_resume(folder:
     assert fmuid("identify", folder, "--out", "run", "--resume")[0] == 2  # it is complete
 
 
+def test_a_run_is_found_from_another_folder_and_after_a_move_with_its_campaign(
+    folder: Path, fmuid, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert fmuid("identify", folder.name, "--out", "project/run", "--no-report")[0] == 0
+    written = Result.from_json("project/run")
+    assert Path(written.source) == folder.resolve()
+    Path("elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")
+    assert Result.from_json("../project/run") == written
+    assert fmuid("validate", "../project/run")[::2] == (0, "")
+
+
 @pytest.mark.parametrize("status", [Status.FAILED, Status.INTERRUPTED])
 def test_only_a_success_is_written_back(folder: Path, fmuid, status: Status) -> None:
     assert fmuid("identify", folder, "--out", "run", "--no-report", "--evaluations", 3)[0] == 0

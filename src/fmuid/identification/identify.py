@@ -161,7 +161,7 @@ def identify(
     summary = Result(
         campaign=campaign.name if campaign else plan[0].name,
         title=campaign.title if campaign else "",
-        source=str(campaign.folder) if campaign else "",
+        source=str(campaign.folder.resolve()) if campaign else "",
         stages=(),
         parameters={},
         versions=versions(_LIBRARIES),
@@ -171,7 +171,7 @@ def identify(
     with (
         runner_on(workers, executor=executor, time_limit=time_limit, memory_limit=memory_limit) as runner,
         nullcontext() if folder is None else claim(folder),
-        History(folder, resume=resume, begun=msgspec.json.encode(summary)) as history,
+        History(folder, resume=resume, begun=summary.encoded(folder)) as history,
     ):
         run = _Run(history, observer or Observer(), seed, specs)
         for step in plan:
@@ -185,7 +185,7 @@ def identify(
                 break
         summary = replace(summary, stages=tuple(results), parameters=best, seconds=clock.perf_counter() - begin)
         # A kill between any two of these leaves what the result can be read from.
-        history.conclude(msgspec.json.encode(summary))
+        history.conclude(summary.encoded(folder))
         if folder is not None:
             summary.to_json(folder / FILE)
         history.close(complete=summary.status is not Status.INTERRUPTED)

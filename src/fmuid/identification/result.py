@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import html
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -147,7 +148,7 @@ class Result:
     Parameters
     ----------
     campaign, title, source
-        Name and title of the campaign, and the file it came from.
+        Name and title of the campaign, and its folder as an absolute path.
     stages
         Outcomes of the stages, in order.
     parameters
@@ -217,10 +218,19 @@ class Result:
 
     def to_json(self, path: str | Path | None = None) -> str:
         """Return the result as JSON, and write it to `path` if given."""
-        text = msgspec.json.format(msgspec.json.encode(self), indent=1).decode() + "\n"
+        written = self.encoded(None if path is None else Path(path).parent)
+        text = msgspec.json.format(written, indent=1).decode() + "\n"
         if path is not None:
             write_atomically(Path(path), text)
         return text
+
+    def encoded(self, folder: Path | None) -> bytes:
+        """Return the result as JSON for a file in `folder`; the campaign is named relative to it.
+
+        So a run is found from everywhere, and moves together with its campaign.
+        """
+        near = self.source if folder is None else _relative(self.source, folder)
+        return msgspec.json.encode(replace(self, source=near))
 
     @classmethod
     def from_json(cls, path: str | Path) -> Result:
@@ -238,11 +248,20 @@ class Result:
                 recorded = _recorded(path)
                 if recorded is not None:
                     return recorded
-            return msgspec.json.decode(file.read_bytes(), type=cls)
+            return _decoded(file.read_bytes(), file.parent)
         except OSError:
             raise ResultError("no such file", where=file, fix="name a folder written by fmuid identify") from None
         except (msgspec.DecodeError, msgspec.ValidationError, UnicodeDecodeError) as error:
             raise ResultError(f"is not a result ({error})", where=file, fix="identify again") from None
+
+
+def _relative(source: str, folder: Path) -> str:
+    return source and os.path.relpath(source, folder.resolve())
+
+
+def _decoded(text: bytes, folder: Path) -> Result:
+    result = msgspec.json.decode(text, type=Result)
+    return replace(result, source=result.source and str((folder / result.source).resolve()))
 
 
 def _recorded(folder: Path) -> Result | None:
@@ -251,14 +270,14 @@ def _recorded(folder: Path) -> Result | None:
         return None
     run = read_run(folder)
     if run.result is not None:
-        return msgspec.json.decode(run.result, type=Result)
+        return _decoded(run.result, folder)
     if run.begun is None:
         return None
     stages = tuple(_reached(stage) for stage in run.stages.values() if stage.begun is not None)
     if not stages:
         raise ResultError("the run was stopped before its first stage", where=folder, fix="identify again")
     return replace(
-        msgspec.json.decode(run.begun, type=Result),
+        _decoded(run.begun, folder),
         stages=stages,
         parameters=dict(stages[-1].parameters),
         seconds=sum(stage.seconds for stage in stages),
