@@ -26,12 +26,12 @@ def front_items(result: StageResult) -> list[Figure | Table]:
             Series("estimate", np.array([front.chosen[i]]), np.array([front.chosen[k]]), "start", points=True),
         )
         name, other = front.objectives[i], front.objectives[k]
-        x, y = (Axis(f"{objective}, over its demand") for objective in (name, other))
+        x, y = (Axis(f"{objective}, over what was demanded") for objective in (name, other))
         panels.append(Panel(f"{name} against {other}", x, y, series))
     title = f"Pareto front: {result.name}"
     caption = (
-        "Objectives over their demands, at most 1 is satisfied. No point is beaten in everything; from one to the "
-        f"next something gets better and something worse. The search for them: {front.message}."
+        "Errors over what was demanded: at most 1 is as good as asked. No point is beaten in everything; from one "
+        f"to the next something gets better and something worse. The search for them: {front.message}."
     )
     names = [e.name for e in result.estimates if e.name in front.points[0].parameters]
     units = {e.name: pretty_unit(e.unit or "") for e in result.estimates}
@@ -97,12 +97,13 @@ def spread_table(result: StageResult) -> Table | None:
         return None
     rows = tuple((s.label, s.value, s.median, s.high, s.worst, 100.0 * s.satisfied) for s in result.spread)
     return Table(
-        ("criterion", "estimate", "median", "95 % below", "worst", "satisfied, %"),
+        ("criterion", "estimate", "median", "95 % below", "worst", "as good as asked, %"),
         rows,
         f"spread-{slug(result.name)}",
         "Criteria over the uncertainty of the parameters",
-        "Monte Carlo over the estimates' joint distribution, over the demands. Worst: also of the points of the "
-        "joint 95 % region where each criterion is expected to be largest.",
+        "Monte Carlo over the estimates' joint distribution. Errors are divided by what was demanded: at most 1 "
+        "is as good as asked. Worst: also of the points of the joint 95 % region where an error is expected to "
+        "be largest.",
         (5, 3, 3, 3, 3, 3),
     )
 

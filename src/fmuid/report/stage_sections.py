@@ -128,7 +128,7 @@ def _criteria(result: StageResult) -> Table | None:
         ("case", "criterion", "start", "end"),
         rows,
         f"criteria-{slug(result.name)}",
-        "Criteria over their demands",
+        "Error over what was demanded, by criterion",
         "Each criterion is divided by what was demanded of it: at most 1 is as good as asked. Where the demand is "
         "the noise, a perfect fit scatters about 1.",
         (5, 5, 3, 3),
