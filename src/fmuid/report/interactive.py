@@ -1,6 +1,10 @@
 """Figure values as plotly figures for the screen: plain dictionaries, drawn by plotly.js in the browser.
 
 Arrays travel as base64 of their bytes, so a report with many runs stays small.
+
+What a figure shows is decided once, in `plots.figure_data`. This module (about 450 lines) draws it for the screen,
+`plots.draw` (about 380) for print. One renderer would not serve: plotly exports static pictures through a browser
+(Kaleido needs Chrome), and Matplotlib draws them without one, but not for zooming.
 """
 
 from __future__ import annotations
