@@ -24,7 +24,8 @@ ROOT = Path(__file__).parents[1]
 FIGURE = "figures/benchmarks-scaling.png"
 PAGE = """# Benchmarks
 
-`make bench` measures everything on this page in one go and writes it.
+How fast fmuid simulates, builds FMUs and identifies, beside hand-written C and other tools on the same machine.
+`make bench` measures everything in one go and writes this page.
 Made {date} in {minutes:.0f} minutes{quick}.
 
 Machine: {machine}.

@@ -278,6 +278,7 @@ def page(results: dict[str, dict[str, Any]], shown: set[str]) -> str:
 
     lines = [
         "# Modelica by Example", "",
+        "How much Modelica `fmuid build` understands, measured on the models of a textbook.", "",
         "Every complete model of M. Tiller's book [Modelica by Example](https://mbe.modelica.university/):",
         "translated and built, valid (fmpy), simulated to the end for as long as the book simulates it (10 s if",
         "it does not). The book has no reference results: *right* are those whose variables lie inside a tube of",

@@ -26,9 +26,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "errors.md"
 HEAD = """\
 # Errors
 
-What is wrong is said in one line, on stderr: where, what, and what to do. The exit code is 2; nothing has been written. This
-page is a catalogue of wrong inputs, each with its line, and it is made and checked by a test that runs every command
-(`tests/errors`). An error that is more than one line, or a traceback, is a bug of fmuid's.
+Search this page for the line you got: it shows which input leads to it, and the line says what to do. Every error is one line
+on stderr (where, what, and what to do) with exit code 2, and nothing has been written. A test runs every command and makes
+and checks this page (`tests/errors`). An error that is more than one line, or a traceback, is a bug of fmuid's.
 """
 TOML = CAMPAIGN.format(fmu="../Oscillator.fmu").replace('"bench"\n', '"bench"\nmake = "make bench"\n')
 TURNING = """\
