@@ -92,7 +92,7 @@ def page(home: Mapping[str, Mapping[str, Any]], abroad: Mapping[str, Mapping[str
     lines = [
         "# Diagnoses of the sealed campaigns",
         "",
-        "Campaigns whose answers are withheld: what the tool says stands.",
+        "What fmuid says about campaigns whose answers are withheld, case by case; what it said stands.",
         "",
         "Gaps are in noise floors: of the base model with its parameters refitted, and with the verdict's effects",
         "added. The expected closure is that on experiments left out, beyond what refitting closes; *unknown*",
