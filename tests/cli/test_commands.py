@@ -630,4 +630,4 @@ def test_a_place_for_results_that_cannot_be_written_is_refused_before_anything_e
     line = [str(Path(sys.executable).parent / "fmuid"), command, "nowhere", "--out", str(tmp_path / "file" / "x")]
     done = subprocess.run(line, capture_output=True, text=True)
     assert done.returncode == 2
-    assert "cannot be a folder" in done.stderr
+    assert "is not a usable folder" in done.stderr
