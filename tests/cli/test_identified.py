@@ -138,6 +138,10 @@ def test_a_run_is_found_from_another_folder_and_after_a_move_with_its_campaign(
     monkeypatch.chdir("elsewhere")
     assert Result.from_json("../project/run") == written
     assert fmuid("validate", "../project/run")[::2] == (0, "")
+    monkeypatch.chdir(folder.parent)
+    Path("project").rename("elsewhere/project")
+    folder.rename(Path("elsewhere") / folder.name)
+    assert Path(Result.from_json("elsewhere/project/run").source) == (Path("elsewhere") / folder.name).resolve()
 
 
 @pytest.mark.parametrize("status", [Status.FAILED, Status.INTERRUPTED])
