@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import re
+import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -30,6 +32,7 @@ class Ending:
     line: str  # a pattern: which of all lines it is
     make: Callable[[], object] = lambda: None
     end: Callable[[list[str]], subprocess.CompletedProcess[str]] | None = None
+    program: str = "fmuid"
 
 
 def replaced(old: str, new: str) -> Callable[[], object]:
@@ -74,6 +77,29 @@ def signalled(journal: str, *names: str) -> Callable[[list[str]], subprocess.Com
     return end
 
 
+def hurried(command: list[str]) -> subprocess.CompletedProcess[str]:
+    """Press Ctrl-C again and again; once in a while the first one is through before the second."""
+    for _ in range(9):
+        shutil.rmtree("runs", ignore_errors=True)
+        done = signalled(JOURNAL, *["SIGINT"] * 50)(command)
+        if "stopped at once" in done.stderr:
+            break
+    return done
+
+
+def without_room(command: list[str]) -> subprocess.CompletedProcess[str]:
+    """No file may get larger than 400 kB, as on a disk that is full."""
+    return run(command, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000)))
+
+
+def script() -> None:
+    Path("study.py").write_text('import fmuid\nfmuid.identify("bench", workers=2)\n')
+
+
+def as_a_script(_: list[str]) -> subprocess.CompletedProcess[str]:
+    return run([sys.executable, "study.py"])
+
+
 def while_loading(command: list[str]) -> subprocess.CompletedProcess[str]:
     """Press Ctrl-C when the first library is loaded."""
     process = subprocess.Popen(
@@ -112,6 +138,9 @@ ENDINGS = [
     Ending("SIGHUP, from a terminal that is closed", IDENTIFY, 130, "go on", endless, signalled(JOURNAL, "SIGHUP")),
     Ending("SIGTERM while it diagnoses", "diagnose bench", 130, "go on with", end=signalled(DIAGNOSIS, "SIGTERM")),
     Ending("Ctrl-C while libraries are loaded", IDENTIFY, 130, "interrupted", end=while_loading),
+    Ending("a second Ctrl-C while the first is obeyed", IDENTIFY, 130, "stopped at once", endless, hurried),
+    Ending("a full disk for what is recorded", IDENTIFY, 2, "cannot be written", endless, without_room),
+    Ending("a script whose work is not under a main guard", "study.py", 1, "worker pool", script, as_a_script, "python"),
     Ending("a full disk for what is printed", "check bench", 2, "the output", end=into_a_full_disk),
     Ending("a `tie` without a value at the start", IDENTIFY, 1, "the start point fails", stage('free = ["m"]\ntie = { d = "(m - 9)**0.5" }')),
     Ending("a `tie` without a value at some points", IDENTIFY, 1, "candidates", stage('free = ["m"]\ntie = { d = "(1.1 - m)**0.5" }\nsolver = "bobyqa"')),
