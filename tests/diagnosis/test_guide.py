@@ -112,7 +112,7 @@ def test_an_effect_of_one_s_own_is_found(trolley, tmp_path, capsys):
     # On the data that it was made from: not unless they are named, and then it is said.
     assert run(["validate", str(out / "diagnosis.json"), str(trolley), "--json", str(tmp_path / "v.json")]) == 2
     said = capsys.readouterr().err
-    assert "every run was used for the diagnosis; record others" in said
+    assert "every run was used for the diagnosis; record other runs" in said
     assert said.count("\n") == 1
     assert run(["validate", str(out / "diagnosis.json"), str(trolley), "-e", "slow"]) == 0
     assert "used for the diagnosis, so no test of it: slow\n" in capsys.readouterr().out

@@ -113,7 +113,8 @@ def _units(problem: Problem, signal: str) -> tuple[str | None, ...]:
     """Return the units of a signal and of the inputs it answers to: one of them is the wrong one."""
     seen = [(case, c) for case in problem.cases for c in case.channels if c.signal == signal]
     own = [c.unit or case.simulator.variables[c.variable].unit for case, c in seen]
-    inputs = [case.simulator.variables[n].unit for case, _ in seen for n in case.task.inputs]
+    variables = [case.simulator.variables.get(n) for case, _ in seen for n in case.task.inputs]
+    inputs = [None if v is None else v.unit for v in variables]
     return tuple(dict.fromkeys([*own, *inputs]))
 
 
