@@ -35,7 +35,8 @@ def test_how_a_run_ends(ending: Ending, folder: Path) -> None:
     assert done.returncode == ending.code, done.stderr
     lines = [line for line in (done.stderr + done.stdout).splitlines() if re.search(ending.line, line)]
     line = shown(lines[-1].strip().removeprefix("! "))
-    row = f"| {ending.what} | `{ending.program} {ending.command}` | {ending.code} | `{line}` |"
+    mark = "``" if "`" in line else "`"
+    row = f"| {ending.what} | `{ending.program} {ending.command}` | {ending.code} | {mark}{line}{mark} |"
     if "FMUID_WRITE_ERRORS" in os.environ:
         text = PAGE.read_text() + (HEAD if ending is ENDINGS[0] else "")
         PAGE.write_text(f"{text}{row}\n")

@@ -99,19 +99,12 @@ def test_initial_equations_are_solved_past_a_point_where_they_are_singular(simul
     assert (found["x"], found["y"]) == pytest.approx((30.0, 5.0), rel=1e-9)
 
 
-def test_what_is_driven_back_to_its_threshold_stays_there_within_the_tolerance(simulate):
+def test_what_is_driven_back_to_its_threshold_stays_there_within_the_tolerance(simulate, capfd):
     text = "Real x(start = 1.2, fixed = true); equation der(x) = if x >= 1 then -1 else 1;"
-    said = []
-    found = simulate(
-        text,
-        ["x"],
-        stop_time=0.5,
-        relative_tolerance=1e-4,
-        logger=lambda *message: said.append(message[-1]),
-    )
+    found = simulate(text, ["x"], stop_time=0.5, relative_tolerance=1e-4)
     np.testing.assert_allclose(found["x"], np.maximum(1.2 - found["time"], 1), atol=2e-4)
-    assert len(said) == 1
-    assert b"chattering" in said[0]
+    # Not by a logger of its own: FMPy goes on calling the last one, which may be gone by then.
+    assert capfd.readouterr().out.count("chattering") == 1
 
 
 @pytest.mark.parametrize("limit", REFUSED)
