@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -106,3 +107,23 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(_PUBLIC)
+
+
+def _as_html(shown: Any) -> str:
+    from fmuid.report.notebook import as_html
+
+    return as_html(shown)
+
+
+def _show_pictures_in_notebooks() -> None:
+    """Have IPython, if this is one of its kernels, show results with pictures: they know nothing of plots."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    if shell is not None:
+        formatter = shell.display_formatter.formatters["text/html"]
+        formatter.for_type_by_name("fmuid.identification.result", "Result", _as_html)
+        formatter.for_type_by_name("fmuid.identification.validate", "Validation", _as_html)
+        formatter.for_type_by_name("fmuid.diagnosis.diagnose", "Found", _as_html)
+
+
+_show_pictures_in_notebooks()

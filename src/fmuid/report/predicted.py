@@ -23,7 +23,7 @@ def judged_signals(campaign: Campaign) -> set[tuple[str, str, str]]:
 
 
 def overlays(
-    campaign: Campaign, case: Case, versions: Sequence[tuple[str, Role, FloatArray | None]]
+    campaign: Campaign | None, case: Case, versions: Sequence[tuple[str, Role, FloatArray | None]]
 ) -> list[Overlay]:
     """Return one overlay for each channel of `case`; `versions` are (label, role, predictions)."""
     found = []
@@ -44,7 +44,9 @@ def overlays(
     return found
 
 
-def heading(campaign: Campaign, case: Case) -> str:
+def heading(campaign: Campaign | None, case: Case) -> str:
     """Return the title of a case's panel: its id and what the run was."""
+    if campaign is None:
+        return case.id
     run = campaign.measurements.experiments.get(case.experiments[0] if case.experiments else case.id)
     return f"{case.id}: {run.description}" if run is not None and run.description else case.id
