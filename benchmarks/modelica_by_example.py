@@ -14,7 +14,6 @@ import argparse
 import ast
 import json
 import re
-import subprocess
 import sys
 import tempfile
 from collections import Counter
@@ -25,7 +24,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from benchmarks.standard_library import outside
+from benchmarks.standard_library import in_a_process, outside
 
 Signals = dict[str, np.ndarray]
 Law = Callable[[np.ndarray], Signals]
@@ -251,20 +250,6 @@ def judge(book: Path, library: Path, name: str, stop: float | None) -> dict[str,
     }
 
 
-def run(arguments: Sequence[str], limit: float) -> dict[str, Any]:
-    """Judge a model in a process of its own."""
-    command = [sys.executable, "-m", "benchmarks.modelica_by_example", *arguments]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)
-    except subprocess.TimeoutExpired:
-        return {"stage": "refused", "why": f"took longer than {limit:g} s"}
-    try:
-        return json.loads(done.stdout.splitlines()[-1])  # type: ignore[no-any-return]
-    except (IndexError, json.JSONDecodeError):
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        return {"stage": "refused", "why": f"traceback: {last}"}
-
-
 def page(results: dict[str, dict[str, Any]], shown: set[str]) -> str:
     """Make the page of the docs."""
 
@@ -319,8 +304,9 @@ def main() -> None:
     for name in names:
         if name in results:
             continue
-        stop = ["--stop", str(stops[name])] if name in stops else []
-        results[name] = run([str(options.book), str(options.library), "--one", name, *stop], options.limit)
+        command = [sys.executable, "-m", "benchmarks.modelica_by_example", str(options.book), str(options.library)]
+        command += ["--one", name, *(["--stop", str(stops[name])] if name in stops else [])]
+        results[name] = in_a_process(command, options.limit)
         if name in failing:
             results[name]["why"] += " (as the book says)"
         print(name, *results[name].values(), flush=True)

@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -118,9 +119,8 @@ def judge(library: Path, reference: Path, name: str) -> dict[str, Any]:
     return {"stage": "matches", "why": ""}
 
 
-def run(library: Path, reference: Path, name: str, limit: float) -> dict[str, Any]:
-    """Judge an example in a process of its own."""
-    command = [sys.executable, __file__, str(library), str(reference), "--one", name]
+def in_a_process(command: Sequence[str], limit: float) -> dict[str, Any]:
+    """Judge a model in a process of its own: what its last line says, or why there is none."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)
     except subprocess.TimeoutExpired:
@@ -181,7 +181,8 @@ def main() -> None:
         for name in examples(options.reference, package):
             if name in results:
                 continue
-            results[name] = run(options.library, options.reference, name, options.limit)
+            command = [sys.executable, __file__, str(options.library), str(options.reference), "--one", name]
+            results[name] = in_a_process(command, options.limit)
             print(name, *results[name].values(), flush=True)
             if options.results:
                 options.results.write_text(json.dumps(results, indent=1))

@@ -26,7 +26,7 @@ from fmuid import (
     measured_case,
     read_history,
 )
-from fmuid.core.folder_lock import LockedError
+from fmuid.core.folder_lock import LockedError, claim
 from fmuid.core.journal import JournalError, records
 from fmuid.identification.history import _MAGIC, JOURNAL, HistoryError
 
@@ -302,3 +302,16 @@ def test_a_resumed_run_may_be_asked_more_and_simulates_no_search_again(tmp_path,
     assert len(stage.spread) == 1
     history = read_history(tmp_path)["msd"]
     assert [r.purpose for r in history.rows].count("search") == stage.evaluations
+
+
+def test_only_what_a_dead_process_left_is_removed_and_nothing_of_a_run_below(tmp_path):
+    left = [tmp_path / "identified" / ".a.xml.fmuid-unfinished", tmp_path / ".b.json.fmuid-unfinished"]
+    others = tmp_path / "other" / "figures" / ".c.png.fmuid-unfinished"
+    for file in (*left, others):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+    with claim(tmp_path / "other"):
+        others.touch()  # what it writes now
+        with claim(tmp_path):
+            assert not any(file.exists() for file in left)
+            assert others.exists()

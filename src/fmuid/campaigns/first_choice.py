@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fmuid.core.campaign import Interpolation
-from fmuid.core.errors import FmuidError, ProblemError, UnitError
+from fmuid.core.errors import FmuidError, ProblemError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
-from fmuid.core.units import conversion
+from fmuid.core.units import conversion, convertible
 from fmuid.simulation.runners import Runner, simulated
 from fmuid.simulation.segmented import Growth, Segmented, open_loop
 from fmuid.simulation.simulator import Simulator, Task, Variable
@@ -140,15 +140,7 @@ def runs_away(model: Simulator, runs: Sequence[Experiment], mapping: Mapping[str
 
 def _is_drawn(parameter: Variable) -> bool:
     """Return whether a parameter is a length, an area, a volume, an angle or a plain number."""
-    return parameter.unit is None or any(_converts(parameter.unit, unit) for unit in _DRAWN)
-
-
-def _converts(unit: str, other: str) -> bool:
-    try:
-        conversion(unit, other)
-    except UnitError:
-        return False
-    return True
+    return parameter.unit is None or any(convertible(parameter.unit, unit) for unit in _DRAWN)
 
 
 def independent_columns(columns: Mapping[str, FloatArray], last: Collection[str] = ()) -> list[str]:

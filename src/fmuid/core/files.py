@@ -48,11 +48,15 @@ def check_folder(folder: Path) -> None:
     raise FmuidError(f"is not a usable folder ({reason})", where=folder, fix="name a folder that can be written")
 
 
-def remove_unfinished(folder: Path) -> None:
-    """Remove partly written files that a killed process left in a folder or below it."""
+def remove_unfinished(folder: Path, *, but_below: str) -> None:
+    """Remove partly written files that a killed process left in a folder or below it.
+
+    Folders below it that have a file of the name `but_below` belong to somebody else.
+    """
     for path in folder.rglob(f".*{_UNFINISHED}"):
-        with suppress(OSError):
-            path.unlink()
+        if not any((above / but_below).exists() for above in path.parents if folder in above.parents):
+            with suppress(OSError):
+                path.unlink()
 
 
 def write_atomically(path: Path, content: bytes | str) -> None:

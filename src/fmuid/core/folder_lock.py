@@ -46,8 +46,8 @@ def claim(folder: Path) -> Iterator[None]:
         return
     descriptor = _locked(folder)
     token = _claimed.set(claimed | {place})
-    remove_unfinished(folder)
     try:
+        remove_unfinished(folder, but_below=NAME)
         yield
     finally:
         _claimed.reset(token)

@@ -102,6 +102,15 @@ def conversion(source: str, target: str | None) -> Conversion:
     return Conversion(float(quantity(1.0, given).to(wanted).magnitude), offset)
 
 
+def convertible(unit: str, other: str) -> bool:
+    """Return whether two units are of the same quantity."""
+    try:
+        conversion(unit, other)
+    except UnitError:
+        return False
+    return True
+
+
 def convert_factor(source: str, target: str | None, *, where: object = None) -> float:
     """Return the factor of `conversion`, for values that cannot have an offset.
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmuid.core.errors import UnitError
 from fmuid.core.immutable import FloatArray
-from fmuid.core.units import conversion
+from fmuid.core.units import convertible
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 
@@ -120,15 +119,7 @@ def _units(problem: Problem, signal: str) -> tuple[str | None, ...]:
 
 def _measured_in(units: tuple[str | None, ...], known: tuple[str, ...]) -> bool:
     """Return whether one of the units is of a known quantity; a variable without a unit may be of any."""
-    return not known or None in units or any(u is not None and _alike(u, k) for u in units for k in known)
-
-
-def _alike(unit: str, other: str) -> bool:
-    try:
-        conversion(unit, other)
-    except UnitError:
-        return False
-    return True
+    return not known or None in units or any(u is not None and convertible(u, k) for u in units for k in known)
 
 
 def _doubt(signal: str, units: tuple[str | None, ...], seen: _Seen, where: str) -> list[str]:

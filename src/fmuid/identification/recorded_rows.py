@@ -144,7 +144,7 @@ class Rows(Sequence[Row]):
         line = np.array(self._numbers[number * width : (number + 1) * width])
         search, criteria, constraints, parameters, (cost, seconds) = np.split(line, self._ends[:-1])
         return Row(
-            np.append(search, self._further[number]) if number in self._further else search,
+            self._point(number, search),
             dict(zip(self._names, parameters.tolist(), strict=True)),
             criteria,
             constraints,
@@ -165,10 +165,7 @@ class Rows(Sequence[Row]):
     @property
     def numbers(self) -> dict[bytes, int]:
         """Whole search point, as bytes -> the number of its last row."""
-        return {
-            (np.append(x, self._further[k]) if k in self._further else x).tobytes(): k
-            for k, x in enumerate(self.search)
-        }
+        return {self._point(k, x).tobytes(): k for k, x in enumerate(self.search)}
 
     @property
     def criteria(self) -> FloatArray:
@@ -224,6 +221,10 @@ class Rows(Sequence[Row]):
     def forget_residuals(self) -> None:
         """Drop the residuals, which only a solver that resumes asks for."""
         self._residuals.clear()
+
+    def _point(self, number: int, search: FloatArray) -> FloatArray:
+        """Return the whole search point of a row, whose part in the array is `search`."""
+        return np.append(search, self._further[number]) if number in self._further else search
 
     def _block(self, part: int) -> FloatArray:
         if not len(self):
