@@ -13,7 +13,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.identification.history import read_history
 from fmuid.identification.result import LEAST_SHOWN, Estimate, Result
 from fmuid.identification.solvers import Status
-from fmuid.identification.validate import RunScore, validate
+from fmuid.identification.validate import RunScore, Validation, validate
 from fmuid.report import figures
 from fmuid.report.document import Document, Section, write_document
 from fmuid.report.figures import Overlay
@@ -160,16 +160,20 @@ def _before_and_after(
     runner: Runner,
 ) -> list[Section]:
     """Return the run that is predicted worst, with the values at the start and with those found."""
+
+    def predicted(values: Result | dict[str, float], runs: Sequence[str]) -> Validation:
+        return validate(values, campaign, experiments=runs, simulators=simulators, runner=runner)
+
     used = sorted({e for s in result.stages for e in s.experiments})
-    runs = [s.experiment for s in validation] or used
-    start = {e.name: e.start for s in reversed(result.stages) for e in s.estimates}
-    values: tuple[Result | dict[str, float], ...] = ({**result.parameters, **start}, result)
-    before, after = (validate(v, campaign, experiments=runs, simulators=simulators, runner=runner) for v in values)
     judged = {(setup, signal) for setup, _, signal in judged_signals(campaign)}
-    scores = [s for s in after.scores if s.failure is None and (s.setup, s.signal) in judged]
+    known = validation or predicted(result, used).scores
+    scores = [s for s in known if s.failure is None and (s.setup, s.signal) in judged]
     if not scores:
         return []
     worst = max(scores, key=lambda s: s.rmse / s.noise_floor if s.noise_floor else s.nrmse)
+    start = {e.name: e.start for s in reversed(result.stages) for e in s.estimates}
+    values: tuple[Result | dict[str, float], ...] = ({**result.parameters, **start}, result)
+    before, after = (predicted(v, [worst.experiment]) for v in values)
     k = next(k for k, case in enumerate(after.cases) if case.id == worst.experiment)
     lines: list[tuple[str, Role, FloatArray | None]] = [
         ("start", "start", before.predictions[k]),
