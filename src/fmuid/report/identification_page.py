@@ -144,7 +144,7 @@ def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
     if criteria:
         largest, middle = max(criteria.values()), float(np.median(list(criteria.values())))
         # A perfect fit scatters about 1, where a demand is the noise: how many are below says little.
-        text = f"{middle:.3g} in the middle, {largest:.3g} at most"
+        text = f"median {middle:.3g}, worst {largest:.3g}"
         found.append(Fact("Error over what was demanded", text, "good" if largest <= 1 else "plain"))
     warnings = sum(len(s.warnings) for s in result.stages)
     if warnings:
