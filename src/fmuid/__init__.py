@@ -45,7 +45,10 @@ if TYPE_CHECKING:
     from fmuid.identification.uncertainty.profiles import profile_of as profile_of
     from fmuid.identification.uncertainty.propagation import propagate as propagate
     from fmuid.identification.uncertainty.sensitivity import sensitivity_of as sensitivity_of
+    from fmuid.identification.uncertainty.sobol_morris import GlobalSensitivity as GlobalSensitivity
+    from fmuid.identification.uncertainty.sobol_morris import global_sensitivity_of as global_sensitivity_of
     from fmuid.identification.validate import validate as validate
+    from fmuid.sensitivity_pipeline import global_sensitivity as global_sensitivity
     from fmuid.simulation.coupled.loading import couple as couple
     from fmuid.simulation.coupled.loading import load_model as load_model
     from fmuid.simulation.fmu import load_fmu as load_fmu
@@ -62,6 +65,7 @@ _PUBLIC = {
     "CriterionSpec": "core.campaign",
     "Experiment": "core.experiments",
     "FmuidError": "core.errors",
+    "GlobalSensitivity": "identification.uncertainty.sobol_morris",
     "Master": "core.coupling",
     "Measurements": "core.experiments",
     "Observer": "identification.observer",
@@ -81,6 +85,8 @@ _PUBLIC = {
     "couple": "simulation.coupled.loading",
     "design_experiment": "design_pipeline",
     "diagnose": "diagnosis_pipeline",
+    "global_sensitivity": "sensitivity_pipeline",
+    "global_sensitivity_of": "identification.uncertainty.sobol_morris",
     "identify": "identification.identify",
     "load_campaign": "campaigns.campaign_toml",
     "load_fmu": "simulation.fmu",

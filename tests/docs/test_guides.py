@@ -49,6 +49,7 @@ SLOW = {
     "read-diagnosis",
     "report",
     "runaway",
+    "sensitivity",
     "three-rigs",
 }  # identify, diagnose or build once more
 BLOCK = re.compile(r"(?:^<!-- file: (\S+) -->\n)?^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -11,7 +11,17 @@ from contextlib import suppress
 import typer
 
 from fmu_build.errors import UserError
-from fmuid.cli import building, cataloguing, checking, comparing, demonstrating, designing, importing, simulating
+from fmuid.cli import (
+    building,
+    cataloguing,
+    checking,
+    comparing,
+    demonstrating,
+    designing,
+    importing,
+    ranking,
+    simulating,
+)
 from fmuid.cli import identifying as identification
 from fmuid.cli.interruption import INTERRUPTED
 
@@ -34,6 +44,7 @@ app.command("identify")(identification.identify)
 app.command("validate")(identification.validate)
 app.command("effects")(cataloguing.effects)
 app.command("diagnose")(identification.diagnose)
+app.command("sensitivity")(ranking.sensitivity)
 app.command("design")(designing.design)
 app.command("compare")(comparing.compare)
 app.command("import")(importing.import_)

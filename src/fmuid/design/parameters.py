@@ -105,7 +105,7 @@ def design_for_parameters(
     FmuidError
         No excitation stays within every limit.
     """
-    posed = _posed(campaign, stage)
+    posed = posed_stage(campaign, stage)
     setup = campaign.design.setup or next(iter(_setups(campaign, posed)), None)
     if setup is None:
         raise CampaignError(
@@ -207,8 +207,14 @@ class Information:
         return float(0.5 * np.log(np.trace(np.linalg.pinv(relative, hermitian=True)) / len(sizes)))
 
 
-def _posed(campaign: Campaign, stage: str | None) -> StageSpec:
-    """Return whose parameters are meant, as a stage."""
+def posed_stage(campaign: Campaign, stage: str | None) -> StageSpec:
+    """Return whose parameters are meant, as a stage.
+
+    Raises
+    ------
+    CampaignError
+        There is no such stage.
+    """
     if stage is not None:
         if stage not in campaign.stages:
             known = ", ".join(campaign.stages) or "none"

@@ -11,7 +11,7 @@ from fmu_build.suggest import suggestion
 from fmuid.core.campaign import Campaign, Limit, ModelSpec
 from fmuid.core.errors import CampaignError, FmuError
 from fmuid.core.experiments import Experiment, Measurements, Signal
-from fmuid.core.immutable import FloatArray, read_only
+from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 from fmuid.core.units import Conversion
 from fmuid.data.noise.level import conversion_at
 from fmuid.data.noise.runs import RepeatedRuns
@@ -169,8 +169,7 @@ def template_of(campaign: Campaign, simulator: Simulator, setup: str) -> Case:
     FmuError
         An output does not exist in the model.
     """
-    spec, model = campaign.design, campaign.models[setup]
-    where = f"{campaign.file or campaign.folder}"
+    spec, where = campaign.design, f"{campaign.file or campaign.folder}"
     if spec.duration is None:
         raise CampaignError(
             "has no duration, and no run is recorded", where=f"{where} [limits]", fix="write duration = ..."
@@ -181,28 +180,63 @@ def template_of(campaign: Campaign, simulator: Simulator, setup: str) -> Case:
             where=f"{where} [design]",
             fix="write sigma = { output = ... }",
         )
-    time = _times(spec.duration, spec.sample_time or spec.duration / _SAMPLES)
-    signals = {}
-    for name, sigma in spec.sigma.items():
-        variable = model.variable(name)
-        if variable not in simulator.variables:
-            raise FmuError(
-                f"{model.fmu.name} has no variable '{variable}'",
-                where=f"{where} [design] sigma",
-                fix=suggestion(
-                    variable, [v.name for v in simulator.variables.values() if v.causality == "output"]
-                ),
-            )
-        unit = simulator.variables[variable].unit or "1"
-        unit = f"({unit})/s" if model.differentiates(name) else unit
-        signals[name] = Signal(name, np.zeros(len(time)), unit, "output", sigma)
-    back = {variable: name for name, variable in model.map.items()}
-    for driven in (v for v in simulator.variables.values() if v.causality == "input"):
-        name = back.get(driven.name, driven.name)
-        signals[name] = Signal(name, np.full(len(time), driven.start or 0.0), driven.unit or "1", "input")
-    run = Experiment(DESIGNED, setup, time, signals)
+    run = unrecorded_run(campaign, simulator, setup, unrecorded_times(spec.duration, spec.sample_time))
     campaign = replace(campaign, measurements=Measurements({DESIGNED: run}))
     return from_campaign(campaign, [run], (), {setup: simulator})[0]
+
+
+def unrecorded_times(duration: float, sample_time: float | None) -> FloatArray:
+    """Return the (N,) sample times of a run that nobody has recorded; a thousand if no sample time is given."""
+    return _times(duration, sample_time or duration / _SAMPLES)
+
+
+def unrecorded_run(
+    campaign: Campaign,
+    simulator: Simulator,
+    setup: str,
+    time: FloatArray,
+    driven: Mapping[str, Signal] = frozen_mapping({}),
+) -> Experiment:
+    """Return a run of a setup at (N,) times that nobody has recorded: its outputs are zero.
+
+    It has the outputs whose noise the user gives, else those that other runs of the setup measure, else the
+    model's. Inputs that are not `driven` stay at their start values.
+
+    Raises
+    ------
+    FmuError
+        The model has no such output, or no such input.
+    """
+    spec, model = campaign.design, campaign.models[setup]
+    variables = simulator.variables
+    given: dict[str, tuple[str | None, float | None]] = {n: (None, sigma) for n, sigma in spec.sigma.items()}
+    recorded = {n: (s.unit, None) for e in campaign.measurements if e.setup == setup for n, s in e.outputs.items()}
+    own = {v.name: (None, None) for v in variables.values() if v.causality == "output"}
+    measured = given or {n: u for n, u in recorded.items() if model.variable(n) in variables} or own
+    signals = {}
+    for name, (written, sigma) in measured.items():
+        variable = model.variable(name)
+        if variable not in variables:
+            raise FmuError(
+                f"{model.fmu.name} has no variable '{variable}'",
+                where=f"{campaign.file or campaign.folder} [design] sigma",
+                fix=suggestion(variable, [v.name for v in variables.values() if v.causality == "output"]),
+            )
+        unit = variables[variable].unit or "1"
+        unit = written or (f"({unit})/s" if model.differentiates(name) else unit)
+        signals[name] = Signal(name, np.zeros(len(time)), unit, "output", sigma)
+    inputs = [v for v in variables.values() if v.causality == "input"]
+    for name in driven:
+        if model.variable(name) not in {v.name for v in inputs}:
+            raise FmuError(
+                f"{model.fmu.name} has no input '{name}'", fix=suggestion(name, [v.name for v in inputs])
+            )
+    reached = {model.variable(name) for name in driven}
+    back = {variable: name for name, variable in model.map.items()}
+    for still in (v for v in inputs if v.name not in reached):
+        name = back.get(still.name, still.name)
+        signals[name] = Signal(name, np.full(len(time), still.start or 0.0), still.unit or "1", "input")
+    return Experiment(DESIGNED, setup, time, {**signals, **driven})
 
 
 def planned_run(

@@ -14,9 +14,9 @@ from fmuid.report.plots.figure_data import Table
 _PACKAGES = ("fmuid", "numpy", "scipy", "nlopt", "h5py", "casadi")
 
 
-def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that numbers depend on."""
-    return {"python": platform.python_version(), **provenance.versions(_PACKAGES)}
+def versions(*more: str) -> dict[str, str]:
+    """Return the versions of Python and of the packages that numbers depend on, `more` among them."""
+    return {"python": platform.python_version(), **provenance.versions((*_PACKAGES, *more))}
 
 
 def file_hash(path: Path) -> str:

@@ -1,0 +1,110 @@
+"""`fmuid sensitivity`."""
+
+from __future__ import annotations
+
+import shlex
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fmuid.cli.completion import stages
+from fmuid.cli.interruption import INTERRUPTED
+from fmuid.cli.output import Json, Printer, Quiet, Trust, writable
+from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, in_bytes
+
+
+class Way(StrEnum):
+    """How sensitivity is measured."""
+
+    SOBOL = "sobol"
+    MORRIS = "morris"
+
+
+class Of(StrEnum):
+    """The scalar that each output becomes."""
+
+    CHANGE = "change"
+    CRITERION = "criterion"
+    MEAN = "mean"
+    FINAL = "final"
+    MINIMUM = "minimum"
+    MAXIMUM = "maximum"
+
+
+def sensitivity(
+    campaign: Annotated[
+        Path, typer.Argument(metavar="CAMPAIGN|RUN", help="A campaign, or what identify made of it.")
+    ],
+    method: Annotated[
+        Way, typer.Option(help="sobol: shares of the variance; morris: a ranking from few simulations.")
+    ] = Way.SOBOL,
+    of: Annotated[
+        Of, typer.Option(help="Of each output: its change in standard deviations of the noise, or another scalar.")
+    ] = Of.CHANGE,
+    stage: Annotated[
+        str | None,
+        typer.Option(help="Parameters and runs of this stage; all free ones by default.", autocompletion=stages),
+    ] = None,
+    experiment: Annotated[
+        list[str] | None, typer.Option("--experiment", "-e", help="Id or glob of the runs (repeat for more).")
+    ] = None,
+    input_: Annotated[
+        Path | None,
+        typer.Option("--input", metavar="CSV", help="Inputs of a planned run, instead of recorded ones."),
+    ] = None,
+    setup: Annotated[str | None, typer.Option(help="Setup of the planned run.")] = None,
+    samples: Annotated[
+        int | None,
+        typer.Option(help="Base samples, a power of two (sobol, 256), or trajectories (morris, 20)."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder; runs/<campaign>-sensitivity by default.", callback=writable)
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the draws and of the bootstrap.")] = 0,
+    workers: Workers = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
+    trust: Trust = False,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> int:
+    """Say which parameters matter to which output over their whole ranges (Sobol', Morris).
+
+    Parameters are drawn between their bounds, or from their priors. Nothing need be measured yet.
+
+    Example: fmuid sensitivity campaigns/drive --method morris
+    Example: fmuid sensitivity campaigns/drive --input runs/next/input.csv
+    """
+    from fmuid.diagnosis_pipeline import campaign_from
+    from fmuid.sensitivity_pipeline import FILE_NAME, answer_of_sensitivity, global_sensitivity
+
+    printer = Printer(quiet, json)
+    loaded = campaign_from(campaign, trust=trust, planned=True)
+    folder = out or Path("runs") / f"{loaded.name}-sensitivity"
+    with printer.working("") as shown:
+        found = global_sensitivity(
+            loaded,
+            method.value,
+            of=of.value,
+            stage=stage,
+            experiments=experiment or (),
+            inputs=input_,
+            setup=setup,
+            samples=samples,
+            out=folder,
+            seed=seed,
+            workers=workers,
+            time_limit=time_limit,
+            memory_limit=in_bytes(memory_limit),
+            say=lambda what, share: shown(share, what),
+            trust=trust,
+        )
+    printer.say(str(found))
+    printer.say(f"\n{folder / FILE_NAME}\npage: {folder / 'index.html'}")
+    if not len(loaded.measurements):
+        again = shlex.join(["fmuid", "design", str(campaign), "--for", "parameters"])
+        printer.next(again, "the run that determines these parameters best")
+    printer.write(answer_of_sensitivity(found, loaded))
+    return INTERRUPTED if found.interrupted else 0

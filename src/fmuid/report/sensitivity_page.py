@@ -1,0 +1,169 @@
+"""The page of a global sensitivity analysis: which parameter matters to which output."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fmuid.core.formatting import Fact, counted
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.search_space import SEPARATOR
+from fmuid.identification.uncertainty.sobol_morris import STRONGEST, GlobalSensitivity, OutputSensitivity
+from fmuid.report.document import Document, Section, write_document
+from fmuid.report.plots.figure_data import (
+    Axis,
+    Bar,
+    BarFigure,
+    Cell,
+    Figure,
+    LineFigure,
+    MapFigure,
+    Panel,
+    Series,
+    Table,
+    slug,
+)
+from fmuid.report.provenance_table import provenance_table
+
+_DRAWN = 4  # outputs with bars and clouds of their own, those that vary most between parameters
+_POINTS = 400  # of a cloud
+_SCALARS = {
+    "change": "root mean square change from the start values / standard deviation of the noise",
+    "criterion": "criterion",
+    "mean": "mean",
+    "final": "final value",
+    "minimum": "minimum",
+    "maximum": "maximum",
+}
+_MEANINGS = {
+    "sobol": "First: the share of the output's variance that the parameter causes alone; total: with everything"
+    " that it does together with others. Lines: 95 % intervals by bootstrap.",
+    "morris": "Mean size of the elementary effects (mu*): the change of the scalar per range of the parameter,"
+    " averaged over the other parameters. A spread (sigma) as large as mu* says that the effect depends on the"
+    " others, or is not linear. Lines: 95 % intervals by bootstrap.",
+}
+
+
+def write_sensitivity_page(
+    found: GlobalSensitivity, out: Path, *, campaign: str, units: Mapping[str, str], provenance: Mapping[str, str]
+) -> Path:
+    """Write the page and return the path of its ``index.html``; `units` are those of the parameters.
+
+    Raises
+    ------
+    FmuidError
+        The folder cannot be written.
+    """
+    moving = [o for o in found.outputs if o.indices]
+    drawn = moving[:_DRAWN]
+    figures: list[Figure] = [_map(found, moving)] if len(moving) > 1 else []
+    figures += [_bars(found, output) for output in drawn]
+    clouds = tuple(_clouds(found, output, units) for output in drawn)
+    sections = [
+        Section("What matters", tuple(figures), _MEANINGS[found.method]),
+        Section("All indices", (_table(found), _ranges(found, units)), " ".join(found.remarks())),
+        Section("What was simulated", (), "Every point is one draw.", clouds, "The scalar over each parameter"),
+        Section("Provenance", (provenance_table(provenance),)),
+    ]
+    document = Document(
+        f"Global sensitivity: {campaign}",
+        f"Of the {_SCALARS[found.quantity]} of every output.",
+        _facts(found, moving),
+        tuple(sections),
+    )
+    return write_document(document, out)
+
+
+def _facts(found: GlobalSensitivity, moving: Sequence[OutputSensitivity]) -> tuple[Fact, ...]:
+    facts = []
+    for output in moving[:_DRAWN]:
+        strengths = output.strengths(found.method)
+        ranked = [found.names[k] for k in np.argsort(-strengths)]
+        shown = ", ".join(f"{n} {s:.2g}" for n, s in zip(ranked, -np.sort(-strengths), strict=True))
+        facts.append(Fact(output.label, shown))
+    if found.negligible:
+        facts.append(Fact("Below 1 % everywhere", ", ".join(found.negligible)))
+    if found.unmoved:
+        facts.append(Fact("Moved by no parameter", ", ".join(found.unmoved), "warn"))
+    what = "base samples" if found.method == "sobol" else "trajectories"
+    tone = "warn" if found.failed or found.interrupted else "plain"
+    failed = f", {found.failed} failed" if found.failed else ""
+    facts.append(Fact("Simulated", f"{counted(len(found.draws), 'draw')} in {found.samples} {what}{failed}", tone))
+    return tuple(facts)
+
+
+def _map(found: GlobalSensitivity, moving: Sequence[OutputSensitivity]) -> MapFigure:
+    quantity = "total index" if found.method == "sobol" else "mu* / largest mu*"
+    return MapFigure(
+        "strengths",
+        "Which parameter matters to which output",
+        tuple(o.label for o in moving),
+        found.names,
+        np.array([o.strengths(found.method) for o in moving]),
+        Axis(quantity),
+        (0.0, 1.0),
+    )
+
+
+def _bars(found: GlobalSensitivity, output: OutputSensitivity) -> BarFigure:
+    kind = STRONGEST[found.method]
+    strong = output.indices[kind]
+    bars = []
+    for k in sorted(range(len(found.names)), key=lambda k: -strong[k].value):
+        index = strong[k]
+        width = index.half_width or 0.0
+        note = f"{index.value:.3g}"
+        if found.method == "sobol":
+            note += f", alone {output.indices['first'][k].value:.2g}"
+        else:
+            note += f", sigma {output.indices['sigma'][k].value:.2g}"
+        bars.append(Bar(found.names[k], index.value, "final", (index.value - width, index.value + width), note))
+    top = max(b.interval[1] for b in bars if b.interval)
+    quantity = Axis("total index") if found.method == "sobol" else Axis("mu*", output.unit)
+    limits = (min(0.0, *(b.value for b in bars)), 1.25 * top)
+    return BarFigure(f"indices-{slug(output.label)}", output.label, tuple(bars), quantity, limits=limits)
+
+
+def _clouds(found: GlobalSensitivity, output: OutputSensitivity, units: Mapping[str, str]) -> LineFigure:
+    there = np.flatnonzero(np.isfinite(output.scalars))
+    kept = there[np.unique(np.linspace(0, len(there) - 1, min(_POINTS, len(there))).astype(int))]
+    scalar = Axis(found.quantity, output.unit)
+    panels = tuple(
+        _cloud(name, units, scalar, found.draws[kept, k], output.scalars[kept])
+        for k, name in enumerate(found.names)
+    )
+    return LineFigure(f"draws-{slug(output.label)}", output.label, panels)
+
+
+def _cloud(name: str, units: Mapping[str, str], scalar: Axis, x: FloatArray, y: FloatArray) -> Panel:
+    axis = Axis(name, units.get(name.split(SEPARATOR)[0], ""))
+    return Panel(name, axis, scalar, (Series("draw", x, y, "final", points=True),))
+
+
+def _table(found: GlobalSensitivity) -> Table:
+    kinds = ("first", "total") if found.method == "sobol" else ("mu_star", "mu", "sigma")
+    header = ["output", "unit", "parameter"]
+    for kind in kinds:
+        header += [kind, "±"] if kind not in ("mu", "sigma") else [kind]
+    rows = []
+    for output in found.outputs:
+        for k, name in enumerate(found.names):
+            row: list[Cell] = [output.label, output.unit, name]
+            for kind in kinds:
+                index = output.indices[kind][k] if output.indices else None
+                row.append(None if index is None else index.value)
+                if kind not in ("mu", "sigma"):
+                    row.append(None if index is None else index.half_width)
+            rows.append(tuple(row))
+    digits = (5, 5, 5, *(3 for _ in header[3:]))
+    return Table(tuple(header), tuple(rows), "indices", "Indices", digits=digits)
+
+
+def _ranges(found: GlobalSensitivity, units: Mapping[str, str]) -> Table:
+    rows = tuple(
+        (name, low, high, units.get(name.split(SEPARATOR)[0], ""))
+        for name, (low, high) in zip(found.names, found.ranges, strict=True)
+    )
+    return Table(("parameter", "from", "to", "unit"), rows, "ranges", "What the parameters were drawn from")
