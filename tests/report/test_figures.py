@@ -11,7 +11,7 @@ import pytest
 import report_samples as samples
 
 from fmuid.core.errors import FmuidError
-from fmuid.report.figures import StageHistory, milestones, parallel_figure
+from fmuid.report.figures import StageHistory, milestones, parallel_criteria_figure, parallel_figure
 from fmuid.report.interactive import packed, specification
 from fmuid.report.plots import render, save_data, save_figure, save_figures
 from fmuid.report.plots.draw import canvas_of
@@ -210,6 +210,22 @@ def test_parallel_coordinates_survive_a_search_that_failed_in_places():
     assert figure.best == 2
     assert figure.scales[1].upper == 5.0
     assert render(figure)[:4] == b"\x89PNG"
+
+
+def test_criteria_are_axes_of_parallel_coordinates():
+    criteria = np.array([[8.0, 0.5, 3.0], [np.nan] * 3, [2.0, 0.8, 3.0]])
+    stage = StageHistory(
+        "s", ("a",), np.ones((3, 1)), np.array([3.0, np.nan, 1.0]), ("r: y", "r: z", "q: y"), criteria
+    )
+    figure = parallel_criteria_figure(stage)
+    assert [s.axis.name for s in figure.scales] == ["r: y", "r: z", "q: y"]
+    assert [(s.lower, s.upper, s.reference) for s in figure.scales] == [(1, 8, 1), (0.5, 1, 1), (1, 3, 1)]
+    assert figure.best == 2
+    assert render(figure)[:4] == b"\x89PNG"
+    many = replace(
+        stage, labels=tuple(f"r: {k}" for k in range(30)), criteria=np.tile(np.arange(30.0) + 1, (3, 1))
+    )
+    assert [s.axis.name for s in parallel_criteria_figure(many).scales] == [f"r: {k}" for k in range(20, 30)]
 
 
 def test_many_figures_are_drawn_by_several_processes_all_the_same(tmp_path, monkeypatch):

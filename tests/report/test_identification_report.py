@@ -97,7 +97,7 @@ def read(path):
 def test_report_has_what_the_paper_shows(written):
     names = {p.stem for p in (written.parent / "figures").iterdir()}
     assert {"before-after", "history-both", "validation-bench-y", "nrmse-validation"} <= names
-    assert {"cost", "parallel-both", "correlation-both", "deviations"} <= names
+    assert {"cost", "parallel-both", "parallel-criteria-both", "correlation-both", "deviations"} <= names
 
 
 def test_history_starts_at_the_start_and_ends_at_the_best(written):

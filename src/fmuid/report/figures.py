@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from fmuid.report.plots.figure_data import (
 from fmuid.report.thinning import MAX_SAMPLES, kept_samples
 
 TIME = Axis("time", "s")
+_AXES = 10  # criteria beside each other
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,12 +102,17 @@ def overlay_figure(name: str, title: str, overlays: Sequence[Overlay], caption: 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StageHistory:
-    """Every evaluation of one stage: `values` (evaluations, names), `cost` (evaluations,), NaN if failed."""
+    """Every evaluation of one stage: `values` (evaluations, names), `cost` (evaluations,), NaN if failed.
+
+    `criteria` (evaluations, labels) are divided by their demands.
+    """
 
     stage: str
     names: tuple[str, ...]
     values: FloatArray
     cost: FloatArray
+    labels: tuple[str, ...] = ()
+    criteria: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def best(self) -> int:
@@ -175,14 +181,43 @@ def parallel_figure(
         if low == high:
             low, high = low - 0.5 * abs(low) - 1e-12, high + 0.5 * abs(high) + 1e-12
         scales.append(Scale(Axis(name, unit, log and low > 0), low, high, reference))
+    title = f"Parallel coordinates: {stage.stage}"
+    return _parallel(f"parallel-{slug(stage.stage)}", title, scales, stage.values, stage)
+
+
+def parallel_criteria_figure(stage: StageHistory) -> ParallelFigure:
+    """Return the stage's evaluations with its criteria as the axes: which goals are met at whose cost.
+
+    Of many criteria, those that are largest at the start.
+    """
+    criteria = stage.criteria
+    known = criteria[np.isfinite(criteria).all(axis=1)]
+    chosen = np.sort(np.argsort(-known[0], kind="stable")[:_AXES])
+    scales = []
+    for k in chosen.tolist():
+        low, high = min(float(known[:, k].min()), 1.0), max(float(known[:, k].max()), 1.0)
+        if low == high:
+            low, high = 0.9, 1.1
+        scales.append(Scale(Axis(stage.labels[k], log=low > 0.0), low, high, 1.0))
+    title = f"Parallel coordinates of the criteria: {stage.stage}"
+    figure = _parallel(f"parallel-criteria-{slug(stage.stage)}", title, scales, criteria[:, chosen], stage)
+    few = "" if len(chosen) == criteria.shape[1] else f" The {_AXES} criteria that are largest at the start."
+    return replace(
+        figure, caption=f"{figure.caption} Every criterion is divided by its demand: 1 is as asked.{few}"
+    )
+
+
+def _parallel(
+    name: str, title: str, scales: Sequence[Scale], values: FloatArray, stage: StageHistory
+) -> ParallelFigure:
     every = -(-len(stage.cost) // MAX_SAMPLES)
     shown = np.union1d(np.arange(0, len(stage.cost), every), stage.best)
     which = "One line an evaluation" if every == 1 else f"One line for one in {every} evaluations"
     return ParallelFigure(
-        f"parallel-{slug(stage.stage)}",
-        f"Parallel coordinates: {stage.stage}",
+        name,
+        title,
         tuple(scales),
-        stage.values[shown],
+        values[shown],
         stage.cost[shown],
         int(np.searchsorted(shown, stage.best)),
         f"{which}, darker where the cost is lower. Drag along an axis to filter.",

@@ -41,6 +41,8 @@ def stage_section(
         specs = {} if campaign is None else campaign.parameters
         truths = {e.name: e.truth for e in result.estimates if e.truth is not None}
         details.append(figures.parallel_figure(history, specs, truths))
+    if history is not None and np.isfinite(history.cost).any() and len(history.labels) > 1:
+        details.append(figures.parallel_criteria_figure(history))
     details += [starts_figure(result), _correlation(result), _criteria(result), whiteness_table(result)]
     items += [*front_items(result), *profile_items(result)]
     details.append(spread_table(result))
@@ -58,7 +60,17 @@ def search_history(result: StageResult, recorded: Recorded) -> StageHistory:
     names = tuple(e.name for e in result.estimates if e.name not in result.ties)
     searched = recorded.rows.searched
     values = recorded.rows.parameters(names)[searched].reshape(-1, len(names))
-    return StageHistory(result.name, names, values, recorded.rows.costs[searched])
+    criteria = recorded.rows.criteria[searched].reshape(-1, len(recorded.criteria))
+    return StageHistory(
+        result.name, names, values, recorded.rows.costs[searched], _short(recorded.criteria), criteria
+    )
+
+
+def _short(labels: Sequence[str]) -> tuple[str, ...]:
+    """Return the criteria's labels, without the kind where all have the same."""
+    if len({label.rpartition(" ")[2] for label in labels}) > 1:
+        return tuple(labels)
+    return tuple(label.rpartition(" ")[0] if ": " in label.rpartition(" ")[0] else label for label in labels)
 
 
 def iterates(

@@ -370,7 +370,7 @@ def _parallel(figure: ParallelFigure) -> Canvas:
                 label="reference" if k == 0 else None,
             )
     turned: dict[str, Any] = {"rotation": 30, "ha": "right"} if n > 6 else {}
-    labels = [s.axis.label.replace(" / ", "\n/ ") for s in figure.scales]
+    labels = [s.axis.label.replace(" / ", "\n/ ").replace(": ", "\n") for s in figure.scales]
     axes.set_xticks(range(n), labels, fontsize=7, **turned)
     axes.tick_params(axis="x", length=0, pad=12)
     axes.set_yticks([])
