@@ -38,6 +38,7 @@ UNCHANGED = (
     "scipy.signal",
     "scipy.stats",
     "h5py",
+    "casadi",
     "pytest",
     "hypothesis",
 )

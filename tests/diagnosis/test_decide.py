@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fmuid.diagnosis import decide
+from fmuid.diagnosis import decide, diagnose
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import HeldOut
@@ -22,6 +22,7 @@ from fmuid.diagnosis.decide import (
 )
 from fmuid.diagnosis.ports import OWN_PAST, Decoy
 from fmuid.diagnosis.refit import Refit, Unknown
+from fmuid.diagnosis.summary import _gap_text
 from fmuid.diagnosis.verdict import NONE, UNKNOWN
 
 
@@ -116,7 +117,7 @@ def test_names_that_close_far_less_are_not_listed_beside_the_best():
     assert found[1] is near
 
 
-@pytest.mark.parametrize(("apart", "open_"), [(3.99, True), (4.01, False)])
+@pytest.mark.parametrize(("apart", "open_"), [(3.99, True), (4.0, False), (4.01, False)])
 def test_an_answer_that_the_data_do_not_prefer_by_four_deviations_stays_open(apart, open_):
     best = fitted(("best",), 0.0, residuals=[[0.0], [0.0]])
     other = fitted(("other",), 0.0, residuals=[[0.0], [2.0 * apart / 3.0]])  # costs differ by the distance squared
@@ -153,10 +154,49 @@ def test_a_contradiction_takes_four_deviations():
         worse = fitted(("best",), 0.0, residuals=[[0.0], [2.0 * apart], [0.0]])
         return worse, fitted(("rival",), 0.0, residuals=[[99.0], [0.0], [0.0]])
 
-    for apart, holds in ((3.99, True), (4.01, False)):
+    for apart, holds in ((3.99, True), (4.0, False), (4.01, False)):
         first, second = rival(apart)
         assert stable((first,), [second], recorded) is holds
     assert stable((best,), [best], recorded) is True
+
+
+@pytest.mark.parametrize(
+    ("gap", "largest_of_one", "p_value", "present"),
+    [
+        (0.26, 0.0, 0.009, True),
+        (0.26, 0.0, 0.01, False),  # as noise leaves it in one diagnosis of a hundred
+        (0.26, 0.0, 0.5, False),
+        (0.25, 0.0, 0.0, False),  # too small to matter
+        (0.25, 0.74, 0.0, False),
+        (0.25, 0.76, 0.0, True),  # three times as much in one experiment
+    ],
+)
+def test_a_gap_is_present_if_it_matters_and_noise_hardly_ever_leaves_as_much(
+    monkeypatch, gap, largest_of_one, p_value, present
+):
+    monkeypatch.setattr(diagnose, "nominal_basis", lambda *_: None)
+    monkeypatch.setattr(
+        diagnose, "excesses", lambda *_: (np.array([-0.1, largest_of_one**2]), np.array([30.0, 70.0]))
+    )
+    monkeypatch.setattr(diagnose, "excess", lambda *_: gap**2)
+    monkeypatch.setattr(diagnose, "smallest_seen", lambda *_, threshold: threshold)
+    asked = []
+
+    def of(excess, score):
+        asked.append((excess, score))
+        return p_value
+
+    null = SimpleNamespace(p_value=of, threshold=lambda: 9.0)
+    noise = SimpleNamespace(null=lambda basis, signatures: null)
+    subject = SimpleNamespace(observed=RECORDED, effects=())
+    scores = [SimpleNamespace(signature=None, drop=d) for d in (3.0, 8.0)]
+    evidence = diagnose._evidence(subject, fitted((), gap), scores, noise)
+    assert (evidence.present, evidence.p_value) == (present, p_value)
+    assert asked == [(gap**2, 4.0)]  # a score counts from twice what noise reaches
+    # What an effect must explain to be seen: that much, or the gap that matters over all the runs' samples.
+    assert evidence.power == pytest.approx(max(2.0 * 9.0, 0.25**2 * (4.0 * 30.0 + 9.0 * 70.0)))
+    words = "too small to matter" if p_value < 0.01 else "no gap beyond the noise"
+    assert words in _gap_text({"present": False, "p_value": p_value})
 
 
 @pytest.mark.parametrize(
@@ -169,6 +209,7 @@ def test_a_contradiction_takes_four_deviations():
         (0.5, 0.3, True),
         (0.5, 0.38, False),
         (0.0, 0.0, False),
+        (0.0, 0.5, False),  # nothing that could be closed
     ],
 )
 def test_a_further_effect_closes_a_quarter_of_what_is_left(before, after, worth):
@@ -183,6 +224,7 @@ def test_a_further_effect_that_runs_do_not_agree_on_is_not_added():
     assert decide.worth_adding(before, of(0.5, scattered([1.0, 1.0], [1.0, 1.0]))) is True  # 2 +- 0.7
     assert decide.worth_adding(before, of(0.5, scattered([4.1, 0.9], [4.1, 0.9]))) is False  # 0.5 +- 1.8
     assert decide.worth_adding(before, of(0.5, scattered([3.0, 5.0], [3.0, 5.0]))) is False  # worse on other data
+    assert decide.worth_adding(before, of(0.5, scattered([2.0, 2.0], [2.0, 4.0]))) is False  # 0.5 +- 0.5
     below = [scattered([x, x], [x, x]) for x in (-0.1, -0.5)]  # no gap on other data that could be closed
     assert decide.worth_adding(of(1.0, below[0]), of(0.5, below[1])) is False
 
@@ -214,6 +256,7 @@ def test_what_finishes_a_weak_gap_is_named_unless_unknown_is_likelier(number, he
 
 def test_no_gap_names_nothing():
     assert names(fitted((), 0.0), fitted(("e",), 0.0), finished=True) is False
+    assert names(fitted((), 0.0, held_out=1.0), fitted(("e",), 0.0, held_out=0.55), finished=True) is False
 
 
 @pytest.mark.parametrize(("closed", "beyond"), [(0.84, False), (0.85, True)])
@@ -263,7 +306,7 @@ def test_an_effect_of_one_sign_may_be_off_at_its_bound():
     assert at_its_lower_bound(two_sided=True) == ({0.0, 1.0}, False)  # at neutral, which is plausible
 
 
-@pytest.mark.parametrize(("left", "found"), [(0.1, True), (0.64, True), (0.66, False)])
+@pytest.mark.parametrize(("left", "found"), [(0.1, True), (0.64, True), (0.65, False), (0.66, False)])
 def test_a_free_function_that_leaves_much_less_than_the_effect_shows_the_gap_unexplained(left, found):
     best, nominal = fitted(("e",), 0.5), fitted((), 1.0)
     decoy, worse = free(left * best.gap), free(0.9)
@@ -271,7 +314,7 @@ def test_a_free_function_that_leaves_much_less_than_the_effect_shows_the_gap_une
     assert unexplained(nominal, best, [], ["other"]) is None
 
 
-@pytest.mark.parametrize(("closed", "open_"), [(0.84, True), (0.86, False)])
+@pytest.mark.parametrize(("closed", "open_"), [(0.84, True), (0.85, False), (0.86, False)])
 def test_an_effect_that_closes_nearly_all_is_not_unknown(closed, open_):
     best, decoy = fitted(("e",), 1.0 - closed), free(0.01)
     assert (unexplained(fitted((), 1.0), best, [decoy], ["other"]) is decoy) is open_
@@ -287,6 +330,8 @@ def test_a_free_function_that_runs_do_not_agree_on_is_no_evidence():
     best = Fitted(("e",), ("e",), Refit((), {}, (), (), 0.0, 0, True), scattered([0.1, 1.9]), 1.0)
     unsure = Decoy("p", "speed", (), scattered([0.3, 0.3]))
     assert unexplained(fitted((), 2.0), best, [unsure], ["q"]) is None  # 0.7 +- 0.9
+    even = Decoy("p", "speed", (), scattered([0.1, -0.1]))
+    assert unexplained(fitted((), 2.0), best, [even], ["q"]) is None  # 1 +- 1
     agreed = Fitted(("e",), ("e",), best.fit, scattered([0.9, 1.1]), 1.0)
     assert unexplained(fitted((), 2.0), agreed, [unsure], ["q"]) is unsure
 
@@ -298,6 +343,8 @@ def test_one_free_function_takes_the_place_of_two_effects_at_one_port(left, foun
     here, there = free(left), free(0.01, port="elsewhere")
     assert unexplained(nominal, best, [here, there], ["p", "p"]) is (here if found else None)
     assert unexplained(nominal, best, [here, there], ["p", "q"]) is None  # two ports: nearly all is closed
+    as_much = free(0.1875)  # one and a half times
+    assert unexplained(nominal, fitted(("a", "b"), 0.125), [as_much], ["p", "p"]) is as_much
 
 
 @pytest.mark.parametrize(
@@ -305,8 +352,10 @@ def test_one_free_function_takes_the_place_of_two_effects_at_one_port(left, foun
     [
         (0.5, 0.1, True, True),  # the function does what the law does, and more
         (0.74, 0.32, True, True),
+        (0.75, 0.1, True, True),
         (0.76, 0.1, True, False),  # a function of something else
         (0.5, 0.1, False, False),  # somewhere else
+        (0.5, 0.325, True, False),
         (0.5, 0.33, True, False),  # not what is left
     ],
 )
@@ -318,21 +367,21 @@ def test_what_a_law_of_another_shape_leaves_is_no_further_cause(alone, beside, o
 
 def test_a_law_of_another_shape_does_about_as_well_as_any_free_function():
     best, alone = fitted(("e",), 0.5), free(0.5, alike=("rigid",))
-    for other, shape in ((0.14, True), (0.13, False)):
-        beside = [free(0.2), free(other, port="q")]
+    for here, other, shape in ((0.2, 0.14, True), (0.2, 0.13, False), (0.1875, 0.125, True)):
+        beside = [free(here), free(other, port="q")]
         assert of_its_law(best, [alone, free(0.9, port="q")], beside, ["rigid"]) is shape
     assert of_its_law(best, [], [], ["p"]) is False
 
 
 @pytest.mark.parametrize(
-    ("beside", "needed"), [(0.05, True), (0.14, True), (0.16, False), (0.2, False), (0.35, False)]
+    ("beside", "needed"), [(0.05, True), (0.14, True), (0.15, True), (0.16, False), (0.2, False), (0.35, False)]
 )
 def test_an_effect_is_needed_beside_a_free_function_only_if_both_leave_hardly_anything(beside, needed):
     """Alone the function leaves 0.4 of the gap; an effect that lowers that little only imitates it."""
     assert needed_beside([free(0.9), free(0.4)], [free(beside), free(0.8)], fitted((), 1.0)) is needed
 
 
-@pytest.mark.parametrize(("beside", "needed"), [(0.0649, True), (0.0651, False)])
+@pytest.mark.parametrize(("beside", "needed"), [(0.0649, True), (0.065, False), (0.0651, False)])
 def test_an_effect_is_needed_if_the_free_function_leaves_much_less_beside_it(beside, needed):
     assert needed_beside([free(0.1)], [free(beside)], fitted((), 1.0)) is needed
 
@@ -341,6 +390,7 @@ def test_an_effect_that_runs_do_not_agree_on_is_not_needed():
     nominal = fitted((), 10.0)
     alone, beside = (Decoy("p", "speed", (), scattered(x)) for x in ([0.0, 2.0], [0.3, 0.3]))
     assert needed_beside([alone], [beside], nominal) is False  # 0.7 +- 1
+    assert needed_beside([alone], [Decoy("p", "speed", (), scattered([0.0, 0.0]))], nominal) is False  # 1 +- 1
     alone = Decoy("p", "speed", (), scattered([0.9, 1.1]))
     assert needed_beside([alone], [beside], nominal) is True
 
@@ -355,6 +405,7 @@ def test_places_are_those_where_free_functions_do_about_as_well_as_anywhere():
     ]
     assert places(fitted((), 1.0), decoys) == ("a", "rigid", "b")
     assert places(fitted((), 1.0), []) == ()
+    assert places(fitted((), 1.0), [free(0.375, port="b"), free(0.25, port="a")]) == ("a", "b")
 
 
 @pytest.mark.parametrize("gap", [0.5, 1.0, 3.0])
@@ -377,12 +428,22 @@ def test_weights_fall_with_the_square_of_the_separation():
     assert w[NONE] == pytest.approx(1e-3 / 0.6)
 
 
+def test_an_answer_that_the_data_prefer_to_the_best_weighs_as_much():
+    """The best one is that of the least loss on held-out experiments, so another may fit a little better."""
+    best = fitted(("best",), 0.0, held_out=0.4, residuals=[[0.0], [1.0]])
+    closer = fitted(("closer",), 0.0, residuals=[[0.0], [0.0]])
+    weights = decide.weigh(fitted((), 1.0), [best, closer], RECORDED, "ambiguous")
+    assert weights[("closer",)] == weights[("best",)]
+
+
 def test_unknown_keeps_a_weight_and_what_closes_nothing_hardly_any():
     perfect, useless = (fitted(("e",), 0.0, held_out=g, residuals=[[0.0], [0.0]]) for g in (0.0, 2.0))
     weights = decide.weigh(fitted((), 1.0), [perfect], RECORDED, "effect")
     assert weights[UNKNOWN] / weights[("e",)] == pytest.approx(0.02)
     weights = decide.weigh(fitted((), 1.0), [useless], RECORDED, "effect")
     assert weights[UNKNOWN] / weights[("e",)] == pytest.approx(1e3)
+    weights = decide.weigh(fitted((), 1.0), [], RECORDED, "effect")  # no answer leaves everything open
+    assert weights == pytest.approx({NONE: 1e-3 / 1.001, UNKNOWN: 1.0 / 1.001})
 
 
 @pytest.mark.parametrize(

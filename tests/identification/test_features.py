@@ -55,6 +55,8 @@ def test_a_rise_is_found_between_the_samples():
     # A tenth is crossed a fifth of the way to 1 s, nine tenths four fifths of the way from 1 s to 3 s.
     assert rise_time(time, np.array([0.0, 0.5, 1.0, 1.0])) == pytest.approx(1.0 + 0.8 * 2.0 - 0.2)
     assert np.isnan(rise_time(time, np.array([1.0, 4.0, 2.0, 1.0])))
+    pausing = np.array([0.0, 0.9, 0.9, *[1.0] * 8])  # at nine tenths from the first sample on
+    assert rise_time(LATER, pausing) == pytest.approx(1.0 - 1 / 9)
 
 
 def test_a_response_has_settled_after_the_last_sample_outside_the_band():
@@ -88,6 +90,17 @@ def test_a_window_keeps_one_tone_out_of_another_and_means_out_of_both():
     assert abs(elsewhere) > 1e3
 
 
+def test_a_hann_window_shows_half_of_the_next_tone_and_none_of_others():
+    """The window's transform is -1/2 one cycle of the record away, and 0 at two cycles or more."""
+    time = 0.3 + np.linspace(0.0, 2.0, 2001)
+    five, six, seven = (np.cos(np.pi * cycles * (time - 0.3)) for cycles in (5, 6, 7))
+    (response,) = frequency_response(time, five, 2.0 * five + 3.0 * six + 9.0 * seven, np.array([2.5]))
+    assert response == pytest.approx(2.0 - 0.5 * 3.0, rel=1e-9)
+    one = np.sin(np.pi * (time - 0.3))  # next to the mean
+    (response,) = frequency_response(time, 4.0 + one, -6.0 + 3.0 * one, np.array([0.5]))
+    assert response == pytest.approx(3.0, rel=1e-9)
+
+
 def test_excited_frequencies_are_those_of_most_power_in_order():
     time = 1.0 + np.linspace(0.0, 4.0, 801)
     u = 3.0 + np.sin(2 * np.pi * 20.0 * time) + 0.6 * np.sin(2 * np.pi * 4.0 * time)
@@ -111,3 +124,10 @@ def test_excited_frequencies_need_no_even_sampling():
     time = 2.0 + np.linspace(0.0, 2.0, 801) ** 2  # ever slower samples
     tone = np.sin(2 * np.pi * 20.0 * time)
     assert excited_frequencies(time, tone, count=1) == pytest.approx([80 * 800 / (801 * 4.0)], rel=1e-9)
+
+
+@pytest.mark.parametrize("gap", ["first", "last"])
+def test_excited_frequencies_hold_for_a_record_with_a_gap_at_an_end(gap):
+    time = np.linspace(1.0, 4.0, 1501)
+    time = np.append(0.0, time) if gap == "first" else np.append(time, 5.0)
+    assert excited_frequencies(time, np.sin(2 * np.pi * 10.0 * time), count=1) == pytest.approx([10.0], abs=0.25)

@@ -98,7 +98,7 @@ def _polish(search: Search, floor: NoiseFloor) -> None:
         step = np.zeros(len(here.x))
         j = differences.jacobian(derivative, here)[:, inside]
         step[inside] = np.linalg.lstsq(j, here.residuals, rcond=differences.tolerance)[0]
-        size = float(np.linalg.norm(step) / np.linalg.norm(here.x))
+        size = float(np.linalg.norm(step) / max(np.linalg.norm(here.x), np.finfo(float).tiny))
         stalled += size > 0.9 * before
         if size > _NEAR or stalled == _FLAT_TRIALS:
             return
