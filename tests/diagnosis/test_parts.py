@@ -335,6 +335,25 @@ def test_a_refit_is_at_least_as_good_as_every_start():
     )
 
 
+def test_a_refit_gets_over_ripples_of_the_cost():
+    """What hits and sticks makes ripples that local slopes see and no step keeps; the trend leads to the truth."""
+    time = np.linspace(0.0, 1.0, 200)
+    rng = np.random.default_rng(0)
+
+    def model(k, d):
+        ripple = 0.03 * np.sin(2 * np.pi * k / 0.023) * np.cos(40.0 * time)
+        return k * time + d * time**2 + ripple * (abs(k - 2.0) > 0.03)
+
+    values = model(2.0, -0.5) + 0.001 * rng.standard_normal((3, 1, 200))
+    observed = Observed.from_runs([RepeatedRuns("run", "bench", time, ("y",), values)])
+
+    def predict(points):
+        return [(model(p["k"], p["d"])[None],) for p in points]
+
+    fit = refit(predict, observed, [Unknown("k", 1.0, 0.0, 9.0, 0.01), Unknown("d", -1.0, -9.0, 9.0, 0.01)])
+    assert fit.values == pytest.approx({"k": 2.0, "d": -0.5}, rel=0.01)
+
+
 def test_what_is_known_beforehand_of_an_effect_weighs_against_the_data():
     rng = np.random.default_rng(0)
     runs = [RepeatedRuns("e", "bench", TIME, ("y",), TIME + 0.1 * rng.standard_normal((5, 1, len(TIME))))]

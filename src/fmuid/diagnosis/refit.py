@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
@@ -22,7 +24,11 @@ Tangents = Callable[[Mapping[str, float], Sequence[str]], Mapping[str, Sequence[
 
 _WORTH = 4  # exact columns cost three runs and a third of one each, differences one each
 _ENOUGH = 0.5  # fall of the cost, in squared standard deviations, that is worth another iteration
+_WIDE = 8.0  # steps to either side, so that the slope is that of the cost and not of its ripples
 _PATIENCE = 10  # trial points in a row that are no better: each is four times as near
+
+Slopes = Literal["exact", "near", "wide"]
+"""Where derivatives come from: the model, differences of a plausible step, or of many to either side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +87,10 @@ def refit(
 ) -> Refit:
     """Minimise the whitened squared residual of the mean runs.
 
+    Where bodies hit and stick, the cost has ripples, in which a search by local slopes ends early. If those at its
+    end promise a fall of the cost that no step keeps, it goes on with slopes across the ripples (implicit
+    filtering, Kelley 2011).
+
     Parameters
     ----------
     predict
@@ -112,23 +122,28 @@ def refit(
         if isinstance(outcome, SimulationError):
             failure = outcome
         else:
+            campaign.known[x.tobytes()] = outcome
             end = _search(campaign, x, max_iterations, tolerance)
             if tangents is not None:  # where exact slopes end (a kink) those of a plausible step may go on
-                further = _search(campaign, end[1], max_iterations, tolerance, exact=False)
+                further = _search(campaign, end[1], max_iterations, tolerance, "near")
                 end = further if further[0] < end[0] - max(_ENOUGH, tolerance * end[0]) else end
             found.append(end)
     if not found:
         raise failure
-    cost, x, converged = min(found, key=lambda end: end[0])
+    end = min(found, key=lambda end: end[0])
+    if len(unknowns) and campaign.promised(end[1]) > max(_ENOUGH, tolerance * end[0]):
+        across = _search(campaign, end[1], max_iterations, tolerance, "wide")
+        end = min(end, across, _search(campaign, across[1], max_iterations, tolerance, "near"), key=lambda e: e[0])
+    cost, x, converged = end
     residuals = campaign.parts(x)
     # The search follows the exact slope. What is predicted from the result is as far away as a plausible step,
     # where the slope of an effect that begins somewhere (a backlash) is another one.
-    jacobian = campaign.jacobian(x, exact=False)
+    jacobian = campaign.jacobian(x, "near")
     return Refit(tuple(unknowns), campaign.values(x), residuals, jacobian, cost, campaign.evaluations, converged)
 
 
 def _search(
-    campaign: _Campaign, start: FloatArray, max_iterations: int, tolerance: float, *, exact: bool = True
+    campaign: _Campaign, start: FloatArray, max_iterations: int, tolerance: float, slopes: Slopes = "exact"
 ) -> tuple[float, FloatArray, bool]:
     """Return the cost and the point that a search from `start` ends at, and whether by its own tolerance."""
     best, cost, iterations, vain = start, campaign.cost(start), 0, 0
@@ -156,7 +171,7 @@ def _search(
             raise _ExhaustedError
         iterations += 1
         x = campaign.clipped(x)
-        j = np.vstack([campaign.stacked(campaign.jacobian(x, exact=exact)), campaign.prior])
+        j = np.vstack([campaign.stacked(campaign.jacobian(x, slopes)), campaign.prior])
         return np.asarray(j * campaign.steps)
 
     if not len(start):
@@ -198,7 +213,7 @@ class _Campaign:
         self._start = np.array([u.start for u in unknowns])
         self.prior = np.diag([1.0 / u.sd for u in unknowns])[[np.isfinite(u.sd) for u in unknowns]]
         self.size = sum(w.size for w in observed.whiteners) + len(self.prior)
-        self._known: OrderedDict[bytes, tuple[FloatArray, ...]] = OrderedDict()
+        self.known: OrderedDict[bytes, tuple[FloatArray, ...]] = OrderedDict()
 
     def point(self, start: Mapping[str, float]) -> FloatArray:
         return self.clipped(np.array([start.get(u.name, u.start) for u in self._unknowns]))
@@ -210,25 +225,24 @@ class _Campaign:
         return {name: float(v) for name, v in zip(self._names, x, strict=True)}
 
     def evaluate(self, points: Sequence[FloatArray]) -> list[tuple[FloatArray, ...] | SimulationError]:
-        new = [p for p in points if p.tobytes() not in self._known]
-        outcomes: dict[bytes, SimulationError] = {}
-        if new:
-            self.evaluations += len(new)
-            for p, outcome in zip(new, self._predict([self.values(p) for p in new]), strict=True):
-                if isinstance(outcome, SimulationError):
-                    outcomes[p.tobytes()] = outcome
-                else:
-                    self._known[p.tobytes()] = self._observed.residuals(outcome)
-        found = [outcomes.get(p.tobytes()) or self._known[p.tobytes()] for p in points]
-        while len(self._known) > 2:
-            self._known.popitem(last=False)
-        return found
+        """Return the residuals of every experiment at each point, or why there are none."""
+        self.evaluations += len(points)
+        return [
+            outcome if isinstance(outcome, SimulationError) else self._observed.residuals(outcome)
+            for outcome in self._predict([self.values(p) for p in points])
+        ]
 
     def parts(self, x: FloatArray) -> tuple[FloatArray, ...]:
-        (outcome,) = self.evaluate([x])
-        if isinstance(outcome, SimulationError):
-            raise outcome
-        return outcome
+        """Return the residuals of every experiment; those of the last points are remembered."""
+        if x.tobytes() not in self.known:
+            (outcome,) = self.evaluate([x])
+            if isinstance(outcome, SimulationError):
+                raise outcome
+            self.known[x.tobytes()] = outcome
+        while len(self.known) > 2:
+            self.known.popitem(last=False)
+        self.known.move_to_end(x.tobytes())
+        return self.known[x.tobytes()]
 
     def cost(self, x: FloatArray) -> float:
         r = self.vector(x)
@@ -241,17 +255,33 @@ class _Campaign:
     def stacked(self, parts: Sequence[FloatArray]) -> FloatArray:
         return np.concatenate([w * p for w, p in zip(self.weight, parts, strict=True)])
 
-    def jacobian(self, x: FloatArray, *, exact: bool = True) -> tuple[FloatArray, ...]:
-        """Return d residual / d unknown, (M_e, P) an experiment; by finite steps where it cannot be `exact`."""
+    def promised(self, x: FloatArray) -> float:
+        """Return the fall of the cost that the slopes of a plausible step promise, as far as bounds allow."""
+        slopes = np.vstack([self.stacked(self.jacobian(x, "near")), self.prior]) * self.steps
+        room = np.stack([self.lower - x, self.upper - x]) / self.steps
+        free = room[0] < room[1]
+        r = self.vector(x)
+        found = lsq_linear(slopes[:, free], -r, bounds=room[:, free])
+        return float(r @ r) - 2.0 * float(found.cost)
+
+    def jacobian(self, x: FloatArray, slopes: Slopes = "exact") -> tuple[FloatArray, ...]:
+        """Return d residual / d unknown, (M_e, P) an experiment; differences where it cannot be exact."""
         base = self.parts(x)
-        columns = self._exactly(x) if exact else {}
-        signs = np.where(x + self.steps > self.upper, -1.0, 1.0)
+        columns = self._exactly(x) if slopes == "exact" else {}
         left = [k for k in range(len(x)) if k not in columns]
-        moved = self.evaluate([x + signs[k] * self.steps[k] * np.eye(len(x))[k] for k in left])
-        for k, outcome in zip(left, moved, strict=True):
-            if isinstance(outcome, SimulationError):
-                raise outcome
-            columns[k] = tuple(signs[k] * (a - b) / self.steps[k] for a, b in zip(outcome, base, strict=True))
+        away = np.diag(np.where(x + self.steps > self.upper, -self.steps, self.steps))[left]
+        ends = [self.clipped(x + step) for step in away]
+        begins = [x] * len(left)
+        if slopes == "wide":
+            ends = [self.clipped(x + _WIDE * step) for step in away]
+            begins = [self.clipped(x - _WIDE * step) for step in away]
+        moved = [*self.evaluate(ends), *(self.evaluate(begins) if slopes == "wide" else [base] * len(left))]
+        for n, k in enumerate(left):
+            a, b = moved[n], moved[n + len(left)]
+            if isinstance(a, SimulationError) or isinstance(b, SimulationError):
+                raise a if isinstance(a, SimulationError) else b
+            width = ends[n][k] - begins[n][k]
+            columns[k] = tuple((p - q) / width for p, q in zip(a, b, strict=True))
         return tuple(
             np.stack([columns[k][e] for k in range(len(x))], axis=1) if len(x) else np.zeros((b.size, 0))
             for e, b in enumerate(base)
