@@ -92,7 +92,8 @@ it would move backward; backward: it would move forward) while the stuck mode be
 one that turns true does. (With all relations of its mode false, an element in the manner of BearingFriction is stuck.)
 Where that does not settle either, a mode of a system with several solutions has ceased to exist (a Schmitt trigger jumps):
 the runtime then tries the combinations of the relations that changed and of those in the same ``MODEL_GROUP[]``, those
-with the fewest changes first, for one that is consistent.
+with the fewest changes first, for one that is consistent. If rounding rules out each (the diodes of a bridge stop to conduct:
+their modes meet), it takes the first one in which relations that do not fit are within the hysteresis of zero.
 
 ``update`` decides every when-clause by ``condition and not pre(condition)``, the pre-value being an internal entry of z,
 so that calling it again with pz = z fires nothing. At initialisation: z = pz = start, m = truth of indicators with m =

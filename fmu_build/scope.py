@@ -255,6 +255,13 @@ class ModelScope:
             self._starting = self.hold("starting", SX(0.0), SX(1.0)).symbol
         return self._starting
 
+    def is_switched(self, expression: SX) -> bool:
+        """Whether events change an expression: relations or discrete variables are in it."""
+        relations = {key(r.symbol) for r in self.relations}
+        found = self.graph.symbols(expression)
+        declared = (self.declarations.by_symbol.get(k) for k in found)
+        return bool(relations & found) or any(d is not None and d.kind == "discrete" for d in declared)
+
     def is_starting(self, symbols: Set[int]) -> bool:
         """Whether simplified equations are among those with these symbols."""
         return self._starting is not None and key(self._starting) in symbols

@@ -213,7 +213,7 @@ def _solve_rest(
         return []
     a = [[solution.expression(g[k]) if k in g else SX(0.0) for k in keys] for g in gradients]
     b = [-solution.expression(zero(r)) for r in residuals]
-    determinant, values = _linear(a, b)
+    determinant, values = _linear(a, b, refined=any(scope.is_switched(entry) for row in a for entry in row))
     if determinant is not None and is_number(determinant) and float(determinant) == 0.0:
         raise scope.flat.error(
             f"singular: the equations do not determine {', '.join(s.name() for s in left)}", places[0]
@@ -226,11 +226,21 @@ def linear_solution(a: list[list[SX]], b: list[SX]) -> list[SX]:
     return _linear(a, b)[1]
 
 
-def _linear(a: list[list[SX]], b: list[SX]) -> tuple[SX | None, list[SX]]:
-    """Solve a small linear system without choosing pivots: coefficients may vanish in some modes of a model."""
+def _linear(a: list[list[SX]], b: list[SX], *, refined: bool = False) -> tuple[SX | None, list[SX]]:
+    """Solve a small linear system without choosing pivots: coefficients may vanish in some modes of a model.
+
+    Parameters
+    ----------
+    refined
+        Solve once more for what the solution leaves of the right-hand side: in some modes coefficients differ by
+        ten powers of ten (ideal diodes), and no scaling suits all modes.
+    """
     n = len(b)
     if n > _MOST_CRAMER:
-        solved = ca.solve(ca.vertcat(*[ca.horzcat(*row) for row in a]), ca.vertcat(*b))
+        whole, right = ca.vertcat(*[ca.horzcat(*row) for row in a]), ca.vertcat(*b)
+        solved = ca.solve(whole, right)
+        if refined:
+            solved += ca.solve(whole, right - whole @ solved)
         return None, [solved[i] for i in range(n)]
     whole = _determinant(a)
     values = []

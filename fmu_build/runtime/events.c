@@ -7,6 +7,7 @@
 /* A relation changes during integration only when its indicator is beyond zero by this much: no chattering of a
  * quantity that rests at its threshold. */
 static const double HYSTERESIS = 1e-10;
+static const double EXACT = -1.0; /* no such tolerance */
 /* After so many changes one after the other between which an indicator hardly left zero, this much is doubled, up to the
  * tolerance of the integration: what is driven back to its threshold from both sides stays as near to it. */
 enum { CHATTERING = 100 };
@@ -23,13 +24,18 @@ static int indicators_at(Instance *me, double t, const double *x, const double *
     return model_indicators(me->arg, me->res, me->iw, me->w, 0);
 }
 
-/* Truth of every relation at (t, x, u) with the present m, z and y. */
-void relations(Instance *me, double t, const double *x, const double *u, double *m) {
+/* Truth of every relation at (t, x, u) with the present m, z and y; within `slack` of its threshold it is as in m. */
+static void relations_within(Instance *me, double slack, double t, const double *x, const double *u, double *m) {
     double g[LENGTH(NM)] = {0};
     environment_at(me, &t, x, u);
     me->res[0] = g;
     model_indicators(me->arg, me->res, me->iw, me->w, 0);
-    for (int i = 0; i < NM; i++) m[i] = MODEL_INCLUSIVE[i] ? g[i] >= 0.0 : g[i] > 0.0;
+    for (int i = 0; i < NM; i++)
+        m[i] = fabs(g[i]) <= slack ? me->s.m[i] : MODEL_INCLUSIVE[i] ? g[i] >= 0.0 : g[i] > 0.0;
+}
+
+void relations(Instance *me, double t, const double *x, const double *u, double *m) {
+    relations_within(me, EXACT, t, x, u, m);
 }
 
 /* Between communication points an input may have changed before the event iteration of the next step: for reading
@@ -82,7 +88,7 @@ typedef struct {
 typedef enum { CHANGED, SETTLED, FAILED } Round;
 
 /* One round of the inner iteration: new z, and in m the relations that belong to it. */
-static Round one_round(Instance *me, double flag, Update *update, double *m) {
+static Round one_round(Instance *me, double flag, double slack, Update *update, double *m) {
     State *s = &me->s;
     double z[LENGTH(NZ)] = {0};
     if (solve_loop(me, s->t, s->x, s->u)) return FAILED;
@@ -97,16 +103,17 @@ static Round one_round(Instance *me, double flag, Update *update, double *m) {
     const int settled = same(z, s->z, NZ);
     memcpy(s->z, z, NZ * sizeof *z);
     if (NY > 0 && !settled && solve_loop(me, s->t, s->x, s->u)) return FAILED;
-    relations(me, s->t, s->x, s->u, m);
+    relations_within(me, slack, s->t, s->x, s->u, m);
     return settled ? SETTLED : CHANGED;
 }
 
 /* Are the relations `tried` consistent, all others as they follow? Starts from z, m and y of `before`. */
-static Round try_modes(Instance *me, double flag, const State *before, const unsigned char *tried, Update *update) {
+static Round try_modes(Instance *me, double flag, double slack, const State *before, const unsigned char *tried,
+                       Update *update) {
     State *s = &me->s;
     double m[LENGTH(NM)] = {0};
     for (int round = 0; round < 20; round++) {
-        const Round now = one_round(me, flag, update, m);
+        const Round now = one_round(me, flag, slack, update, m);
         if (now == FAILED) break;
         int consistent = 1, settled = now == SETTLED;
         for (int i = 0; i < NM; i++) {
@@ -124,7 +131,7 @@ static Round try_modes(Instance *me, double flag, const State *before, const uns
 
 /* Where the fixed point does not settle: the consistent combination of the relations that changed, and of those that
  * depend on them, with the fewest changes. */
-static Round search_modes(Instance *me, double flag, const State *before, const unsigned char *changed,
+static Round search_modes(Instance *me, double flag, double slack, const State *before, const unsigned char *changed,
                           Update *update) {
     enum { MOST = 12 };
     State *s = &me->s;
@@ -144,7 +151,7 @@ static Round search_modes(Instance *me, double flag, const State *before, const 
             memcpy(s->y, before->y, sizeof s->y);
             for (int k = 0; k < n; k++)
                 if (mask >> k & 1) s->m[member[k]] = s->m[member[k]] == 0.0;
-            if (try_modes(me, flag, before, tried, update) == SETTLED) return SETTLED;
+            if (try_modes(me, flag, slack, before, tried, update) == SETTLED) return SETTLED;
         }
     return FAILED;
 }
@@ -156,7 +163,7 @@ static Status settle(Instance *me, double flag, Update *update) {
     unsigned char changed[LENGTH(NM)] = {0};
     for (int inner = 0; inner < 100; inner++) {
         double m[LENGTH(NM)] = {0};
-        const Round now = one_round(me, flag, update, m);
+        const Round now = one_round(me, flag, EXACT, update, m);
         if (now == FAILED) {
             if (inner > 0) break;
             return report(me, STATUS_ERROR, "t = %.9g: an algebraic loop has no solution at an event", s->t);
@@ -165,7 +172,9 @@ static Status settle(Instance *me, double flag, Update *update) {
         for (int i = 0; i < NM; i++) changed[i] |= m[i] != s->m[i];
         adopt(s->m, m, inner >= 10);
     }
-    if (search_modes(me, flag, &before, changed, update) == SETTLED) return STATUS_OK;
+    if (search_modes(me, flag, EXACT, &before, changed, update) == SETTLED) return STATUS_OK;
+    /* Where several modes meet, as where the diodes of a bridge stop to conduct, rounding alone may rule out each. */
+    if (search_modes(me, flag, HYSTERESIS, &before, changed, update) == SETTLED) return STATUS_OK;
     return report(me, STATUS_ERROR, "t = %.9g: the event iteration finds no consistent discrete variables", s->t);
 }
 

@@ -243,3 +243,20 @@ def test_a_lossy_gear_with_modes_runs_as_an_fmu(tmp_path):
     assert np.max(np.abs(w - expected_w)) < 5e-3 * np.ptp(expected_w)
     assert np.max(np.abs(energy - expected_energy)) < 5e-3 * expected_energy[-1]
     assert np.all(np.diff(energy) > -1e-9)
+
+
+def test_a_bridge_of_ideal_diodes_rectifies(tmp_path):
+    """Where its diodes stop to conduct, all modes meet, and conductances differ by ten powers of ten."""
+    fmu = build(Path(__file__).parent / "models" / "Rectifier.mo", "Rectifier.PowerSupply", tmp_path)
+    at = np.linspace(0.0, 0.1, 1001)
+    v, _ = Fmu(fmu).simulate(Task(at, {}, ("v", "i"), tolerance=1e-8), {})
+    assert np.abs(v[at < 0.01]).max() < 1e-9
+    # Between the peaks of 12 V the capacitor alone feeds the load, with a time constant of 1 s.
+    half, w = 1 / 120, 2 * math.pi * 60
+    leaves = half / 2 + math.atan(1 / w) / w  # where 12 sin(w t) falls as fast as the capacitor does
+    expected = []
+    for t in at[at > 0.0125]:
+        since = (t - leaves) % half
+        falling = 12 * math.sin(w * leaves) * math.exp(-since)
+        expected.append(max(falling, 12 * abs(math.sin(w * t))))
+    np.testing.assert_allclose(v[at > 0.0125], expected, atol=2e-3)
