@@ -215,10 +215,11 @@ RARE = frozenset(
         "messages",
         "variable_partials",
         "dependent_partials",
-        "start_partials",
     }
     | {"start_partials", "initial_partials", "indicator_partials", "update_partials", "element_slopes"}
 )
+# The same where there are no algebraic loops, whose solutions sensitivities take along.
+WITHOUT_LOOPS = frozenset({"partials", "loop_partials"})
 
 
 @dataclass(frozen=True)
@@ -232,8 +233,9 @@ class Files:
 
 def c_files(functions: Functions, header: Header) -> Files:
     """C text of all functions and tables; the same bytes for the same functions."""
-    often = c_code({n: f for n, f in functions.items() if n not in RARE}, parameters=PARAMETERS)
-    rare = c_code({n: f for n, f in functions.items() if n in RARE})
+    seldom = RARE if header.sizes["NY"] else RARE | WITHOUT_LOOPS
+    often = c_code({n: f for n, f in functions.items() if n not in seldom}, parameters=PARAMETERS)
+    rare = c_code({n: f for n, f in functions.items() if n in seldom})
     lines = ["#ifndef MODEL_H", "#define MODEL_H", ""]
     lines += ["#ifndef casadi_int", "#define casadi_int long long int", "#endif", ""]
     lines += [f"#define MODEL_{name} {value}" for name, value in header.sizes.items()]

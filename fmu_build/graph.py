@@ -170,24 +170,25 @@ class Graph:
 
 def fold(root: SX, memory: dict[int, tuple[SX, T]], visit: Callable[[SX, list[T]], T]) -> T:
     """Post-order walk without recursion; the memory keeps the nodes alive so that keys stay unique."""
-    found = memory.get(key(root))
+    own = key(root)
+    found = memory.get(own)
     if found is not None:
         return found[1]
-    stack = [root]
+    stack: list[tuple[int, SX, list[tuple[int, SX]] | None]] = [(own, root, None)]
     while stack:
-        node = stack[-1]
-        k = key(node)
+        k, node, below = stack.pop()
         if k in memory:
-            stack.pop()
             continue
-        deps = [node.dep(i) for i in range(node.n_dep())]
-        missing = [d for d in deps if key(d) not in memory]
-        if missing:
-            stack.extend(missing)
-            continue
-        memory[k] = (node, visit(node, [memory[key(d)][1] for d in deps]))
-        stack.pop()
-    return memory[key(root)][1]
+        if below is None:
+            deps = [node.dep(i) for i in range(node.n_dep())]
+            below = [(key(d), d) for d in deps]
+            missing = [(at, d) for at, d in below if at not in memory]
+            if missing:
+                stack.append((k, node, below))
+                stack += [(at, d, None) for at, d in missing]
+                continue
+        memory[k] = (node, visit(node, [memory[at][1] for at, _ in below]))
+    return memory[own][1]
 
 
 def _chain(node: SX, parts: list[Gradient]) -> Gradient:

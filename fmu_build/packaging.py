@@ -35,9 +35,9 @@ _STRAIGHT = ("-O1", "-fgcse", "-fexpensive-optimizations")
 _PLAIN = ("-O1",)
 _SELDOM = ("-O0",)
 _LEVELS = (
-    (_FAST, {"equations.c", "integrator.c", "sensitivity.c"}),
-    (_STRAIGHT, {"model.c", "switches.c"}),
-    (_SELDOM, {"model_rare.c", "initialise.c", "lifecycle.c", "starts.c", "event_sensitivity.c"}),
+    (_FAST, ("equations.c", "integrator.c", "sensitivity.c")),
+    (_STRAIGHT, ("model.c", "switches.c")),
+    (_SELDOM, ("model_rare.c", "initialise.c", "lifecycle.c", "starts.c", "event_sensitivity.c")),
 )
 _SHARED = (
     "equations.c",
@@ -48,11 +48,13 @@ _SHARED = (
     "kinks.c",
     "lifecycle.c",
     "linear.c",
+    "pivoting.c",
     "sensitivity.c",
+    "sensitivity_rare.c",
     "simulate.c",
     "starts.c",
 )
-_HEADERS = ("instance.h", "linear.h", "lu.h", "sensitivity.h")
+_HEADERS = ("collocation.h", "instance.h", "linear.h", "lu.h", "sensitivity.h")
 _FMI_HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
@@ -265,10 +267,14 @@ def _compile(model: CompiledModel, files: dict[str, str], compiler: tuple[str, .
         by_level: dict[tuple[str, ...], list[str]] = {}
         for file in sources:
             by_level.setdefault(_level(file, files["model.h"]), []).append(file)
+        for flags in (_PLAIN, _SELDOM):  # as one source: the headers are read once
+            one = f"together{flags[0]}.c"
+            (folder / one).write_text("".join(f'#include "{file}"\n' for file in by_level[flags]))
+            by_level[flags] = [one]
         # Relative names only: nothing of this machine enters the binary.
         commands = [[*compiler, *C_FLAGS, *flags, *_wanted_flags(), "-c", *own] for flags, own in by_level.items()]
         _run_together(folder, model.class_name, *commands)
-        objects = [file.removesuffix(".c") + ".o" for file in sources]
+        objects = [file.removesuffix(".c") + ".o" for own in by_level.values() for file in own]
         _run_together(
             folder, model.class_name, [*compiler, *C_FLAGS, "-shared", "-o", "model.so", *objects, "-lm"]
         )
@@ -277,7 +283,9 @@ def _compile(model: CompiledModel, files: dict[str, str], compiler: tuple[str, .
 
 def _level(file: str, header: str) -> tuple[str, ...]:
     """Optimisation for a source file; sparse matrices alone make the solver of linear systems worth any."""
-    if file == "linear.c" and "_DENSE 0" in header:
+    if file == "linear.c" and any(
+        f"MODEL_{m}_DENSE 0\n" in header and f"MODEL_{m}_N 0\n" not in header for m in "JR"
+    ):
         return _FAST
     return next((flags for flags, own in _LEVELS if file in own), _PLAIN)
 

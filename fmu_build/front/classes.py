@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -124,9 +125,15 @@ class Section:
     items: tuple[Any, ...]
 
 
+_BODY = frozenset(("description", "annotation", "elements", "imports", "sections", "external"))
+
+
 @dataclass(slots=True, eq=False)
 class ClassDef:
-    """A class as it is written. Filled by the parser, not changed afterwards (but for files of a package)."""
+    """A class as it is written. Filled by the parser, not changed afterwards (but for files of a package).
+
+    What is between its name and its end may be parsed only when somebody asks for it (see `postpone`).
+    """
 
     at: Place
     name: str
@@ -153,6 +160,35 @@ class ClassDef:
     outside: ClassDef | None = None  # the class it is written in
     path: str = ""  # qualified name
     loader: Any = None  # finds members of a package that lie in files of their own
+    _parse: Callable[[ClassDef], None] | None = None  # what is still to be done
+
+    def postpone(self, parse: Callable[[ClassDef], None]) -> None:
+        """Leave the body to a function that fills it in when one of its parts is asked for first."""
+        for name in _BODY:
+            delattr(self, name)
+        self._parse = parse
+
+    def __getattr__(self, name: str) -> Any:
+        """Fill in the body: its parts are no attributes before that."""
+        if name not in _BODY or self._parse is None:
+            raise AttributeError(name)
+        parse, self._parse = self._parse, None
+        self.description, self.annotation, self.external = "", None, None
+        self.elements, self.imports, self.sections = [], [], []
+        parse(self)
+        for element in self.elements:
+            if isinstance(element, ClassDef):
+                element.settle(self, self.path)
+        return getattr(self, name)
+
+    def settle(self, outside: ClassDef | None, prefix: str) -> None:
+        """Tell a class and those inside it where they are."""
+        self.outside = outside
+        self.path = f"{prefix}.{self.name}" if prefix else self.name
+        if self._parse is None:
+            for element in self.elements:
+                if isinstance(element, ClassDef):
+                    element.settle(self, self.path)
 
     def member(self, name: str) -> ClassDef | ComponentDef | None:
         """Own element of that name, from a file of its own if need be."""

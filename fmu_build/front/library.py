@@ -97,12 +97,12 @@ class Library:
     def _single(self, path: Path, name: str) -> ClassDef | None:
         _, classes = self._read(path)
         for found in classes:
-            _settle(found, None, "")
+            found.settle(None, "")
         return next((c for c in classes if c.name == name), None)
 
     def _add(self, within: str, found: ClassDef) -> None:
         if not within:
-            _settle(found, None, "")
+            found.settle(None, "")
             self._tops[found.name] = found
             return
         outside: ClassDef | None = None
@@ -115,11 +115,11 @@ class Library:
                 self._tops[part] = inner
             elif inner not in outside.elements:
                 outside.elements.append(inner)
-            _settle(inner, outside, "" if outside is None else outside.path)
+            inner.settle(outside, "" if outside is None else outside.path)
             outside = inner
         assert outside is not None
         outside.elements.append(found)
-        _settle(found, outside, outside.path)
+        found.settle(outside, outside.path)
 
     def _read(self, path: Path) -> tuple[str, list[ClassDef]]:
         self.used[path] = None
@@ -127,7 +127,7 @@ class Library:
             text = path.read_text(encoding="utf-8-sig")
         except UnicodeDecodeError as error:
             raise ModelicaError("the file is not UTF-8", where=path.name) from error
-        return parse(text, path.name)
+        return parse(text, path.name, whole=path == self.file)
 
     def _folder(self, folder: Path) -> ClassDef:
         path = folder / "package.mo"
@@ -135,7 +135,7 @@ class Library:
         if len(classes) != 1:
             raise ModelicaError("a package.mo has one class", where=f"{folder.name}/package.mo")
         (package,) = classes
-        _settle(package, None, "")
+        package.settle(None, "")
         missing: set[str] = set()
 
         def load(outside: ClassDef, name: str) -> ClassDef | None:
@@ -152,20 +152,11 @@ class Library:
                 missing.add(name)
                 return None
             outside.elements.append(found)
-            _settle(found, outside, outside.path)
+            found.settle(outside, outside.path)
             return found
 
         package.loader = load
         return package
-
-
-def _settle(definition: ClassDef, outside: ClassDef | None, prefix: str) -> None:
-    """Tell a class and those inside it where they are."""
-    definition.outside = outside
-    definition.path = f"{prefix}.{definition.name}" if prefix else definition.name
-    for element in definition.elements:
-        if isinstance(element, ClassDef):
-            _settle(element, definition, definition.path)
 
 
 def _package_folder(file: Path) -> Path | None:

@@ -95,7 +95,7 @@ _PRODUCTS = frozenset(("*", "/", ".*", "./"))
 _FUNCTIONS = frozenset(("der", "initial", "pure"))
 
 
-def parse(text: str, file: str) -> tuple[str, list[ClassDef]]:
+def parse(text: str, file: str, *, whole: bool = True) -> tuple[str, list[ClassDef]]:
     """Parse a file.
 
     Parameters
@@ -104,6 +104,9 @@ def parse(text: str, file: str) -> tuple[str, list[ClassDef]]:
         Its text.
     file
         Its name, for messages.
+    whole
+        Whether the bodies of classes inside others are parsed, too, or only when somebody asks for them: of a
+        library's file a model uses few.
 
     Returns
     -------
@@ -115,7 +118,9 @@ def parse(text: str, file: str) -> tuple[str, list[ClassDef]]:
     ModelicaError
         With file and line.
     """
-    return _Parser(text, file).stored_definition()
+    parser = _Parser(text, file)
+    parser.whole = whole
+    return parser.stored_definition()
 
 
 def annotation(source: Source | None) -> tuple[Argument | Redeclaration, ...]:
@@ -148,6 +153,8 @@ class _Parser:
         self.starts: list[int] = []
         self.stops: dict[int, int] = {}  # of annotations
         self.i = 0
+        self.whole = True
+        self._depth = 0
         self._places: dict[int, Place] = {}
         self._tokenise(start, len(text) if stop is None else stop)
         self.last = len(self.tokens) - 1
@@ -345,6 +352,38 @@ class _Parser:
         return Source(self.file, self.text, start, self.stops[number])
 
     def body(self, out: ClassDef) -> None:
+        end = None if self.whole or not self._depth else self._end(out.name)
+        if end is None:
+            self._depth += 1
+            self._body(out)
+            self._depth -= 1
+            return
+        begin, self.i = self.i, end
+
+        def parse(out: ClassDef) -> None:
+            here, self.i = self.i, begin
+            self._depth += 1
+            self._body(out)
+            self._depth -= 1
+            self.i = here
+
+        out.postpone(parse)
+
+    def _end(self, name: str) -> int | None:
+        """Return the token after a class; None if another one inside it has its name, or nothing ends it."""
+        tokens = self.tokens
+        at = self.i
+        try:
+            while True:
+                at = tokens.index(name, at + 1)
+                if tokens[at - 1] in _KINDS:
+                    return None
+                if tokens[at - 1] == "end":
+                    return at + 1
+        except ValueError:
+            return None
+
+    def _body(self, out: ClassDef) -> None:
         out.description = self.string_comment()
         protected = False
         while True:

@@ -177,7 +177,7 @@ Status set_experiment(Instance *me, int tolerance_defined, double tolerance, dou
 Status start_simulation(Instance *me);
 Status update_discrete_states(Instance *me, int *states_changed);
 
-/* sensitivity.c */
+/* sensitivity.c, sensitivity_rare.c */
 Status start_sensitivities(Instance *me);
 Status advance_sensitivities(Instance *me, double t, int restart);
 Status enter_event(Instance *me, int inside);

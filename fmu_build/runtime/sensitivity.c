@@ -6,51 +6,15 @@
  * three where the model's Jacobian has entries, and no error control of its own is needed. The solution between the
  * communication points is the collocation polynomial. A step is worked off only when it is
  * needed: a lookahead that a new input makes void costs nothing. Where the step runs over kinks of f, whose Jacobian
- * jumps there, it is solved in pieces between them. What an event does to S is in event_sensitivity.c. */
+ * jumps there, it is solved in pieces between them. Where S begins and what an event makes of it: sensitivity_rare.c. */
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
-#include "instance.h"
+#include "collocation.h"
 #include "sensitivity.h"
 
-enum { N = NX + NY, RADAU = 3, BLOCK = RADAU * RADAU };
-
-struct Sensitivity {
-    size_t n, n_parameters;
-    unsigned *parameters;
-    double *weights;  /* n rows of n_parameters: how they move together */
-    Direction *along; /* p, d, z and pz as they change, the rest is work memory */
-    double *moves;    /* the same p, d and z in NP + ND + NZ rows of n, in one block with what follows ... */
-    unsigned char moved[LENGTH(NP + ND + NZ)]; /* ... which of them change at all ... */
-    int elements;     /* ... and, if elements of arrays do, how many derivatives by those there are */
-    double *start;    /* NX rows of n: at the beginning of the last step */
-    double *stages;   /* N times RADAU rows of n: of each unknown at the collocation points */
-    double *now;      /* NX rows of n: where they were asked for */
-    double *rest;     /* N times RADAU rows of n: work memory */
-    double from, to;  /* the piece of the last step that `stages` belong to ... */
-    double smooth;    /* ... up to where f has no kink in it ... */
-    int pieces;       /* ... and how many of it there were; 0: none is solved yet */
-    double switches[LENGTH(MODEL_NSWITCH)]; /* their values at the end of the last piece ... */
-    int switches_known;                     /* ... if f goes on from there as it was */
-    double factors[BLOCK * MODEL_J_FILLED + 1]; /* blocks of L and U, on the diagonal inverses */
-    Pivoted *other;                             /* of the whole matrix, where the planned pivots will not do ... */
-    int use_other;                              /* ... as in the last piece */
-    double work[2 * BLOCK * N + 1];
-};
-
-static const Pattern PATTERN_J = PATTERN(J);
 static const double NODE[RADAU] = {0.1550510257216822, 0.6449489742783178, 1.0};
-/* Inverse of the method's matrix, and its row sums. */
-static const double W[RADAU][RADAU] = {
-    {3.224744871391589, 1.1678400846904056, -0.25319726474218085},
-    {-3.5678400846904057, 0.775255128608411, 1.0531972647421808},
-    {5.531972647421808, -7.531972647421808, 5.0},
-};
 static const double W_SUM[RADAU] = {4.139387691339814, -1.7393876913398136, 3.0};
-
-/* What multiplies a row of the collocation equations: loops are no differential equations. */
-static inline double row_factor(int row, double h) { return row < NX ? h : 1.0; }
 
 /* The entries of J, and the derivatives of [f; r] along the directions, into the rows of stage i. */
 static int slopes_at(Instance *me, double t, const double *x, double h, int i, double *jacobian, double *rows) {
@@ -150,32 +114,6 @@ static int planned_factor(struct Sensitivity *q, double h, double (*jacobian)[LE
     return grown;
 }
 
-/* The same with pivots chosen by size, blocks written out. */
-static int pivoted_blocks(struct Sensitivity *q, double h, double (*jacobian)[LENGTH(MODEL_J_NONZEROS)]) {
-    const Pattern *p = &PATTERN_J;
-    int *index = malloc((LENGTH(RADAU * MODEL_J_NONZEROS + 2 * RADAU * NX) + 6 * N + 1) * sizeof *index);
-    double *value = malloc(LENGTH(RADAU * MODEL_J_NONZEROS + 2 * RADAU * NX) * sizeof *value);
-    int failed = !index || !value, used = 0;
-    int *start = index, *column = start + RADAU * N + 1, *row = column + RADAU * N;
-    for (int c = 0; !failed && c < RADAU * N; c++) {
-        const int j = c / RADAU, i = c % RADAU;
-        start[c] = used;
-        column[c] = p->column[j] * RADAU + i;
-        for (int k = p->start[j]; k < p->start[j + 1]; k++)
-            for (int other = 0; other < RADAU; other++) {
-                const int state = p->row[k] == j && j < NX;
-                if (other != i && !state) continue;
-                row[used] = p->row[k] * RADAU + other;
-                value[used++] = (other == i ? -row_factor(p->row[k], h) * jacobian[i][k] : 0.0) + (state ? W[other][i] : 0.0);
-            }
-        start[c + 1] = used;
-    }
-    failed = failed || pivoted_factor(RADAU * N, start, row, column, value, &q->other);
-    free(index);
-    free(value);
-    return failed;
-}
-
 /* rows -= block * other, each RADAU rows of n */
 static inline void subtract_rows(size_t n, const double *block, const double *restrict other, double *restrict rows) {
     for (int i = 0; i < RADAU; i++)
@@ -201,21 +139,6 @@ static inline void solve_rows(const struct Sensitivity *q, size_t n, double *y, 
         for (int s = MODEL_J_LU_START[k]; s < diagonal; s++)
             subtract_rows(n, lu + s * BLOCK, solved, y + MODEL_J_LU_ROW[s] * m);
     }
-}
-
-static int solve_pivoted(struct Sensitivity *q, const double *y, double *to) {
-    double *b = malloc((2 * RADAU * N + 1) * sizeof *b);
-    if (!b) return 1;
-    for (size_t p = 0; p < q->n; p++) {
-        for (int i = 0; i < RADAU * N; i++)
-            b[i] = y[((size_t)PATTERN_J.place[i / RADAU] * RADAU + i % RADAU) * q->n + p];
-        int *column = (int *)(void *)(b + RADAU * N);
-        for (int i = 0; i < RADAU * N; i++) column[i] = PATTERN_J.column[i / RADAU] * RADAU + i % RADAU;
-        pivoted_solve(RADAU * N, column, q->other, q->work, b);
-        for (int i = 0; i < RADAU * N; i++) to[i * q->n + p] = b[i];
-    }
-    free(b);
-    return 0;
 }
 
 /* The collocation equations of a piece of the last step: with W the inverse of the method's matrix,
@@ -307,158 +230,6 @@ Status advance_sensitivities(Instance *me, double t, int restart) {
     q->switches_known &= !restart && q->to == t;
     memcpy(q->start, q->now, q->n * NX * sizeof(double));
     q->pieces = 0;
-    return status;
-}
-
-void free_sensitivities(Instance *me) {
-    struct Sensitivity *q = me->sensitivity;
-    if (q) {
-        free(q->parameters);
-        free(q->weights);
-        free(q->along);
-        free(q->moves);
-        free_pivoted(&q->other);
-    }
-    free(q);
-    me->sensitivity = NULL;
-}
-
-/* The derivatives that hold from here on, from the directions' x and z. */
-static void go_on_along(struct Sensitivity *q) {
-    for (size_t j = 0; j < q->n; j++) {
-        const Direction *s = &q->along[j];
-        for (int row = 0; row < NX; row++) q->start[row * q->n + j] = s->x[row];
-        for (int k = 0; k < NZ; k++) {
-            const int row = NP + ND + k;
-            q->moves[row * q->n + j] = s->z[k];
-            q->moved[row] |= s->z[k] != 0.0;
-        }
-    }
-    q->pieces = q->switches_known = 0;
-}
-
-/* Derivatives of the initial state and, with them, of the discrete variables. */
-static int initial_values_along(Instance *me, const double *start, Direction *s) {
-    enum { MOST = 50 };
-    double before[LENGTH(NZ)];
-    if (discrete_starts_along(me, s)) return 1;
-    for (int round = 0; round < MOST; round++) {
-        memcpy(before, s->z, sizeof before);
-        if (initial_states_along(me, start, s)) return 1;
-        if (!MODEL_HAS_EVENTS) return 0;
-        if (event_update_along(me, s, 1, 1, 0)) return 1;
-        int settled = 1;
-        for (int k = 0; k < NZ; k++) settled &= fabs(s->z[k] - before[k]) <= 1e-12 * fabs(s->z[k]);
-        if (settled) {
-            memcpy(s->pz, s->z, sizeof s->z);
-            return 0;
-        }
-    }
-    return 1;
-}
-
-/* At the initial point, the pre-values still those of before it: derivatives of what the simulation starts from. */
-Status start_sensitivities(Instance *me) {
-    struct Sensitivity *q = me->sensitivity;
-    if (!q || q->n == 0) return STATUS_OK;
-    memset(q->moved, 0, sizeof q->moved);
-    for (size_t j = 0; j < q->n; j++) {
-        Direction *s = &q->along[j], unit;
-        double start[LENGTH(NX)] = {0}, unit_start[LENGTH(NX)];
-        memset(s, 0, sizeof *s);
-        for (size_t i = 0; i < q->n_parameters; i++) {
-            const double w = q->weights[j * q->n_parameters + i];
-            if (w == 0.0) continue;
-            memset(&unit, 0, sizeof unit);
-            memset(unit_start, 0, sizeof unit_start);
-            parameter_direction(q->parameters[i], &unit, unit_start);
-            for (int k = 0; k < NP; k++) s->p[k] += w * unit.p[k];
-            for (int k = 0; k < NX; k++) start[k] += w * unit_start[k];
-        }
-        if (dependent_parameters_along(me, s->p, s->d) || initial_values_along(me, start, s))
-            return report(me, STATUS_ERROR, "t = %.9g: the sensitivities of the initial state cannot be computed",
-                          me->s.t);
-        for (int k = 0; k < NP + ND; k++) {
-            const double move = q->moves[k * q->n + j] = k < NP ? s->p[k] : s->d[k - NP];
-            q->moved[k] |= move != 0.0;
-        }
-    }
-    q->elements = 0;
-    for (int k = MODEL_NSLOPE; k < MODEL_NSLOPE + MODEL_NELEMENT; k++)
-        if (q->moved[MODEL_SLOPE_COLUMN[k]]) q->elements = MODEL_NELEMENT;
-    go_on_along(q);
-    return MODEL_HAS_EVENTS ? event_start_along(me, q->along, q->n) : STATUS_OK;
-}
-
-/* Before the event iteration: S at the event, seen from where it moves to. */
-Status enter_event(Instance *me, int inside) {
-    struct Sensitivity *q = me->sensitivity;
-    const Status status = advance_sensitivities(me, me->s.t, 1);
-    if (!MODEL_HAS_EVENTS || !q || q->n == 0 || status > STATUS_WARNING) return status;
-    for (size_t j = 0; j < q->n; j++)
-        for (int row = 0; row < NX; row++) q->along[j].x[row] = q->start[row * q->n + j];
-    return event_time_along(me, q->along, q->n, inside);
-}
-
-/* In the event iteration, before the pre-values and (with `reinit`) the state change. */
-Status update_sensitivities(Instance *me, int reinit) {
-    struct Sensitivity *q = me->sensitivity;
-    return q && q->n > 0 ? event_update_along(me, q->along, q->n, 0, reinit) : STATUS_OK;
-}
-
-/* After the event iteration. */
-Status leave_event(Instance *me) {
-    struct Sensitivity *q = me->sensitivity;
-    if (!MODEL_HAS_EVENTS || !q || q->n == 0) return STATUS_OK;
-    const Status status = event_end_along(me, q->along, q->n);
-    go_on_along(q);
-    return status;
-}
-
-int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, size_t n_parameters,
-                                  const double *weights, size_t n) {
-    Instance *me = instance;
-    if (!me) return STATUS_ERROR;
-    if (!(me->s.phase & (PHASE_INSTANTIATED | PHASE_INITIALIZATION)) || !me->s.is_co_simulation)
-        return report(me, STATUS_ERROR, "sensitivities are chosen before a co-simulation starts");
-    for (size_t i = 0; i < n_parameters; i++) {
-        Direction s;
-        double start[LENGTH(NX)];
-        if (!parameter_direction(parameters[i], &s, start))
-            return report(me, STATUS_ERROR, "value reference %u is no parameter or start value to differentiate by",
-                          parameters[i]);
-    }
-    free_sensitivities(me);
-    me->s.initialised = 0;
-    if (n == 0) return STATUS_OK;
-    struct Sensitivity *q = me->sensitivity = calloc(1, sizeof *q);
-    if (q) {
-        q->parameters = malloc(LENGTH(n_parameters) * sizeof *parameters);
-        q->weights = malloc(LENGTH(n * n_parameters) * sizeof *weights);
-        q->along = calloc(n, sizeof *q->along);
-        q->moves = calloc(n * LENGTH(NP + ND + NZ + 2 * NX + 2 * RADAU * N), sizeof(double));
-    }
-    if (!q || !q->parameters || !q->weights || !q->along || !q->moves) {
-        free_sensitivities(me);
-        return report(me, STATUS_ERROR, "no memory for sensitivities");
-    }
-    q->start = q->moves + (NP + ND + NZ) * n;
-    q->stages = q->start + NX * n;
-    q->now = q->stages + RADAU * N * n;
-    q->rest = q->now + NX * n;
-    memcpy(q->parameters, parameters, n_parameters * sizeof *parameters);
-    memcpy(q->weights, weights, n * n_parameters * sizeof *weights);
-    q->n_parameters = n_parameters;
-    q->n = n;
-    return STATUS_OK;
-}
-
-int fmuidSetSensitivityParameters(void *instance, const unsigned *parameters, size_t n) {
-    double *unit = calloc(LENGTH(n * n), sizeof *unit);
-    if (!unit) return instance ? report(instance, STATUS_ERROR, "no memory for sensitivities") : STATUS_ERROR;
-    for (size_t i = 0; i < n; i++) unit[i * n + i] = 1.0;
-    const int status = fmuidSetSensitivityDirections(instance, parameters, n, unit, n);
-    free(unit);
     return status;
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import pytest
 
 from fmu_build import build, compile_modelica
 from fmu_build.errors import BuildError, ModelicaError
+from fmu_build.front.flatten import load
 from tests.fmu_build.simulate import Instance, states
 
 MODELS = Path(__file__).parent / "models"
@@ -33,6 +35,37 @@ def test_unchanged_sources_cost_nothing_and_changed_ones_rebuild(tmp_path, monke
 
     source.write_text(source.read_text().replace("r(R = 100)", "r(R = 200)"))
     assert build(source, "Structure.RC", tmp_path / "out").read_bytes() != before
+
+
+def test_same_input_same_bytes_in_every_process(tmp_path):
+    script = "import sys; from fmu_build import build; build(sys.argv[1], 'Structure.RC', sys.argv[2])"
+    for seed in ("1", "2"):
+        environment = {**os.environ, "PYTHONHASHSEED": seed, "FMU_BUILD_CFLAGS": "-O0"}
+        command = [sys.executable, "-c", script, str(MODELS / "Structure.mo"), str(tmp_path / seed)]
+        subprocess.run(command, env=environment, check=True)
+    first, second = ((tmp_path / seed / "RC.fmu").read_bytes() for seed in "12")
+    assert first == second
+
+
+def test_of_a_librarys_file_only_the_classes_that_are_used_are_parsed(tmp_path):
+    (tmp_path / "Library.mo").write_text(
+        "package Library\n"
+        "  package Outer\n"
+        "    package Outer constant Real k = 2; end Outer;\n"
+        "    model Good Real x = Outer.k*time; end Good;\n"
+        "  end Outer;\n"
+        "  model Bad\n"
+        "    Real x = ;\n"
+        "  end Bad;\n"
+        "end Library;\n"
+    )
+    model = tmp_path / "model" / "Use.mo"
+    model.parent.mkdir()
+    model.write_text("model Good Library.Outer.Good m; end Good;\nmodel Bad Library.Bad m; end Bad;\n")
+    flat = load(model, "Good", [tmp_path])
+    assert "m.x" in flat.variables
+    with pytest.raises(ModelicaError, match=r"Library.mo:7: unexpected ';'"):
+        load(model, "Bad", [tmp_path])
 
 
 def test_only_files_that_were_read_count_and_new_ones_that_hide_them(tmp_path, monkeypatch):

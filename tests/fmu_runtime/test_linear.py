@@ -1,4 +1,4 @@
-"""The factorisations of linear.c, planned and with pivots by size, against NumPy."""
+"""The factorisations of linear.c and pivoting.c, planned and with pivots by size, against NumPy."""
 
 from __future__ import annotations
 
@@ -45,7 +45,15 @@ def library(tmp_path_factory):
         f"-I{RUNTIME}",
     ]
     subprocess.run(
-        [*command, "-o", folder / "linear.so", folder / "driver.c", RUNTIME / "linear.c", "-lm"], check=True
+        [
+            *command,
+            "-o",
+            folder / "linear.so",
+            folder / "driver.c",
+            *(RUNTIME / f"{n}.c" for n in ("linear", "pivoting")),
+            "-lm",
+        ],
+        check=True,
     )
     return ctypes.CDLL(str(folder / "linear.so"))
 

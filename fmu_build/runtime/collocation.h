@@ -1,0 +1,48 @@
+/* The collocation equations of sensitivity.c: what it shares with sensitivity_rare.c. */
+#ifndef FMUID_COLLOCATION_H
+#define FMUID_COLLOCATION_H
+
+#include "instance.h"
+
+enum { N = NX + NY, RADAU = 3, BLOCK = RADAU * RADAU };
+
+struct Sensitivity {
+    size_t n, n_parameters;
+    unsigned *parameters;
+    double *weights;  /* n rows of n_parameters: how they move together */
+    Direction *along; /* p, d, z and pz as they change, the rest is work memory */
+    double *moves;    /* the same p, d and z in NP + ND + NZ rows of n, in one block with what follows ... */
+    unsigned char moved[LENGTH(NP + ND + NZ)]; /* ... which of them change at all ... */
+    int elements;     /* ... and, if elements of arrays do, how many derivatives by those there are */
+    double *start;    /* NX rows of n: at the beginning of the last step */
+    double *stages;   /* N times RADAU rows of n: of each unknown at the collocation points */
+    double *now;      /* NX rows of n: where they were asked for */
+    double *rest;     /* N times RADAU rows of n: work memory */
+    double from, to;  /* the piece of the last step that `stages` belong to ... */
+    double smooth;    /* ... up to where f has no kink in it ... */
+    int pieces;       /* ... and how many of it there were; 0: none is solved yet */
+    double switches[LENGTH(MODEL_NSWITCH)]; /* their values at the end of the last piece ... */
+    int switches_known;                     /* ... if f goes on from there as it was */
+    double factors[BLOCK * MODEL_J_FILLED + 1]; /* blocks of L and U, on the diagonal inverses */
+    Pivoted *other;                             /* of the whole matrix, where the planned pivots will not do ... */
+    int use_other;                              /* ... as in the last piece */
+    double work[2 * BLOCK * N + 1];
+};
+
+static const Pattern PATTERN_J = PATTERN(J);
+
+/* Inverse of the method's matrix, and its row sums. */
+static const double W[RADAU][RADAU] = {
+    {3.224744871391589, 1.1678400846904056, -0.25319726474218085},
+    {-3.5678400846904057, 0.775255128608411, 1.0531972647421808},
+    {5.531972647421808, -7.531972647421808, 5.0},
+};
+
+/* What multiplies a row of the collocation equations: loops are no differential equations. */
+static inline double row_factor(int row, double h) { return row < NX ? h : 1.0; }
+
+/* sensitivity_rare.c: the factorisation with pivots chosen by size, and the solution by it. */
+int pivoted_blocks(struct Sensitivity *q, double h, double (*jacobian)[LENGTH(MODEL_J_NONZEROS)]);
+int solve_pivoted(struct Sensitivity *q, const double *y, double *to);
+
+#endif
