@@ -7,13 +7,14 @@ test that is missing.
     python benchmarks/mutation.py              every module below
     python benchmarks/mutation.py features     those whose path has "features" in it
 
-Tests run in forks of a process that has imported what no mutant changes (NumPy, SciPy, pytest), which is most of
-their time.
+Tests run in forks of a process that has imported what no mutant of the module changes: libraries, and the modules
+that do not depend on it. That is most of their time.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
 import gc
 import importlib
 import os
@@ -24,7 +25,8 @@ import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -51,12 +53,13 @@ CORE: Mapping[str, Sequence[str]] = {
     "identification/uncertainty/inherited.py": ("tests/identification/test_held.py",),
     "identification/uncertainty/earlier_stages.py": ("tests/identification/test_held.py",),
     "identification/uncertainty/confidence.py": (
+        "tests/identification/test_confidence.py",
         "tests/identification/test_held.py",
         "tests/identification/test_uncertainty.py",
     ),
-    "diagnosis/cross_validation.py": ("tests/diagnosis/test_parts.py",),
+    "diagnosis/cross_validation.py": ("tests/diagnosis/test_cross_validation.py",),
     "diagnosis/decide.py": ("tests/diagnosis/test_decide.py",),
-    "diagnosis/scores.py": ("tests/diagnosis/test_parts.py",),
+    "diagnosis/scores.py": ("tests/diagnosis/test_scores.py", "tests/diagnosis/test_parts.py"),
 }
 """Modules below `src/fmuid`, and the tests that should notice."""
 CONFIG = """[cosmic-ray]
@@ -103,13 +106,36 @@ def survivors(module: str, tests: Sequence[str], copy: Path, place: str) -> tupl
     return len(results), [str(r.diff) for r in results if r.test_outcome == TestOutcome.SURVIVED]
 
 
-def serve(listener: socket.socket, copy: Path) -> None:
-    """Answer each request for tests with their exit code, until the listener is closed."""
+def independent(changed: str, source: Path) -> list[str]:
+    """Return the modules of fmuid below `source` that do not depend on the module `changed`."""
+    needs: dict[str, set[str]] = {}
+    for file in source.rglob("fmuid/**/*.py"):
+        name = ".".join(file.relative_to(source).with_suffix("").parts).removesuffix(".__init__")
+        found = {name.rpartition(".")[0]}
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+            elif isinstance(node, ast.Import):
+                found |= {alias.name for alias in node.names}
+        needs[name] = found
+    del needs["fmuid"]  # which imports nothing before it is asked for
+    reached = {changed}
+    while further := {name for name, of in needs.items() if name not in reached and of & reached}:
+        reached |= further
+    return sorted(name for name in needs if name not in reached and not name.endswith("__main__"))
+
+
+def serve(listener: socket.socket, copy: Path, module: str) -> None:
+    """Answer each request for tests of `module` with their exit code, until the listener is closed."""
     os.chdir(copy)
     sys.path[:0] = [str(copy / "src"), str(copy)]  # before the package that the environment has
-    for name in UNCHANGED:
-        importlib.import_module(name)
-    _in_a_fork("--collect-only", *{test for tests in CORE.values() for test in tests})  # leaves bytecode
+    changed = "fmuid." + module.replace("/", ".").removesuffix(".py")
+    for name in (*UNCHANGED, *independent(changed, copy / "src")):
+        with suppress(ImportError):  # of a library that is not installed
+            importlib.import_module(name)
+    if changed in sys.modules:
+        raise RuntimeError(f"{changed} has been imported already: no mutant of it would be seen")
+    _in_a_fork("--collect-only", *CORE[module])  # leaves bytecode
     sys.dont_write_bytecode = True  # a mutant's would outlive it
     gc.collect()
     gc.freeze()
@@ -118,6 +144,26 @@ def serve(listener: socket.socket, copy: Path) -> None:
         with asking:
             tests = asking.recv(65536).decode().split()
             asking.sendall(b"0" if _in_a_fork(*tests) == 0 else b"1")
+
+
+@contextmanager
+def serving(copy: Path, module: str) -> Iterator[str]:
+    """Serve tests of `module` in a process beside this one; yield the place to ask it at."""
+    with (
+        tempfile.TemporaryDirectory(prefix="mutation", dir="/tmp") as folder,
+        socket.socket(socket.AF_UNIX) as listener,
+    ):
+        place = f"{folder}/tests"
+        listener.bind(place)
+        listener.listen()
+        server = os.fork()
+        if server == 0:
+            serve(listener, copy, module)
+        try:
+            yield place
+        finally:
+            os.kill(server, signal.SIGTERM)
+            os.waitpid(server, 0)
 
 
 def _in_a_fork(*arguments: str) -> int:
@@ -137,9 +183,8 @@ def _passed(tests: Sequence[str]) -> int:
     for stream in (0, 1, 2):
         os.dup2(nowhere, stream)
     try:
-        # What the server has imported is not rewritten for assertions: libraries alone.
-        early = "ignore::pytest.PytestAssertRewriteWarning"
-        return int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-W", early, "-m", "not slow", *tests]))
+        options = ["-x", "-q", "--assert=plain", "-p", "no:cacheprovider", "-p", "no:xdist", "-m", "not slow"]
+        return int(pytest.main([*options, *tests]))
     except BaseException:
         return 1
 
@@ -165,25 +210,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     copy = OUT / "copy"
     shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(*_IGNORED))
     page = ["# Surviving mutants", ""]
-    with (
-        tempfile.TemporaryDirectory(prefix="mutation", dir="/tmp") as folder,
-        socket.socket(socket.AF_UNIX) as listener,
-    ):
-        place = f"{folder}/tests"
-        listener.bind(place)
-        listener.listen()
-        server = os.fork()
-        if server == 0:
-            serve(listener, copy)
-        try:
-            for module, tests in CORE.items():
-                if part in module:
-                    number, differences = survivors(module, tests, copy, place)
-                    page += [f"## {module}: {len(differences)} of {number}", ""]
-                    page += [f"```diff\n{difference.strip()}\n```\n" for difference in differences]
-                    (OUT / "survivors.md").write_text("\n".join(page), encoding="utf-8")
-        finally:
-            os.kill(server, signal.SIGTERM)
+    for module, tests in CORE.items():
+        if part in module:
+            with serving(copy, module) as place:
+                number, differences = survivors(module, tests, copy, place)
+            page += [f"## {module}: {len(differences)} of {number}", ""]
+            page += [f"```diff\n{difference.strip()}\n```\n" for difference in differences]
+            (OUT / "survivors.md").write_text("\n".join(page), encoding="utf-8")
     print(f"written: {OUT / 'survivors.md'}")
     return 0
 

@@ -1,4 +1,4 @@
-"""Scores, aliases, held-out losses, closures, decoys and signal effects, each on what has a known answer."""
+"""Scores, aliases, decoys and refits, each on what has a known answer."""
 
 from dataclasses import replace
 
@@ -9,14 +9,7 @@ from plants import EFFECTS, NOMINAL, PORTS, REGIMES, TWIN, plant
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis.candidates import fit_effects, score_further
 from fmuid.diagnosis.catalogue import Effect
-from fmuid.diagnosis.cross_validation import (
-    HeldOut,
-    advantage,
-    closure,
-    closure_interval,
-    in_sample,
-    leave_each_out,
-)
+from fmuid.diagnosis.cross_validation import closure
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import fit_decoys, harmonics, hats, quantile_knots, responses_of
 from fmuid.diagnosis.refit import Unknown, refit
@@ -97,127 +90,6 @@ def test_effects_of_the_same_signature_are_one_class(asymmetric):
     # Classes are chained: a ~ b and b ~ c puts a and c together.
     chain = {n: np.array([np.cos(x), np.sin(x), 0.0]) for n, x in (("a", 0.0), ("b", 0.3), ("c", 0.6))}
     assert alias_classes(chain, threshold=0.95) == (("a", "b", "c"),)
-
-
-def linear(slopes, keep=(0, 1, 2, 3)):
-    """Measurements of y = slope t, one slope an experiment, and the model y = k t fitted to those of `keep`."""
-    rng = np.random.default_rng(0)
-    noise = 0.1 * rng.standard_normal((len(slopes), 5, 1, len(TIME)))
-    runs = [RepeatedRuns(f"e{k}", "bench", TIME, ("y",), s * TIME + noise[k]) for k, s in enumerate(slopes)]
-    observed = Observed.from_runs(runs).select([f"e{k}" for k in keep])
-
-    def predict(points):
-        return [[(p["k"] * TIME)[None] for _ in keep] for p in points]
-
-    return observed, refit(predict, observed, [Unknown("k", 1.0, -100.0, 100.0, 0.01)])
-
-
-def test_held_out_losses_are_those_of_fits_to_the_other_experiments():
-    slopes = [2.0, 2.0, 2.0, 5.0]
-    observed, fit = linear(slopes)
-    held = leave_each_out(fit, observed)
-    for left_out in range(4):
-        others = [k for k in range(4) if k != left_out]
-        _, alone = linear(slopes, keep=others)
-        whiten = observed.whiteners[left_out]
-        residual = whiten((alone.values["k"] * TIME)[None] - observed.runs[left_out].mean).ravel()
-        residual = residual[observed.in_band[left_out]]
-        assert held.loss[left_out] == pytest.approx(np.mean(residual**2) - 1 / 5, rel=1e-3, abs=1e-3)
-    assert held.loss[3] > 3 * held.loss[0] > 0
-
-
-def test_every_run_has_a_loss_of_its_own():
-    observed, fit = linear([2.0, 2.0, 2.0, 3.0])
-    held = in_sample(fit, observed)
-    for e, run in enumerate(observed.runs):
-        for k, values in enumerate(run.values):
-            residual = observed.whiteners[e]((fit.values["k"] * TIME)[None] - values).ravel()[observed.in_band[e]]
-            assert held.per_run[e][k] == pytest.approx(np.mean(residual**2) - 1.0)
-
-
-@pytest.mark.parametrize(("bound", "moves"), [("lower", False), ("upper", False), (None, True)])
-def test_a_parameter_at_its_bound_stays_there_when_an_experiment_is_left_out(bound, moves):
-    observed, fit = linear([2.0, 2.0, 2.0, 5.0])
-    at = {"lower": (fit.values["k"], 100.0), "upper": (-100.0, fit.values["k"]), None: (-100.0, 100.0)}[bound]
-    fit = replace(fit, unknowns=(Unknown("k", 1.0, *at, 0.01),))
-    same = leave_each_out(fit, observed).loss == pytest.approx(in_sample(fit, observed).loss, rel=1e-9)
-    assert same is not moves
-
-
-def test_runs_of_a_complete_model_lose_nothing_when_left_out():
-    observed, fit = linear([2.0, 2.0, 2.0, 2.0])
-    held = leave_each_out(fit, observed)
-    assert np.abs(held.loss).max() < 0.15
-    assert held.gap < 0.3
-    for losses in held.per_run:
-        assert np.abs(losses).max() < 0.8  # three times what 33 components scatter by
-
-
-def lost(*loss):
-    return HeldOut(np.array(loss), tuple(np.full(5, x) for x in loss), np.full(len(loss), 100.0))
-
-
-def test_closure_is_the_share_of_the_gap_that_is_gone():
-    before, after = lost(4.0, 4.0, 4.0), lost(1.0, 1.0, 1.0)
-    assert closure(before, after) == pytest.approx(0.5)
-    assert closure(before, lost(-0.1, 0.0, 0.1)) == pytest.approx(1.0)
-    assert closure(lost(0.0, 0.0, 0.0), after) == 0.0
-    assert closure(after, before) == pytest.approx(-1.0)
-    assert closure_interval(before, after) == pytest.approx((0.5, 0.5))
-    low, high = closure_interval(before, lost(0.0, 1.0, 4.0))
-    assert low <= closure(before, lost(0.0, 1.0, 4.0)) <= high
-    assert high - low > 0.3
-    # New runs have noise of their own: a gap that is gone is measured as one within it.
-    gone = lost(0.0, 0.0, 0.0)
-    assert closure_interval(before, gone) == pytest.approx((1.0, 1.0))
-    low, high = closure_interval(before, gone, noise=np.linspace(-0.2, 0.2, 401))
-    assert low == pytest.approx(1.0 - np.sqrt(0.18 / 4.18), abs=0.02)
-    assert high == pytest.approx(1.0)
-    assert lost(-0.5, 0.2).gap == 0.0
-
-
-def test_a_closure_counts_experiments_by_their_size_and_runs_as_they_come():
-    def of(size, *losses):
-        return HeldOut(np.array([np.mean(x) for x in losses]), tuple(map(np.array, losses)), np.array(size))
-
-    # The small experiment is not closed at all, the large one wholly: 1 in 100 of the energy is left.
-    before, after = of([99.0, 1.0], [1.0], [1.0]), of([99.0, 1.0], [0.0], [1.0])
-    assert closure(before, after) == pytest.approx(0.9)
-    assert closure_interval(before, after)[0] == pytest.approx(1.0 - np.sqrt(2 / 2), abs=1e-9)
-    few = closure_interval(before, after, level=0.4)
-    assert few[0] == pytest.approx(0.9)
-    # Two runs of one experiment: half of the draws have both, a quarter each one twice.
-    before, after = of([9.0], [4.0, 4.0]), of([9.0], [0.0, 2.0])
-    assert closure_interval(before, after) == pytest.approx((1.0 - np.sqrt(0.5), 1.0))
-
-
-def test_an_advantage_that_the_runs_do_not_agree_on_is_within_its_error():
-    def scattered(*losses):
-        per_run = tuple(np.array(x, dtype=float) for x in losses)
-        return HeldOut(np.array([x.mean() for x in per_run]), per_run, np.full(len(losses), 100.0))
-
-    gained, error = advantage(scattered([4, 4, 4], [4, 4, 4]), scattered([0, 9, 4], [4, 8, 1]))
-    assert abs(gained) < error
-    gained, error = advantage(scattered([0, 1, 0], [0, 0, 1]), scattered([8, 8, 7], [7, 8, 8]))
-    assert gained == pytest.approx(22 / 3, abs=0.1)
-    assert gained > 5 * error
-
-
-def test_the_error_of_an_advantage_is_that_of_a_mean_over_the_runs():
-    """With n - 1 in the denominator: of the runs, and where none is repeated of the pieces."""
-    worse = HeldOut(np.array([2.0]), (np.array([1.0, 3.0]),), np.array([100.0]))
-    better = HeldOut(np.zeros(1), (np.zeros(2),), np.array([100.0]))
-    assert advantage(better, worse) == pytest.approx((2.0, 1.0))
-    pieces = HeldOut(np.array([1.0, 3.0]), (np.array([1.0]), np.array([3.0])), np.array([100.0, 100.0]))
-    none = HeldOut(np.zeros(2), (np.zeros(1), np.zeros(1)), np.array([100.0, 100.0]))
-    assert advantage(none, pieces) == pytest.approx((2.0, 1.0))
-    three = HeldOut(np.array([1.0, 3.0, 8.0]), (np.ones(1), np.ones(1), np.ones(1)), np.full(3, 100.0))
-    nothing = HeldOut(np.zeros(3), (np.zeros(1), np.zeros(1), np.zeros(1)), np.full(3, 100.0))
-    assert advantage(nothing, three) == pytest.approx((4.0, np.sqrt(3 / 2 * 26 / 9)))
-    # Three quarters of the samples in one experiment; runs that differ alike under both models say nothing.
-    worse = HeldOut(np.array([2.0, 5.0]), (np.array([1.0, 3.0]), np.array([4.0, 6.0])), np.array([300.0, 100.0]))
-    better = HeldOut(np.array([1.0, 1.0]), (np.array([0.0, 2.0]), np.array([2.0, 0.0])), np.array([300.0, 100.0]))
-    assert advantage(better, worse) == pytest.approx((0.75 + 1.0, 0.25 * 2.0))
 
 
 def test_runs_that_agree_by_chance_make_no_score_certain():

@@ -151,7 +151,7 @@ def uncertainty_of(
     low, high = (problem.space.to_model(best.x + sign * t * spread) for sign in (-1.0, 1.0))
     # A kernel estimate can come out indefinite: a variance below zero is none.
     sound = (variance >= -1e-9 * np.max(np.abs(variance))) & (scatter.degrees > 0.0)
-    fixed = np.diag(bread) <= 1e-9 * np.diag(free)  # nothing along the constraints moves it
+    fixed = np.diag(bread) < 1e-9 * np.diag(free)  # nothing along the constraints moves it
     names = problem.space.names
     known = [n not in found.undetermined and bool(s) for n, s in zip(names, sound & ~fixed, strict=True)]
     spare = max(scatter.residuals - scatter.parameters, 1)

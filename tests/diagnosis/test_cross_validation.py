@@ -1,0 +1,221 @@
+"""Losses on experiments left out, closures and advantages, on values worked out by hand."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fmuid.data.noise.runs import RepeatedRuns
+from fmuid.diagnosis import cross_validation
+from fmuid.diagnosis.cross_validation import (
+    HeldOut,
+    advantage,
+    closure,
+    closure_interval,
+    in_sample,
+    leave_each_out,
+)
+from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.refit import Refit, Unknown, refit
+
+TIME = np.linspace(0.0, 1.0, 501)
+
+
+def linear(slopes, keep=(0, 1, 2, 3)):
+    """Measurements of y = slope t, one slope an experiment, and the model y = k t fitted to those of `keep`."""
+    rng = np.random.default_rng(0)
+    noise = 0.1 * rng.standard_normal((len(slopes), 5, 1, len(TIME)))
+    runs = [RepeatedRuns(f"e{k}", "bench", TIME, ("y",), s * TIME + noise[k]) for k, s in enumerate(slopes)]
+    observed = Observed.from_runs(runs).select([f"e{k}" for k in keep])
+
+    def predict(points):
+        return [[(p["k"] * TIME)[None] for _ in keep] for p in points]
+
+    return observed, refit(predict, observed, [Unknown("k", 1.0, -100.0, 100.0, 0.01)])
+
+
+def test_held_out_losses_are_those_of_fits_to_the_other_experiments():
+    slopes = [2.0, 2.0, 2.0, 5.0]
+    observed, fit = linear(slopes)
+    held = leave_each_out(fit, observed)
+    for left_out in range(4):
+        others = [k for k in range(4) if k != left_out]
+        _, alone = linear(slopes, keep=others)
+        whiten = observed.whiteners[left_out]
+        residual = whiten((alone.values["k"] * TIME)[None] - observed.runs[left_out].mean).ravel()
+        residual = residual[observed.in_band[left_out]]
+        assert held.loss[left_out] == pytest.approx(np.mean(residual**2) - 1 / 5, rel=1e-3, abs=1e-3)
+    assert held.loss[3] > 3 * held.loss[0] > 0
+
+
+class Identity:
+    """A whitener of noise that is white already, and of unit variance."""
+
+    def __call__(self, residual):
+        return residual
+
+
+def recorded(*deviations, bands=None, groups=None):
+    """Experiments with the given (R, N) deviations of their runs from the mean."""
+    runs = [SimpleNamespace(n_repeats=len(d), deviations=np.array(d, dtype=float)[:, None]) for d in deviations]
+    whole = [np.ones(r.deviations.shape[2], bool) for r in runs]
+    return SimpleNamespace(
+        runs=runs,
+        whiteners=[Identity() for _ in runs],
+        in_band=[np.array(b, bool) for b in bands] if bands else whole,
+        repeats=np.array([float(r.n_repeats) for r in runs]),
+        folds=tuple((e, slice(None)) for e in range(len(runs))),
+        groups=groups or tuple(range(len(runs))),
+    )
+
+
+def constant(estimate, *measured, slopes=None, bounds=(-np.inf, np.inf), step=1.0):
+    """The fit of y = k to one sample an experiment, or of y = slope k."""
+    slopes = slopes or [1.0] * len(measured)
+    residuals = tuple(np.array([s * estimate - y]) for s, y in zip(slopes, measured, strict=True))
+    jacobian = tuple(np.array([[s]]) for s in slopes)
+    unknown = Unknown("k", estimate, *bounds, step)
+    return Refit((unknown,), {"k": estimate}, residuals, jacobian, 0.0, 0, True)
+
+
+def test_an_experiment_is_predicted_by_the_mean_of_the_others_each_weighted_by_its_runs():
+    once, twice, thrice = ([[0.0]] * n for n in (1, 2, 3))
+    observed = recorded(once, twice, thrice)
+    held = leave_each_out(constant(4.0, 1.0, 4.0, 6.0), observed)
+    others = np.array([(2 * 4 + 3 * 6) / 5, (1 + 3 * 6) / 4, (1 + 2 * 4) / 3])
+    assert held.loss == pytest.approx((others - [1, 4, 6]) ** 2 - [1, 1 / 2, 1 / 3], rel=1e-5)
+    assert list(held.size) == [1.0, 1.0, 1.0]
+    # Any other estimate leads there as well: the model is linear.
+    elsewhere = leave_each_out(constant(-7.0, 1.0, 4.0, 6.0, step=10.0), observed)
+    assert elsewhere.loss == pytest.approx(held.loss, rel=1e-4)
+
+
+def test_experiments_with_the_same_input_are_left_out_together():
+    observed = recorded([[0.0]], [[0.0]], [[0.0]], groups=(0, 0, 2))
+    held = leave_each_out(constant(3.0, 1.0, 2.0, 6.0), observed)
+    assert held.loss == pytest.approx([25.0 - 1.0, 16.0 - 1.0, 4.5**2 - 1.0], rel=1e-5)
+
+
+def test_what_the_others_hardly_see_is_held_by_a_prior_of_a_thousand_steps():
+    step = 0.5
+    observed = recorded([[0.0]], [[0.0]])
+    fit = constant(0.0, 0.0, -1.0, slopes=[1.0, 1e-3 / step], step=step)
+    # Of the second experiment alone: 1e-3 a step, as sure as the prior. Without that k would be -1 / (1e-3 / step).
+    assert leave_each_out(fit, observed).loss[0] == pytest.approx((0.5 / (1e-3 / step)) ** 2 - 1.0, rel=1e-9)
+    unseen = constant(5.0, 0.0, 0.0, slopes=[1.0, 0.0])
+    assert leave_each_out(unseen, observed).loss[0] == pytest.approx(25.0 - 1.0)
+
+
+@pytest.mark.parametrize(("steps_away", "moves"), [(0.5e-6, False), (2e-6, True)])
+@pytest.mark.parametrize("bound", ["lower", "upper"])
+def test_a_parameter_within_a_millionth_of_a_step_of_its_bound_is_at_it(bound, steps_away, moves):
+    step = 8.0
+    bounds = {"lower": (-steps_away * step, 9.0), "upper": (-9.0, steps_away * step)}[bound]
+    held = leave_each_out(constant(0.0, 1.0, 3.0, bounds=bounds, step=step), recorded([[0.0]], [[0.0]]))
+    assert held.loss == pytest.approx([4.0 - 1.0, 4.0 - 1.0] if moves else [1.0 - 1.0, 9.0 - 1.0])
+
+
+def test_a_loss_is_beyond_what_noise_leaves_in_the_mean_and_counts_what_is_in_the_band():
+    observed = recorded([[1.0, 9.0, -2.0], [-1.0, -9.0, 2.0]], [[0.0, 0.0, 0.0]], bands=[[1, 0, 1], [1, 1, 1]])
+    held = cross_validation.losses([np.array([3.0, 99.0, 1.0]), np.array([1.0, 2.0, 2.0])], observed)
+    assert held.loss == pytest.approx([(9 + 1) / 2 - 1 / 2, 9 / 3 - 1.0])
+    assert held.per_run[0] == pytest.approx([(2**2 + 3**2) / 2 - 1.0, (4**2 + 1**2) / 2 - 1.0])
+    assert held.per_run[1] == pytest.approx([2.0])
+    assert list(held.size) == [2.0, 3.0]
+    assert held.mean == pytest.approx((2 * 4.5 + 3 * 2.0) / 5)
+    assert held.gap == pytest.approx(np.sqrt(3.0))
+
+
+def test_every_run_has_a_loss_of_its_own():
+    observed, fit = linear([2.0, 2.0, 2.0, 3.0])
+    held = in_sample(fit, observed)
+    for e, run in enumerate(observed.runs):
+        for k, values in enumerate(run.values):
+            residual = observed.whiteners[e]((fit.values["k"] * TIME)[None] - values).ravel()[observed.in_band[e]]
+            assert held.per_run[e][k] == pytest.approx(np.mean(residual**2) - 1.0)
+
+
+@pytest.mark.parametrize(("bound", "moves"), [("lower", False), ("upper", False), (None, True)])
+def test_a_parameter_at_its_bound_stays_there_when_an_experiment_is_left_out(bound, moves):
+    observed, fit = linear([2.0, 2.0, 2.0, 5.0])
+    at = {"lower": (fit.values["k"], 100.0), "upper": (-100.0, fit.values["k"]), None: (-100.0, 100.0)}[bound]
+    fit = replace(fit, unknowns=(Unknown("k", 1.0, *at, 0.01),))
+    same = leave_each_out(fit, observed).loss == pytest.approx(in_sample(fit, observed).loss, rel=1e-9)
+    assert same is not moves
+
+
+def test_runs_of_a_complete_model_lose_nothing_when_left_out():
+    observed, fit = linear([2.0, 2.0, 2.0, 2.0])
+    held = leave_each_out(fit, observed)
+    assert np.abs(held.loss).max() < 0.15
+    assert held.gap < 0.3
+    for losses in held.per_run:
+        assert np.abs(losses).max() < 0.8  # three times what 33 components scatter by
+
+
+def lost(*loss):
+    return HeldOut(np.array(loss), tuple(np.full(5, x) for x in loss), np.full(len(loss), 100.0))
+
+
+def test_closure_is_the_share_of_the_gap_that_is_gone():
+    before, after = lost(4.0, 4.0, 4.0), lost(1.0, 1.0, 1.0)
+    assert closure(before, after) == pytest.approx(0.5)
+    assert closure(before, lost(-0.1, 0.0, 0.1)) == pytest.approx(1.0)
+    assert closure(lost(0.0, 0.0, 0.0), after) == 0.0
+    assert closure(after, before) == pytest.approx(-1.0)
+    assert closure_interval(before, after) == pytest.approx((0.5, 0.5))
+    low, high = closure_interval(before, lost(0.0, 1.0, 4.0))
+    assert low <= closure(before, lost(0.0, 1.0, 4.0)) <= high
+    assert high - low > 0.3
+    # New runs have noise of their own: a gap that is gone is measured as one within it.
+    gone = lost(0.0, 0.0, 0.0)
+    assert closure_interval(before, gone) == pytest.approx((1.0, 1.0))
+    low, high = closure_interval(before, gone, noise=np.linspace(-0.2, 0.2, 401))
+    assert low == pytest.approx(1.0 - np.sqrt(0.18 / 4.18), abs=0.02)
+    assert high == pytest.approx(1.0)
+    assert lost(-0.5, 0.2).gap == 0.0
+
+
+def test_a_closure_counts_experiments_by_their_size_and_runs_as_they_come():
+    def of(size, *losses):
+        return HeldOut(np.array([np.mean(x) for x in losses]), tuple(map(np.array, losses)), np.array(size))
+
+    # The small experiment is not closed at all, the large one wholly: 1 in 100 of the energy is left.
+    before, after = of([99.0, 1.0], [1.0], [1.0]), of([99.0, 1.0], [0.0], [1.0])
+    assert closure(before, after) == pytest.approx(0.9)
+    assert closure_interval(before, after)[0] == pytest.approx(1.0 - np.sqrt(2 / 2), abs=1e-9)
+    few = closure_interval(before, after, level=0.4)
+    assert few[0] == pytest.approx(0.9)
+    # Two runs of one experiment: half of the draws have both, a quarter each one twice.
+    before, after = of([9.0], [4.0, 4.0]), of([9.0], [0.0, 2.0])
+    assert closure_interval(before, after) == pytest.approx((1.0 - np.sqrt(0.5), 1.0))
+
+
+def test_an_advantage_that_the_runs_do_not_agree_on_is_within_its_error():
+    def scattered(*losses):
+        per_run = tuple(np.array(x, dtype=float) for x in losses)
+        return HeldOut(np.array([x.mean() for x in per_run]), per_run, np.full(len(losses), 100.0))
+
+    gained, error = advantage(scattered([4, 4, 4], [4, 4, 4]), scattered([0, 9, 4], [4, 8, 1]))
+    assert abs(gained) < error
+    gained, error = advantage(scattered([0, 1, 0], [0, 0, 1]), scattered([8, 8, 7], [7, 8, 8]))
+    assert gained == pytest.approx(22 / 3, abs=0.1)
+    assert gained > 5 * error
+
+
+def test_the_error_of_an_advantage_is_that_of_a_mean_over_the_runs():
+    """With n - 1 in the denominator: of the runs, and where none is repeated of the pieces."""
+    worse = HeldOut(np.array([2.0]), (np.array([1.0, 3.0]),), np.array([100.0]))
+    better = HeldOut(np.zeros(1), (np.zeros(2),), np.array([100.0]))
+    assert advantage(better, worse) == pytest.approx((2.0, 1.0))
+    pieces = HeldOut(np.array([1.0, 3.0]), (np.array([1.0]), np.array([3.0])), np.array([100.0, 100.0]))
+    none = HeldOut(np.zeros(2), (np.zeros(1), np.zeros(1)), np.array([100.0, 100.0]))
+    assert advantage(none, pieces) == pytest.approx((2.0, 1.0))
+    three = HeldOut(np.array([1.0, 3.0, 8.0]), (np.ones(1), np.ones(1), np.ones(1)), np.full(3, 100.0))
+    nothing = HeldOut(np.zeros(3), (np.zeros(1), np.zeros(1), np.zeros(1)), np.full(3, 100.0))
+    assert advantage(nothing, three) == pytest.approx((4.0, np.sqrt(3 / 2 * 26 / 9)))
+    # Three quarters of the samples in one experiment; runs that differ alike under both models say nothing.
+    worse = HeldOut(np.array([2.0, 5.0]), (np.array([1.0, 3.0]), np.array([4.0, 6.0])), np.array([300.0, 100.0]))
+    better = HeldOut(np.array([1.0, 1.0]), (np.array([0.0, 2.0]), np.array([2.0, 0.0])), np.array([300.0, 100.0]))
+    assert advantage(better, worse) == pytest.approx((0.75 + 1.0, 0.25 * 2.0))
