@@ -216,6 +216,11 @@ def test_a_further_effect_closes_a_quarter_of_what_is_left(before, after, worth)
     assert decide.worth_adding(fitted(("a",), before), fitted(("a", "b"), after)) is worth
 
 
+def test_where_nothing_was_left_no_further_effect_is_added():
+    before, after = fitted(("a",), 0.0, held_out=1.0), fitted(("a", "b"), 0.0, held_out=0.2)
+    assert decide.worth_adding(before, after) is False
+
+
 def test_a_further_effect_that_runs_do_not_agree_on_is_not_added():
     def of(gap, held_out):
         return Fitted((), (), Refit((), {}, (), (), 0.0, 0, True), held_out, gap)

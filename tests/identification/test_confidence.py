@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import Analytic
 from scipy.stats import chi2
 from scipy.stats import t as student
 
@@ -23,26 +22,29 @@ def line(time, inputs, p):
     return {"y": p["a"] + p["b"] * time}
 
 
-def found(function, y, estimate, *, sigma=None, criteria=(), cases=1, starts=None):
-    """The uncertainty of `estimate`; samples are one second apart, in each of several like cases."""
-    y = np.reshape(y, (cases, -1))
-    task = Task(np.arange(float(y.shape[1])), {}, ("y",))
-    model = Analytic(function, list(estimate))
-    given = {"y": sigma} if sigma else None
-    problem = Problem(
-        [
+@pytest.fixture
+def found(analytic):
+    """The uncertainty of an estimate; samples are one second apart, in each of several like cases."""
+
+    def of(function, y, estimate, *, sigma=None, criteria=(), cases=1, starts=None):
+        y = np.reshape(y, (cases, -1))
+        task = Task(np.arange(float(y.shape[1])), {}, ("y",))
+        model = analytic(function, list(estimate))
+        given = {"y": sigma} if sigma else None
+        measured = [
             measured_case(f"run{k}", model, task, {"y": row}, sigma=given, criteria=criteria)
             for k, row in enumerate(y)
-        ],
-        [ParameterSpec(n, (starts or {}).get(n, 1.0)) for n in estimate],
-    )
-    return uncertainty_of(problem, problem.evaluate(problem.space.to_search(estimate)))
+        ]
+        problem = Problem(measured, [ParameterSpec(n, (starts or {}).get(n, 1.0)) for n in estimate])
+        return uncertainty_of(problem, problem.evaluate(problem.space.to_search(estimate)))
+
+    return of
 
 
 WHITE = np.array([1.0, 1.0, -1.0, -1.0, 0.0])  # autocorrelations within scatter
 
 
-def test_five_white_samples_of_a_level_have_four_degrees_of_freedom():
+def test_five_white_samples_of_a_level_have_four_degrees_of_freedom(found):
     got = found(level, 2.0 + 0.1 * WHITE, {"a": 2.0})
     error = 0.1 * np.std(WHITE, ddof=1) / np.sqrt(5)
     assert got.standard_errors == pytest.approx([error], rel=1e-6)
@@ -54,7 +56,7 @@ def test_five_white_samples_of_a_level_have_four_degrees_of_freedom():
     assert (got.held, got.inherited, got.held_slopes, got.notes) == ((), (), ((),), ())
 
 
-def test_three_samples_of_a_line_have_one_degree_of_freedom():
+def test_three_samples_of_a_line_have_one_degree_of_freedom(found):
     got = found(line, [2.0 + 0.1, 4.0 - 0.2, 6.0 + 0.1], {"a": 2.0, "b": 2.0})
     assert got.degrees_of_freedom == 1.0
     assert got.notes == ()
@@ -64,7 +66,7 @@ def test_three_samples_of_a_line_have_one_degree_of_freedom():
 
 
 @pytest.mark.parametrize(("p_value", "believed"), [(0.0051, True), (0.0049, False)])
-def test_a_sigma_is_believed_unless_one_of_two_tests_contradicts_it_at_half_a_percent(p_value, believed):
+def test_a_sigma_is_believed_unless_one_of_two_tests_contradicts_it_at_half_a_percent(found, p_value, believed):
     """Residuals may be too large, or coloured: at 1 % together."""
     size = 0.1 * np.sqrt(chi2(4).isf(p_value) / 4.0)  # four of the five samples are off by that
     got = found(level, 2.0 + size * WHITE, {"a": 2.0}, sigma=0.1)
@@ -73,14 +75,14 @@ def test_a_sigma_is_believed_unless_one_of_two_tests_contradicts_it_at_half_a_pe
     assert got.degrees_of_freedom == (None if believed else pytest.approx(4.0))
 
 
-def test_what_is_only_judged_says_nothing_of_the_noise():
+def test_what_is_only_judged_says_nothing_of_the_noise(found):
     criteria = [CriterionSpec("y"), CriterionSpec("y", "steady_state", weight=0.0)]
     got = found(level, 2.0 + 0.1 * WHITE, {"a": 2.0}, sigma=0.1, criteria=criteria)
     assert got.degrees_of_freedom is None
     assert got.standard_errors == pytest.approx([0.1 / np.sqrt(5)], rel=1e-6)
 
 
-def test_features_count_one_by_one():
+def test_features_count_one_by_one(found):
     ends = np.array([1.0, 2.0, 6.0, 7.0])
     got = found(
         level, np.repeat(ends, 5), {"a": 4.0}, criteria=[CriterionSpec("y", "steady_state")], cases=len(ends)
@@ -89,14 +91,14 @@ def test_features_count_one_by_one():
     assert got.standard_errors == pytest.approx([np.std(ends, ddof=1) / 2.0], rel=1e-6)
 
 
-def test_a_parameter_of_which_less_is_known_than_its_size_is_undetermined_in_practice():
+def test_a_parameter_of_which_less_is_known_than_its_size_is_undetermined_in_practice(found):
     for sigma, undetermined in ((1.0, ()), (30.0, ("a",))):
         got = found(level, 3.0 + sigma * WHITE, {"a": 3.0}, sigma=sigma, starts={"a": 2.0})
         assert got.identifiability.undetermined == undetermined
         assert (got.intervals[0] is None) == bool(undetermined)
 
 
-def test_errors_of_unlike_size_are_both_told():
+def test_errors_of_unlike_size_are_both_told(found):
     """One parameter is known a million times as well as the other, in units of their starts."""
 
     def both(time, inputs, p):
@@ -108,7 +110,7 @@ def test_errors_of_unlike_size_are_both_told():
     assert got.identifiability.complete
 
 
-def test_what_affects_nothing_is_not_said_to_be_at_a_constraint():
+def test_what_affects_nothing_is_not_said_to_be_at_a_constraint(found):
     def spare(time, inputs, p):
         return {"y": p["a"] + 0.0 * p["d"] * time}
 
@@ -118,10 +120,10 @@ def test_what_affects_nothing_is_not_said_to_be_at_a_constraint():
     assert got.notes == ()
 
 
-def test_errors_that_are_held_add_to_the_own_ones_and_so_do_degrees_of_freedom():
+def test_errors_that_are_held_add_to_the_own_ones_and_so_do_degrees_of_freedom(analytic):
     """The level of a line through five samples is held at an estimate with an error of 0.3 and 7 degrees."""
     time, noise = np.arange(5.0), 0.1 * np.array([0.0, 2.0, -1.0, 0.0, 0.0])
-    model, task = Analytic(line, ["a", "b"]), Task(time, {}, ("y",))
+    model, task = analytic(line, ["a", "b"]), Task(time, {}, ("y",))
     noise -= time * (time @ noise) / (time @ time)  # so that the slope is 0.5
     case = measured_case("run", model, task, {"y": 2.0 + 0.5 * time + noise})
     specs = {n: ParameterSpec(n, start) for n, start in (("a", 2.0), ("b", 0.25))}
@@ -156,14 +158,14 @@ def test_errors_that_are_held_add_to_the_own_ones_and_so_do_degrees_of_freedom()
     assert joint.space.to_model(np.array(both.point)) == pytest.approx({"b": 0.5, "a": 2.0})
 
 
-def test_intervals_are_hidden_by_name():
+def test_intervals_are_hidden_by_name(found):
     got = found(line, [2.1, 3.8, 6.1, 8.0], {"a": 2.0, "b": 2.0}, sigma=0.1)
     hidden = without_intervals(got, ["b"])
     assert hidden.standard_errors == (got.standard_errors[0], None)
     assert hidden.intervals == (got.intervals[0], None)
 
 
-def test_what_has_no_variance_has_inherited_no_share_of_it():
+def test_what_has_no_variance_has_inherited_no_share_of_it(found):
     got = found(level, 2.0 + 0.1 * WHITE, {"a": 2.0}, sigma=0.1)
     assert replace(got, covariance=((0.0,),), inherited=((0.0,),)).inherited_shares == (0.0,)
     assert replace(got, covariance=((4.0,),), inherited=((1.0,),)).inherited_shares == (0.25,)
@@ -184,7 +186,7 @@ def jacobian(slight=SLIGHT):
     return np.array([[1.0, 1.0], [slight, -slight]])
 
 
-def widened(share, *, noise=1.0, slight=SLIGHT, reach=np.inf, fails=np.inf, base=0.0, count=None):
+def widened(share, *, noise=1.0, slight=SLIGHT, below=-np.inf, above=np.inf, fails=np.inf, base=0.0, count=None):
     """The covariance after widening; really the difference counts `share` of what the Jacobian says.
 
     Returned with the way of one standard error in the weak direction, the sum staying as it is.
@@ -203,7 +205,7 @@ def widened(share, *, noise=1.0, slight=SLIGHT, reach=np.inf, fails=np.inf, base
         return found
 
     covariance = noise**2 * np.linalg.inv(j.T @ j)
-    problem = SimpleNamespace(space=SimpleNamespace(lower=np.full(2, -reach), upper=np.full(2, reach)))
+    problem = SimpleNamespace(space=SimpleNamespace(lower=np.full(2, below), upper=np.full(2, above)))
     best = SimpleNamespace(x=np.zeros(2), cost=base)
     got = confidence._widened(problem, evaluate, best, j, covariance)
     return got, covariance
@@ -234,7 +236,7 @@ def test_only_directions_in_which_a_thousand_times_less_is_known_are_walked():
 
 
 def test_a_walk_ends_where_bounds_or_the_model_do():
-    for limits in ({"reach": 10.0 * SIGMA}, {"fails": 10.0 * SIGMA}):
+    for limits in ({"below": -10.0 * SIGMA}, {"above": 10.0 * SIGMA}, {"fails": 10.0 * SIGMA}):
         got, before = widened(0.0, **limits)
         assert got[0, 0] == pytest.approx(64.0 * before[0, 0], rel=0.01)
 
@@ -247,6 +249,22 @@ def test_the_others_follow_in_three_steps_and_in_none_where_the_cost_is_no_large
     got, before = widened(0.0, base=1e9, count=asked)
     assert len(asked) == 2 * 7
     assert got[0, 0] == pytest.approx(128.0**2 * before[0, 0], rel=0.01)
+
+
+def test_only_what_has_standard_errors_is_walked(found, monkeypatch):
+    walked = []
+
+    def noted(problem, evaluate, best, j, covariance):
+        walked.append(len(covariance))
+        return covariance
+
+    monkeypatch.setattr(confidence, "_widened", noted)
+    found(line, [2.1, 3.8, 6.1], {"a": 2.0, "b": 2.0})  # of one degree of freedom
+    assert walked == [2]
+    found(line, [2.0, 4.0], {"a": 2.0, "b": 2.0})  # as many samples as parameters
+    found(level, 2.0 + 0.1 * WHITE, {"a": 2.0})
+    found(lambda time, inputs, p: {"y": (p["a"] + p["b"]) * time}, [0.0, 4.0, 8.1], {"a": 2.0, "b": 2.0})
+    assert walked == [2]
 
 
 def test_every_weak_direction_is_walked():
