@@ -28,7 +28,7 @@ from fmuid import (
 )
 from fmuid.core.folder_lock import LockedError, claim
 from fmuid.core.journal import JournalError, records
-from fmuid.identification.history import _MAGIC, JOURNAL, HistoryError
+from fmuid.identification.history import _MAGIC, JOURNAL, History, HistoryError
 
 # A run that identifies the mass-spring-damper with a slow model, to be killed from outside.
 SCRIPT = """
@@ -202,6 +202,22 @@ def test_a_disk_that_gets_full_is_one_line_and_loses_nothing(tmp_path, step):
     for run in runs:
         refused = run["code"] == 2 and "cannot be written (No space left on device); " in run["line"]
         assert refused or (run["code"] == 0 and run["read"] == run["resumed"]), run
+
+
+def test_a_disk_that_is_full_during_the_analyses_ends_the_run_with_nothing_left_out(tmp_path, msd, monkeypatch):
+    record = History.record
+
+    def full(self, stage, evaluation, purpose, *more, **named):
+        if purpose == "uncertainty":
+            raise JournalError("cannot be written (No space left on device)")
+        record(self, stage, evaluation, purpose, *more, **named)
+
+    monkeypatch.setattr(History, "record", full)
+    with pytest.raises(JournalError, match="No space left"):
+        identify(msd(), solver="bobyqa", out=tmp_path)
+    monkeypatch.undo()
+    resumed = identify(msd(), solver="bobyqa", out=tmp_path, resume=True)
+    assert resumed.stages[0].uncertainty == identify(msd(), solver="bobyqa").stages[0].uncertainty is not None
 
 
 def test_an_interrupted_run_is_never_overwritten(tmp_path, msd):

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from fmuid.core.campaign import AnalysisSpec, ParetoSpec
-from fmuid.core.errors import FmuidError
+from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.derivatives import EvaluateMany
 from fmuid.identification.problem.estimation_problem import Problem
@@ -136,7 +136,7 @@ def _spread(
 def _noted(found: Findings, what: str) -> Iterator[None]:
     try:
         yield
-    except FmuidError as error:
+    except (ProblemError, SimulationError) as error:
         found.warnings.append(f"{what}: {error}")
 
 

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from fmu_build.suggest import suggestion
-from fmuid.core.errors import FmuError, FmuidError
+from fmuid.core.errors import FmuError, SimulationError
 from fmuid.core.files import write_atomically
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.fmu_variables import Slot
@@ -72,7 +72,7 @@ def takes_effect(fmu: Fmu, values: Mapping[str, float], copy: Path, runner: Runn
         with Fmu(copy) as other:
             expected = simulated(runner, fmu, task, values)
             return bool(np.array_equal(simulated(runner, other, task, {}), expected))
-    except FmuidError:
+    except (FmuError, SimulationError):
         return False
 
 
