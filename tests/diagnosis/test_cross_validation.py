@@ -174,6 +174,9 @@ def test_closure_is_the_share_of_the_gap_that_is_gone():
     low, high = closure_interval(before, gone, noise=np.linspace(-0.2, 0.2, 401))
     assert low == pytest.approx(1.0 - np.sqrt(0.18 / 4.18), abs=0.02)
     assert high == pytest.approx(1.0)
+    # One draw in four is 1.5 above the mean, the others are 0.5 below it.
+    skew = closure_interval(before, gone, noise=np.array([9.5, 11.5, 9.5, 9.5]))
+    assert skew == pytest.approx((1.0 - np.sqrt(1.5 / 5.5), 1.0))
     assert lost(-0.5, 0.2).gap == 0.0
 
 

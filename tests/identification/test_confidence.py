@@ -9,6 +9,7 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 from fmuid import CriterionSpec, ParameterSpec, Problem, Task, measured_case, uncertainty_of
+from fmuid.identification.problem.derivatives import NoiseFloor
 from fmuid.identification.uncertainty import confidence
 from fmuid.identification.uncertainty.confidence import with_held, without_intervals
 from fmuid.identification.uncertainty.inherited import Held
@@ -63,6 +64,52 @@ def test_three_samples_of_a_line_have_one_degree_of_freedom(found):
     assert got.naive_errors == pytest.approx(np.sqrt([0.06 * 5 / 6, 0.06 / 2]), rel=1e-6)
     (low, high), error = got.intervals[1], got.standard_errors[1]
     assert high - low == pytest.approx(2.0 * student(1).ppf(0.975) * error, rel=1e-6)
+
+
+def test_three_samples_that_scatter_more_than_the_parameters_are_large_determine_none_in_practice(found):
+    got = found(line, [2.0 + 10.0, 4.0 - 20.0, 6.0 + 10.0], {"a": 2.0, "b": 2.0})
+    assert got.identifiability.undetermined == ("a", "b")
+    assert got.intervals == (None, None)
+
+
+def test_two_samples_of_a_line_say_how_its_errors_go_together_and_not_how_large_they_are(found):
+    got = found(line, [1.0, 1.5], {"a": 1.0, "b": 0.5})
+    assert (got.standard_errors, got.intervals, got.naive_errors) == ((None, None),) * 3
+    assert (got.degrees_of_freedom, got.degrees) == (0.0, (0.0, 0.0))
+    assert got.identifiability.complete
+    assert np.array(got.correlation) == pytest.approx(np.array([[1.0, -np.sqrt(0.5)], [-np.sqrt(0.5), 1.0]]))
+    (note,) = got.notes
+    assert note.startswith("no standard errors: 2 residuals for 2 parameters say nothing")
+
+
+def test_a_slow_residual_has_at_least_one_degree_of_freedom(found):
+    got = found(level, 2.0 + np.linspace(-0.1, 0.1, 30), {"a": 2.0})
+    assert got.whiteness[0].effective < 2.0
+    assert got.degrees_of_freedom == 1.0
+
+
+def test_a_direction_that_counts_a_ten_thousandth_is_still_determined(found):
+    def alike(time, inputs, p):
+        return {"y": p["a"] + p["b"] * (1.0 + 1e-4 * time)}
+
+    sigma = 1e-7
+    y = 1.0 + (1.0 + 1e-4 * np.arange(5.0)) + sigma * np.array([1.0, -0.5, -1.0, -0.5, 1.0])
+    got = found(alike, y, {"a": 1.0, "b": 1.0}, sigma=sigma)
+    assert got.identifiability.complete
+    assert got.standard_errors[1] == pytest.approx(sigma / (1e-4 * np.sqrt(10.0)), rel=1e-3)
+
+
+def test_a_curved_model_of_a_simulator_that_scatters_has_the_slope_at_its_estimate(analytic):
+    """Steps are a tenth then: a difference to one side would be off by some percent."""
+    model = analytic(lambda time, inputs, p: {"y": p["a"] ** 2 + 0.0 * time}, ["a"])
+    case = measured_case(
+        "run", model, Task(np.arange(5.0), {}, ("y",)), {"y": 1.0 + 0.1 * WHITE}, sigma={"y": 0.1}
+    )
+    problem = Problem([case], [ParameterSpec("a", 1.0)])
+    best = problem.evaluate(np.array([1.0]))
+    got = uncertainty_of(problem, best, floor=NoiseFloor(0.01, 10.0, ()))
+    assert got.standard_errors == pytest.approx([0.1 / np.sqrt(5) / 2.0], rel=1e-9)
+    assert got.noise_floor == 0.01
 
 
 @pytest.mark.parametrize(("p_value", "believed"), [(0.0051, True), (0.0049, False)])
