@@ -178,6 +178,7 @@ def test_closure_is_the_share_of_the_gap_that_is_gone():
     skew = closure_interval(before, gone, noise=np.array([9.5, 11.5, 9.5, 9.5]))
     assert skew == pytest.approx((1.0 - np.sqrt(1.5 / 5.5), 1.0))
     assert lost(-0.5, 0.2).gap == 0.0
+    assert closure_interval(gone, gone) == (0.0, 0.0)  # of no gap, nothing can be closed
 
 
 def test_a_closure_counts_experiments_by_their_size_and_runs_as_they_come():
@@ -218,6 +219,10 @@ def test_the_error_of_an_advantage_is_that_of_a_mean_over_the_runs():
     three = HeldOut(np.array([1.0, 3.0, 8.0]), (np.ones(1), np.ones(1), np.ones(1)), np.full(3, 100.0))
     nothing = HeldOut(np.zeros(3), (np.zeros(1), np.zeros(1), np.zeros(1)), np.full(3, 100.0))
     assert advantage(nothing, three) == pytest.approx((4.0, np.sqrt(3 / 2 * 26 / 9)))
+    # Of what was not repeated beside what was, the scatter is unknown: it adds nothing.
+    mixed = HeldOut(np.array([2.0, 5.0]), (np.array([1.0, 3.0]), np.array([5.0])), np.array([100.0, 100.0]))
+    still = HeldOut(np.zeros(2), (np.zeros(2), np.zeros(1)), np.array([100.0, 100.0]))
+    assert advantage(still, mixed) == pytest.approx((3.5, 0.5))
     # Three quarters of the samples in one experiment; runs that differ alike under both models say nothing.
     worse = HeldOut(np.array([2.0, 5.0]), (np.array([1.0, 3.0]), np.array([4.0, 6.0])), np.array([300.0, 100.0]))
     better = HeldOut(np.array([1.0, 1.0]), (np.array([0.0, 2.0]), np.array([2.0, 0.0])), np.array([300.0, 100.0]))
