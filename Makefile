@@ -83,8 +83,14 @@ identify-go1: $(PENDULUM) campaigns/go1/measurements.h5
 	$(BIN)/python -m benchmarks.rival_stages runs/go1 q "M?"
 	$(BIN)/python -m benchmarks.rival_stages runs/go1 q "M?_absolute"
 
-# The paper's story: what the linear model misses, then the rows of the loss table that say it in numbers.
-paper: diagnose identify-friction
+# The paper's experiments and searches without derivatives, then least squares; writes docs/tutorials/paper.md.
+campaigns/paper/measurements.h5: $(FORCE_FEEDBACK)/rig.toml benchmarks/paper_reproduced/recorded.py $(RIG) | $(READY)
+	$(BIN)/python -m benchmarks.paper_reproduced measurements
+
+paper: build/fmus/FreeShaft.fmu build/fmus/EccentricLoad.fmu campaigns/paper/measurements.h5
+	$(BIN)/fmuid identify campaigns/paper --out runs/paper/direct
+	$(BIN)/fmuid identify campaigns/paper --solver auto --out runs/paper/least_squares --no-report
+	$(BIN)/python -m benchmarks.paper_reproduced page runs/paper/direct runs/paper/least_squares
 
 diagnose: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/fmuid diagnose $(FORCE_FEEDBACK) --out runs/diagnosis
