@@ -127,6 +127,16 @@ def test_a_loss_is_beyond_what_noise_leaves_in_the_mean_and_counts_what_is_in_th
     assert held.gap == pytest.approx(np.sqrt(3.0))
 
 
+def test_parameters_that_no_experiment_tells_apart_can_be_held_out():
+    observed, fit = linear([2.0, 2.0, 2.0, 5.0])
+    alone = leave_each_out(fit, observed).loss
+    twin = replace(fit.unknowns[0], name="twin")
+    # So large that a ridge is lost in rounding.
+    columns = tuple(1e9 * np.repeat(j, 2, axis=1) for j in fit.jacobian)
+    both = replace(fit, unknowns=(*fit.unknowns, twin), values={**fit.values, "twin": 1.0}, jacobian=columns)
+    assert leave_each_out(both, observed).loss == pytest.approx(alone, rel=1e-3)
+
+
 def test_every_run_has_a_loss_of_its_own():
     observed, fit = linear([2.0, 2.0, 2.0, 3.0])
     held = in_sample(fit, observed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tomllib
 from pathlib import Path
 
@@ -276,6 +277,14 @@ def test_a_campaign_from_a_model_lists_its_effects_without_a_line_edited(tmp_pat
     assert sizes[1] == pytest.approx(5 * sizes[0], rel=0.02)
     assert sizes[2] == pytest.approx(20 * sizes[0], rel=0.02)
     assert 0.02 < sizes[2] < 0.2  # of a torque of 0.1 N.m that resonates
+
+    # A run that is neither for identification nor for validation plays no part: its setup needs no model.
+    other = Path(shutil.copy(logs[1], tmp_path / "other.csv"))
+    units = [f"--unit={name}" for name in ("tau=N.m", "w_motor=rad/s", "w_load=rad/s")]
+    taken = ["--setup", "bench", "-i", "tau", *units, "--append", "--out", str(folder / "measurements.h5")]
+    assert run(["import", str(other), *taken]) == 0
+    assert "bench" not in (folder / "campaign.toml").read_text()
+    assert run(["effects", str(folder), "--workers", "0"]) == 0
 
 
 @pytest.mark.slow

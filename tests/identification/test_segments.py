@@ -14,6 +14,7 @@ from fmuid.core.errors import ProblemError
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.segments import segmented
 from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.segmented import Segmented
 from fmuid.simulation.simulator import Task
 
 MODELS = Path(__file__).parent / "models"
@@ -109,6 +110,33 @@ def test_standard_errors_count_the_states(trolley_fmu):
         degrees = found.stages[0].uncertainty.degrees_of_freedom
         assert degrees is None or degrees < 300 - 60  # None: sigma was given
     assert 0.4 < np.sqrt(np.mean(np.square(scores))) < 1.7
+
+
+class Humped:
+    """Its output is highest where its state begins, so that a full step from there goes far beyond."""
+
+    states, variables = ("x",), {}
+
+    def simulate(self, task, parameters):
+        x = parameters.get("x", 1.0 - 1e-5)
+        values = {"x": x, "y": x / (1.0 + x**2)}
+        return np.array([np.full(len(task.time), values[name]) for name in task.outputs])
+
+
+def test_the_states_of_a_segment_are_found_from_where_they_hardly_show():
+    time = np.arange(10.0)
+    task, target = Task(time, {}, ("y",)), np.full((1, 10), 0.3)
+    cut = Segmented(Humped(), task, np.inf, target, np.ones((1, 10)), at={})
+    (x,) = cut.initial_states({})[0]
+    assert x / (1.0 + x**2) == pytest.approx(0.3, abs=1e-4)
+
+
+def test_residuals_of_segments_count_at_least_one_by_one(trolley_fmu):
+    """However coloured a segment's residuals are, another segment does not share them."""
+    slow = {f"run_{k}": driven(k, drift=0.5) for k in range(3)}
+    result = fmuid.identify(of_trolley(trolley_fmu, slow, segments=1.0))
+    (stage,) = result.stages
+    assert stage.uncertainty.degrees_of_freedom >= 3 * 4 - 2
 
 
 def test_a_model_without_states_is_refused(msd, analytic):

@@ -17,6 +17,7 @@ from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Refit
 
 _PRIOR_STEPS = 1e3  # a parameter that the remaining experiments cannot see moves by no more than about this
+_ALIKE = 1e-13  # of parameters whose columns are one but for rounding; a ridge is lost beside large ones
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,9 +68,16 @@ def leave_each_out(fit: Refit, observed: Observed) -> HeldOut:
     for p, r, group in zip(parts, residuals, observed.groups, strict=True):
         out = [k for k, other in enumerate(observed.groups) if other == group]
         h, g = sum(normal[k] for k in out), sum(gradient[k] for k in out)
-        move = np.linalg.solve(total - h + ridge, -(slope - g)) if inside.any() else np.zeros(0)
+        move = -_solved(total - h + ridge, slope - g)
         predicted.append(r + p @ move)
     return losses(predicted, observed)
+
+
+def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the solution of normal equations; what the experiments do not tell apart stays as it is."""
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    inverse = np.linalg.pinv(normal * np.outer(scale, scale), rcond=_ALIKE, hermitian=True)
+    return np.asarray(scale * (inverse @ (scale * right)))
 
 
 def in_sample(fit: Refit, observed: Observed) -> HeldOut:

@@ -20,6 +20,7 @@ from fmu_build.model_ports import Port, find_ports, held_parameters
 from fmuid.campaigns.signal_catalogue import signal_catalogue
 from fmuid.core.campaign import Campaign, EffectsSpec, ModelSource, ModelSpec
 from fmuid.core.errors import CampaignError
+from fmuid.core.experiments import Experiment
 from fmuid.core.files import user_cache, write_atomically
 from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray
@@ -361,10 +362,9 @@ def with_catalogue(
     else:
         text = made_catalogue(campaign, load, runner=runner)
         free = tuple(p.name for p in campaign.parameters.values() if p.free)
-        unseen = tuple(n for n in campaign.measurements.experiments if n not in campaign.validation)
         file = user_cache() / "catalogues" / f"{_digest(text)}.toml"
         write_atomically(file, text)
-        spec = EffectsSpec(file, free, {}, unseen)
+        spec = EffectsSpec(file, free, {}, tuple(e.id for e in _seen(campaign)))
         catalogue = load_catalogue(file)
     carriers, models = {}, dict(campaign.models)
     for name, setup in setups.items():
@@ -408,12 +408,17 @@ def _sources(campaign: Campaign) -> dict[str, _Setup]:
     }
 
 
+def _seen(campaign: Campaign) -> list[Experiment]:
+    """Return the runs of models that are not kept for validation."""
+    return [e for e in campaign.measurements if e.id not in campaign.validation and e.setup in campaign.models]
+
+
 def made_catalogue(
     campaign: Campaign, load: Callable[[ModelSpec], Simulator], *, runner: Runner = in_process
 ) -> str:
     """Return the text of the catalogue of a campaign's models, sized by their nominal simulation."""
     setups = _sources(campaign)
-    chosen = [e for e in campaign.measurements if e.id not in campaign.validation]
+    chosen = _seen(campaign)
     parts: list[Place] = []
     held: dict[str, Held] = {}
     signals = ""

@@ -125,7 +125,8 @@ def solved_well_enough(
     starts = [model.start_values(case, {**model.fixed, **values}) for case in model.cases]
     noise = Observed.from_runs(model.runs).noise
     sigma = [noise[run.setup].of_mean(run.n_repeats) for run in model.runs]
-    accuracy = solver_accuracy(model.cases, values, starts, model.runner, sigma=sigma, loosest=_LOOSEST)
+    every = {**model.fixed, **values}
+    accuracy = solver_accuracy(model.cases, every, starts, model.runner, sigma=sigma, loosest=_LOOSEST)
     cases: Sequence[Case] = model.cases
     if accuracy.until:
         simulators = {case.setup: case.simulator for case in cases}

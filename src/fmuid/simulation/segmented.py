@@ -2,16 +2,16 @@
 
 In an open-loop simulation, an unstable plant, or one that integrates model errors, diverges from the measurement.
 With segments, only the behaviour within a segment has to be predicted (multiple shooting without continuity; in
-statistics, nuisance initial states). The states are fitted to the samples of the segment by Gauss-Newton steps and
-projected out of the residuals (variable projection, Golub and Pereyra, Inverse Problems 19:R1, 2003, in Kaufman's
-form), so solvers and standard errors deal with the parameters only.
+statistics, nuisance initial states). The states are fitted to the samples of the segment by Levenberg-Marquardt
+steps and projected out of the residuals (variable projection, Golub and Pereyra, Inverse Problems 19:R1, 2003, in
+Kaufman's form), so solvers and standard errors deal with the parameters only.
 """
 
 from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Literal
@@ -25,8 +25,9 @@ from fmuid.simulation.simulator import Simulator, Task, Variable, differentiates
 Length = float | Literal["auto"]
 """Length of a segment, s; ``auto`` for the longest over which small errors stay small."""
 
-_STEPS = 30  # of Gauss-Newton in a segment
-_HALVINGS = 8
+_STEPS = 30  # of Gauss-Newton in a segment, and trials of each, damped more and more where it fails
+_TRIALS = 9
+_DAMPING = 1e-3  # the first, of columns of unit length
 _SETTLED = 1e-7  # of the norm of the residuals: a smaller step of the states is none
 _RANK = 1e-8
 _DIFFERENCE = 1e-4  # step of a state's finite difference over its scale
@@ -215,26 +216,13 @@ class Segmented:
             return np.stack([(weight * s[:n, :samples])[counted] for s in slopes], axis=1)
 
         run = self._run(task, parameters, states)
-        error = errors(run)
+        error, damping = errors(run), 0.0
         for _ in range(_STEPS):
             slopes = self._slopes(task, parameters, states, scale, run)
-            matrix = columns(slopes)
-            step = -_solved(matrix, error)
-            if np.linalg.norm(matrix @ step) <= _SETTLED * np.linalg.norm(error):
+            found = self._step(task, parameters, states, error, columns(slopes), errors, damping)
+            if found is None:
                 break
-            for _ in range(_HALVINGS):
-                try:
-                    trial = self._run(task, parameters, states + step)
-                except SimulationError:
-                    step = 0.5 * step
-                    continue
-                moved = errors(trial)
-                if moved @ moved < error @ error:
-                    break
-                step = 0.5 * step
-            else:
-                break
-            states, run, error = states + step, trial, moved
+            states, run, error, damping = found
         rows = len(task.outputs)
         base = run[:rows]
         if not (extra := task.along[len(self.states) :] if self.exact else ()):
@@ -244,6 +232,31 @@ class Segmented:
         follow = -_solved(columns(slopes), columns(tangents))
         tangents = tangents + np.einsum("ka,kij->aij", follow, slopes)
         return states, np.concatenate([base, tangents.reshape(len(extra) * rows, -1)])
+
+    def _step(
+        self,
+        task: Task,
+        parameters: Mapping[str, float],
+        states: FloatArray,
+        error: FloatArray,
+        matrix: FloatArray,
+        errors: Callable[[FloatArray], FloatArray],
+        damping: float,
+    ) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
+        """Return better states with their run, its errors and the next damping; None where there are none near."""
+        for _ in range(_TRIALS):
+            step = -_solved(matrix, error, damping)
+            if np.linalg.norm(matrix @ step) <= _SETTLED * np.linalg.norm(error):
+                return None
+            try:
+                run = self._run(task, parameters, states + step)
+                moved = errors(run)
+            except SimulationError:
+                moved = np.array([np.inf])
+            if moved @ moved < error @ error:
+                return states + step, run, moved, 0.1 * damping if damping > _DAMPING else 0.0
+            damping = max(10.0 * damping, _DAMPING)
+        return None
 
     def _run(self, task: Task, parameters: Mapping[str, float], states: FloatArray) -> FloatArray:
         there = dict(parameters) | dict(zip(self.states, states.tolist(), strict=True))
@@ -462,9 +475,13 @@ def _first_two(task: Task) -> dict[str, FloatArray]:
     return {name: values[:2] for name, values in task.inputs.items()}
 
 
-def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the least-squares solution; what the samples do not show stays as it is."""
+def _solved(matrix: FloatArray, right: FloatArray, damping: float = 0.0) -> FloatArray:
+    """Return the least-squares solution, damped; what the samples do not show stays as it is."""
     scale = np.linalg.norm(matrix, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
-    found = np.linalg.lstsq(matrix / scale, right, rcond=_RANK)[0]
+    matrix = matrix / scale
+    if damping:
+        matrix = np.vstack([matrix, np.sqrt(damping) * np.eye(len(scale))])
+        right = np.concatenate([right, np.zeros((len(scale), *right.shape[1:]))])
+    found = np.linalg.lstsq(matrix, right, rcond=_RANK)[0]
     return np.asarray(found / (scale if found.ndim == 1 else scale[:, None]))

@@ -267,6 +267,11 @@ class Problem:
         """Number of unknowns fitted in addition to the free parameters: initial states of segments."""
         return sum(getattr(case.simulator, "nuisances", 0) for case in self.cases)
 
+    @property
+    def segments(self) -> int:
+        """Number of segments that runs are cut into, 0 without."""
+        return sum(getattr(case.simulator, "segments", 0) for case in self.cases)
+
     def sees(self, name: str) -> bool:
         """Return whether a parameter affects a model, a sensor or a tie of this problem."""
         plain, _, run = name.partition(SEPARATOR)

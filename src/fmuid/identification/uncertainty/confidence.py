@@ -218,7 +218,9 @@ def _scatter(problem: Problem, here: Evaluation, j: FloatArray, bread: FloatArra
     others = sum(
         r.stop - r.start for (_, c), r in zip(problem.criteria, problem.slices, strict=True) if c.rows is None
     )
-    return by(covariance, max(sum(w.effective for w in whiteness) + others - parameters, 1.0))
+    effective = sum(w.effective for w in whiteness) + others - parameters
+    # Segments begin anew: they are that many independent samples (Cameron and Miller 2015: t with clusters - 1).
+    return by(covariance, max(effective, problem.segments - (parameters - problem.nuisances), 1.0))
 
 
 def _not_below(covariance: FloatArray, least: FloatArray) -> FloatArray:
