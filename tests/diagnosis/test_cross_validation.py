@@ -206,6 +206,18 @@ def test_a_closure_counts_experiments_by_their_size_and_runs_as_they_come():
     assert closure_interval(before, after) == pytest.approx((1.0 - np.sqrt(0.5), 1.0))
 
 
+def test_a_closure_interval_is_one_of_90_percent_and_the_same_each_time():
+    rng = np.random.default_rng(0)
+    before, after = (
+        HeldOut(x.mean(axis=1), tuple(x), np.full(6, 100.0))
+        for x in (rng.uniform(a, a + 1, (6, 5)) for a in (4, 1))
+    )
+    found = closure_interval(before, after)
+    assert found == closure_interval(before, after, level=0.9, draws=2000, seed=0)
+    for other in ({"level": 0.91}, {"draws": 1999}, {"draws": 2001}, {"seed": 1}):
+        assert found != closure_interval(before, after, **other)
+
+
 def test_an_advantage_that_the_runs_do_not_agree_on_is_within_its_error():
     def scattered(*losses):
         per_run = tuple(np.array(x, dtype=float) for x in losses)

@@ -42,6 +42,7 @@ def found(analytic):
     return of
 
 
+ONES = {"a": 1.0, "b": 1.0}
 WHITE = np.array([1.0, 1.0, -1.0, -1.0, 0.0])  # autocorrelations within scatter
 
 
@@ -80,6 +81,8 @@ def test_two_samples_of_a_line_say_how_its_errors_go_together_and_not_how_large_
     assert np.array(got.correlation) == pytest.approx(np.array([[1.0, -np.sqrt(0.5)], [-np.sqrt(0.5), 1.0]]))
     (note,) = got.notes
     assert note.startswith("no standard errors: 2 residuals for 2 parameters say nothing")
+    nearly_alike = found(lambda time, inputs, p: {"y": p["a"] + p["b"] * (1.0 + 1e-4 * time)}, [2.0, 2.0001], ONES)
+    assert nearly_alike.identifiability.complete  # of noise that is unknown
 
 
 def test_a_slow_residual_has_at_least_one_degree_of_freedom(found):
@@ -116,7 +119,7 @@ def test_a_curved_model_of_a_simulator_that_scatters_has_the_slope_at_its_estima
 def test_a_sigma_is_believed_unless_one_of_two_tests_contradicts_it_at_half_a_percent(found, p_value, believed):
     """Residuals may be too large, or coloured: at 1 % together."""
     size = 0.1 * np.sqrt(chi2(4).isf(p_value) / 4.0)  # four of the five samples are off by that
-    got = found(level, 2.0 + size * WHITE, {"a": 2.0}, sigma=0.1)
+    got = found(level, 2.0 + size * WHITE, {"a": 2.0}, sigma=0.1, criteria=[CriterionSpec("y", weight=4.0)])
     by_sigma, by_scatter = 0.1 / np.sqrt(5), size / np.sqrt(5)
     assert got.standard_errors == pytest.approx([by_sigma if believed else by_scatter], rel=1e-6)
     assert got.degrees_of_freedom == (None if believed else pytest.approx(4.0))
@@ -216,6 +219,14 @@ def test_what_has_no_variance_has_inherited_no_share_of_it(found):
     got = found(level, 2.0 + 0.1 * WHITE, {"a": 2.0}, sigma=0.1)
     assert replace(got, covariance=((0.0,),), inherited=((0.0,),)).inherited_shares == (0.0,)
     assert replace(got, covariance=((4.0,),), inherited=((1.0,),)).inherited_shares == (0.25,)
+
+
+def test_a_variance_that_came_out_below_zero_is_none(found, monkeypatch):
+    scatter = confidence._Scatter(np.diag([-1e-10, 1e-8]), 5.0, (), 9, 2)
+    monkeypatch.setattr(confidence, "_scatter", lambda *_: scatter)
+    monkeypatch.setattr(confidence, "_widened", lambda problem, evaluate, best, j, covariance: covariance)
+    got = found(line, [2.1, 3.8, 6.1], {"a": 2.0, "b": 2.0})
+    assert got.standard_errors == (None, pytest.approx(1e-4))
 
 
 def test_a_covariance_is_raised_to_the_least_variances_with_its_correlations():
