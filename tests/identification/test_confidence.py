@@ -58,6 +58,14 @@ def test_five_white_samples_of_a_level_have_four_degrees_of_freedom(found):
     assert (got.held, got.inherited, got.held_slopes, got.notes) == ((), (), ((),), ())
 
 
+def test_what_is_estimated_on_the_side_takes_a_degree_of_freedom(found, monkeypatch):
+    """For example the state that a segment begins with."""
+    monkeypatch.setattr(Problem, "nuisances", 1)
+    got = found(level, 2.0 + 0.1 * WHITE, {"a": 2.0})
+    assert got.degrees_of_freedom == pytest.approx(3.0)
+    assert got.standard_errors == pytest.approx([0.1 * np.sqrt(4 / 3) / np.sqrt(5)], rel=1e-6)
+
+
 def test_three_samples_of_a_line_have_one_degree_of_freedom(found):
     got = found(line, [2.0 + 0.1, 4.0 - 0.2, 6.0 + 0.1], {"a": 2.0, "b": 2.0})
     assert got.degrees_of_freedom == 1.0
