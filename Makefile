@@ -3,6 +3,11 @@ PYTHON ?= python3
 VENV ?= .venv
 EMPS ?= ../shared/data/emps
 GO1 ?= ../shared/data/go1
+DOUBLE_PENDULUM ?= ../shared/data/double_pendulum
+ROBOT ?= ../shared/data/robot_identification
+# Clones of DLR's library Credibility and of the Modelica Standard Library.
+CREDIBILITY ?= ../Credibility
+MSL ?= ../ModelicaStandardLibrary
 SEALED ?= ../shared/data/sealed
 SEALED_ABROAD ?= ../shared/data/sealed_abroad
 # The blind check: cases in the grid, and a folder outside this one for what the diagnosis must not see.
@@ -30,7 +35,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 paper diagnose diagnose-emps diagnose-go1 sealed sealed-abroad blind designed-experiments blind-abroad discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example screenshots docs clean
+.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind designed-experiments blind-abroad discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example screenshots docs clean
 all: identify
 
 setup: $(READY)
@@ -65,6 +70,25 @@ campaigns/emps/measurements.h5: | $(READY)
 campaigns/go1/measurements.h5: | $(READY)
 	FMUID_GO1=$(GO1) $(BIN)/python -m campaigns.go1.convert campaigns/go1
 
+# Averaged to 100 Hz; noise of an angle: a count of its encoder, evenly spread.
+campaigns/double_pendulum/measurements.h5: | $(READY)
+	$(BIN)/fmuid import $(DOUBLE_PENDULUM)/sys_id_*.csv --setup double_pendulum --out $@ --resample 100 --method mean \
+	  -i tau_meas1 -i tau_meas2 --unit tau_meas1=N.m --unit tau_meas2=N.m --signal tau_meas1 --signal tau_meas2 \
+	  --signal pos_meas1 --signal pos_meas2 --unit pos_meas1=rad --unit pos_meas2=rad \
+	  --sigma pos_meas1=1.1e-4 --sigma pos_meas2=1.1e-4 --title "Double pendulum, design C.1"
+
+campaigns/robot/measurements.h5: | $(READY)
+	FMUID_ROBOT=$(ROBOT) $(BIN)/python -m campaigns.robot.convert campaigns/robot
+
+campaigns/credibility/measurements.h5: | $(READY)
+	FMUID_CREDIBILITY=$(CREDIBILITY) $(BIN)/python -m campaigns.credibility.convert campaigns/credibility
+
+DRIVE := SimpleControlledDrive_virtualMeasurement
+DRIVES := Credibility/Examples/SimpleControlledDriveNonlinear
+build/fmus/$(DRIVE).fmu: | $(READY)
+	$(BIN)/fmuid build $(CREDIBILITY)/$(DRIVES)/$(DRIVE).mo $(subst /,.,$(DRIVES)).$(DRIVE) \
+	  --root $(CREDIBILITY) --root $(MSL) --out $(@D)
+
 identify: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/fmuid identify $(FORCE_FEEDBACK) --out runs/force_feedback
 
@@ -83,6 +107,20 @@ identify-go1: $(PENDULUM) campaigns/go1/measurements.h5
 	$(BIN)/python -m benchmarks.rival_stages runs/go1 q "M?"
 	$(BIN)/python -m benchmarks.rival_stages runs/go1 q "M?_absolute"
 
+# Then the published parameters beside those found, and what both predict of the runs kept back.
+identify-double-pendulum: campaigns/double_pendulum/measurements.h5
+	$(BIN)/fmuid identify campaigns/double_pendulum --out runs/double_pendulum
+	$(BIN)/python -m benchmarks.beside_published runs/double_pendulum authors
+
+identify-robot: campaigns/robot/measurements.h5
+	$(BIN)/fmuid identify campaigns/robot --out runs/robot
+	$(BIN)/python -m benchmarks.beside_published runs/robot authors
+	FMUID_ROBOT=$(ROBOT) $(BIN)/python -m campaigns.robot.encoders runs/robot
+
+# DLR's calibration example: the library's own model and table.
+identify-credibility: build/fmus/$(DRIVE).fmu campaigns/credibility/measurements.h5
+	$(BIN)/fmuid identify campaigns/credibility --out runs/credibility
+
 # The paper's experiments and searches without derivatives, then least squares; writes docs/tutorials/paper.md.
 campaigns/paper/measurements.h5: $(FORCE_FEEDBACK)/rig.toml benchmarks/paper_reproduced/recorded.py $(RIG) | $(READY)
 	$(BIN)/python -m benchmarks.paper_reproduced measurements
@@ -100,6 +138,13 @@ diagnose-emps: $(FMUS) campaigns/emps/measurements.h5
 
 diagnose-go1: $(PENDULUM) campaigns/go1/measurements.h5
 	$(BIN)/fmuid diagnose campaigns/go1 --out runs/go1-diagnosis
+
+diagnose-double-pendulum: identify-double-pendulum
+	$(BIN)/fmuid diagnose runs/double_pendulum --out runs/double_pendulum-diagnosis
+
+# From the start values: the delay that the last stage finds is not in the model yet.
+diagnose-robot: campaigns/robot/measurements.h5
+	$(BIN)/fmuid diagnose campaigns/robot --out runs/robot-diagnosis
 
 sealed: $(FMUS)
 	$(BIN)/python -m benchmarks.sealed $(SEALED) --out sealed --page docs/sealed.md
