@@ -7,6 +7,7 @@ DOUBLE_PENDULUM ?= ../shared/data/double_pendulum
 ROBOT ?= ../shared/data/robot_identification
 # Clones of DLR's library Credibility and of the Modelica Standard Library.
 CREDIBILITY ?= ../Credibility
+TCLAB ?= ../TCLab
 MSL ?= ../ModelicaStandardLibrary
 SEALED ?= ../shared/data/sealed
 SEALED_ABROAD ?= ../shared/data/sealed_abroad
@@ -35,7 +36,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind designed-experiments blind-abroad discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example screenshots docs clean
+.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility identify-temperature-lab paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind designed-experiments blind-abroad discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example screenshots docs clean
 all: identify
 
 setup: $(READY)
@@ -120,6 +121,21 @@ identify-robot: campaigns/robot/measurements.h5
 # DLR's calibration example: the library's own model and table.
 identify-credibility: build/fmus/$(DRIVE).fmu campaigns/credibility/measurements.h5
 	$(BIN)/fmuid identify campaigns/credibility --out runs/credibility
+
+# Three versions of one file, each the log of another test; its first samples say where a run begins, in K.
+campaigns/temperature_lab/measurements.h5: | $(READY)
+	@mkdir -p build/temperature_lab
+	for run in half:196c74e full:f3d31ff later:f9a9d4b; do \
+	  git -C $(TCLAB) show $${run#*:}:notebooks/step_test_data.csv > build/temperature_lab/$${run%:*}.csv || exit 1; done
+	$(BIN)/fmuid import build/temperature_lab/*.csv --setup board --out $@ --quiet \
+	  -i Q1 --unit Q1=% --unit T1=degC --unit T2=degC --sigma T1=0.15 --sigma T2=0.15 \
+	  --machine half:first --machine full:second --machine later:second --setting half:heater.P_max=4.2 \
+	  --setting half:T1_start=295.66 --setting half:T2_start=294.37 --setting half:T_room=294.37 \
+	  --setting full:T1_start=294.69 --setting full:T2_start=295.66 --setting full:T_room=294.69 \
+	  --setting later:T1_start=296.63 --setting later:T2_start=297.92 --setting later:T_room=296.63
+
+identify-temperature-lab: campaigns/temperature_lab/measurements.h5
+	$(BIN)/fmuid identify campaigns/temperature_lab --out runs/temperature_lab
 
 # The paper's experiments and searches without derivatives, then least squares; writes docs/tutorials/paper.md.
 campaigns/paper/measurements.h5: $(FORCE_FEEDBACK)/rig.toml benchmarks/paper_reproduced/recorded.py $(RIG) | $(READY)

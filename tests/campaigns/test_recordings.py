@@ -126,6 +126,7 @@ def test_matlab_7_3_is_hdf5(tmp_path: Path) -> None:
     ("content", "notes"),
     [
         ("time;u;x\n0,0;1,5;2\n0,1;2,5;\n", ("cells are separated by semicolons", "decimal commas")),
+        (",Time,u,x\n0,0.0,1.5,2\n1,0.1,2.5,\n", ("the first column has no name, so it is taken for row numbers and left out",)),
         ("time,u,x\ns,N,mm\n0,1.5,2\n0.1,2.5,\n", ("units are on line 2",)),
         ("Time (ms)\tu [N]\tx [mm]\n0\t1.5\t2\n100\t2.5\t\n", ("cells are separated by tabs", "time converted from ms to s")),
         ('"time";"u [N]";"x [mm]"\r\n0;1.5;2\r\n0.1;2.5;\r\n', ("cells are separated by semicolons",)),

@@ -7,7 +7,9 @@ import textwrap
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -218,6 +220,22 @@ def test_a_disk_that_is_full_during_the_analyses_ends_the_run_with_nothing_left_
     monkeypatch.undo()
     resumed = identify(msd(), solver="bobyqa", out=tmp_path, resume=True)
     assert resumed.stages[0].uncertainty == identify(msd(), solver="bobyqa").stages[0].uncertainty is not None
+
+
+def test_the_history_of_ten_thousand_runs_is_written_and_read(tmp_path, msd):
+    problem = msd()
+    (case,) = problem.cases
+    cases = tuple(replace(case, id=f"run number {k}") for k in range(10_000))
+    evaluation = problem.evaluate(problem.space.start)
+    many = SimpleNamespace(
+        name="all", space=problem.space, labels=tuple(f"{c.id}: x least_squares" for c in cases), cases=cases
+    )
+    with History(tmp_path) as history:
+        history.begin(many, "", b"")
+        numbers = np.ones(10_000)
+        history.record("all", replace(evaluation, criteria=numbers), "search", False, residuals=False)
+        history.conclude(b"{}")
+    assert read_history(tmp_path)["all"].criteria == many.labels
 
 
 def test_an_interrupted_run_is_never_overwritten(tmp_path, msd):

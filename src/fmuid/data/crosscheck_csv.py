@@ -75,7 +75,8 @@ class Table:
 def read_csv(path: str | Path, columns: Sequence[str] = ()) -> Table:
     """Read a CSV file with a header row whose first column is `time`.
 
-    Lines before the header are skipped. Text is UTF-8, UTF-16 or, if it is neither, Windows-1252.
+    Lines before the header are skipped, and row numbers before the time. Text is UTF-8, UTF-16 or otherwise
+    Windows-1252.
 
     Parameters
     ----------
@@ -91,6 +92,7 @@ def read_csv(path: str | Path, columns: Sequence[str] = ()) -> Table:
     """
     path = Path(path)
     text, encoding = _read_text(path)
+    text, numbered = (text, False) if columns else _without_row_numbers(text)
     text, skipped = (text, 0) if columns else _without_preamble(text)
     delimiter = _delimiter_of(text, columns, path) if columns else _delimiter(text)
     rows = csv.reader(io.StringIO(text), delimiter=delimiter, strict=True, skipinitialspace=True)
@@ -103,6 +105,7 @@ def read_csv(path: str | Path, columns: Sequence[str] = ()) -> Table:
         raise MeasurementsError("is empty", where=path, fix='write a header "time","..." and the samples')
     names, units = _read_header(header, path)
     notes = [f"read as {encoding}"] if encoding else []
+    notes += ["the first column has no name, so it is taken for row numbers and left out"] if numbered else []
     notes += [f"the header is on line {skipped + 1}"] if skipped else []
     notes += [] if delimiter == "," else [f"cells are separated by {_DELIMITERS[delimiter]}s"]
     skip = rows.line_num
@@ -179,6 +182,16 @@ def _read_text(path: Path) -> tuple[str, str]:
             if not name or not _CONTROL.search(text[:10_000]):
                 return text, name
     raise MeasurementsError("is not text", where=path, fix="save it as CSV in UTF-8")
+
+
+def _without_row_numbers(text: str) -> tuple[str, bool]:
+    """Return the text less a column without a name before the time (pandas writes one), and whether it had it."""
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    for delimiter in _DELIMITERS:
+        name, _, rest = first.partition(delimiter)
+        if not name.strip(' "') and _names_time(rest, delimiter):
+            return "\n".join(line.partition(delimiter)[2] for line in text.split("\n")), True
+    return text, False
 
 
 def _without_preamble(text: str) -> tuple[str, int]:

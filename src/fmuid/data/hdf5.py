@@ -58,7 +58,8 @@ def reading(path: Path, error: Error = MeasurementsError, *, fix: str | None = N
 def write_file(path: Path, fill: Callable[[Any], None]) -> None:
     """Write an HDF5 file atomically: `fill` receives an empty `h5py.File`; `path` changes once it is complete."""
     memory = io.BytesIO()
-    with h5py.File(memory, "w") as file:
+    # Of the format of 2008: before it, the names of some thousand runs were more than an attribute holds.
+    with h5py.File(memory, "w", libver="v108") as file:
         fill(file)
     write_atomically(path, memory.getvalue())
 

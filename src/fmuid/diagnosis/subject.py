@@ -109,6 +109,12 @@ def subject_of(
     used = {id for case in model.cases for id in case.experiments}
     found = [o for o in campaign.outliers if o.experiment in used]
     findings += tuple(f"Left out of experiment '{o.experiment}', signal '{o.signal}': {o}." for o in found)
+    pooled = [p.name for p in campaign.parameters.values() if p.free and p.per == "machine"]
+    if pooled and len({e.machine for e in chosen}) > 1:
+        findings += (
+            f"Several machines are taken for one here, though {', '.join(pooled)} may differ between them: "
+            "name the experiments of one machine (-e).",
+        )
     outliers = tuple(LeftOut(o.experiment, o.signal, len(o.times)) for o in found)
     recordings = {e.id: e.digest for e in chosen}
     observed = Observed.from_runs(model.runs)
