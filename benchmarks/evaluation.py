@@ -29,6 +29,7 @@ from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.pool.worker_process import resident_memory
 from fmuid.simulation.pool.workers import WorkerPool
+from fmuid.simulation.predictor import Predictor
 from fmuid.simulation.runners import Job, Runner, in_process
 from fmuid.simulation.simulator import Task
 
@@ -115,12 +116,12 @@ def derivatives(repeats: int) -> list[DerivativeCost]:
         both = {central: Differences(larger, floor, central=central) for central in (False, True)}
 
         def differences(central: bool, larger: Problem = larger, both: dict = both, here=here) -> None:  # type: ignore
-            larger._predictions.clear()
+            larger._predictor = Predictor()
             points = [p for i in range(len(here.x)) for p in both[central]._moved(here.x, i, 1e-4, central)]
             larger.evaluate_many(points)
 
         def plain(larger: Problem = larger, here=here) -> None:  # type: ignore
-            larger._predictions.clear()
+            larger._predictor = Predictor()
             larger.evaluate(here.x)
 
         runs: dict[str, Callable[[], object]] = {

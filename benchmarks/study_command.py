@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -48,6 +49,16 @@ def ended(work: Callable[[], Sequence[str]], *, resumes: bool = False) -> int:
     for line in failures:
         print(line, file=sys.stderr)
     return int(bool(failures))
+
+
+def named_folder(variable: str, default: Path) -> Path:
+    """Return the folder that a variable of the environment names, or the default."""
+    return Path(os.environ.get(variable) or default)
+
+
+def convert(usage: str, arguments: Sequence[str], read: Callable[..., Measurements]) -> int:
+    """Write what `read` returns of a folder to the campaign that the arguments name; return the exit code."""
+    return run_module(usage, arguments, lambda given: write_campaign(given[0], read(*given[1:])))
 
 
 def write_campaign(campaign: str, measurements: Measurements) -> None:

@@ -179,12 +179,11 @@ def _quadrants(campaign: Campaign, ours: Result) -> list[tuple[str, ...]]:
     sign = np.where(forward, 1.0, -1.0)
     law = np.where(driving, (1 - eta1) * tau + sign * bf1, (1 - 1 / eta2) * tau + sign * bf2)
     rows = []
-    for label, chosen in (
-        ("ω_W > 0, τ_W ≥ 0 | (1 − η_mf1) τ_W + \\|τ_bf1\\|", forward & driving),
-        ("ω_W > 0, τ_W < 0 | (1 − 1/η_mf2) τ_W + \\|τ_bf2\\|", forward & ~driving),
-        ("ω_W < 0, τ_W ≥ 0 | (1 − 1/η_mf2) τ_W − \\|τ_bf2\\|", ~forward & ~driving),
-        ("ω_W < 0, τ_W < 0 | (1 − η_mf1) τ_W − \\|τ_bf1\\|", ~forward & driving),
+    for where, formula, chosen in (
+        ("ω_W > 0, τ_W ≥ 0", "(1 − η_mf1) τ_W + \\|τ_bf1\\|", forward & driving),
+        ("ω_W > 0, τ_W < 0", "(1 − 1/η_mf2) τ_W + \\|τ_bf2\\|", forward & ~driving),
+        ("ω_W < 0, τ_W ≥ 0", "(1 − 1/η_mf2) τ_W − \\|τ_bf2\\|", ~forward & ~driving),
+        ("ω_W < 0, τ_W < 0", "(1 − η_mf1) τ_W − \\|τ_bf1\\|", ~forward & driving),
     ):
-        where, formula = label.split(" | ", 1)
         rows.append((where, formula, str(chosen.sum()), f"{np.max(np.abs(friction - law)[chosen]):.1e}"))
     return rows

@@ -6,14 +6,13 @@ sampled noise changes, the table has two rows of one time, before and after: the
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.study_command import run_module, write_campaign
+from benchmarks.study_command import convert, named_folder
 from fmuid.core.errors import MeasurementsError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.core.immutable import read_only
@@ -27,7 +26,7 @@ _HEADER = "#1\ndouble motor_load_speed(8001,3)\n"
 
 def folder_from_environment() -> Path:
     """Return the clone of the library: `FMUID_CREDIBILITY`, or `../Credibility`."""
-    return Path(os.environ.get(FOLDER_VARIABLE) or DEFAULT_FOLDER)
+    return named_folder(FOLDER_VARIABLE, DEFAULT_FOLDER)
 
 
 def read_credibility(folder: str | Path | None = None) -> Measurements:
@@ -77,11 +76,7 @@ def read_credibility(folder: str | Path | None = None) -> Measurements:
 
 def main(arguments: Sequence[str]) -> int:
     """Write the `measurements.h5` of the campaign that the arguments name; return the exit code."""
-
-    def command(given: Sequence[str]) -> None:
-        write_campaign(given[0], read_credibility(*given[1:]))
-
-    return run_module("campaigns.credibility.convert CAMPAIGN [FOLDER]", arguments, command)
+    return convert("campaigns.credibility.convert CAMPAIGN [FOLDER]", arguments, read_credibility)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ while in the closed loop `qg`, `qm` and `vir` belong to the same instant.
 from __future__ import annotations
 
 import hashlib
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
-from benchmarks.study_command import run_module, write_campaign
+from benchmarks.study_command import convert, named_folder
 from fmuid.core.errors import MeasurementsError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.core.immutable import FloatArray, read_only
@@ -32,7 +31,7 @@ _INTERVAL = 1e-3  # the files' own times leave this grid by less than 0.05 micro
 
 def folder_from_environment() -> Path:
     """Return the folder of the EMPS files: `FMUID_EMPS`, or `../shared/data/emps`."""
-    return Path(os.environ.get(FOLDER_VARIABLE) or DEFAULT_FOLDER)
+    return named_folder(FOLDER_VARIABLE, DEFAULT_FOLDER)
 
 
 def read_emps(folder: str | Path | None = None) -> Measurements:
@@ -129,11 +128,7 @@ def _closed_loop(purpose: str, columns: dict[str, FloatArray]) -> Experiment:
 
 def main(arguments: Sequence[str]) -> int:
     """Write the `measurements.h5` of the campaign that the arguments name; return the exit code."""
-
-    def command(given: Sequence[str]) -> None:
-        write_campaign(given[0], read_emps(*given[1:]))
-
-    return run_module("campaigns.emps.convert CAMPAIGN [FOLDER]", arguments, command)
+    return convert("campaigns.emps.convert CAMPAIGN [FOLDER]", arguments, read_emps)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ too often. A row is what the joint answered before the goal in it was sent.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +16,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from benchmarks.study_command import run_module, write_campaign
+from benchmarks.study_command import convert, named_folder
 from fmuid.core.errors import MeasurementsError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.core.immutable import FloatArray, read_only
@@ -59,7 +58,7 @@ class _Log(msgspec.Struct):
 
 def folder_from_environment() -> Path:
     """Return the folder of the logs: `FMUID_GO1`, or `../shared/data/go1`."""
-    return Path(os.environ.get(FOLDER_VARIABLE) or DEFAULT_FOLDER)
+    return named_folder(FOLDER_VARIABLE, DEFAULT_FOLDER)
 
 
 def read_go1(folder: str | Path | None = None) -> Measurements:
@@ -166,11 +165,7 @@ def _read(file: Path) -> _Log:
 
 def main(arguments: Sequence[str]) -> int:
     """Write the `measurements.h5` of the campaign that the arguments name; return the exit code."""
-
-    def command(given: Sequence[str]) -> None:
-        write_campaign(given[0], read_go1(*given[1:]))
-
-    return run_module("campaigns.go1.convert CAMPAIGN [FOLDER]", arguments, command)
+    return convert("campaigns.go1.convert CAMPAIGN [FOLDER]", arguments, read_go1)
 
 
 if __name__ == "__main__":

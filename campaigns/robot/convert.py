@@ -6,7 +6,6 @@ never copied. Of axes 1 to 3, each is a run of its own, of a setup of its own: `
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
-from benchmarks.study_command import run_module, write_campaign
+from benchmarks.study_command import convert, named_folder
 from fmuid.core.errors import MeasurementsError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.core.immutable import FloatArray, read_only
@@ -29,7 +28,7 @@ STANDSTILL = 0.4  # s at the start of every run, in which the encoders are compa
 
 def folder_from_environment() -> Path:
     """Return the folder of the logs: `FMUID_ROBOT`, or `../shared/data/robot_identification`."""
-    return Path(os.environ.get(FOLDER_VARIABLE) or DEFAULT_FOLDER)
+    return named_folder(FOLDER_VARIABLE, DEFAULT_FOLDER)
 
 
 def read_robot(folder: str | Path | None = None) -> Measurements:
@@ -110,11 +109,7 @@ def _no_log(file: Path, why: str) -> MeasurementsError:
 
 def main(arguments: Sequence[str]) -> int:
     """Write the `measurements.h5` of the campaign that the arguments name; return the exit code."""
-
-    def command(given: Sequence[str]) -> None:
-        write_campaign(given[0], read_robot(*given[1:]))
-
-    return run_module("campaigns.robot.convert CAMPAIGN [FOLDER]", arguments, command)
+    return convert("campaigns.robot.convert CAMPAIGN [FOLDER]", arguments, read_robot)
 
 
 if __name__ == "__main__":

@@ -186,7 +186,7 @@ def _read_text(path: Path) -> tuple[str, str]:
 
 def _without_row_numbers(text: str) -> tuple[str, bool]:
     """Return the text less a column without a name before the time (pandas writes one), and whether it had it."""
-    first = next((line for line in text.splitlines() if line.strip()), "")
+    first = _first_line(text)
     for delimiter in _DELIMITERS:
         name, _, rest = first.partition(delimiter)
         if not name.strip(' "') and _names_time(rest, delimiter):
@@ -203,6 +203,11 @@ def _without_preamble(text: str) -> tuple[str, int]:
     return text, 0
 
 
+def _first_line(text: str) -> str:
+    """Return the first line that is not blank."""
+    return next((line for line in io.StringIO(text) if line.strip()), "").rstrip("\n")
+
+
 def _names_time(line: str, delimiter: str) -> bool:
     cell = line.split(delimiter, 1)[0].strip().strip('"')
     return delimiter in line and name_and_unit(cell)[0].casefold() in TIMES
@@ -210,7 +215,7 @@ def _names_time(line: str, delimiter: str) -> bool:
 
 def _delimiter_of(text: str, columns: Sequence[str], path: Path) -> str:
     """Return what separates the cells of a file without a header."""
-    first = next((line for line in text.splitlines() if line.strip()), "")
+    first = _first_line(text)
     counts = {d: len(first.split(d)) for d in (";", "\t", ",")}
     for delimiter, count in counts.items():
         if count == len(columns):
@@ -224,7 +229,7 @@ def _delimiter_of(text: str, columns: Sequence[str], path: Path) -> str:
 
 def _delimiter(text: str) -> str:
     """Return the first of comma, semicolon and tab that leaves `time` alone in the first cell."""
-    first = next((line for line in text.splitlines() if line.strip()), "")
+    first = _first_line(text)
     for delimiter in _DELIMITERS:
         if _names_time(first, delimiter):
             return delimiter

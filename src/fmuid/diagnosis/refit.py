@@ -214,6 +214,7 @@ class _Campaign:
         self.prior = np.diag([1.0 / u.sd for u in unknowns])[[np.isfinite(u.sd) for u in unknowns]]
         self.size = sum(w.size for w in observed.whiteners) + len(self.prior)
         self.known: OrderedDict[bytes, tuple[FloatArray, ...]] = OrderedDict()
+        self._near: OrderedDict[bytes, tuple[FloatArray, ...]] = OrderedDict()
 
     def point(self, start: Mapping[str, float]) -> FloatArray:
         return self.clipped(np.array([start.get(u.name, u.start) for u in self._unknowns]))
@@ -232,17 +233,18 @@ class _Campaign:
             for outcome in self._predict([self.values(p) for p in points])
         ]
 
-    def parts(self, x: FloatArray) -> tuple[FloatArray, ...]:
-        """Return the residuals of every experiment; those of the last points are remembered."""
-        if x.tobytes() not in self.known:
-            (outcome,) = self.evaluate([x])
+    def _simulated(self, points: Sequence[FloatArray]) -> list[tuple[FloatArray, ...]]:
+        """Return the residuals of every experiment at each point, or raise the first failure."""
+        found = []
+        for outcome in self.evaluate(points):
             if isinstance(outcome, SimulationError):
                 raise outcome
-            self.known[x.tobytes()] = outcome
-        while len(self.known) > 2:
-            self.known.popitem(last=False)
-        self.known.move_to_end(x.tobytes())
-        return self.known[x.tobytes()]
+            found.append(outcome)
+        return found
+
+    def parts(self, x: FloatArray) -> tuple[FloatArray, ...]:
+        """Return the residuals of every experiment; those of the last points are remembered."""
+        return _remembered(self.known, x, lambda: self._simulated([x])[0])
 
     def cost(self, x: FloatArray) -> float:
         r = self.vector(x)
@@ -266,22 +268,24 @@ class _Campaign:
 
     def jacobian(self, x: FloatArray, slopes: Slopes = "exact") -> tuple[FloatArray, ...]:
         """Return d residual / d unknown, (M_e, P) an experiment; differences where it cannot be exact."""
+        if slopes == "near":  # a search, what it promises and the result take those of one point
+            return _remembered(self._near, x, lambda: self._differences(x, {}))
+        return self._differences(x, {}, _WIDE) if slopes == "wide" else self._differences(x, self._exactly(x))
+
+    def _differences(
+        self, x: FloatArray, columns: dict[int, tuple[FloatArray, ...]], wide: float = 0.0
+    ) -> tuple[FloatArray, ...]:
+        """Add the columns that are missing, from a step away or from as many to either side."""
         base = self.parts(x)
-        columns = self._exactly(x) if slopes == "exact" else {}
         left = [k for k in range(len(x)) if k not in columns]
         away = np.diag(np.where(x + self.steps > self.upper, -self.steps, self.steps))[left]
-        ends = [self.clipped(x + step) for step in away]
-        begins = [x] * len(left)
-        if slopes == "wide":
-            ends = [self.clipped(x + _WIDE * step) for step in away]
-            begins = [self.clipped(x - _WIDE * step) for step in away]
-        moved = [*self.evaluate(ends), *(self.evaluate(begins) if slopes == "wide" else [base] * len(left))]
+        ends = [self.clipped(x + (wide or 1.0) * step) for step in away]
+        begins = [self.clipped(x - wide * step) for step in away] if wide else []
+        moved = self._simulated([*ends, *begins])
+        origins = moved[len(ends) :] or [base] * len(left)
         for n, k in enumerate(left):
-            a, b = moved[n], moved[n + len(left)]
-            if isinstance(a, SimulationError) or isinstance(b, SimulationError):
-                raise a if isinstance(a, SimulationError) else b
-            width = ends[n][k] - begins[n][k]
-            columns[k] = tuple((p - q) / width for p, q in zip(a, b, strict=True))
+            width = ends[n][k] - (begins[n] if wide else x)[k]
+            columns[k] = tuple((p - q) / width for p, q in zip(moved[n], origins[n], strict=True))
         return tuple(
             np.stack([columns[k][e] for k in range(len(x))], axis=1) if len(x) else np.zeros((b.size, 0))
             for e, b in enumerate(base)
@@ -296,3 +300,16 @@ class _Campaign:
         columns = {k: self._observed.whiten(found[self._names[k]]) for k in inside if self._names[k] in found}
         # What moves nothing at all may still do so after a step, as a backlash that is not reached.
         return {k: parts for k, parts in columns.items() if any(np.any(p) for p in parts)}
+
+
+def _remembered(
+    known: OrderedDict[bytes, tuple[FloatArray, ...]], x: FloatArray, found: Callable[[], tuple[FloatArray, ...]]
+) -> tuple[FloatArray, ...]:
+    """Return what is known of a point, or what is found; the last two points are remembered."""
+    key = x.tobytes()
+    if key not in known:
+        known[key] = found()
+        while len(known) > 2:
+            known.popitem(last=False)
+    known.move_to_end(key)
+    return known[key]
