@@ -5,11 +5,13 @@ every so many n. The first line is of the run that nothing happens to.
 """
 
 import ctypes
+import io
 import json
 import os
 import shutil
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -42,6 +44,9 @@ def main() -> None:
     fmu, folder, how, step = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[4], int(sys.argv[5])
     kind = {"identify": test_survival.Identification, "diagnose": test_survival.Diagnosis}[sys.argv[3]]
     bench, said = kind.campaign(fmu, folder / "bench"), folder / "said.txt"
+    with redirect_stdout(io.StringIO()):  # what is imported once is not imported by each child
+        run(kind.arguments(bench))
+    shutil.rmtree(bench / "run")
     last, at = 0, 0
     while at <= last:
         out = bench / "run"
