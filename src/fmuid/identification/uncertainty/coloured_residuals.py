@@ -102,7 +102,9 @@ def _colour(r: FloatArray, count: float) -> float:
     if abs(rho) < 2.0 / np.sqrt(max(count, 1.0)):
         return 0.0
     # Kendall (1954): the estimate is low by (1 + 3 rho) / N, a little more where parameters were fitted.
-    return float(np.clip(rho + (1.0 + 4.0 * rho) / max(count, 1.0), -0.97, 0.97))
+    # Andrews and Monahan's bound; at a higher rate, more samples are as long ago: up to half the record.
+    most = max(0.97, 1.0 - 2.0 / max(count, 1.0))
+    return float(np.clip(rho + (1.0 + 4.0 * rho) / max(count, 1.0), -most, most))
 
 
 def _prewhitened(record: Record, colour: float) -> Record:
