@@ -86,6 +86,31 @@ def test_ctrl_c_while_modules_are_loaded_is_one_line(folder: Path, after: float)
     assert (run.returncode, err) == (130, "fmuid: interrupted\n") or run.returncode == 0
 
 
+@pytest.mark.parametrize(
+    ("within", "went_on"),
+    [
+        # Code of the import system holds locks; an exception there would leave them held.
+        ("exec(compile('kill(); went_on.append(1)', '<frozen importlib._bootstrap>', 'exec'))", [1]),
+        # What a finalizer raises is ignored.
+        ("class A: pass\na = A()\nref = weakref.ref(a, lambda _: [kill(), went_on.append(1)])\ndel a", []),
+    ],
+)
+def test_ctrl_c_is_not_lost_where_nothing_can_be_raised(within: str, went_on: list[int]) -> None:
+    script = f"""
+import functools, os, signal, time, weakref
+from fmuid.cli.interruption import Interruption
+Interruption()
+went_on, kill = [], functools.partial(os.kill, os.getpid(), signal.SIGINT)
+try:
+    exec({within!r})
+    time.sleep(60)
+except KeyboardInterrupt:
+    print("interrupted", went_on)
+"""
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=600)
+    assert (run.stdout, run.stderr) == (f"interrupted {went_on}\n", "")
+
+
 @pytest.mark.parametrize("call", ["fmuid.identify('bench', workers=2)", "fmuid.diagnose('made', workers=2)"])
 def test_a_script_without_a_main_guard_is_told_in_one_line(
     folder: Path, oscillator: Path, fmuid: Command, call: str

@@ -6,8 +6,10 @@ import os
 import signal
 import sys
 from types import FrameType
+from typing import Any
 
 INTERRUPTED = 130
+_MOMENT = 0.01  # s
 
 
 class Interruption:
@@ -15,10 +17,16 @@ class Interruption:
 
     A second Ctrl-C ends the process at once: everything is on disk, but for a summary that can be made again.
     A signal that whoever started the process has it ignore (as nohup does) stays ignored.
+
+    Where an exception would leave locks of the import system held, or would be ignored as those of finalizers are,
+    it is raised a moment later.
     """
 
     def __init__(self) -> None:
         self._stopping = False
+        if hasattr(signal, "setitimer"):  # Windows has none
+            signal.signal(signal.SIGALRM, self._received)
+            self._other_unraisable, sys.unraisablehook = sys.unraisablehook, self._unraisable
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)  # Windows has no SIGHUP
             if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
@@ -28,11 +36,22 @@ class Interruption:
         """Have every further Ctrl-C end the process at once: there is nothing left to save."""
         self._stopping = True
 
-    def _received(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002 - as signals are told
+    def _received(self, number: int, frame: FrameType | None) -> None:
         if not self._stopping:
+            importing = frame is not None and frame.f_code.co_filename.startswith("<frozen importlib")
+            if importing and hasattr(signal, "setitimer"):
+                signal.setitimer(signal.ITIMER_REAL, _MOMENT)
+                return
             self._stopping = True
             raise KeyboardInterrupt
         if number == signal.SIGINT:
             shown = b"\x1b[?25h" if sys.stderr is not None and sys.stderr.isatty() else b""  # the cursor again
             os.write(2, shown + b"\nfmuid: stopped at once\n")
             os._exit(INTERRUPTED)
+
+    def _unraisable(self, found: Any) -> None:  # sys.UnraisableHookArgs, which exists in stubs alone
+        if found.exc_type is KeyboardInterrupt:
+            self._stopping = False
+            signal.setitimer(signal.ITIMER_REAL, _MOMENT)
+        else:
+            self._other_unraisable(found)
