@@ -79,6 +79,15 @@ class LowPass:
         return _butterworth(self.cutoff, round(1.0 / usual, 9))
 
 
+def first_order(values: FloatArray, keep: float, before: float = 0.0) -> FloatArray:
+    """Return y, (N, ...), with ``y[k] = keep * y[k-1] + values[k]``, where y[-1] is `before`."""
+    from scipy.linalg import solve_banded  # scipy.signal, which has such filters, takes a second to import
+
+    right = np.array(values)
+    right[0] += keep * before
+    return np.asarray(solve_banded((1, 0), [np.ones(len(right)), np.full(len(right), -keep)], right))
+
+
 def derivative(time: FloatArray, values: FloatArray, order: int = 1) -> FloatArray:
     """Return the central-difference derivative of (N,) samples; it is missing where a neighbour is missing."""
     for _ in range(order):

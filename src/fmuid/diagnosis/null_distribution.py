@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.data.noise.spectrum import rounding_draws
@@ -41,7 +41,7 @@ class Null:
 
     def _of_excess(self, excess: float) -> float:
         above = float(np.mean(self.excess >= excess))
-        tail = float(norm.sf(excess, self.excess.mean(), max(self.excess.std(), 1e-12)))
+        tail = float(ndtr((self.excess.mean() - excess) / max(self.excess.std(), 1e-12)))
         return max(above, tail) if above > 0 else min(tail, 1.0 / (len(self.excess) + 1))
 
     def threshold(self, quantile: float = 0.99) -> float:

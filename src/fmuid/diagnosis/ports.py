@@ -12,10 +12,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray, read_only
+from fmuid.data.filtering import first_order
 from fmuid.diagnosis.cross_validation import HeldOut, leave_each_out
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
@@ -128,10 +128,9 @@ def pasts(values: Sequence[FloatArray], time: Sequence[FloatArray]) -> Basis:
         keeps = [float(np.exp(-np.mean(np.diff(t)) / seconds)) for t in time]
         # Settled before the first sample.
         slow = [
-            lfilter([1.0 - k], [1.0, -k], v / size, zi=[k * v[0] / size])[0]
-            for k, v in zip(keeps, values, strict=True)
+            first_order((1.0 - k) * v / size, k, before=v[0] / size) for k, v in zip(keeps, values, strict=True)
         ]
-        found.append(tuple(read_only(np.asarray(s)) for s in slow))
+        found.append(tuple(read_only(s) for s in slow))
     return tuple(found)
 
 

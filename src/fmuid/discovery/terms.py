@@ -11,10 +11,10 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from scipy.signal import lfilter
 
 from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray
+from fmuid.data.filtering import first_order
 
 Kind = Literal["position", "angle", "speed", "flow", "value"]
 HIDDEN = "hidden"  # a term's own state, in its text
@@ -139,7 +139,7 @@ def _lagged(rate: str, columns: Mapping[str, FloatArray], time: FloatArray) -> F
     gain = (1.0 - keep) / decay if decay * step > 1e-9 else step
     # What drives it between two samples is their mean.
     driven = np.concatenate([[0.0], 0.5 * (zero[1:] + zero[:-1])])
-    return np.asarray(lfilter([gain], [1.0, -keep], driven))
+    return first_order(gain * driven, keep)
 
 
 def library(quantities: Sequence[Quantity], inputs: Sequence[Quantity], time: Sequence[FloatArray]) -> list[Term]:

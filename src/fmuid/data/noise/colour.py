@@ -53,10 +53,8 @@ class Colour:
         return np.asarray(white - taken * float(np.sum(ones * white)) * ones)
 
     def _innovations(self, r: FloatArray) -> FloatArray:
-        from scipy.signal import lfilter
-
         last = self.predictors[-1]
-        out = lfilter(np.concatenate([[1.0], -last]), [1.0], r) / self.deviations[-1]
+        out = np.convolve(r, np.concatenate([[1.0], -last]))[: len(r)] / self.deviations[-1]
         for k, predictor in enumerate(self.predictors[:-1][: len(r)]):
             out[k] = (r[k] - predictor @ r[:k][::-1]) / self.deviations[k]
         return np.asarray(out)

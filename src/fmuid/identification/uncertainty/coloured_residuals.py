@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmuid.core.immutable import FloatArray
+from fmuid.data.filtering import first_order
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 
@@ -115,13 +116,11 @@ def _prewhitened(record: Record, colour: float) -> Record:
     """
     if colour == 0.0:
         return record
-    from scipy.signal import lfilter
-
     first = np.sqrt(1.0 - colour**2)
     r = record.residuals.copy()
     r[1:] -= colour * record.residuals[:-1]
     r[0] *= first
-    j = lfilter([1.0], [1.0, -colour], record.jacobian[::-1], axis=0)[::-1].copy()
+    j = first_order(record.jacobian[::-1], colour)[::-1].copy()
     j[0] /= first
     return Record(record.signal, r, j, record.there)
 
