@@ -213,6 +213,7 @@ def test_noise_that_was_not_measured_is_said(trolley, tmp_path, capsys):
     assert "calibrate: runs were not repeated" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_calibrating_on_plants_of_one_s_own_is_kept_and_used(trolley, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     record(trolley, drag=0.3)

@@ -8,16 +8,20 @@ import ctypes
 import io
 import json
 import os
+import pickle
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
+from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).parent))
 import test_survival
 
 from fmuid.cli.app import run
+from fmuid.report.plots import draw
+from fmuid.report.plots.figure_data import Figure
 
 HOW = {"short": 1, "full-once": 2, "full": 3, "broken": 4}
 
@@ -40,16 +44,13 @@ def ended(arguments: Sequence[str], said: Path, below: Path, at: int, how: str) 
     os._exit(code)
 
 
-def main() -> None:
-    fmu, folder, how, step = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[4], int(sys.argv[5])
-    kind = {"identify": test_survival.Identification, "diagnose": test_survival.Diagnosis}[sys.argv[3]]
-    bench, said = kind.campaign(fmu, folder / "bench"), folder / "said.txt"
-    with redirect_stdout(io.StringIO()):  # what is imported once is not imported by each child
-        run(kind.arguments(bench))
-    shutil.rmtree(bench / "run")
+def every(
+    kind: type[test_survival.Identification | test_survival.Diagnosis], bench: Path, how: str, step: int
+) -> None:
+    """Run the command unharmed, then with every so many operations failing, each in a process of its own."""
+    said, out = bench.parent / "said.txt", bench / "run"
     last, at = 0, 0
     while at <= last:
-        out = bench / "run"
         code = ended(kind.arguments(bench), said, out, at, how)
         line = {"at": at, "code": code, "said": said.read_text()}
         if at == 0:
@@ -61,6 +62,32 @@ def main() -> None:
         print(json.dumps(line), flush=True)
         shutil.rmtree(out)
         at += 1 if at == 0 else step
+
+
+def drawn_once() -> Callable[[Figure, str], bytes]:
+    """Return a drawing of figures that remembers them."""
+    known: dict[bytes, bytes] = {}
+    draw_anew = draw.drawn
+
+    def drawn(figure: Figure, format: str) -> bytes:
+        key = pickle.dumps((figure, format))
+        if key not in known:
+            known[key] = draw_anew(figure, format)
+        return known[key]
+
+    return drawn
+
+
+def main() -> None:
+    fmu, folder, how, step = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[4], int(sys.argv[5])
+    kind = {"identify": test_survival.Identification, "diagnose": test_survival.Diagnosis}[sys.argv[3]]
+    bench = kind.campaign(fmu, folder / "bench")
+    # What is imported and drawn here is not imported and drawn by each child: this is about files.
+    with mock.patch.object(draw, "drawn", drawn_once()):
+        with redirect_stdout(io.StringIO()):
+            run(kind.arguments(bench))
+        shutil.rmtree(bench / "run")
+        every(kind, bench, how, step)
 
 
 if __name__ == "__main__":

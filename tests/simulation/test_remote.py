@@ -161,6 +161,7 @@ def test_no_scheduler_and_no_workers_are_one_line(monkeypatch):
         pass
 
 
+@pytest.mark.slow
 def test_the_command_line_on_a_cluster(
     build: Callable[..., Path], tmp_path: Path, cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
