@@ -107,6 +107,17 @@ def test_what_the_others_hardly_see_is_held_by_a_prior_of_a_thousand_steps():
     assert leave_each_out(unseen, observed).loss[0] == pytest.approx(25.0 - 1.0)
 
 
+def test_a_parameter_that_a_run_has_its_own_of_is_fitted_to_that_run():
+    observed = recorded([[0.0, 0.0, 0.0]], [[0.0]])
+    residuals = np.array([1.0, 2.0, 6.0]), np.array([0.0])
+    for name, loss, size in (("k@e0", 14.0 / 2.0, 2.0), ("k", 41.0 / 3.0, 3.0)):
+        unknown = Unknown(name, 0.0, -9.0, 9.0, 1.0)
+        fit = Refit((unknown,), {name: 0.0}, residuals, (np.ones((3, 1)), np.zeros((1, 1))), 0.0, 0, True)
+        held = leave_each_out(fit, observed)
+        assert held.loss == pytest.approx([loss - 1.0, -1.0])
+        assert held.size == pytest.approx([size, 1.0])
+
+
 @pytest.mark.parametrize(("steps_away", "moves"), [(0.5e-6, False), (2e-6, True)])
 @pytest.mark.parametrize("bound", ["lower", "upper"])
 def test_a_parameter_within_a_millionth_of_a_step_of_its_bound_is_at_it(bound, steps_away, moves):

@@ -11,6 +11,7 @@ import jsonschema
 import numpy as np
 import pytest
 
+import fmuid
 from fmuid import Result
 from fmuid.cli.app import run
 from fmuid.core.experiments import Experiment, Measurements, Signal
@@ -199,6 +200,21 @@ def test_an_effect_that_the_campaign_puts_into_the_model_is_no_candidate_and_tha
     assert "air_drag" not in {e["id"] for e in answer["effects"]}
     note = "Not looked for, since the campaign puts it into the model: air_drag (drag = 0.3)."
     assert note in answer["notes"]
+
+
+@pytest.mark.parametrize("free", ["false", "true"])
+def test_a_sensor_of_the_criteria_has_its_parameter_whether_it_is_free_or_not(trolley, tmp_path, free):
+    folder = tmp_path / "campaign"
+    shutil.copytree(trolley, folder)
+    record(folder, drag=0.3)
+    held = f"[parameters.bias]\nstart = 0.0\nlower = -1.0\nupper = 1.0\nfree = {free}\n[effects]"
+    nominal = ', "bias"]' if free == "true" else "]"
+    text = (folder / "campaign.toml").read_text().replace("[effects]", held).replace('"d"]', '"d"' + nominal)
+    text += '[[stages.all.criteria]]\nsignal = "v"\noptions = { sensor = { offset = "bias" } }\n'
+    (folder / "campaign.toml").write_text(text)
+    answer = fmuid.diagnose(folder).diagnosis
+    assert answer.verdict.effects == ("air_drag",)
+    assert ("bias" in answer.model) == (free == "true")
 
 
 def test_noise_that_was_not_measured_is_said(trolley, tmp_path, capsys):

@@ -79,6 +79,7 @@ class _ParameterTable(Table):
     prior: dict[str, Any] | None = None
     known: bool = False
     tolerance: float | None = None
+    starts: dict[str, Any] = msgspec.field(default_factory=dict)
 
 
 class _PriorTable(Table):
@@ -239,6 +240,8 @@ def load_campaign(
         recorded, outliers = without_outliers(recorded)
     recorded, filters = _signals(document.signals, recorded, str(file))
     parameters = {n: _parameter(n, t, f"{file} [parameters.{n}]") for n, t in document.parameters.items()}
+    if not planned and measurements is None:
+        _check_owners(parameters, recorded, str(file))
     settings = numbers(document.settings, f"{file} [settings]")
     for name in settings.keys() & parameters.keys():
         raise CampaignError(
@@ -522,7 +525,33 @@ def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
         raise CampaignError("scale is log without lower", where=where, fix="give lower > 0")
     if table.truth is not None:
         finite("truth", table.truth, where)
-    return ParameterSpec(name=name, **{**msgspec.structs.asdict(table), "prior": _prior(table, where)})
+    starts = numbers(table.starts, f"{where} starts")
+    if starts and table.per == "campaign":
+        raise CampaignError(
+            "has starts, but one value", where=where, fix='write per = "machine" or "experiment", or remove starts'
+        )
+    for owner, value in starts.items():
+        if not table.lower <= value <= table.upper:
+            raise CampaignError(
+                f"start {value:g} of '{owner}' is outside [{table.lower:g}, {table.upper:g}]",
+                where=f"{where} starts",
+                fix="move the start or the bounds",
+            )
+    own = {**msgspec.structs.asdict(table), "prior": _prior(table, where), "starts": starts}
+    return ParameterSpec(name=name, **own)
+
+
+def _check_owners(parameters: Mapping[str, ParameterSpec], measurements: Measurements, file: str) -> None:
+    """Check that start values of single machines or experiments are of ones that were recorded."""
+    owners = {"machine": {e.machine for e in measurements}, "experiment": set(measurements.experiments)}
+    for spec in parameters.values():
+        for owner in spec.starts:
+            if owner not in owners[spec.per]:
+                raise CampaignError(
+                    f"no {spec.per} '{owner}' was recorded",
+                    where=f"{file} [parameters.{spec.name}] starts",
+                    fix=suggestion(owner, owners[spec.per]),
+                )
 
 
 def _prior(table: _ParameterTable, where: str) -> Prior | None:

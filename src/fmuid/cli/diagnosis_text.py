@@ -42,6 +42,8 @@ def print_validation(found: DiagnosisValidation, answer: Mapping[str, Any], prin
         printer.say(f"used for the diagnosis, so no test of it: {', '.join(found.used)}")
     else:
         printer.say(f"not used for the diagnosis: {', '.join(found.runs)}")
+    for note in found.notes:
+        printer.say(note)
     rows = [
         [
             c.experiment,

@@ -165,6 +165,7 @@ def _simulate_campaign(
 
     from fmu_build.suggest import suggestion
     from fmuid.campaigns.campaign_toml import expand, load_campaign
+    from fmuid.core.campaign import SEPARATOR
     from fmuid.data.crosscheck_csv import Table
     from fmuid.identification.check import load_models, match_models
     from fmuid.identification.problem.cases import from_campaign
@@ -182,7 +183,8 @@ def _simulate_campaign(
     among = [i for i in campaign.measurements.experiments if i in roles]
     chosen = expand(patterns, campaign.measurements, among, "--experiment")
     target = out or Path("runs") / campaign.name / "simulated"
-    point = {p.name: p.start for p in campaign.parameters.values()} | values
+    starts = campaign.start_values
+    point = {n: v for n, v in starts.items() if n.partition(SEPARATOR)[0] not in values} | values
     rows: list[tuple[str, str, float]] = []
     for k, experiment_id in enumerate(chosen):
         experiment = campaign.measurements[experiment_id]

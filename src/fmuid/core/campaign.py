@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,10 +11,12 @@ import numpy as np
 
 from fmuid.core.coupling import Coupling
 from fmuid.core.experiments import Measurements, Outliers
+from fmuid.core.immutable import frozen_mapping
 
 Interpolation = Literal["hold", "linear"]
 Sampling = Literal["hold", "linear", "preceding"]
 Interface = Literal["co-simulation", "model exchange"]
+SEPARATOR = "@"  # "offset@run_3" is the parameter `offset` as it is in experiment run_3
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +94,8 @@ class ParameterSpec:
         Name in the campaign and, unless a model's `map` says otherwise, in the FMUs.
     start, lower, upper
         Start value and bounds in `unit`.
+    starts
+        Start values of single machines or experiments, by name, where they differ from `start`.
     unit
         Unit of the values; None for the FMU's unit.
     scale
@@ -125,10 +129,24 @@ class ParameterSpec:
     prior: Prior | None = None
     known: bool = False
     tolerance: float | None = None
+    starts: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         for name in ("start", "lower", "upper"):  # NumPy's numbers are no JSON
             object.__setattr__(self, name, float(getattr(self, name)))
+        object.__setattr__(self, "starts", frozen_mapping(self.starts))
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The start value by name, and those of single machines or experiments as ``name@owner``."""
+        return {self.name: self.start, **{f"{self.name}{SEPARATOR}{o}": v for o, v in self.starts.items()}}
+
+    def of_each(self, owners: Iterable[str]) -> list[ParameterSpec]:
+        """Return the parameter of each machine or experiment, ``name@owner``."""
+        return [
+            replace(self, name=f"{self.name}{SEPARATOR}{o}", start=self.starts.get(o, self.start), starts={})
+            for o in dict.fromkeys(owners)
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -398,3 +416,8 @@ class Campaign:
     trusted: bool = False
     file: Path | None = None
     measurements_file: Path | None = None
+
+    @property
+    def start_values(self) -> dict[str, float]:
+        """Start values of all parameters; those of single machines or experiments as ``name@owner``."""
+        return {name: value for spec in self.parameters.values() for name, value in spec.values.items()}

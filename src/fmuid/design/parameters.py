@@ -118,7 +118,7 @@ def design_for_parameters(
     template = next((c for c in cases if c.setup == setup), None) or template_of(
         campaign, simulators[setup], setup
     )
-    fixed = {p.name: posed.start.get(p.name, p.start) for p in campaign.parameters.values()}
+    fixed = {**campaign.start_values, **posed.start}
     model = CampaignModel(cases, runner, fixed, {n: parse(text) for n, text in posed.tie.items()})
     unknowns = _unknowns(campaign, posed, template, cases, fixed)
     values = {u.name: u.start for u in unknowns}

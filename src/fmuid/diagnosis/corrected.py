@@ -9,11 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import FlatModel, number
 from fmu_build.model_ports import constant
 from fmu_build.modelica_text import modelica_text
-from fmuid.core.campaign import Campaign, ModelSource, ModelSpec
+from fmuid.core.campaign import SEPARATOR, Campaign, ModelSource, ModelSpec
 from fmuid.core.files import write_atomically
 from fmuid.core.toml_tables import read_toml, toml_document
 from fmuid.diagnosis.catalogue import Effect
@@ -184,7 +186,7 @@ class _Document:
 
     def _tables(self, specs: Mapping[str, ModelSpec], fmus: Mapping[str, Path]) -> dict[str, Any]:
         campaign, raw = self.campaign, dict(self.raw)
-        nominal = [u.name for u in self.subject.nominal]
+        nominal = list(dict.fromkeys(u.name.partition(SEPARATOR)[0] for u in self.subject.nominal))
         own = [u for e in self.effects for u in e.unknowns]
         head = {"name": f"{campaign.name}-corrected", "title": f"{campaign.title}, corrected"}
         raw["campaign"] = {**raw.get("campaign", {}), **head}
@@ -196,15 +198,23 @@ class _Document:
         units |= {n: v.unit for c in self.subject.model.cases for n, v in c.simulator.variables.items() if v.unit}
         parameters = {name: dict(table) for name, table in raw.get("parameters", {}).items()}
         for name in parameters:
-            parameters[name]["start"] = self.values.get(name, campaign.parameters[name].start)
+            parameters[name] |= self._starts(name, campaign.parameters[name].start)
+            if "starts" in parameters[name]:
+                per = campaign.parameters[name].per
+                self.notes.append(
+                    f"{name} has one value per {per}, so only the corrected campaign has what was found"
+                )
         described = {u.name: e.description for e in self.effects for u in e.unknowns}
         for u in own:
             value = min(max(self.values[u.name], u.lower), u.upper)
             table = {"start": value, "lower": u.lower, "upper": u.upper, "description": described[u.name]}
             parameters[u.name] = table | ({"unit": units[u.name]} if units.get(u.name) else {})
         tie = {name: e.text for name, e in self.subject.model.tie.items()}
-        for name in tie:
-            parameters.setdefault(name, {"start": self.values[name], "free": False})
+        for name, expression in self.subject.model.tie.items():
+            leaders = [campaign.parameters[n] for n in expression.names if n in campaign.parameters]
+            per = next((p.per for p in leaders if p.per != "campaign"), "campaign")
+            followed = {**self._starts(name), "free": False, **({} if per == "campaign" else {"per": per})}
+            parameters.setdefault(name, followed)
         raw["parameters"] = parameters
         raw["stages"] = {"corrected": self._stage([*nominal, *(u.name for u in own)], tie)}
         if "effects" in raw:
@@ -214,6 +224,14 @@ class _Document:
             raw["effects"] = {**raw["effects"], "catalogue": self._path(catalogue), "nominal": free}
         order = ("campaign", "signals", "models", "parameters", "settings", "roles", "stages", "effects")
         return {key: raw[key] for key in (*order, *raw) if key in raw}
+
+    def _starts(self, name: str, otherwise: float = 0.0) -> dict[str, Any]:
+        """Return the value found for a parameter; of one that machines or runs have their own of, also theirs."""
+        begin = f"{name}{SEPARATOR}"
+        own = {n.removeprefix(begin): v for n, v in self.values.items() if n.startswith(begin)}
+        if not own:
+            return {"start": self.values.get(name, otherwise)}
+        return {"start": float(np.mean(list(own.values()))), "starts": own}
 
     def _model(self, setup: str, spec: ModelSpec, fmu: Path, table: Mapping[str, Any]) -> dict[str, Any]:
         """Return the table of a setup's model, with paths from here and what lies at its signals."""

@@ -2,7 +2,8 @@
 
 Each experiment is left out in turn. The parameters for the other experiments come from one Gauss-Newton step at
 the full estimate (exact for a linear model, and sufficient to distinguish an effect from chance), so a round of
-cross-validation costs linear algebra, not simulations.
+cross-validation costs linear algebra, not simulations. Where an experiment, or a machine with no other one, has a
+parameter of its own, this is fitted to the experiment itself, and its loss allows for that.
 """
 
 from __future__ import annotations
@@ -12,11 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fmuid.core.campaign import SEPARATOR
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Refit
 
 _PRIOR_STEPS = 1e3  # a parameter that the remaining experiments cannot see moves by no more than about this
+_DEPENDENT = 1e-6  # smallest singular value of unit columns, over the largest
 _ALIKE = 1e-13  # of parameters whose columns are one but for rounding; a ridge is lost beside large ones
 
 
@@ -32,7 +35,7 @@ class HeldOut:
     per_run
         The same for every single run, one array per experiment.
     size
-        (E,) number of components.
+        (E,) number of components, less the parameters that are fitted to the experiment itself.
     """
 
     loss: FloatArray
@@ -64,13 +67,26 @@ def leave_each_out(fit: Refit, observed: Observed) -> HeldOut:
     gradient = [n * p.T @ r for n, p, r in zip(repeats, parts, residuals, strict=True)]
     total, slope = sum(normal), sum(gradient)
     ridge = np.eye(int(inside.sum())) / _PRIOR_STEPS**2
-    predicted = []
-    for p, r, group in zip(parts, residuals, observed.groups, strict=True):
-        out = [k for k, other in enumerate(observed.groups) if other == group]
-        h, g = sum(normal[k] for k in out), sum(gradient[k] for k in out)
+    of_one = np.array([SEPARATOR in u.name for u in fit.unknowns], dtype=bool)[inside]
+    seen = np.array([np.diag(n) > 0.0 for n in normal])
+    predicted, taken = [], []
+    for k, group in enumerate(observed.groups):
+        out = np.array(observed.groups) == group
+        h, g = (sum(part[i] for i in np.flatnonzero(out)) for part in (normal, gradient))
         move = -_solved(total - h + ridge, slope - g)
-        predicted.append(r + p @ move)
-    return losses(predicted, observed)
+        basis = _basis(parts[k][:, of_one & seen[k] & ~seen[~out].any(axis=0)])
+        left = residuals[k] + parts[k] @ move
+        predicted.append(left - basis @ (basis.T @ left))
+        taken.append(basis)
+    return losses(predicted, observed, taken)
+
+
+def _basis(columns: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of columns."""
+    if not columns.shape[1]:
+        return columns
+    u, s, _ = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
+    return np.asarray(u[:, s > _DEPENDENT * s[0]])
 
 
 def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
@@ -85,17 +101,23 @@ def in_sample(fit: Refit, observed: Observed) -> HeldOut:
     return losses([fit.residuals[e][rows] for e, rows in observed.folds], observed)
 
 
-def losses(residuals: Sequence[FloatArray], observed: Observed) -> HeldOut:
-    """Return the losses of whitened residuals of the mean runs, one per fold."""
+def losses(
+    residuals: Sequence[FloatArray], observed: Observed, taken: Sequence[FloatArray] | None = None
+) -> HeldOut:
+    """Return the losses of whitened residuals of the mean runs, one per fold.
+
+    `taken` are orthonormal bases of what was fitted to each fold itself.
+    """
     per_run, loss, size = [], [], []
-    for whole, (e, rows) in zip(residuals, observed.folds, strict=True):
+    for k, (whole, (e, rows)) in enumerate(zip(residuals, observed.folds, strict=True)):
         run, whiten, band = observed.runs[e], observed.whiteners[e], observed.in_band[e][rows]
         r = whole[band]
         deviation = whiten(run.deviations).reshape(run.n_repeats, -1)[:, rows][:, band]
         # residual of run k = residual of the mean - its deviation from the mean
         per_run.append(read_only(np.mean((r - deviation) ** 2, axis=1) - 1.0))
-        loss.append(float(np.mean(r**2)) - 1.0 / run.n_repeats)
-        size.append(float(r.size))
+        left = r.size - (0.0 if taken is None else float(np.sum(taken[k][band] ** 2)))
+        loss.append(float(r @ r) / left - 1.0 / run.n_repeats)
+        size.append(left)
     return HeldOut(read_only(np.array(loss)), tuple(per_run), read_only(np.array(size)))
 
 

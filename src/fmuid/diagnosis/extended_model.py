@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from fmuid.core.campaign import SEPARATOR
 from fmuid.core.errors import SimulationError
 from fmuid.core.formulas import Expression
 from fmuid.core.immutable import FloatArray
@@ -182,7 +183,8 @@ class CampaignModel:
         signals = {c.signal for case in self.cases for c in case.channels}
         signals |= {name for case in self.cases for name in case.task.inputs}
         every = {**self.fixed, **values}
-        own = {n for n in every for case in self.cases if n in case.setting or n in case.simulator.variables}
+        known = {n for case in self.cases for n in (*case.setting, *case.simulator.variables)}
+        own = {n for n in every if n.partition(SEPARATOR)[0] in known}
         plain, disturbed = split_signal_parameters({n: v for n, v in every.items() if n not in own}, signals)
         return {**plain, **{n: every[n] for n in every if n in own}}, disturbed
 
@@ -194,16 +196,27 @@ class CampaignModel:
         return self._tasks[key]
 
     def expanded(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return `values` with the model variables that are tied to them."""
+        """Return `values` with the model variables that are tied to them; as ``name@owner`` if those are."""
         every = {**self.fixed, **values}
-        return {**values, **{name: e(every) for name, e in self.tie.items()}}
+        machines, found = {case.machine for case in self.cases}, dict(values)
+        for name, expression in self.tie.items():
+            leaders = [n.split(SEPARATOR) for n in every if n.partition(SEPARATOR)[0] in expression.names]
+            owners = {owner for _, *of_one in leaders for owner in of_one}
+            of_runs = not owners.isdisjoint(case.id for case in self.cases)
+            if owners.isdisjoint(machines) and not of_runs:
+                found[name] = expression(every)
+            else:
+                own = {case.id if of_runs else case.machine: case.values(every) for case in self.cases}
+                found |= {f"{name}{SEPARATOR}{owner}": expression(there) for owner, there in own.items()}
+        return found
 
     def start_values(self, case: Case, values: Mapping[str, float]) -> dict[str, float]:
         """Campaign parameters in the model's units; what is none of them is a variable of the model."""
         own = {
             name: v for name, v in values.items() if name in case.simulator.variables and name not in case.setting
         }
-        tied = {name: e(values) for name, e in self.tie.items() if name in case.simulator.variables}
+        every = case.values(values) if self.tie else {}
+        tied = {name: e(every) for name, e in self.tie.items() if name in case.simulator.variables}
         return {**own, **case.start_values(values), **tied}
 
     def _simulator(self, case: Case, values: Mapping[str, float]) -> Simulator:

@@ -422,7 +422,7 @@ def made_catalogue(
     parts: list[Place] = []
     held: dict[str, Held] = {}
     signals = ""
-    fixed = {p.name: p.start for p in campaign.parameters.values()}
+    fixed = campaign.start_values
     nominal = {
         m.variable(p.name) for p in campaign.parameters.values() if p.free for m in campaign.models.values()
     }

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fmu_build.suggest import suggestion
-from fmuid.core.campaign import Campaign, EffectsSpec, ModelSpec, ParameterSpec
+from fmuid.core.campaign import SEPARATOR, Campaign, EffectsSpec, ModelSpec, ParameterSpec
 from fmuid.core.errors import CampaignError, FmuError
 from fmuid.core.experiments import Experiment
 from fmuid.core.formulas import parse
@@ -104,17 +104,11 @@ def subject_of(
             where=spec.catalogue,
             fix=suggestion(missing[0], known) if missing else "name the FMUs that carry the effects in [models]",
         )
-    nominal = _nominal(campaign, spec, cases_parameters={n for c in cases for n in c.setting})
+    nominal = _nominal(campaign, spec, cases)
     model, findings = solved_well_enough(model, campaign, {u.name: u.start for u in nominal})
     used = {id for case in model.cases for id in case.experiments}
     found = [o for o in campaign.outliers if o.experiment in used]
     findings += tuple(f"Left out of experiment '{o.experiment}', signal '{o.signal}': {o}." for o in found)
-    pooled = [p.name for p in campaign.parameters.values() if p.free and p.per == "machine"]
-    if pooled and len({e.machine for e in chosen}) > 1:
-        findings += (
-            f"Several machines are taken for one here, though {', '.join(pooled)} may differ between them: "
-            "name the experiments of one machine (-e).",
-        )
     outliers = tuple(LeftOut(o.experiment, o.signal, len(o.times)) for o in found)
     recordings = {e.id: e.digest for e in chosen}
     observed = Observed.from_runs(model.runs)
@@ -166,7 +160,7 @@ def model_of(
         for target, text in spec.tie.items()
         for name in expand_slice(target, known)
     }
-    fixed = {p.name: p.start for p in campaign.parameters.values()}
+    fixed = campaign.start_values
     modelled: dict[str, str] = {}
     for effect in _not_nominal(campaign, catalogue):
         sizes = [u.name for u in effect.unknowns if u.name not in effect.shapes]
@@ -177,7 +171,7 @@ def model_of(
             # Its own values act from here on, whatever the campaign calls them and in which unit.
             own = {u.name for u in effect.unknowns}
             cases = tuple(_without(case, own) for case in cases)
-            fixed |= {u.name: effect.neutral[u.name] for u in effect.unknowns if u.name in fixed}
+            fixed = {n: effect.neutral.get(n.partition(SEPARATOR)[0], v) for n, v in fixed.items()}
     variants = Variants({s: m for s, m in models.items() if m.source is not None}, catalogue, load)
     return CampaignModel(cases, runner, fixed, tie, variants.simulator), catalogue, known, modelled
 
@@ -194,9 +188,10 @@ def _held(case: Case, unknown: str, fixed: Mapping[str, float]) -> list[float]:
     """Return the value that a campaign gives an effect's parameter in a case, in the model's unit, if any."""
     if unknown in case.task.start_values:
         return [case.task.start_values[unknown]]
-    given = [to.factor * fixed[n] + to.offset for n, (variable, to) in case.setting.items() if variable == unknown]
-    of_a_signal = unknown in fixed and unknown not in case.simulator.variables
-    return [fixed[unknown]] if of_a_signal else given
+    own = case.values(fixed)
+    given = [to.factor * own[n] + to.offset for n, (variable, to) in case.setting.items() if variable == unknown]
+    of_a_signal = unknown in own and unknown not in case.simulator.variables
+    return [own[unknown]] if of_a_signal else given
 
 
 def _without(case: Case, variables: Collection[str]) -> Case:
@@ -263,18 +258,30 @@ def carrier(file: Path, catalogue: Catalogue) -> Path:
     return file.with_name(f"{catalogue.models.get(file.stem, file.stem)}{file.suffix}")
 
 
-def _nominal(campaign: Campaign, spec: EffectsSpec, *, cases_parameters: set[str]) -> tuple[Unknown, ...]:
+def _nominal(campaign: Campaign, spec: EffectsSpec, cases: Sequence[Case]) -> tuple[Unknown, ...]:
+    """Return the nominal parameters; of one that machines or experiments have their own of, one for each."""
     helpers = {n for text in spec.tie.values() for n in parse(text).names}
-    unknowns = []
+    unknowns: list[Unknown] = []
     for name in spec.nominal:
-        if name not in cases_parameters and name not in helpers:
+        own = [case for case in cases if name in helpers or name in case.setting or name in _of_sensors(case)]
+        if not own:
             raise CampaignError(
                 f"nominal parameter '{name}' affects no model",
                 where="[effects]",
                 fix="remove it, or tie a variable to it",
             )
-        unknowns.append(unknown_of(campaign.parameters[name]))
+        parameter = campaign.parameters[name]
+        owners: dict[str, list[str]] = {
+            "campaign": [],
+            "machine": [c.machine for c in own],
+            "experiment": [c.id for c in own],
+        }
+        unknowns += map(unknown_of, parameter.of_each(owners[parameter.per]) or [parameter])
     return tuple(unknowns)
+
+
+def _of_sensors(case: Case) -> set[str]:
+    return {n for channel in case.channels for expression in channel.sensor.values() for n in expression.names}
 
 
 def unknown_of(p: ParameterSpec) -> Unknown:

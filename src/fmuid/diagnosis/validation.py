@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.core.campaign import Campaign
+from fmuid.core.campaign import SEPARATOR, Campaign
 from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.cross_validation import closure_interval, losses
+from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.observed import Observed, gap
 from fmuid.diagnosis.subject import model_of
@@ -54,6 +55,7 @@ class DiagnosisValidation:
     interval: tuple[float, float] | None = None
     runs: tuple[str, ...] = ()
     used: tuple[str, ...] | None = ()
+    notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values."""
@@ -65,6 +67,7 @@ class DiagnosisValidation:
                 n: {"nominal": a, "corrected": b, "closure": closure(a, b)} for n, (a, b) in self.gaps.items()
             },
             "closure_interval": None if self.interval is None else list(self.interval),
+            "notes": list(self.notes),
         }
 
 
@@ -160,7 +163,7 @@ def validate_diagnosis(
     model, catalogue, known, _ = model_of(campaign, load_simulator, chosen, runner=runner)
     points = [answer["nominal"]["parameters"], (law or answer)["model"]["parameters"]]
     known |= {*campaign.parameters, *(u.name for e in catalogue.effects.values() for u in e.unknowns)}
-    foreign = sorted({name for point in points for name in point} - known)
+    foreign = sorted({name for point in points for name in point if name.partition(SEPARATOR)[0] not in known})
     if foreign:
         raise FmuidError(
             f"neither the campaign nor its catalogue or FMUs know '{foreign[0]}', which the diagnosis has",
@@ -187,7 +190,22 @@ def validate_diagnosis(
                 Comparison(run.id, signal, unit, sigma.get(signal), before, after, before / spread, after / spread)
             )
     gaps, interval = _gaps(floor, predictions), _interval(floor, predictions)
-    return DiagnosisValidation(tuple(comparisons), gaps, interval, tuple(e.id for e in chosen), used)
+    notes = _of_others(points[0], model)
+    return DiagnosisValidation(tuple(comparisons), gaps, interval, tuple(e.id for e in chosen), used, notes)
+
+
+def _of_others(values: Mapping[str, float], model: CampaignModel) -> tuple[str, ...]:
+    """Return, in words, which parameters that a machine or run has its own of the diagnosis did not see."""
+    names = dict.fromkeys(n.partition(SEPARATOR)[0] for n in values if SEPARATOR in n)
+    unseen = {
+        name: dict.fromkeys(c.id for c in model.cases if name in c.setting and name not in c.values(values))
+        for name in names
+    }
+    return tuple(
+        f"{n} has its start value in {', '.join(ids)}: the diagnosis has none for it"
+        for n, ids in unseen.items()
+        if ids
+    )
 
 
 def law_of(answer: Mapping[str, Any]) -> Mapping[str, Any] | None:

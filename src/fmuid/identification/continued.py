@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from fmuid.core.campaign import Campaign
+from fmuid.core.campaign import SEPARATOR, Campaign
 from fmuid.core.errors import CampaignError, ProblemError
 from fmuid.identification.history import JOURNAL
 from fmuid.identification.result import FILE, Result
@@ -20,8 +20,6 @@ def is_run(path: Path) -> bool:
 def continued(campaign: Campaign, result: Result) -> Campaign:
     """Return the campaign with identified values as the start values of its parameters.
 
-    Parameters per run or machine keep their start values.
-
     Raises
     ------
     ProblemError
@@ -33,8 +31,9 @@ def continued(campaign: Campaign, result: Result) -> Campaign:
         raise ProblemError("the identification has no result to start from", fix="identify again")
     parameters = dict(campaign.parameters)
     for name, value in result.parameters.items():
-        if "@" in name or name.startswith("observer["):
+        if name.startswith("observer["):
             continue
+        name, of_one, owner = name.partition(SEPARATOR)
         if name not in parameters:
             raise CampaignError(
                 f"parameter '{name}' of the result is not in campaign '{campaign.name}'",
@@ -42,5 +41,7 @@ def continued(campaign: Campaign, result: Result) -> Campaign:
                 fix="start from an identification of this campaign",
             )
         spec = parameters[name]
-        parameters[name] = replace(spec, start=min(max(value, spec.lower), spec.upper))
+        value = min(max(value, spec.lower), spec.upper)
+        known = {"starts": {**spec.starts, owner: value}} if of_one else {"start": value}
+        parameters[name] = replace(spec, **known)
     return replace(campaign, parameters=parameters)

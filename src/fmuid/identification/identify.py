@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from fmuid.core.campaign import AnalysisSpec, Campaign, ParameterSpec, StageSpec
+from fmuid.core.campaign import SEPARATOR, AnalysisSpec, Campaign, ParameterSpec, StageSpec
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.folder_lock import claim
 from fmuid.identification.analyses import Findings, analyse
@@ -22,7 +22,6 @@ from fmuid.identification.misfit import misfit
 from fmuid.identification.observer import Observer, Progress
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
-from fmuid.identification.problem.search_space import SEPARATOR
 from fmuid.identification.provenance import fingerprint, hashes_of, versions
 from fmuid.identification.result import FILE, CriterionValue, Estimate, Result, StageResult, at_bound, finite
 from fmuid.identification.solvers import Outcome, Search, Solver, Status, StopRules, StopSearch, make

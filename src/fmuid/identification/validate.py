@@ -154,7 +154,7 @@ def validate(
             f"parameter '{unknown[0]}' of the result is not in campaign '{campaign.name}'",
             fix="validate on a campaign with the same parameters",
         )
-    values = {name: spec.start for name, spec in campaign.parameters.items()} | dict(found)
+    values = campaign.start_values | dict(found)
     cases = _cases(campaign, chosen, simulators or load_models(campaign), values)
     outcomes = runner([(case.simulator, case.task, case.start_values(values)) for case in cases])
     scores: list[RunScore] = []

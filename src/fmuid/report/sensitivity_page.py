@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fmuid.core.campaign import SEPARATOR
 from fmuid.core.formatting import Fact, counted
 from fmuid.core.immutable import FloatArray
-from fmuid.identification.problem.search_space import SEPARATOR
 from fmuid.identification.uncertainty.sobol_morris import STRONGEST, GlobalSensitivity, OutputSensitivity
 from fmuid.report.document import Document, Section, write_document
 from fmuid.report.plots.figure_data import (

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from fmu_build.suggest import suggestion
-from fmuid.core.campaign import Campaign, CriterionSpec, Interpolation, ModelSpec, ParameterSpec
+from fmuid.core.campaign import SEPARATOR, Campaign, CriterionSpec, Interpolation, ModelSpec, ParameterSpec
 from fmuid.core.errors import CampaignError, FmuError, MeasurementsError, ProblemError
 from fmuid.core.experiments import Experiment
 from fmuid.core.formulas import Expression, parse
@@ -20,7 +20,6 @@ from fmuid.data.filtering import LowPass
 from fmuid.data.noise.level import NoiseLevel, conversion_at, noise_elsewhere, noise_level, repeated_runs
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.identification.problem.criteria import Criterion, Target, prepare, whitened
-from fmuid.identification.problem.search_space import SEPARATOR
 from fmuid.simulation.simulator import Simulator, Task
 
 _T = TypeVar("_T")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.core.campaign import Campaign, ParameterSpec, StageSpec
+from fmuid.core.campaign import SEPARATOR, Campaign, ParameterSpec, StageSpec
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem import cases as case_building
@@ -19,7 +19,7 @@ from fmuid.identification.problem.combination import Combination, Constraint
 from fmuid.identification.problem.criteria import value
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.problem.exact_derivatives import ExactDerivatives
-from fmuid.identification.problem.search_space import SEPARATOR, SearchSpace, expanded
+from fmuid.identification.problem.search_space import SearchSpace, expanded
 from fmuid.identification.problem.segments import observed, segmented
 from fmuid.identification.problem.solver_error import SolverAccuracy, solver_accuracy
 from fmuid.simulation.predictor import Predictor

@@ -10,12 +10,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.core.campaign import ParameterSpec, Prior
+from fmuid.core.campaign import SEPARATOR, ParameterSpec, Prior
 from fmuid.core.errors import ProblemError
 from fmuid.core.formulas import Expression, parse
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 
-SEPARATOR = "@"  # "offset@run_3" is the parameter `offset` as it is in experiment run_3
 _STEP = 1e-6  # of differences of expressions, in search units
 
 
@@ -230,17 +229,18 @@ def expanded(
     fixed: dict[str, float] = {}
     least: dict[str, float] = {}  # a stage may have left a parameter at next to nothing
     for spec in by_name.values():
-        own = [f"{spec.name}{SEPARATOR}{e}" for e in owners[spec.per]]
+        own = spec.of_each(owners[spec.per])
         if spec.name in ties:
             continue
         fixed[spec.name] = best.get(spec.name, spec.start)
         if spec.name in free:
             if not own:
                 del fixed[spec.name]
-            free_specs += [replace(spec, name=n, start=best.get(n, spec.start)) for n in own or [spec.name]]
-            least |= dict.fromkeys(own or [spec.name], _reference(spec))
+            free_specs += [replace(s, start=best.get(s.name, s.start)) for s in own or [spec]]
+            least |= dict.fromkeys((s.name for s in own or [spec]), _reference(spec))
         else:
-            fixed |= {n: best[n] for n in own if n in best}
+            told = {**spec.values, **best}
+            fixed |= {s.name: told[s.name] for s in own if s.name in told}
     parsed = {name: parse(text, where=f"tie of '{name}'") for name, text in ties.items()}
     parsed |= _of_owners(by_name, parsed, owners)
     for leader in {n for e in parsed.values() for n in e.names} - parsed.keys() - {s.name for s in free_specs}:

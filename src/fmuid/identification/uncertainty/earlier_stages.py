@@ -7,10 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fmuid.core.campaign import ParameterSpec
+from fmuid.core.campaign import SEPARATOR, ParameterSpec
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.estimation_problem import Problem
-from fmuid.identification.problem.search_space import SEPARATOR
 from fmuid.identification.uncertainty.confidence import Uncertainty
 from fmuid.identification.uncertainty.inherited import Held
 
