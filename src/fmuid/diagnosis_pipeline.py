@@ -18,12 +18,14 @@ from fmuid.diagnosis import calibration
 from fmuid.diagnosis.calibration import Calibration
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.corrected import FOLDER, Corrected, write_corrected
+from fmuid.diagnosis.decide import DECOY_MARGIN
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.effect_search import Say
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.subject import Subject, carrier, subject_of
 from fmuid.diagnosis.summary import sentences
-from fmuid.diagnosis.verdict import Verdict
+from fmuid.diagnosis.unit_to_unit import between_machines
+from fmuid.diagnosis.verdict import BetweenMachines, Verdict
 from fmuid.discovery.find_law import Candidate, find_law
 from fmuid.discovery.injected import entry
 from fmuid.identification.continued import continued, is_run
@@ -152,6 +154,9 @@ def diagnose(
         discovery = find_law(found, campaign.models, load_simulator, **telling, seed=seed) if law else None
         if discovery is not None:
             found = replace(found, diagnosis=replace(found.diagnosis, law_found=discovery.found))
+        if say is not None:
+            say("comparing machines", 0.968)
+        found = replace(found, diagnosis=replace(found.diagnosis, machines=_machines(found)))
         if folder is not None:
             if say is not None:
                 say("drawing", 0.97)
@@ -264,6 +269,21 @@ def _into_the_model(found: Found) -> Fitted:
     sure = set(found.diagnosis.verdict.effects)
     alone = [fitted for fitted in found.candidates if set(fitted.effects) == sure]
     return min(alone, key=lambda fitted: fitted.fit.cost) if sure and alone else found.corrected
+
+
+def _machines(found: Found) -> BetweenMachines | None:
+    """Return what differs between machines.
+
+    Where no effect is named, for instance because its size differs between machines, that is beside the one that
+    comes closest, if the own values of machines then leave much less than those of the nominal model do.
+    """
+    told = between_machines(found.subject, _into_the_model(found))
+    if told is None or found.surviving or found.best is None or not found.diagnosis.gap.present:
+        return told
+    other = between_machines(found.subject, found.best)
+    if other is None or other.gap is None or (told.gap is not None and other.gap >= DECOY_MARGIN * told.gap):
+        return told
+    return other
 
 
 def _drawing(campaign: Campaign, found: Found) -> Drawing | None:

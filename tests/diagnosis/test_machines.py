@@ -160,6 +160,10 @@ def test_each_unit_has_its_own_parameter_in_a_diagnosis_and_all_that_follows_fro
     assert answer["gap"]["corrected"] < 0.25 < 1.0 < answer["gap"]["nominal_refit"]
     assert answer["effects"][0]["parameters"]["square"]["standard_error"] < 1e-3
 
+    told = {p["name"] for p in answer["machines"]["parameters"] if p["differs"]}
+    assert told == {"G"}
+    assert "Parameters of each machine" in (tmp_path / "first" / "index.html").read_text()
+
     # The corrected campaign starts from what each unit has, and so does what comes after it.
     corrected = tmp_path / "first" / "corrected"
     campaign = fmuid.load_campaign(corrected)
@@ -208,3 +212,52 @@ def test_start_values_of_each_run_are_estimated_and_prove_no_effect(block, tmp_p
     answer = fmuid.diagnose(folder).diagnosis
     assert answer.verdict.effects == ("convection",)
     assert answer.effects[0].closure.held_out > 0.9
+
+
+SHARED = CAMPAIGN.replace('per = "machine"', "")
+
+
+def differing(block, tmp_path, machines):
+    """What a diagnosis says of units that are taken to be alike: which parameters differ, and its lines."""
+    found = fmuid.diagnose(record(beside(block, tmp_path), machines, campaign=SHARED))
+    answer = found.diagnosis.to_dict()
+    jsonschema.Draft202012Validator(SCHEMA).validate(json.loads(json.dumps(answer, allow_nan=False)))
+    lines = [line for line in str(found).splitlines() if "etween machines" in line]
+    return answer, {p["name"]: p for p in answer["machines"]["parameters"]}, lines
+
+
+@pytest.mark.parametrize(
+    ("name", "verdict", "machines"),
+    [
+        ("square", "partial", {"A": {"square": 0.018}, "B": {"square": 0.02}, "C": {"square": 0.022}}),
+        ("square", "unknown", {"A": {"square": 0.01}, "B": {"square": 0.02}, "C": {"square": 0.03}}),
+        ("C", "", {m: {"square": 0.02, "C": c} for m, c in {"A": 98.0, "B": 100.0, "C": 102.0}.items()}),
+    ],
+)
+def test_what_differs_between_units_is_told_from_what_does_not(block, tmp_path, name, verdict, machines):
+    answer, parameters, lines = differing(block, tmp_path, machines)
+    assert answer["verdict"]["kind"] in (verdict or answer["verdict"]["kind"])
+    assert answer["machines"]["effects"] == ["convection"]
+    assert [n for n, p in parameters.items() if p["differs"]] == [name]
+    for machine, truth in machines.items():
+        found = parameters[name]["machines"][machine]
+        assert abs(found["value"] - truth[name]) < 5 * found["standard_error"] < 0.02 * truth[name]
+    low, high = parameters[name]["next_machine"]
+    values = [truth[name] for truth in machines.values()]
+    assert low < min(values) < max(values) < high
+    assert parameters[name]["spread"] == pytest.approx(np.std(values, ddof=1), rel=0.1)
+    assert answer["machines"]["gap"] < 0.25 < answer["gap"]["corrected"]
+    beside = " with convection in the model" if verdict == "unknown" else ""
+    (line,) = lines
+    assert line.startswith(f"Differs between machines{beside}: {name} (p < 0.001): ")
+
+
+def test_units_that_are_alike_are_said_to_be(block, tmp_path):
+    answer, parameters, lines = differing(block, tmp_path, {m: {"square": 0.02} for m in "AB"})
+    assert answer["verdict"]["effects"] == ["convection"]
+    assert {n: p["next_machine"] for n, p in parameters.items()} == dict.fromkeys(("C", "G", "square"))
+    (line,) = lines
+    assert line.startswith("Between machines: none of ")
+    assert line.endswith(" differs beyond its uncertainty")
+    alone = fmuid.diagnose(record(tmp_path, {"A": {}}, campaign=SHARED)).diagnosis
+    assert "machines" not in alone.to_dict()

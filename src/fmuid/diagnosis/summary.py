@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from fmuid.core.formatting import Fact, range_text
+from fmuid.core.formatting import Fact, interval_text, range_text
 from fmuid.diagnosis.decide import CLOSURE_THAT_NAMES, SIGNIFICANCE
 
 _ROWS = 6
@@ -31,7 +31,40 @@ def summary(diagnosis: Mapping[str, Any]) -> list[str]:
         )
     if diagnosis["verdict"]["kind"] == "complete" and diagnosis.get("power"):
         lines.append(f"Would have been seen, at least this large: {_smallest(diagnosis['power'])}")
+    lines += machine_lines(diagnosis)
     return lines + [f"Note: {note}" for note in diagnosis.get("notes", ())]
+
+
+def machine_lines(diagnosis: Mapping[str, Any]) -> list[str]:
+    """Return a line for each parameter that differs between machines, or one that says that none does."""
+    machines = diagnosis.get("machines")
+    if not machines:
+        return []
+    lines = []
+    unnamed = [name for name in machines["effects"] if name not in named(diagnosis["verdict"])]
+    beside = f" with {_listed(unnamed, 'and')} in the model" if unnamed else ""
+    for p in (p for p in machines["parameters"] if p["differs"]):
+        sure = "p < 0.001" if p["p_value"] < 1e-3 else f"p = {p['p_value']:.2g}"
+        each = ", ".join(f"{_with_error(e)} on {machine}" for machine, e in p["machines"].items())
+        last = f"; next machine, 95 %: {interval_text(*p['next_machine'])}" if p["next_machine"] else ""
+        lines.append(f"Differs between machines{beside}: {p['name']} ({sure}): {each}{last}")
+    if lines and machines["gap"] is not None:
+        common = diagnosis["gap"]["corrected"]
+        lines.append(
+            f"Gap, in noise floors: {common:.3g} → {machines['gap']:.3g} with each machine's own values{beside}"
+        )
+    if not lines and machines["parameters"]:
+        names = ", ".join(p["name"] for p in machines["parameters"])
+        lines.append(f"Between machines: none of {names} differs beyond its uncertainty{beside}")
+    if machines["left_out"]:
+        lines.append(
+            f"Not compared between machines, as their runs do not determine it: {', '.join(machines['left_out'])}"
+        )
+    if machines["failed"]:
+        lines.append(
+            f"Not compared with the others, as its runs cannot be refitted: {', '.join(machines['failed'])}"
+        )
+    return lines
 
 
 def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:

@@ -290,6 +290,76 @@ class LawFound:
 
 
 @dataclass(frozen=True, slots=True)
+class MachineParameter:
+    """One parameter, refitted to the runs of each machine.
+
+    Attributes
+    ----------
+    differs
+        Whether the machines differ beyond the errors of the estimates, all parameters considered (Bonferroni).
+    p_value
+        Of Cochran's test that all machines have the same value.
+    mean, spread
+        Mean over all machines of the kind, and standard deviation between them.
+    next_machine
+        95 % prediction interval of the next machine's value; None for two machines.
+    machines
+        Estimates by machine.
+    """
+
+    name: str
+    differs: bool
+    p_value: float
+    mean: float
+    spread: float
+    next_machine: tuple[float, float] | None
+    machines: Mapping[str, Estimate]
+
+
+@dataclass(frozen=True, slots=True)
+class BetweenMachines:
+    """Which parameters differ between machines.
+
+    Attributes
+    ----------
+    machines
+        Names of the machines.
+    effects
+        The effects that were refitted with the nominal parameters.
+    parameters
+        Those that differ first.
+    gap
+        What is left, in floors, if each machine has values of its own for all of them; None if one cannot be
+        refitted.
+    left_out
+        Names of parameters that the runs of fewer than two machines determine.
+    failed
+        Machines whose runs could not be refitted.
+    """
+
+    machines: tuple[str, ...]
+    effects: tuple[str, ...]
+    parameters: tuple[MachineParameter, ...]
+    gap: float | None = None
+    left_out: tuple[str, ...] = ()
+    failed: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values."""
+        return {
+            "names": list(self.machines),
+            "effects": list(self.effects),
+            "parameters": [
+                asdict(p) | {"next_machine": None if p.next_machine is None else list(p.next_machine)}
+                for p in self.parameters
+            ],
+            "gap": self.gap,
+            "left_out": list(self.left_out),
+            "failed": list(self.failed),
+        }
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnosis:
     """Everything a diagnosis found.
 
@@ -305,6 +375,8 @@ class Diagnosis:
         By effect, the values of its parameters from which on it would have been seen.
     law_found
         Where the verdict is *unknown* or *partial* and a law was looked for.
+    machines
+        Which parameters differ between machines, if runs of several were diagnosed.
     """
 
     verdict: Verdict
@@ -321,6 +393,7 @@ class Diagnosis:
     power: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     outliers: tuple[LeftOut, ...] = ()
     law_found: LawFound | None = None
+    machines: BetweenMachines | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object that `diagnosis.schema.json` describes."""
@@ -365,6 +438,7 @@ class Diagnosis:
             "power": {effect: dict(values) for effect, values in self.power.items()},
             "outliers": [asdict(o) for o in self.outliers],
             "law_found": None if self.law_found is None else self.law_found.to_dict(),
+            **({} if self.machines is None else {"machines": self.machines.to_dict()}),
         }
 
 

@@ -143,6 +143,24 @@ def parameters_table(diagnosis: Mapping[str, Any]) -> Table | None:
     return Table(header, tuple(rows), "corrected-model", "Parameters that moved", caption, (5, 5, 5, 2))
 
 
+def machines_table(diagnosis: Mapping[str, Any]) -> Table | None:
+    """Return every parameter as the runs of each machine tell it, and where the next machine's value lies."""
+    machines = diagnosis.get("machines")
+    if not machines:
+        return None
+    rows: list[tuple[Cell, ...]] = []
+    for p in machines["parameters"]:
+        low, high = p["next_machine"] or (None, None)
+        own = [p["machines"].get(name, {}) for name in machines["names"]]
+        each = [cell for e in own for cell in (e.get("value"), e.get("standard_error"))]
+        rows.append((p["name"], *each, p["p_value"], "yes" if p["differs"] else "no", low, high))
+    heads = [head for name in machines["names"] for head in (name, f"± {name}")]
+    header = ("parameter", *heads, "p", "differs", "next machine, 95 %: from", "to")
+    caption = "Refitted to the runs of each machine alone, with standard errors. No interval: too few machines."
+    digits = (4, *(n for _ in machines["names"] for n in (4, 2)), 2, 2, 3, 3)
+    return Table(header, tuple(rows), "machines", "Parameters of each machine", caption, digits)
+
+
 def excess_figure(excess: ExcessEnergy | None) -> MapFigure | None:
     """Return the map of excess energy: experiment and signal down, bins of the regime variables across."""
     if excess is None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from fmuid.diagnosis.summary import facts
+from fmuid.diagnosis.summary import facts, machine_lines
 from fmuid.report import diagnosis_figures as pictures_of
 from fmuid.report.diagnosis_figures import DiagnosisPictures
 from fmuid.report.document import Document, Drawing, Item, Section, write_document
@@ -79,6 +79,7 @@ def write_diagnosis_report(
             _present(pictures_of.law_figure(diagnosis), pictures_of.law_table(diagnosis)),
             _law(diagnosis),
         ),
+        Section("Between machines", _present(pictures_of.machines_table(diagnosis)), _machines(diagnosis)),
         Section("Next experiment", (), f"{_next_experiment(diagnosis)} {_added_sensor(diagnosis)}".strip()),
         Section("Notes", (), " ".join(diagnosis.get("notes", ()))),
         Section("Provenance", (provenance_table(provenance or {}),)),
@@ -112,6 +113,10 @@ def _law(diagnosis: Mapping[str, Any]) -> str:
     if not law["formula"]:
         return f"None: {law['reason']}."
     return f"In Modelica, a flow at {law['port']}: {law['modelica']}."
+
+
+def _machines(diagnosis: Mapping[str, Any]) -> str:
+    return " ".join(f"{line}." for line in machine_lines(diagnosis))
 
 
 def _next_experiment(diagnosis: Mapping[str, Any]) -> str:
