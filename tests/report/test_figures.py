@@ -40,6 +40,21 @@ def test_axes_are_labelled_with_units():
     assert "law, truth" in text
 
 
+def test_numbers_at_axes_are_text():
+    x = np.linspace(0.0, 1.0, 50)
+    panels = [
+        Panel("", Axis("t", "s"), axis, (Series("y", x, y, "final"),))
+        for axis, y in (
+            (Axis("y", "N", log=True), 10.0 ** (6.0 * x - 4.0)),
+            (Axis("y", "N"), 3e-6 * x),
+            (Axis("y", "N"), 1234.5 + 1e-3 * x),
+        )
+    ]
+    text = render(LineFigure("numbers", "", tuple(panels), "", 2), "svg").decode()
+    for number in ("10⁻⁴", "10²", "×10⁻⁶", "+1.2345×10³"):
+        assert f">{number}<" in text
+
+
 @pytest.mark.parametrize("name", ["output_angle / rad", "temperature_of_winding / (N·m)"])
 def test_headings_of_a_map_do_not_touch(name):
     groups, columns = ((name, 6),) * 5, tuple(str(k) for k in range(30))
@@ -230,15 +245,17 @@ def test_criteria_are_axes_of_parallel_coordinates():
 
 def test_many_figures_are_drawn_by_several_processes_all_the_same(tmp_path, monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: 2)
-    many = [replace(samples.ranked(), name=f"figure-{k}") for k in range(14)]
+    monkeypatch.setattr("fmuid.report.plots._WORTH_A_PROCESS", 3)
+    many = [replace(samples.ranked(), name=f"figure-{k}") for k in range(4)]
     save_figures(many, tmp_path)
     assert {p.read_bytes() for p in tmp_path.iterdir()} == {render(samples.ranked())}
-    assert len(list(tmp_path.iterdir())) == 14
+    assert len(list(tmp_path.iterdir())) == 4
 
 
 def test_a_helper_that_cannot_write_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: 2)
+    monkeypatch.setattr("fmuid.report.plots._WORTH_A_PROCESS", 3)
     monkeypatch.setattr("fmuid.report.plots.save_figure", lambda *_: None)  # only the helper tries
     (tmp_path / "file").write_text("")
     with pytest.raises(FmuidError, match="cannot be written"):
-        save_figures([samples.ranked()] * 14, tmp_path / "file")
+        save_figures([samples.ranked()] * 4, tmp_path / "file")

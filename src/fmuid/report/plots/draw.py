@@ -6,6 +6,7 @@ Objects and the Agg canvas only; the settings hold inside `drawn`, so the caller
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -17,6 +18,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import LogFormatterSciNotation, ScalarFormatter
 
 from fmuid.report.plots import style
 from fmuid.report.plots.figure_data import (
@@ -44,7 +46,6 @@ _SETTINGS: Any = {
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.formatter.limits": (-4, 5),
-    "axes.formatter.use_mathtext": True,
     "grid.color": "#E6E6E6",
     "grid.linewidth": 0.5,
     "axes.axisbelow": True,
@@ -63,6 +64,8 @@ _SETTINGS: Any = {
 _DASHES = {"solid": "-", "dash": (0, (4, 2)), "dot": (0, (1, 1.2))}
 _MARKERS = {"circle": "o", "square": "s", "diamond": "D", "triangle": "^"}
 _DATELESS: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
+_FORMULA, _FACTOR = re.compile(r"10\^\{(-?\d+)\}"), re.compile(r"(?:^1)?e([-\u2212]?\d+)")
+_RAISED = str.maketrans("-\u22120123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _DPI = 200
 _WIDTH = 6.9  # inches: the text width of A4
 _MAX_CELLS_WITH_NUMBERS = 150
@@ -86,13 +89,40 @@ def canvas_of(figure: Figure) -> Canvas:
     """Return the drawn matplotlib figure, to change or to embed."""
     match figure:
         case LineFigure():
-            return _lines(figure)
+            canvas = _lines(figure)
         case MapFigure():
-            return _map(figure)
+            canvas = _map(figure)
         case BarFigure():
-            return _bars(figure)
+            canvas = _bars(figure)
         case ParallelFigure():
-            return _parallel(figure)
+            canvas = _parallel(figure)
+    _number_plainly(canvas)
+    return canvas
+
+
+def _number_plainly(canvas: Canvas) -> None:
+    """Have numbers at axes set as text: Matplotlib takes longer to set a formula than to draw all lines."""
+    for axis in (axis for axes in canvas.axes for axis in (axes.xaxis, axes.yaxis)):
+        if isinstance(axis.get_major_formatter(), LogFormatterSciNotation):
+            axis.set_major_formatter(_PowersOfTen())
+            axis.set_minor_formatter(_PowersOfTen(labelOnlyBase=False))
+        elif type(axis.get_major_formatter()) is ScalarFormatter:
+            axis.set_major_formatter(_Decimals())
+
+
+class _PowersOfTen(LogFormatterSciNotation):
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        text = super().__call__(x, pos).removeprefix(r"$\mathdefault{").removesuffix("}$")
+        return _FORMULA.sub(_power, text.replace(r"\times", "×"))
+
+
+class _Decimals(ScalarFormatter):
+    def get_offset(self) -> str:
+        return _FACTOR.sub(lambda found: f"×{_power(found)}", super().get_offset())
+
+
+def _power(exponent: re.Match[str]) -> str:
+    return f"10{exponent[1].translate(_RAISED)}"
 
 
 def _canvas(width: float, height: float, *, constrained: bool = True) -> Canvas:
