@@ -10,6 +10,7 @@ size. A short function is one piece of straight code.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -25,6 +26,8 @@ _TINY = 150  # up to so many operations a function stays one piece of straight c
 _SHORT = 1000  # ... and up to so many if loops would not make it much shorter
 _MOST_RESULTS = 3  # in the statement of a value; more are copies of it
 _FEWEST = 6  # statements that become a loop
+
+_CALL = re.compile(r"[a-z]\(")  # of a function, which takes as long as many operations
 
 _FIRST_IDLE = """\
   double on;
@@ -176,7 +179,8 @@ def _guards(
     short = _short(operations, leaf)
     found: dict[Node, _Tree] = {}
     for node, on in needed.items():
-        if on and all(condition in short for condition in on):
+        whatever = any(operations[c][0] == ca.OP_NOT and operations[c][1][0] in on for c in on)
+        if on and not whatever and all(condition in short for condition in on):
             trees = [short[condition] for condition in sorted(on)]
             leaves = [at for tree in trees for at in tree[1]]
             found[node] = "||".join(tree[0] for tree in trees), leaves, sum(tree[2] for tree in trees)
@@ -202,8 +206,8 @@ def _short(
 
 
 def _guarded(condition: _Tree | None, shape: str, leaves: list[Leaf], size: int) -> _Tree:
-    """Return a tree that is evaluated only where its value is of use."""
-    if condition is None:
+    """Return a tree that is evaluated only where its value is of use, if that spares more than it takes."""
+    if condition is None or (size <= condition[2] and not _CALL.search(shape)):
         return shape, leaves, size
     return f"(({condition[0]})?{shape}:0)", [*condition[1], *leaves], size + condition[2]
 

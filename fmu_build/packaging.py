@@ -28,8 +28,8 @@ DEFAULT_TOLERANCE = 1e-6
 # Contraction into fused operations would make results depend on the processor the compiler had in mind.
 # Loops over a handful of states: unrolling is worth a fifth of the time, vectors of two cost more than they save.
 C_FLAGS = ("-std=c99", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
-# What a simulation seldom calls is not worth the compiler's time. Equations, which are straight code, gain hardly
-# anything from the second level, which takes twice the time.
+# What a simulation seldom calls, or what only hands on a call, is not worth the compiler's time. Equations, which
+# are straight code, gain hardly anything from the second level, which takes twice the time.
 _FAST = ("-O2", "-funroll-loops", "-fno-tree-vectorize")
 _STRAIGHT = ("-O1", "-fgcse", "-fexpensive-optimizations")
 _PLAIN = ("-O1",)
@@ -38,6 +38,7 @@ _LEVELS = (
     (_FAST, ("equations.c", "integrator.c", "sensitivity.c")),
     (_STRAIGHT, ("model.c", "switches.c")),
     (_SELDOM, ("model_rare.c", "initialise.c", "lifecycle.c", "starts.c", "event_sensitivity.c")),
+    (_SELDOM, ("sensitivity_rare.c", "fmi2.c", "fmi3.c")),
 )
 _SHARED = (
     "equations.c",
@@ -267,7 +268,7 @@ def _compile(model: CompiledModel, files: dict[str, str], compiler: tuple[str, .
         by_level: dict[tuple[str, ...], list[str]] = {}
         for file in sources:
             by_level.setdefault(_level(file, files["model.h"]), []).append(file)
-        for flags in (_PLAIN, _SELDOM):  # as one source: the headers are read once
+        for flags in (_FAST, _PLAIN, _SELDOM):  # as one source: the headers are read once
             one = f"together{flags[0]}.c"
             (folder / one).write_text("".join(f'#include "{file}"\n' for file in by_level[flags]))
             by_level[flags] = [one]

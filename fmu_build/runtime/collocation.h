@@ -29,7 +29,7 @@ struct Sensitivity {
     double work[2 * BLOCK * N + 1];
 };
 
-static const Pattern PATTERN_J = PATTERN(J);
+static const Pattern PATTERN_BLOCKS = PATTERN(J);
 
 /* Inverse of the method's matrix, and its row sums. */
 static const double W[RADAU][RADAU] = {

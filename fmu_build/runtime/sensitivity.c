@@ -13,7 +13,7 @@
 #include "collocation.h"
 #include "sensitivity.h"
 
-static const double NODE[RADAU] = {0.1550510257216822, 0.6449489742783178, 1.0};
+static const double RADAU_NODE[RADAU] = {0.1550510257216822, 0.6449489742783178, 1.0};
 static const double W_SUM[RADAU] = {4.139387691339814, -1.7393876913398136, 3.0};
 
 /* The entries of J, and the derivatives of [f; r] along the directions, into the rows of stage i. */
@@ -69,9 +69,9 @@ static inline int invert(const double *restrict a, double *restrict inverse) {
 
 /* Factorises the collocation matrix of blocks -h diag(J_1, J_2, J_3), plus W on the diagonal of the states, with the
  * planned pivots; 1: an entry has grown out of proportion to its row. */
-static int planned_factor(struct Sensitivity *q, double h, double (*jacobian)[LENGTH(MODEL_J_NONZEROS)]) {
+static int planned_blocks(struct Sensitivity *q, double h, double (*jacobian)[LENGTH(MODEL_J_NONZEROS)]) {
     static const double GROWTH = 1e5;
-    const Pattern *p = &PATTERN_J;
+    const Pattern *p = &PATTERN_BLOCKS;
     double *restrict x = q->work, *restrict bound = x + BLOCK * N, *restrict lu = q->factors;
     int grown = 0;
     for (int i = 0; i < N; i++) bound[p->place[i]] = i < NX ? GROWTH : 0.0;
@@ -124,7 +124,7 @@ static inline void subtract_rows(size_t n, const double *block, const double *re
 
 /* Solves for all directions: `y` has the rows in steps, `to` receives those of the unknowns. */
 static inline void solve_rows(const struct Sensitivity *q, size_t n, double *y, double *to) {
-    const Pattern *p = &PATTERN_J;
+    const Pattern *p = &PATTERN_BLOCKS;
     const double *lu = q->factors;
     const size_t m = RADAU * n;
     for (int k = 0; k < N; k++)
@@ -154,15 +154,15 @@ static Status solve_piece(Instance *me) {
     memset(q->rest, 0, RADAU * N * n * sizeof *q->rest);
     for (int row = 0; row < NX; row++)
         for (int i = 0; i < RADAU; i++) {
-            double *target = q->rest + ((size_t)PATTERN_J.place[row] * RADAU + i) * n;
+            double *target = q->rest + ((size_t)PATTERN_BLOCKS.place[row] * RADAU + i) * n;
             for (size_t p = 0; p < n; p++) target[p] = W_SUM[i] * q->start[row * n + p];
         }
     for (int i = 0; i < RADAU && !failed; i++) {
-        const double t = fmin(q->from + NODE[i] * h, q->smooth); /* not with the Jacobian behind a kink */
+        const double t = fmin(q->from + RADAU_NODE[i] * h, q->smooth); /* not with the Jacobian behind a kink */
         dense_output(step, t, x);
         failed = slopes_at(me, t, x, h, i, jacobian[i], q->rest);
     }
-    q->use_other = !failed && planned_factor(q, h, jacobian);
+    q->use_other = !failed && planned_blocks(q, h, jacobian);
     if (q->use_other) failed = pivoted_blocks(q, h, jacobian) || solve_pivoted(q, q->rest, q->stages);
     if (failed) return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", q->from);
     if (q->use_other) return STATUS_OK;
@@ -205,7 +205,7 @@ static Status evaluate(Instance *me, double t, double *target) {
     const Status status = solve_until(me, t);
     if (status != STATUS_OK) return status;
     const double r = q->to > q->from ? (t - q->from) / (q->to - q->from) : 1.0;
-    const double at[RADAU + 1] = {0.0, NODE[0], NODE[1], NODE[2]};
+    const double at[RADAU + 1] = {0.0, RADAU_NODE[0], RADAU_NODE[1], RADAU_NODE[2]};
     double basis[RADAU + 1];
     for (int i = 0; i <= RADAU; i++) {
         basis[i] = 1.0;
