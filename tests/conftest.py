@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from unittest import mock
 
@@ -29,10 +29,30 @@ def build_once(file: Path, class_name: str, out: Path = FMUS, fmi: str = "2", ro
         return fmu_build.build(file, class_name, out, fmi, roots=roots)
 
 
+class _Setups(Mapping[str, Path]):
+    """FMUs of shipped setups, each built when it is asked for: test processes do not wait for each other's."""
+
+    def __init__(self, names: tuple[str, ...], fmi: str) -> None:
+        self._built: dict[str, Path | None] = dict.fromkeys(names)
+        self._fmi = fmi
+
+    def __getitem__(self, name: str) -> Path:
+        path = self._built[name]
+        if path is None:
+            file, out = MODELICA / "Drives" / "Setups" / f"{name}.mo", FMUS if self._fmi == "2" else FMUS / "fmi3"
+            path = self._built[name] = build_once(file, f"Drives.Setups.{name}", out, self._fmi)
+        return path
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._built)
+
+    def __len__(self) -> int:
+        return len(self._built)
+
+
 def build_setups(names: tuple[str, ...], fmi: str = "2") -> Mapping[str, Path]:
     """FMUs of shipped setups by name, built from their Modelica sources unless they are up to date."""
-    setups, out = MODELICA / "Drives" / "Setups", FMUS if fmi == "2" else FMUS / "fmi3"
-    return {name: build_once(setups / f"{name}.mo", f"Drives.Setups.{name}", out, fmi) for name in names}
+    return _Setups(names, fmi)
 
 
 @pytest.fixture(scope="session")
