@@ -85,12 +85,17 @@ def test_a_verdict_is_said_as_an_engineer_would():
 
 
 @pytest.mark.parametrize(
-    ("present", "words"), [(True, "record a run with a different input"), (False, "larger inputs")]
+    ("present", "calibrated", "words"),
+    [
+        (True, True, "record a run with a different input; a single experiment"),
+        (True, False, "repeat a run as it is"),
+        (False, False, "larger inputs"),
+    ],
 )
-def test_where_the_data_cannot_tell_it_is_said_what_to_record(present, words):
+def test_where_the_data_cannot_tell_it_is_said_what_to_record(present, calibrated, words):
     diagnosis = copy.deepcopy(samples.diagnosis())
     diagnosis["verdict"] |= {"kind": "insufficient", "effects": []}
-    diagnosis["gap"]["present"] = present
+    diagnosis["gap"] |= {"present": present, "calibrated": calibrated}
     diagnosis["power"] = {}
     (advice,) = [fact.value for fact in facts(diagnosis) if fact.label == "What to do"]
     assert words in advice

@@ -175,6 +175,11 @@ def _gap_text(gap: Mapping[str, Any]) -> str:
 
 def _more_data(diagnosis: Mapping[str, Any]) -> str:
     """Return what to record where the data cannot tell: see `powerless` in `diagnose_subject`."""
+    if diagnosis["gap"]["present"] and not diagnosis["gap"]["calibrated"]:
+        return (
+            "repeat a run as it is, and record one with a different input; what is left may be slow noise,"
+            " which only repeats show"
+        )
     if diagnosis["gap"]["present"] or diagnosis.get("power"):
         return (
             "record a run with a different input; a single experiment, even if repeated, cannot be cross-validated"
