@@ -98,8 +98,11 @@ def test_catalogue_matches_the_fmus(effect_fmus, setup):
             assert unit_of(name) == parameter["unit"], name
 
 
+# Those between the first and the last are asked where time allows.
 TRIALS = [
-    (catalogue, effect, trial)
+    pytest.param(
+        catalogue, effect, trial, marks=[pytest.mark.slow] if 0 < trial < len(entry["trials"]) - 1 else []
+    )
     for catalogue, content in CATALOGUES.items()
     for effect, entry in content["effects"].items()
     for trial in range(len(entry["trials"]))

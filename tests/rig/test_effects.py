@@ -1,5 +1,7 @@
 """Every effect of the rig: nothing at its neutral value, and its own law when it is on."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -51,23 +53,29 @@ def order(values: np.ndarray, angle: np.ndarray, periods: float) -> float:
     return float(np.hypot(*np.linalg.lstsq(basis, values, rcond=None)[0][:2]))
 
 
+CURRENT = 0.8 * np.repeat([1.0, -1, 1, 1, -1], 40)
+RUNS = {"locked": lambda r: locked(r, CURRENT), "eccentric": eccentric, "turning": lambda r: turning(r, 20)}
+
+
+@cache
+def of_constant(run: str) -> np.ndarray:
+    return RUNS[run](constant()).channels
+
+
 @pytest.mark.parametrize("name", EFFECTS)
 def test_neutral_is_absent_and_otherwise_it_shows(name: str) -> None:
     neutral = parameter_table()[name].neutral
     base = constant().changed(**SHAPES.get(name, {}))
     value = neutral * 1.5 + 0.1 * (neutral == 0) if name in SHAPES else SIZES[name]
     if name in SHAPES:  # a shape alone does nothing
-        assert np.array_equal(
-            eccentric(constant().changed(**{name: value})).channels, eccentric(constant()).channels
-        )
-    current = 0.8 * np.repeat([1.0, -1, 1, 1, -1], 40)
+        assert np.array_equal(eccentric(constant().changed(**{name: value})).channels, of_constant("eccentric"))
     shown = 0.0
-    for run in (lambda r: locked(r, current), eccentric, lambda r: turning(r, 20)):
-        plain, changed = run(base), run(base.changed(**{name: value}))
-        again = run(base.changed(**{name: neutral}))
-        assert np.array_equal(plain.channels, again.channels)
+    for kind, run in RUNS.items():
+        plain = run(base).channels if name in SHAPES else of_constant(kind)
+        changed, again = run(base.changed(**{name: value})), run(base.changed(**{name: neutral}))
+        assert np.array_equal(plain, again.channels)
         noise = np.array([0.1, 1e-3, np.inf, 4e-3, 2e-4])
-        rms = np.sqrt(np.mean((plain.channels - changed.channels)[:, :5] ** 2, axis=0))
+        rms = np.sqrt(np.mean((plain - changed.channels)[:, :5] ** 2, axis=0))
         shown = max(shown, float(np.max(rms / noise)))
     assert shown > 0.3
 

@@ -119,7 +119,7 @@ def make_oscillator(
     compiler = shutil.which("cc") or shutil.which("gcc")
     assert compiler, "the tests need a C compiler"
     library = path.with_suffix(".so")
-    command = [compiler, "-std=gnu11", "-O2", "-shared", "-fPIC", "-Wno-div-by-zero", f"-DFMI={fmi}"]
+    command = [compiler, "-std=gnu11", "-O0", "-shared", "-fPIC", "-Wno-div-by-zero", f"-DFMI={fmi}"]
     command += [*(f"-D{d}" for d in defines), f"-I{HEADERS}", "-o", str(library), str(SOURCE), "-lm"]
     subprocess.run(command, check=True, capture_output=True, text=True)
     place = fmpy.platform if fmi == 2 else fmpy.platform_tuple
