@@ -142,6 +142,12 @@ def diagnose(
         subject = subject_of(campaign, load_simulator, runner=runner, experiments=experiments)
         telling: dict[str, Any] = {} if say is None else {"say": say}
         key = calibration.key_of(_files(campaign, subject), subject)
+        if calibrate and subject.observed.nuisances:
+            raise CampaignError(
+                "runs are cut into segments, which begin where these runs were measured, not simulated plants",
+                where="calibrate",
+                fix="omit calibrate",
+            )
         if calibrate and subject.observed.bounded:
             raise CampaignError(
                 "runs were not repeated, so there is no measured noise for simulated plants",

@@ -67,6 +67,7 @@ def recorded(*deviations, bands=None, groups=None):
         repeats=np.array([float(r.n_repeats) for r in runs]),
         folds=tuple((e, slice(None)) for e in range(len(runs))),
         groups=groups or tuple(range(len(runs))),
+        taken=[np.zeros(w.size) for w in whole],
     )
 
 

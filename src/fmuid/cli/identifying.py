@@ -259,7 +259,8 @@ def diagnose(
         printer.say(f"corrected: {corrected} (the model with {named}, the values found, and a campaign)")
         again = shlex.join(["fmuid", "diagnose", str(corrected)])
         printer.next(again, "whether something is missing beside it; fmuid identify takes the folder, too")
-    if answer["verdict"]["kind"] in ("ambiguous", "partial", "unknown"):
+    left_open = answer["verdict"]["kind"] in ("ambiguous", "partial", "unknown")
+    if left_open and not found.subject.observed.nuisances:  # segments begin where a run was measured
         further = shlex.join(["fmuid", "design", str(folder), "--for", "diagnosis"])
         printer.next(further, "the run that tells best what is still open")
     printer.write(answer)

@@ -164,6 +164,12 @@ def design_for_diagnosis(
             where="[design] setup",
             fix=f"it has: {', '.join(setups)}",
         )
+    if subject.observed.nuisances:
+        raise CampaignError(
+            "runs are cut into segments, so the model cannot predict a run that nobody has measured",
+            where="--for diagnosis",
+            fix="design for parameters: --for parameters, of stages without segments and observer",
+        )
     template = next(case for case in subject.model.cases if case.setup == setup)
     planned = planned_run(campaign, subject.model, template, subject.observed.noise[setup])
     rivals = tuple(rival_of(f, subject.observed, draws=_DRAWS, seed=seed + k) for k, f in enumerate(answers))

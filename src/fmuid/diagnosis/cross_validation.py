@@ -115,7 +115,8 @@ def losses(
         deviation = whiten(run.deviations).reshape(run.n_repeats, -1)[:, rows][:, band]
         # residual of run k = residual of the mean - its deviation from the mean
         per_run.append(read_only(np.mean((r - deviation) ** 2, axis=1) - 1.0))
-        left = r.size - (0.0 if taken is None else float(np.sum(taken[k][band] ** 2)))
+        fitted = observed.taken[e][rows][band].sum() + (0.0 if taken is None else np.sum(taken[k][band] ** 2))
+        left = r.size - float(fitted)
         loss.append(float(r @ r) / left - 1.0 / run.n_repeats)
         size.append(left)
     return HeldOut(read_only(np.array(loss)), tuple(per_run), read_only(np.array(size)))

@@ -24,6 +24,7 @@ from fmuid.diagnosis.ports import Decoy, fit_decoys, responses_of
 from fmuid.diagnosis.power import smallest_seen
 from fmuid.diagnosis.regimes import bases, folded, own_bases, trajectories
 from fmuid.diagnosis.scores import Score, nominal_basis
+from fmuid.diagnosis.segment_states import with_states
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.summary import likeliest, regime_text, summary
 from fmuid.diagnosis.verdict import (
@@ -143,6 +144,10 @@ def diagnose_subject(
     nominal = fit_effects(subject, (), [{}])
     if nominal is None:
         raise SimulationError("the nominal model cannot be refitted", fix="check its start values")
+    if observed.nuisances:  # linear at the start values so far
+        observed = with_states(observed, model, nominal.fit.values)
+        subject = replace(subject, observed=observed)
+        nominal = fit_effects(subject, (), [nominal.fit.values]) or nominal
     say("locating the gap", 0.08)
     paths = trajectories(model, nominal.fit.values, subject.catalogue.regimes)
     prediction = _prediction(subject, nominal.fit.values)

@@ -16,6 +16,7 @@ from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.identification.problem.cases import Case
 from fmuid.simulation.predictor import Predictor
 from fmuid.simulation.runners import Job, Outcome, Runner, in_process
+from fmuid.simulation.segmented import Segmented
 from fmuid.simulation.signal_effects import (
     Disturbed,
     Effects,
@@ -110,7 +111,9 @@ class CampaignModel:
         """
         jobs = []
         for case in self.cases:
-            task = replace(case.task, outputs=tuple(variables))
+            # Segments are fitted to the outputs that were measured.
+            read = case.task.outputs if isinstance(case.simulator, Segmented) else ()
+            task = replace(case.task, outputs=tuple(dict.fromkeys((*read, *variables))))
             own = self.start_values(case, {**self.fixed, **values})
             jobs.append((self._simulator(case, own), task, own))
         outcomes = self.runner(jobs)
@@ -118,8 +121,8 @@ class CampaignModel:
             if isinstance(outcome, SimulationError):
                 raise outcome
         return tuple(
-            np.asarray(o)[:, case.lead :]
-            for o, case in zip(outcomes, self.cases, strict=True)
+            np.asarray(o)[[task.outputs.index(name) for name in variables], case.lead :]
+            for o, case, (_, task, _) in zip(outcomes, self.cases, jobs, strict=True)
             if not isinstance(o, SimulationError)
         )
 
@@ -220,7 +223,10 @@ class CampaignModel:
         return {**own, **case.start_values(values), **tied}
 
     def _simulator(self, case: Case, values: Mapping[str, float]) -> Simulator:
-        return self.variant(case.setup, values) or case.simulator
+        variant = self.variant(case.setup, values)
+        if variant is None:
+            return case.simulator
+        return case.simulator.over(variant) if isinstance(case.simulator, Segmented) else variant
 
     def _simulate(
         self, wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]]

@@ -73,14 +73,14 @@ def excess_map(
     regimes
         Variable -> (N,) samples an experiment: speed, load torque, time and so on.
     """
-    whitened = observed.residuals(predictions)
+    whitened, taken = observed.residuals(predictions), observed.taken
     edges = {name: _edges(values) for name, values in regimes.items()}
     rows, energy = [], []
     binned: dict[str, list[FloatArray]] = {name: [] for name in regimes}
     for e, (run, prediction, z) in enumerate(zip(observed.runs, predictions, whitened, strict=True)):
         by_channel = z.reshape(len(run.channels), -1)
         for c, channel in enumerate(run.channels):
-            n = by_channel.shape[1]
+            n = float(np.sum(1.0 - taken[e].reshape(len(run.channels), -1)[c]))
             rows.append((run.id, channel))
             energy.append(max(0.0, float(by_channel[c] @ by_channel[c]) - n / run.n_repeats))
             raw = ((prediction[c] - run.mean[c]) * run.mask[c]) ** 2

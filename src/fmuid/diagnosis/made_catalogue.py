@@ -28,7 +28,7 @@ from fmuid.core.toml_tables import Table, convert, read_toml, toml_document, tom
 from fmuid.diagnosis.catalogue import load_catalogue
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.variants import carrier
-from fmuid.identification.problem.cases import from_campaign
+from fmuid.identification.problem.segments import in_segments
 from fmuid.simulation.model_source import built_model, flat_model
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
@@ -432,7 +432,7 @@ def made_catalogue(
         simulator = load(model)
         if not signals:
             signals = signal_catalogue(runs, model.map, simulator.variables)
-        cases = from_campaign(campaign, runs, (), {name: simulator})
+        cases = in_segments(campaign, runs, {name: simulator}, fixed)
         simulated = CampaignModel(cases, runner, fixed)
         if name in setups:
             ports = find_ports(setups[name].flat)

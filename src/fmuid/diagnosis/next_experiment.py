@@ -165,7 +165,7 @@ def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
 
     It is assumed to be repeated as often as the original experiment.
     """
-    if len(alike) < 2:
+    if len(alike) < 2 or subject.observed.nuisances:  # segments begin where this run was measured, not another
         return None
     observed, (a, b) = subject.observed, alike[:2]
     rivals = [rival_of(f, observed) for f in (a, b)]

@@ -53,11 +53,13 @@ class Null:
 class NoiseDraws:
     """(M, D) draws of the residual that noise alone would leave, of all experiments one after the other.
 
-    `weight` is (M,) one over the number of repeats in the signals' bandwidth, 0 beyond.
+    `weight` is (M,) one over the number of repeats in the signals' bandwidth, 0 beyond; `free` is (M,) the share
+    of each component that nuisances leave.
     """
 
     noise: FloatArray
     weight: FloatArray
+    free: FloatArray
 
     def null(self, basis: FloatArray, signatures: Sequence[FloatArray]) -> Null:
         """Return the null distributions of a model whose refitted parameters span `basis`.
@@ -71,7 +73,7 @@ class NoiseDraws:
         """
         taken = basis.T @ self.noise
         left = self.noise - basis @ taken
-        excess = (self.weight @ left**2 - self.weight.sum()) / np.count_nonzero(self.weight)
+        excess = (self.weight @ left**2 - self.weight @ self.free) / self.free[self.weight > 0.0].sum()
         drops = np.array([(s @ left) ** 2 for s in signatures]) if signatures else np.zeros((1, left.shape[1]))
         return Null(read_only(excess), read_only(drops.max(axis=0)))
 
@@ -81,7 +83,7 @@ def draw_noise(observed: Observed, *, draws: int = 400, seed: int = 0) -> NoiseD
     rng = np.random.default_rng(seed)
     noise = np.empty((sum(w.size for w in observed.whiteners), draws))
     begin = 0
-    for run, w in zip(observed.runs, observed.whiteners, strict=True):
+    for e, (run, w) in enumerate(zip(observed.runs, observed.whiteners, strict=True)):
         c = _contrasts(run.deviations, w)
         if len(c):
             mix = rng.standard_normal((draws, len(c))) / np.sqrt(len(c))
@@ -91,9 +93,13 @@ def draw_noise(observed: Observed, *, draws: int = 400, seed: int = 0) -> NoiseD
                 noise[begin : begin + w.size] += np.sqrt(len(run.values)) * w(shared).reshape(draws, -1).T
         else:
             noise[begin : begin + w.size] = rng.standard_normal((w.size, draws))
+        if observed.nuisances:
+            q = observed.nuisances[e]
+            noise[begin : begin + w.size] -= q @ (q.T @ noise[begin : begin + w.size])
         begin += w.size
     weight = np.concatenate([band / n for band, n in zip(observed.in_band, observed.repeats, strict=True)])
-    return NoiseDraws(read_only(noise), read_only(weight))
+    free = 1.0 - np.concatenate(observed.taken)
+    return NoiseDraws(read_only(noise), read_only(weight), read_only(free))
 
 
 def _contrasts(deviation: FloatArray, whiten: Callable[[FloatArray], FloatArray]) -> FloatArray:

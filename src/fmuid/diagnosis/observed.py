@@ -16,6 +16,7 @@ from fmuid.data.noise.spectrum import PiecewiseWhitener, SetupNoise, Whitener, b
 _FEW = 4  # experiments: with fewer, leaving one out leaves too little to learn from
 _PIECES = 6  # that a run without repeats is then cut into
 _SHORTEST = 64  # samples of a piece
+_MOST_TAKEN = 0.5  # of the components in the bandwidth
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +32,16 @@ class Observed:
     predicted
         (C, N) an experiment that a model predicts; what it has and the measurements lack belongs to the signals'
         bandwidth, too. Empty if none is known yet.
+    nuisances
+        (M, K) orthonormal bases an experiment, of what unknowns of its own do to its whitened residual, such as
+        the initial states of segments. They are projected off all residuals, and cost as many degrees of freedom.
+        Empty if there are none.
     """
 
     runs: tuple[RepeatedRuns, ...]
     noise: Mapping[str, SetupNoise]
     predicted: tuple[FloatArray, ...] = ()
+    nuisances: tuple[FloatArray, ...] = ()
 
     @classmethod
     def from_runs(cls, runs: Sequence[RepeatedRuns]) -> Observed:
@@ -59,7 +65,10 @@ class Observed:
         """Return the same noise with only the experiments `ids`."""
         kept = [k for k, r in enumerate(self.runs) if r.id in ids]
         return Observed(
-            tuple(self.runs[k] for k in kept), self.noise, tuple(self.predicted[k] for k in kept if self.predicted)
+            tuple(self.runs[k] for k in kept),
+            self.noise,
+            tuple(self.predicted[k] for k in kept if self.predicted),
+            tuple(self.nuisances[k] for k in kept if self.nuisances),
         )
 
     @cached_property
@@ -93,17 +102,29 @@ class Observed:
     def in_band(self) -> tuple[NDArray[np.bool_], ...]:
         """Which components of each experiment's whitened residual lie in the bandwidth of their signal.
 
-        Gaps are means over these, so that they do not depend on how often a signal was sampled.
+        Gaps are means over these, so that they do not depend on how often a signal was sampled. Where nuisances
+        take more than half of them, all components count.
         """
         predicted = self.predicted or (None,) * len(self.runs)
         limits = [
             bandwidth(r, self.noise[r.setup], r.mean, *([] if y is None else [y]))
             for r, y in zip(self.runs, predicted, strict=True)
         ]
-        return tuple(
+        bands = [
             np.ravel(w.frequencies[None, :] <= limit[:, None])
             for w, limit in zip(self.whiteners, limits, strict=True)
+        ]
+        return tuple(
+            band if taken[band].sum() <= _MOST_TAKEN * band.sum() else np.ones_like(band)
+            for band, taken in zip(bands, self.taken, strict=True)
         )
+
+    @cached_property
+    def taken(self) -> tuple[FloatArray, ...]:
+        """(M,) share of each component of an experiment's whitened residual that nuisances take."""
+        if not self.nuisances:
+            return tuple(np.zeros(w.size) for w in self.whiteners)
+        return tuple(np.asarray(np.sum(basis**2, axis=1)) for basis in self.nuisances)
 
     @cached_property
     def repeats(self) -> FloatArray:
@@ -112,11 +133,14 @@ class Observed:
 
     def residuals(self, predictions: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
         """Return prediction minus the mean of the repeats, whitened: one (C * N,) vector per experiment."""
-        return tuple(w(p - r.mean).ravel() for p, r, w in zip(predictions, self.runs, self.whiteners, strict=True))
+        return self.whiten([p - r.mean for p, r in zip(predictions, self.runs, strict=True)])
 
     def whiten(self, differences: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
-        """Whiten differences of predictions: (C, N) to (C * N,), one per experiment."""
-        return tuple(w(d).ravel() for d, w in zip(differences, self.whiteners, strict=True))
+        """Whiten differences of predictions: (C, N) to (C * N,), one per experiment, nuisances projected off."""
+        parts = tuple(w(d).ravel() for d, w in zip(differences, self.whiteners, strict=True))
+        if not self.nuisances:
+            return parts
+        return tuple(part - q @ (q.T @ part) for part, q in zip(parts, self.nuisances, strict=True))
 
 
 def _whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener | PiecewiseWhitener:
@@ -142,6 +166,8 @@ def excess(residuals: Sequence[FloatArray], observed: Observed) -> float:
 
 def excesses(residuals: Sequence[FloatArray], observed: Observed) -> tuple[FloatArray, FloatArray]:
     """Return (E,) G^2 of every experiment before it is clipped, and how many components it is a mean of."""
-    within = [r[band] for r, band in zip(residuals, observed.in_band, strict=True)]
-    mean = np.array([float(np.mean(r**2)) for r in within])
-    return mean - 1.0 / observed.repeats, np.array([float(r.size) for r in within])
+    count = np.array(
+        [band.sum() - t[band].sum() for band, t in zip(observed.in_band, observed.taken, strict=True)]
+    )
+    energy = np.array([float(r[band] @ r[band]) for r, band in zip(residuals, observed.in_band, strict=True)])
+    return energy / count - 1.0 / observed.repeats, count

@@ -19,9 +19,11 @@ from fmuid.diagnosis.catalogue import Catalogue, Effect, load_catalogue
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Unknown
+from fmuid.diagnosis.segment_states import findings_of, with_states
 from fmuid.diagnosis.variants import Variants
 from fmuid.diagnosis.verdict import LeftOut
 from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
+from fmuid.identification.problem.segments import in_segments, last_stages
 from fmuid.identification.problem.solver_error import solver_accuracy
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.signal_effects import signal_parameters
@@ -111,7 +113,9 @@ def subject_of(
     findings += tuple(f"Left out of experiment '{o.experiment}', signal '{o.signal}': {o}." for o in found)
     outliers = tuple(LeftOut(o.experiment, o.signal, len(o.times)) for o in found)
     recordings = {e.id: e.digest for e in chosen}
-    observed = Observed.from_runs(model.runs)
+    stages = last_stages(campaign)
+    findings += findings_of(model, {setup: stage.name for setup, stage in stages.items() if stage.observer})
+    observed = with_states(Observed.from_runs(model.runs), model, {u.name: u.start for u in nominal})
     return Subject(model, observed, nominal, catalogue, effects, recordings, modelled, findings, outliers)
 
 
@@ -129,9 +133,13 @@ def solved_well_enough(
     accuracy = solver_accuracy(model.cases, every, starts, model.runner, sigma=sigma, loosest=_LOOSEST)
     cases: Sequence[Case] = model.cases
     if accuracy.until:
-        simulators = {case.setup: case.simulator for case in cases}
-        runs = [campaign.measurements[id] for case in cases for id in case.experiments]
-        cases = from_campaign(campaign, runs, (), simulators, until=accuracy.until)
+        own = {c.id: [campaign.measurements[id] for id in c.experiments] for c in cases}
+        cases = [
+            from_campaign(campaign, own[c.id], (), {c.setup: c.simulator}, until=accuracy.until)[0]
+            if c.id in accuracy.until
+            else c
+            for c in cases
+        ]
     return replace(model, cases=accuracy.applied(cases)), accuracy.findings
 
 
@@ -153,7 +161,7 @@ def model_of(
     models = {s: _with_effects(campaign, s, catalogue) for s in setups}
     campaign = replace(campaign, models={**campaign.models, **models})
     simulators = {s: load(models[s]) for s in setups}
-    cases = from_campaign(campaign, chosen, (), simulators)
+    cases = in_segments(campaign, chosen, simulators, campaign.start_values)
     known = {name for s in simulators.values() for name in s.variables}
     tie = {
         name: parse(text, where="[effects] tie")

@@ -18,6 +18,7 @@ from fmuid.diagnosis.cross_validation import closure_interval, losses
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.observed import Observed, gap
+from fmuid.diagnosis.segment_states import with_states
 from fmuid.diagnosis.subject import model_of
 from fmuid.identification.problem.cases import experiments_of
 from fmuid.simulation.runners import Runner, in_process
@@ -178,7 +179,7 @@ def validate_diagnosis(
         predictions.append(outcome)
     runs = model.runs
     units = {(case.id, c.signal): c.unit for case in model.cases for c in case.channels}
-    floor = Observed.from_runs(runs)
+    floor = with_states(Observed.from_runs(runs), model, points[0])
     comparisons = []
     for e, run in enumerate(runs):
         sigma = floor.noise[run.setup].sigma

@@ -15,6 +15,7 @@ from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.variants import built_with
 from fmuid.discovery.places import Spot
 from fmuid.discovery.terms import HIDDEN, Term
+from fmuid.simulation.segmented import Segmented
 from fmuid.simulation.simulator import Simulator
 
 _MOST = 20.0  # flows at the port: the largest coefficient
@@ -170,6 +171,9 @@ def with_laws(
         setup: load(replace(models[setup], fmu=built_with(models[setup], catalogue)))
         for setup in {case.setup for case in subject.model.cases}
     }
-    cases = tuple(replace(case, simulator=simulators[case.setup]) for case in subject.model.cases)
+    cases = tuple(
+        replace(case, simulator=old.over(new) if isinstance(old := case.simulator, Segmented) else new)
+        for case, new in ((case, simulators[case.setup]) for case in subject.model.cases)
+    )
     model = replace(subject.model, cases=cases, variant=lambda _, __: None)
     return replace(subject, model=model, catalogue=catalogue, effects=(*kept.values(), *laws))

@@ -16,7 +16,7 @@ from fmuid.core.formatting import html_table, text_table
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.check import load_models
 from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
-from fmuid.identification.problem.segments import observed, segmented
+from fmuid.identification.problem.segments import last_stages, observed, segmented
 from fmuid.identification.result import Result
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
@@ -177,11 +177,7 @@ def _cases(
     values: Mapping[str, float],
 ) -> tuple[Case, ...]:
     """Return the cases of runs, in segments or with an observer as the last stage of their setup says."""
-    stages = {
-        run.setup: stage
-        for stage in campaign.stages.values()
-        for run in experiments_of(campaign, stage.experiments, where=f"stage '{stage.name}'")
-    }
+    stages = last_stages(campaign)
     cases: list[Case] = []
     for setup, stage in stages.items():
         own = [run for run in runs if run.setup == setup]

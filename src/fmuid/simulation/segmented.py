@@ -9,6 +9,8 @@ Kaufman's form), so solvers and standard errors deal with the parameters only.
 
 from __future__ import annotations
 
+import copy
+import hashlib
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -125,6 +127,9 @@ class Segmented:
         self.exact = differentiates(simulator, set(self.states))
         self._cut: _Cut | None = None
         self._pieces: OrderedDict[int, tuple[Task, list[Task]]] = OrderedDict()
+        self._others: dict[int, Segmented] = {}
+        self.missing: tuple[str, ...] = ()
+        self.even_steps = True  # the samples of a task are those of the measurement
 
     @property
     def variables(self) -> Mapping[str, Variable]:
@@ -135,7 +140,8 @@ class Segmented:
     def token(self) -> str:
         """Identity of the model for fingerprints."""
         inner = getattr(self.simulator, "token", type(self.simulator).__qualname__)
-        return f"{inner} in segments of {self.length}"
+        seen = hashlib.blake2b(self.target.tobytes() + self.weight.tobytes(), digest_size=8).hexdigest()
+        return f"{inner} in segments of {self.length} of {seen}"
 
     @property
     def segments(self) -> int:
@@ -172,12 +178,39 @@ class Segmented:
         SimulationError
             A segment cannot be simulated.
         """
+        if self.missing:
+            raise SimulationError(f"the model has no state '{self.missing[0]}' to begin a segment with")
         cut, pieces = self._layout(), self._tasks(task)
         found = np.empty((len(task.outputs) * (1 + len(task.along)), len(task.time)))
         for k, piece in enumerate(pieces):
             part = slice(cut.first[k], cut.first[k + 1])
             found[:, part] = self._fitted(piece, part, cut.guess[k], cut.scale, parameters)[1]
         return found
+
+    def over(self, simulator: Simulator) -> Segmented:
+        """Return the same segments of another model, such as this one with an effect.
+
+        States that it has besides begin each segment with their start values.
+        """
+        if id(simulator) not in self._others:
+            other = copy.copy(self)
+            other._cut, other._pieces, other._others = self._layout(), OrderedDict(), {}
+            other.simulator = simulator
+            other.missing = tuple(s for s in self.states if s not in getattr(simulator, "states", ()))
+            other.exact = differentiates(simulator, set(self.states))
+            self._others[id(simulator)] = other
+        return self._others[id(simulator)]
+
+    def state_tangents(self, parameters: Mapping[str, float]) -> FloatArray:
+        """Return the (segments * states, outputs, N) derivatives of the outputs by the initial states."""
+        cut, pieces, n = self._layout(), self._tasks(replace(self.task, along=())), len(self.task.outputs)
+        found = np.zeros((self.segments, len(self.states), n, len(self.task.time)))
+        for k, piece in enumerate(pieces):
+            part = slice(cut.first[k], cut.first[k + 1])
+            states, _ = self._fitted(piece, part, cut.guess[k], cut.scale, parameters)
+            run = self._run(piece, parameters, states)
+            found[k, :, :, part] = self._slopes(piece, parameters, states, cut.scale, run)
+        return found.reshape(-1, n, len(self.task.time))
 
     def initial_states(self, parameters: Mapping[str, float]) -> FloatArray:
         """Return the initial states of the segments, (segments, states)."""
@@ -191,7 +224,7 @@ class Segmented:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_pieces": OrderedDict()}
+        return self.__dict__ | {"_pieces": OrderedDict(), "_others": {}}
 
     # One segment
 

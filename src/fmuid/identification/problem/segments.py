@@ -10,12 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from fmuid.core.campaign import Campaign, StageSpec
 from fmuid.core.errors import ProblemError
+from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import Conversion
-from fmuid.identification.problem.cases import Case
+from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
 from fmuid.simulation.observer_model import ObserverModel
 from fmuid.simulation.segmented import Growth, Length, Segmented, open_loop
+from fmuid.simulation.simulator import Simulator
 
 
 def segmented(case: Case, length: Length, values: Mapping[str, float], free: Collection[str] = ()) -> Case:
@@ -51,6 +54,36 @@ def segmented(case: Case, length: Length, values: Mapping[str, float], free: Col
                 fix="remove it from 'free'",
             )
     return replace(case, simulator=simulator)
+
+
+def last_stages(campaign: Campaign) -> dict[str, StageSpec]:
+    """Return by setup the last stage that uses its runs."""
+    return {
+        run.setup: stage
+        for stage in campaign.stages.values()
+        for run in experiments_of(campaign, stage.experiments, where=f"stage '{stage.name}'")
+    }
+
+
+def in_segments(
+    campaign: Campaign,
+    runs: Sequence[Experiment],
+    simulators: Mapping[str, Simulator],
+    values: Mapping[str, float],
+) -> tuple[Case, ...]:
+    """Return the cases of runs with all outputs, cut into segments as the last stage of their setup says.
+
+    Runs of a stage with an observer are cut into segments whose length is chosen.
+    """
+    stages, cases = last_stages(campaign), list[Case]()
+    for setup in dict.fromkeys(run.setup for run in runs):
+        stage = stages.get(setup)
+        length: Length | None = None if stage is None else "auto" if stage.observer else stage.segments
+        own = [run for run in runs if run.setup == setup]
+        found = from_campaign(campaign, own, (), simulators, apart=length is not None)
+        cases += found if length is None else [segmented(case, length, values) for case in found]
+    order = {run.id: k for k, run in enumerate(runs)}
+    return tuple(sorted(cases, key=lambda case: order[case.experiments[0]]))
 
 
 def observed(
