@@ -186,6 +186,16 @@ def test_runs_of_a_stage_with_an_observer_are_cut_into_segments_and_that_is_said
     assert finding.endswith("fitted along; stage 'all' has an observer instead.")
 
 
+def test_a_model_that_cannot_be_started_anew_is_predicted_whole_and_that_is_said(held, tmp_path):
+    folder = recorded(held, tmp_path)
+    calculated = MODEL.replace("phi(start = 0, fixed = true,", "phi(")
+    (folder / "Held.mo").write_text(calculated.replace("equation\n", "initial equation\n  phi = 0;\nequation\n"))
+    fmu_build.build(folder / "Held.mo", "Held", folder)
+    subject = subject_of(fmuid.load_campaign(folder), load_simulator)
+    assert not any(isinstance(case.simulator, Segmented) for case in subject.model.cases)
+    assert any("predicted whole, not as stage 'all' does" in finding for finding in subject.findings)
+
+
 def test_noise_beside_nuisances_is_expected_to_be_less_by_their_number():
     rng = np.random.default_rng(0)
     time = 0.01 * np.arange(200)

@@ -13,9 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from fmuid.core.campaign import StageSpec
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
+from fmuid.identification.problem.segments import why_whole
 from fmuid.simulation.segmented import Segmented
 
 _DEPENDENT = 1e-8  # smallest singular value of unit columns, over the largest
@@ -51,14 +53,21 @@ def _basis(columns: FloatArray) -> FloatArray:
     return np.asarray(u[:, s > _DEPENDENT * s[0]])
 
 
-def findings_of(model: CampaignModel, observers: Mapping[str, str]) -> tuple[str, ...]:
-    """Return what was done, by setup; `observers` are the stages with an observer."""
+def findings_of(model: CampaignModel, stages: Mapping[str, StageSpec]) -> tuple[str, ...]:
+    """Return what was done, by setup; `stages` are the ones whose segments or observer count."""
     found = []
     for setup in dict.fromkeys(case.setup for case in model.cases):
-        cut = [c.simulator for c in model.cases if c.setup == setup and isinstance(c.simulator, Segmented)]
+        own = [c.simulator for c in model.cases if c.setup == setup]
+        cut = [simulator for simulator in own if isinstance(simulator, Segmented)]
+        stage = stages.get(setup)
+        if stage is not None and not cut and (why := why_whole(stage, own[0])):
+            found.append(
+                f"Runs of setup '{setup}' are predicted whole, not as stage '{stage.name}' does: with effects, "
+                f"{why}. Of a plant that runs away, this diagnosis says little."
+            )
         if cut:
             segments, states = sum(s.segments for s in cut), sum(s.nuisances for s in cut)
-            why = f"; stage '{observers[setup]}' has an observer instead" if setup in observers else ""
+            why = f"; stage '{stage.name}' has an observer instead" if stage is not None and stage.observer else ""
             found.append(
                 f"Runs of setup '{setup}' are predicted in {segments} segments, whose {states} initial states are "
                 f"fitted along{why}."

@@ -114,7 +114,7 @@ def subject_of(
     outliers = tuple(LeftOut(o.experiment, o.signal, len(o.times)) for o in found)
     recordings = {e.id: e.digest for e in chosen}
     stages = last_stages(campaign)
-    findings += findings_of(model, {setup: stage.name for setup, stage in stages.items() if stage.observer})
+    findings += findings_of(model, stages)
     observed = with_states(Observed.from_runs(model.runs), model, {u.name: u.start for u in nominal})
     return Subject(model, observed, nominal, catalogue, effects, recordings, modelled, findings, outliers)
 

@@ -17,7 +17,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.core.units import Conversion
 from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
 from fmuid.simulation.observer_model import ObserverModel
-from fmuid.simulation.segmented import Growth, Length, Segmented, open_loop
+from fmuid.simulation.segmented import Growth, Length, Segmented, open_loop, states_of
 from fmuid.simulation.simulator import Simulator
 
 
@@ -73,17 +73,30 @@ def in_segments(
 ) -> tuple[Case, ...]:
     """Return the cases of runs with all outputs, cut into segments as the last stage of their setup says.
 
-    Runs of a stage with an observer are cut into segments whose length is chosen.
+    Runs of a stage with an observer are cut into segments whose length is chosen; those of a model that cannot be
+    started anew stay whole (`why_whole`).
     """
     stages, cases = last_stages(campaign), list[Case]()
     for setup in dict.fromkeys(run.setup for run in runs):
         stage = stages.get(setup)
-        length: Length | None = None if stage is None else "auto" if stage.observer else stage.segments
+        length: Length | None = None
+        if stage is not None and why_whole(stage, simulators[setup]) is None:
+            length = "auto" if stage.observer else stage.segments
         own = [run for run in runs if run.setup == setup]
         found = from_campaign(campaign, own, (), simulators, apart=length is not None)
         cases += found if length is None else [segmented(case, length, values) for case in found]
     order = {run.id: k for k, run in enumerate(runs)}
     return tuple(sorted(cases, key=lambda case: order[case.experiments[0]]))
+
+
+def why_whole(stage: StageSpec, simulator: Simulator) -> str | None:
+    """Return why runs cannot be cut into the segments that a stage asks for, such as a state of an effect."""
+    if stage.segments is not None or stage.observer:
+        try:
+            states_of(simulator)
+        except ProblemError as error:
+            return error.what
+    return None
 
 
 def observed(
