@@ -99,6 +99,38 @@ def test_a_slow_residual_has_at_least_one_degree_of_freedom(found):
     assert got.degrees_of_freedom == 1.0
 
 
+def test_segments_are_so_many_independent_samples(found, monkeypatch):
+    """Twenty of them, each with half a state of its own, and one parameter."""
+    monkeypatch.setattr(Problem, "segments", 20)
+    monkeypatch.setattr(Problem, "nuisances", 10)
+    got = found(level, 2.0 + np.linspace(-0.1, 0.1, 30), {"a": 2.0})
+    assert got.degrees_of_freedom == 19.0
+
+
+def test_residuals_that_are_slow_but_small_do_not_make_a_given_sigma_smaller(found):
+    slow = np.sin(2 * np.pi * np.arange(60) / 60)
+    got = found(level, 2.0 + 0.01 * slow, {"a": 2.0}, sigma=0.1)
+    assert got.degrees_of_freedom is not None  # their colour contradicts it
+    assert got.standard_errors == pytest.approx([0.1 / np.sqrt(60)], rel=1e-6)
+
+
+def test_two_samples_of_a_line_whose_noise_one_repeat_told_have_errors(found, monkeypatch):
+    monkeypatch.setattr(confidence, "_noise", lambda _: (np.full(2, 0.1), 1.0))
+    got = found(line, [1.0, 1.5], {"a": 1.0, "b": 0.5})
+    assert got.degrees_of_freedom == 1.0
+    size = 0.1 * 0.25  # residuals are in units of the samples' standard deviation
+    assert got.standard_errors == pytest.approx([size, size * np.sqrt(2.0)], rel=1e-5)
+
+
+@pytest.mark.parametrize("forgotten", [{"predictions": ()}, {"residuals": np.zeros(0)}])
+def test_an_estimate_of_which_a_resumed_run_remembers_a_part_is_evaluated_again(analytic, forgotten):
+    case = measured_case("run", analytic(level, ["a"]), Task(np.arange(5.0), {}, ("y",)), {"y": 2.0 + 0.1 * WHITE})
+    problem = Problem([case], [ParameterSpec("a", 1.0)])
+    best = problem.evaluate(np.array([2.0]))
+    again = uncertainty_of(problem, replace(best, **forgotten))
+    assert again.standard_errors == uncertainty_of(problem, best).standard_errors
+
+
 def test_a_direction_that_counts_a_ten_thousandth_is_still_determined(found):
     def alike(time, inputs, p):
         return {"y": p["a"] + p["b"] * (1.0 + 1e-4 * time)}
@@ -127,7 +159,9 @@ def test_a_curved_model_of_a_simulator_that_scatters_has_the_slope_at_its_estima
 def test_a_sigma_is_believed_unless_one_of_two_tests_contradicts_it_at_half_a_percent(found, p_value, believed):
     """Residuals may be too large, or coloured: at 1 % together."""
     size = 0.1 * np.sqrt(chi2(4).isf(p_value) / 4.0)  # four of the five samples are off by that
-    got = found(level, 2.0 + size * WHITE, {"a": 2.0}, sigma=0.1, criteria=[CriterionSpec("y", weight=4.0)])
+    got = found(
+        level, 2.0 + size * WHITE, {"a": 2.0}, sigma=0.1, criteria=[CriterionSpec("y", weight=4.0, demand=2.0)]
+    )
     by_sigma, by_scatter = 0.1 / np.sqrt(5), size / np.sqrt(5)
     assert got.standard_errors == pytest.approx([by_sigma if believed else by_scatter], rel=1e-6)
     assert got.degrees_of_freedom == (None if believed else pytest.approx(4.0))
@@ -295,8 +329,47 @@ def test_where_parameters_compensate_each_other_better_than_a_jacobian_says_thei
     assert np.sqrt(np.diag(got)) == pytest.approx(times * np.sqrt(np.diag(before)), rel=1e-3)
 
 
+@pytest.mark.parametrize("slight", [SLIGHT, 0.2])
+def test_a_walk_does_not_depend_on_units_nor_on_where_the_estimate_is(slight):
+    """Parameters in units of a hundredth and of ten, at 3 and -7: the covariance is that in plain units."""
+    unit, shift, j = np.array([100.0, 0.1]), np.array([3.0, -7.0]), jacobian(slight)
+
+    def evaluate(points):
+        plain = [(x - shift) / unit for x in points]
+        residuals = [np.array([z[0] + z[1], slight * 0.1 * (z[0] - z[1])]) for z in plain]
+        return [
+            SimpleNamespace(x=x, residuals=r, cost=float(r @ r), ok=True)
+            for x, r in zip(points, residuals, strict=True)
+        ]
+
+    problem = SimpleNamespace(space=SimpleNamespace(lower=np.full(2, -np.inf), upper=np.full(2, np.inf)))
+    best = SimpleNamespace(x=shift, cost=0.0)
+    covariance = np.linalg.inv(j.T @ j) * np.outer(unit, unit)
+    got = confidence._widened(problem, evaluate, best, j / unit, covariance)
+    plain, _ = widened(0.1, slight=slight)
+    assert got / np.outer(unit, unit) == pytest.approx(plain, rel=1e-6)
+
+
+def test_the_leading_parameter_stays_where_it_was_moved_and_the_others_follow():
+    """On a curve: what follows is elsewhere than on the straight line that the Jacobian sees."""
+
+    def evaluate(points):
+        found = []
+        for x in points:
+            r = np.array([x[0] + x[1] + 1e-4 * x[0] ** 2, 1e-3 * (x[0] - x[1])])
+            found.append(SimpleNamespace(x=x, residuals=r, cost=float(r @ r), ok=bool(abs(x[0]) < 10.0 * SIGMA)))
+        return found
+
+    j = jacobian()
+    problem = SimpleNamespace(space=SimpleNamespace(lower=np.full(2, -np.inf), upper=np.full(2, np.inf)))
+    covariance = np.linalg.inv(j.T @ j)
+    got = confidence._widened(problem, evaluate, SimpleNamespace(x=np.zeros(2), cost=0.0), j, covariance)
+    way = np.array([2.0 * SIGMA, -2.0 * SIGMA - 1e-4 * (8.0 * SIGMA) ** 2 / 4.0]) / 2.0
+    assert got - covariance == pytest.approx((8.0**2 - 1.0) * np.outer(way, way), rel=0.02)
+
+
 def test_only_directions_in_which_a_thousand_times_less_is_known_are_walked():
-    for ratio, times in ((999.0, 1), (1000.9, 8)):
+    for ratio, times in ((999.5, 1), (1000.9, 8)):
         got, before = widened(0.1, slight=1.0 / np.sqrt(ratio))
         assert got[0, 0] == pytest.approx(times**2 * before[0, 0], rel=0.01)
 

@@ -118,6 +118,17 @@ def test_at_an_active_constraint_standard_errors_are_those_along_it(analytic, ex
         assert errors == pytest.approx(expected, rel=1e-4)
 
 
+def test_an_active_constraint_leaves_a_degree_of_freedom_to_the_noise(analytic):
+    y = 2 + 0.5 * TIME + 0.1 * np.random.default_rng(0).standard_normal(TIME.size)
+    case = measured_case("run", analytic(line, ["a", "b"]), Task(TIME, {}, ("y",)), {"y": y})
+    specs = [ParameterSpec("a", 1.0), ParameterSpec("b", 1.0)]
+    held = [Constraint.from_mapping({"expression": "a - 4*b", "equal": 0.1})]
+    for constraints, parameters in (([], 2), (held, 1)):
+        found = identify(Problem([case], specs, constraints=constraints)).stages[0].uncertainty
+        effective = sum(w.effective for w in found.whiteness)
+        assert found.degrees_of_freedom == pytest.approx(effective - parameters)
+
+
 def test_the_standard_error_of_few_samples_is_that_of_their_mean(analytic):
     """With n - 1 in the denominator, exactly, where no sigma was given."""
     y = 2 + 0.1 * np.random.default_rng(0).standard_normal(5)
