@@ -56,6 +56,7 @@ def test_a_few_trials_change_little():
     assert 0.9 < probability["a"] < 0.98
 
 
+@pytest.mark.slow
 def test_plants_are_as_far_off_as_asked_and_as_noisy_as_what_was_measured(fitted):
     subject, fit, paths = fitted
     truths = []

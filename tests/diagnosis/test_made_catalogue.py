@@ -196,6 +196,7 @@ def geared(cache, tmp_path_factory):
     return catalogue, Variants({"drive": model}, catalogue, lambda m: load_fmu(m.fmu)), load_fmu(model.fmu), task
 
 
+@pytest.mark.slow
 def test_laws_with_states_are_built_when_they_are_tried_and_off_they_agree_within_the_tolerance(geared):
     catalogue, variants, plain, task = geared
     assert variants.simulator("drive", {}) is None

@@ -245,6 +245,7 @@ def test_a_lossy_gear_with_modes_runs_as_an_fmu(tmp_path):
     assert np.all(np.diff(energy) > -1e-9)
 
 
+@pytest.mark.slow
 def test_a_bridge_of_ideal_diodes_rectifies(tmp_path):
     """Where its diodes stop to conduct, all modes meet, and conductances differ by ten powers of ten."""
     fmu = build(Path(__file__).parent / "models" / "Rectifier.mo", "Rectifier.PowerSupply", tmp_path)

@@ -32,6 +32,7 @@ def uniform(values: Mapping[int, float]) -> dict[str, float]:
     return {f"lossTable[{row},{column}]": value for row in range(1, 8) for column, value in values.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", [1, -1])
 def test_sliding_agrees_to_solver_tolerance(direction):
     """Started in full sliding: rotor at speed, bristle at its full deflection; the load turns once, so T changes sign."""

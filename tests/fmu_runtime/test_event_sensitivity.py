@@ -121,6 +121,7 @@ def test_friction_by_events_under_inputs(load, interpolation):
     assert_close(derivatives(fmu, task, values), expected, list(values.values()), 1e-4)
 
 
+@pytest.mark.slow
 def test_the_actuator_with_friction_by_events():
     """A stiff train whose friction law has a kink where it sticks: the events' ends are kinks, too."""
     current = 0.8 * np.repeat(np.random.default_rng(3).choice([-1.0, 1.0], 6), 10)

@@ -79,6 +79,7 @@ def killed_and_resumed(tmp_path, solver, kills, generator):
     return printed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("solver", "kills"),
     [("nelder_mead", 3), *(pytest.param(s, 10, marks=pytest.mark.slow) for s in ("trf", "crs2 > bobyqa"))],

@@ -381,6 +381,7 @@ def test_a_mistake_in_one_of_many_starts_is_raised_and_leaves_no_thread(msd):
     assert threading.active_count() == threads
 
 
+@pytest.mark.slow
 def test_every_level_of_an_order_has_its_starts(analytic):
     criteria = [
         CriterionSpec("y", "error_vector", stop_time=0.4, options={"priority": 1}),

@@ -31,6 +31,7 @@ def test_valid(fmus, effect_fmus, name):
     assert validate_fmu(str(effect_fmus[f"{name}WithEffects"])) == []
 
 
+@pytest.mark.slow
 def test_valid_in_fmi_3(fmi3_fmus, tmp_path):
     for path in fmi3_fmus.values():
         assert validate_fmu(str(path)) == []

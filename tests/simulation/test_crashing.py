@@ -80,6 +80,7 @@ def test_no_prediction_is_one_line(bench: Path, command: str, model: str, line: 
     assert done.stderr == f"fmuid: {name(bench, model)}: {line}\n"
 
 
+@pytest.mark.slow
 def test_one_of_many_is_said_where_it_belongs(bench: Path) -> None:
     crashed = f"{name(bench, 'bad')}: crashed (SIGSEGV) (with c = 150)"
     check = fmuid(bench, "check", ".")
@@ -96,6 +97,7 @@ def test_one_of_many_is_said_where_it_belongs(bench: Path) -> None:
     assert crashed in (bench / "page" / "index.html").read_text()
 
 
+@pytest.mark.slow
 def test_validation_and_report_of_a_search_that_failed(bench: Path) -> None:
     crashed = f"{name(bench, 'bad')}: crashed (SIGSEGV) (with c = 150)"
     done = fmuid(bench, "identify", ".", "--out", "again", "--quiet", "--json", "again.json")
