@@ -12,9 +12,10 @@ from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import closure
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import fit_decoys, harmonics, hats, quantile_knots, responses_of
+from fmuid.diagnosis.projection import project_off
 from fmuid.diagnosis.refit import Unknown, refit
 from fmuid.diagnosis.regimes import Regime, bases, own_bases, trajectories
-from fmuid.diagnosis.scores import alias_classes, nominal_basis, project_off, said_once, score_effects, stack
+from fmuid.diagnosis.scores import alias_classes, nominal_basis, said_once, score_effects, stack
 from fmuid.simulation.runners import in_process
 
 TIME = np.linspace(0.0, 1.0, 501)

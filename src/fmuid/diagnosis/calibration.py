@@ -29,9 +29,10 @@ from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import Port
+from fmuid.diagnosis.projection import project_off
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.regimes import bases
-from fmuid.diagnosis.scores import nominal_basis, project_off, stack
+from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Verdict
 

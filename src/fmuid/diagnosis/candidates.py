@@ -12,8 +12,9 @@ from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import HeldOut, leave_each_out
 from fmuid.diagnosis.observed import gap
+from fmuid.diagnosis.projection import project_off
 from fmuid.diagnosis.refit import Refit, refit
-from fmuid.diagnosis.scores import Score, nominal_basis, project_off, said_once, score_effects, stack
+from fmuid.diagnosis.scores import Score, nominal_basis, said_once, score_effects, stack
 from fmuid.diagnosis.standard_errors import standard_errors
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Estimate

@@ -16,10 +16,10 @@ import numpy as np
 from fmuid.core.campaign import SEPARATOR
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.projection import orthonormal, project_off
 from fmuid.diagnosis.refit import Refit
 
 _PRIOR_STEPS = 1e3  # a parameter that the remaining experiments cannot see moves by no more than about this
-_DEPENDENT = 1e-6  # smallest singular value of unit columns, over the largest
 _ALIKE = 1e-13  # of parameters whose columns are one but for rounding; a ridge is lost beside large ones
 
 
@@ -74,19 +74,10 @@ def leave_each_out(fit: Refit, observed: Observed) -> HeldOut:
         out = np.array(observed.groups) == group
         h, g = (sum(part[i] for i in np.flatnonzero(out)) for part in (normal, gradient))
         move = -_solved(total - h + ridge, slope - g)
-        basis = _basis(parts[k][:, of_one & seen[k] & ~seen[~out].any(axis=0)])
-        left = residuals[k] + parts[k] @ move
-        predicted.append(left - basis @ (basis.T @ left))
+        basis = orthonormal(parts[k][:, of_one & seen[k] & ~seen[~out].any(axis=0)])
+        predicted.append(project_off(residuals[k] + parts[k] @ move, basis))
         taken.append(basis)
     return losses(predicted, observed, taken)
-
-
-def _basis(columns: FloatArray) -> FloatArray:
-    """Return an orthonormal basis of columns."""
-    if not columns.shape[1]:
-        return columns
-    u, s, _ = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
-    return np.asarray(u[:, s > _DEPENDENT * s[0]])
 
 
 def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:

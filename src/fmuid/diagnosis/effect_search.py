@@ -12,7 +12,8 @@ from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import Fitted, add_effect, contribution, score_further, without
 from fmuid.diagnosis.null_distribution import NoiseDraws
 from fmuid.diagnosis.observed import excess
-from fmuid.diagnosis.scores import Score, alias_classes, nominal_basis, project_off, similarity, stack
+from fmuid.diagnosis.projection import project_off
+from fmuid.diagnosis.scores import Score, alias_classes, nominal_basis, similarity, stack
 from fmuid.diagnosis.subject import Subject
 
 Say = Callable[[str, float], None]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.identification.problem.cases import Case
 from fmuid.simulation.predictor import Predictor
 from fmuid.simulation.runners import Job, Outcome, Runner, in_process
-from fmuid.simulation.segmented import Segmented
+from fmuid.simulation.segmented import Segmented, in_place_of
 from fmuid.simulation.signal_effects import (
     Disturbed,
     Effects,
@@ -181,14 +182,20 @@ class CampaignModel:
                 found[name].append((above - below) / width)
         return {name: tuple(rows) for name, rows in found.items()}
 
+    @cached_property
+    def _known(self) -> frozenset[str]:
+        return frozenset(n for case in self.cases for n in (*case.setting, *case.simulator.variables))
+
+    @cached_property
+    def _signals(self) -> frozenset[str]:
+        outputs = {c.signal for case in self.cases for c in case.channels}
+        return frozenset(outputs.union(*(case.task.inputs for case in self.cases)))
+
     def _split(self, values: Mapping[str, float]) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
         """Return the parameters that models take, and those of the signals around them, by signal."""
-        signals = {c.signal for case in self.cases for c in case.channels}
-        signals |= {name for case in self.cases for name in case.task.inputs}
         every = {**self.fixed, **values}
-        known = {n for case in self.cases for n in (*case.setting, *case.simulator.variables)}
-        own = {n for n in every if n.partition(SEPARATOR)[0] in known}
-        plain, disturbed = split_signal_parameters({n: v for n, v in every.items() if n not in own}, signals)
+        own = {n for n in every if n.partition(SEPARATOR)[0] in self._known}
+        plain, disturbed = split_signal_parameters({n: v for n, v in every.items() if n not in own}, self._signals)
         return {**plain, **{n: every[n] for n in every if n in own}}, disturbed
 
     def _task_along(self, index: int, case: Case, own: Sequence[Direction]) -> Task:
@@ -224,9 +231,7 @@ class CampaignModel:
 
     def _simulator(self, case: Case, values: Mapping[str, float]) -> Simulator:
         variant = self.variant(case.setup, values)
-        if variant is None:
-            return case.simulator
-        return case.simulator.over(variant) if isinstance(case.simulator, Segmented) else variant
+        return case.simulator if variant is None else in_place_of(case.simulator, variant)
 
     def _simulate(
         self, wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]]

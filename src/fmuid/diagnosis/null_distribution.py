@@ -18,6 +18,7 @@ from scipy.special import ndtr
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.data.noise.spectrum import rounding_draws
 from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.projection import project_off
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,8 +72,7 @@ class NoiseDraws:
         signatures
             Signatures of unit length, projected off that basis.
         """
-        taken = basis.T @ self.noise
-        left = self.noise - basis @ taken
+        left = project_off(self.noise, basis)
         excess = (self.weight @ left**2 - self.weight @ self.free) / self.free[self.weight > 0.0].sum()
         drops = np.array([(s @ left) ** 2 for s in signatures]) if signatures else np.zeros((1, left.shape[1]))
         return Null(read_only(excess), read_only(drops.max(axis=0)))
@@ -94,8 +94,7 @@ def draw_noise(observed: Observed, *, draws: int = 400, seed: int = 0) -> NoiseD
         else:
             noise[begin : begin + w.size] = rng.standard_normal((w.size, draws))
         if observed.nuisances:
-            q = observed.nuisances[e]
-            noise[begin : begin + w.size] -= q @ (q.T @ noise[begin : begin + w.size])
+            noise[begin : begin + w.size] = project_off(noise[begin : begin + w.size], observed.nuisances[e])
         begin += w.size
     weight = np.concatenate([band / n for band, n in zip(observed.in_band, observed.repeats, strict=True)])
     free = 1.0 - np.concatenate(observed.taken)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.runs import RepeatedRuns, cut
 from fmuid.data.noise.spectrum import PiecewiseWhitener, SetupNoise, Whitener, bandwidth, estimate_noise, whitener
+from fmuid.diagnosis.projection import project_off
 
 _FEW = 4  # experiments: with fewer, leaving one out leaves too little to learn from
 _PIECES = 6  # that a run without repeats is then cut into
@@ -140,7 +141,7 @@ class Observed:
         parts = tuple(w(d).ravel() for d, w in zip(differences, self.whiteners, strict=True))
         if not self.nuisances:
             return parts
-        return tuple(part - q @ (q.T @ part) for part, q in zip(parts, self.nuisances, strict=True))
+        return tuple(project_off(part, q) for part, q in zip(parts, self.nuisances, strict=True))
 
 
 def _whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener | PiecewiseWhitener:

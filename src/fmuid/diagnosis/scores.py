@@ -16,6 +16,7 @@ from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.projection import orthonormal, project_off
 from fmuid.diagnosis.refit import Predict, Refit
 
 _NEARLY = 0.98  # correlation of signatures above which they are compared at sizes that move as much
@@ -63,18 +64,7 @@ def stack(parts: Sequence[FloatArray], observed: Observed) -> FloatArray:
 
 def nominal_basis(base: Refit, observed: Observed) -> FloatArray:
     """Return an orthonormal basis of what the refitted parameters can do to the predictions."""
-    jacobian = stack(base.jacobian, observed)
-    norms = np.linalg.norm(jacobian, axis=0)
-    kept = jacobian[:, norms > 0] / norms[norms > 0]
-    if kept.shape[1] == 0:
-        return np.asarray(kept)
-    u, s, _ = np.linalg.svd(kept, full_matrices=False)
-    return np.asarray(u[:, s > 1e-6 * s[0]])
-
-
-def project_off(vector: FloatArray, basis: FloatArray) -> FloatArray:
-    """Return `vector` less its part in the span of `basis`."""
-    return np.asarray(vector - basis @ (basis.T @ vector))
+    return orthonormal(stack(base.jacobian, observed))
 
 
 def score_effects(

@@ -14,9 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from fmuid.core.campaign import StageSpec
-from fmuid.core.immutable import FloatArray, read_only
+from fmuid.core.immutable import read_only
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.projection import orthonormal
 from fmuid.identification.problem.segments import why_whole
 from fmuid.simulation.segmented import Segmented
 
@@ -40,17 +41,8 @@ def with_states(observed: Observed, model: CampaignModel, values: Mapping[str, f
             at = model.start_values(case, {**model.fixed, **values})
             tangents = case.simulator.state_tangents(at)[:, :, case.lead :]
             columns = whiten(tangents).reshape(len(tangents), -1).T
-        bases.append(read_only(_basis(columns)))
+        bases.append(read_only(orthonormal(columns, _DEPENDENT)))
     return replace(observed, nuisances=tuple(bases))
-
-
-def _basis(columns: FloatArray) -> FloatArray:
-    norms = np.linalg.norm(columns, axis=0)
-    kept = columns[:, norms > 0.0] / norms[norms > 0.0]
-    if not kept.shape[1]:
-        return np.asarray(kept)
-    u, s, _ = np.linalg.svd(kept, full_matrices=False)
-    return np.asarray(u[:, s > _DEPENDENT * s[0]])
 
 
 def findings_of(model: CampaignModel, stages: Mapping[str, StageSpec]) -> tuple[str, ...]:

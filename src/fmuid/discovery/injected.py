@@ -15,7 +15,7 @@ from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.variants import built_with
 from fmuid.discovery.places import Spot
 from fmuid.discovery.terms import HIDDEN, Term
-from fmuid.simulation.segmented import Segmented
+from fmuid.simulation.segmented import in_place_of
 from fmuid.simulation.simulator import Simulator
 
 _MOST = 20.0  # flows at the port: the largest coefficient
@@ -172,8 +172,8 @@ def with_laws(
         for setup in {case.setup for case in subject.model.cases}
     }
     cases = tuple(
-        replace(case, simulator=old.over(new) if isinstance(old := case.simulator, Segmented) else new)
-        for case, new in ((case, simulators[case.setup]) for case in subject.model.cases)
+        replace(case, simulator=in_place_of(case.simulator, simulators[case.setup]))
+        for case in subject.model.cases
     )
     model = replace(subject.model, cases=cases, variant=lambda _, __: None)
     return replace(subject, model=model, catalogue=catalogue, effects=(*kept.values(), *laws))

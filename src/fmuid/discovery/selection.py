@@ -18,8 +18,9 @@ from fmuid.diagnosis import decide
 from fmuid.diagnosis.cross_validation import HeldOut
 from fmuid.diagnosis.null_distribution import NoiseDraws
 from fmuid.diagnosis.ports import Response, fit_decoys
+from fmuid.diagnosis.projection import project_off
 from fmuid.diagnosis.refit import Refit
-from fmuid.diagnosis.scores import nominal_basis, project_off, stack
+from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import Subject
 from fmuid.discovery.places import Spot
 from fmuid.discovery.terms import Term

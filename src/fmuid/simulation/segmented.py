@@ -452,6 +452,11 @@ def _size(values: FloatArray) -> float:
     return spread if spread > _ERROR * level else level
 
 
+def in_place_of(old: Simulator, new: Simulator) -> Simulator:
+    """Return `new`, in the segments of `old` if it has any."""
+    return old.over(new) if isinstance(old, Segmented) else new
+
+
 def states_of(simulator: Simulator) -> tuple[str, ...]:
     """Return the continuous states of a model from which a run can be started.
 
