@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import accumulate
 from pathlib import Path
 from types import MappingProxyType
@@ -14,7 +15,6 @@ from fmu_build import algebra, algorithms, codegen, events, messages, start, uni
 from fmu_build.equations import Assertion, Equations, collect
 from fmu_build.flat_model import FlatModel
 from fmu_build.front.flatten import load
-from fmu_build.functions import UnknownLoopError
 from fmu_build.graph import SX, Graph, Substitution, key
 from fmu_build.interface import describe
 from fmu_build.invariants import state_derivatives
@@ -51,11 +51,10 @@ def compile_flat(flat: FlatModel) -> CompiledModel:
     structural: set[str] = set()
     promoted: set[str] = set()
     events_in_smooth: Choice["", "some", "all"] = ""
-    bounded = False
     while True:
         scope = ModelScope(flat, Graph(), structural)
         scope.evaluate.events_in_smooth = events_in_smooth
-        scope.functions.bounded = bounded
+        scope.functions.by_parameters = partial(_deciding, scope, structural)
         try:
             return _translate(flat, scope)
         except SwitchedLoopError:
@@ -69,14 +68,18 @@ def compile_flat(flat: FlatModel) -> CompiledModel:
                 flat = _with_followers(_as_state(flat, name), name)
         except algebra.UnknownSizeError as error:
             # Parameters that turn out to decide a size become constants of the translation.
-            found = [scope.declarations.by_symbol.get(k) for k in scope.graph.symbols(error.value)]
-            names = {d.variable.name for d in found if d is not None and d.kind == "parameter"}
-            if None not in found and names - structural:
-                structural |= names
-            elif isinstance(error, UnknownLoopError) and not bounded:
-                bounded = True
-            else:
+            names = _deciding(scope, structural, error.value)
+            if not names:
                 raise flat.error(str(error), error.span) from None
+            structural |= names
+
+
+def _deciding(scope: ModelScope, constants: Collection[str], value: SX) -> set[str]:
+    """Return the parameters that decide a value beside `constants`; none if something else decides it, too."""
+    found = [scope.declarations.by_symbol.get(k) for k in scope.graph.symbols(value)]
+    if any(d is None or d.kind != "parameter" for d in found):
+        return set()
+    return {d.variable.name for d in found if d is not None} - set(constants)
 
 
 def _translate(flat: FlatModel, scope: ModelScope) -> CompiledModel:

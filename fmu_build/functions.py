@@ -7,7 +7,7 @@ What depends on a condition that is only known at run time is executed on both b
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import product
 from typing import Any, Protocol
@@ -100,8 +100,10 @@ class Functions:
         What assertions in functions want at run time: condition, message, whether it is a warning, place.
     guards
         Conditions under which the current evaluation matters.
-    bounded
-        Whether a loop of unknown length is followed so many rounds, and its end asserted at run time.
+    by_parameters
+        The parameters that decide a condition if they alone do, as they can become constants of the translation. A
+        loop of unknown length that other variables decide is followed so many rounds, and its end asserted at run
+        time.
     unknown_rounds
         How many rounds of such loops there are.
     """
@@ -109,7 +111,7 @@ class Functions:
     def __init__(self, library: Library) -> None:
         self._library = library
         self._depth = 0
-        self.bounded = False
+        self.by_parameters: Callable[[SX], Collection[str]] = lambda _: ()
         self.unknown_rounds = 0
         self.guards: list[SX] = []
         self.asserts: list[tuple[SX, Message, bool, Place]] = []
@@ -387,8 +389,8 @@ class Body:
         """Give up following a loop; if it goes on, the simulation ends."""
         functions = self._functions
         functions.unknown_rounds += _MAX_UNKNOWN_ROUNDS
-        if not functions.bounded:
-            raise UnknownLoopError(goes_on, at)  # if parameters alone decide, they become constants
+        if functions.by_parameters(goes_on):
+            raise algebra.UnknownSizeError(goes_on, "a while loop whose condition is not known at translation")
         if functions.unknown_rounds > _MOST_UNKNOWN_ROUNDS:
             raise self._library.error(
                 "while loops of unknown length inside each other", at,
@@ -464,14 +466,6 @@ class Body:
         if isinstance(old, Array) and not isinstance(value, Array) and isinstance(value, bool | int | float | SX):
             raise self._library.error(f"a scalar is assigned to '{target.name}', which is an array", target.at)
         return value
-
-
-class UnknownLoopError(algebra.UnknownSizeError):
-    """A while loop whose length is not known at translation."""
-
-    def __init__(self, condition: SX, at: Place) -> None:
-        super().__init__(condition, "a while loop whose condition is not known at translation")
-        self.span = at
 
 
 def _replace(array: Array, index: list[list[int] | int | SX], value: Value) -> Array:

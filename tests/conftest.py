@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from unittest import mock
 
@@ -17,14 +18,23 @@ os.environ["FMU_BUILD_CFLAGS"] = "-O0"  # most FMUs of tests take longer to comp
 SETUPS = ("FixedShaft", "FreeShaft", "EccentricLoad", "LinearAxisOpenLoop", "LinearAxisClosedLoop")
 
 
+@contextmanager
+def as_a_user_builds() -> Iterator[None]:
+    """Optimise FMUs that are simulated more than they are compiled."""
+    with mock.patch.dict(os.environ):
+        os.environ.pop("FMU_BUILD_CFLAGS", None)
+        yield
+
+
 def build_once(file: Path, class_name: str, out: Path = FMUS, fmi: str = "2", roots: Sequence[Path] = ()) -> Path:
     """The FMU of a class; of two test processes that want the same one, only the first builds it."""
     fmu_build = pytest.importorskip("fmu_build")
     locks = out / ".locks"
     locks.mkdir(parents=True, exist_ok=True)
-    with (locks / class_name).open("w") as lock, mock.patch.dict(os.environ):
-        if MODELICA in file.parents:  # as a user builds it
-            del os.environ["FMU_BUILD_CFLAGS"]
+    with (
+        (locks / class_name).open("w") as lock,
+        nullcontext() if class_name.endswith("WithEffects") else as_a_user_builds(),
+    ):
         fcntl.flock(lock, fcntl.LOCK_EX)
         return fmu_build.build(file, class_name, out, fmi, roots=roots)
 

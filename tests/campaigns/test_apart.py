@@ -11,6 +11,7 @@ import pytest
 
 from fmuid.core.errors import MeasurementsError
 from fmuid.core.experiments import Measurements
+from fmuid.data import isolated_reader
 from fmuid.data.isolated_reader import read_apart
 from fmuid.data.measurements import read_measurements
 
@@ -38,12 +39,11 @@ def importable(monkeypatch: pytest.MonkeyPatch) -> None:
     for function in (hang, crash, refuse, whose, raises_from_a_library):
         monkeypatch.setattr(function, "__module__", "test_apart")
     monkeypatch.setitem(__import__("sys").modules, "test_apart", __import__("sys").modules[__name__])
-    from fmuid.data import isolated_reader as apart
-
-    apart._end()  # one that knows the path
+    isolated_reader._end()  # one that knows the path
 
 
-def test_a_file_that_hangs_or_crashes_is_one_line() -> None:
+def test_a_file_that_hangs_or_crashes_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(isolated_reader, "_WAITING", 2.0)
     with pytest.raises(MeasurementsError) as error:
         read_apart(hang, Path("m.h5"), limit=0.5)
     assert str(error.value) == "m.h5: cannot be read in 0 s; write it again: it may be damaged"

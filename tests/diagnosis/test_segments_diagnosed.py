@@ -22,6 +22,7 @@ from fmuid.diagnosis.observed import Observed, excess
 from fmuid.diagnosis.subject import subject_of
 from fmuid.simulation.coupled.loading import load_simulator
 from fmuid.simulation.segmented import Segmented
+from tests.conftest import as_a_user_builds
 
 STEP, J, MGL, D = 0.005, 0.02, 0.6, 0.01
 MODEL = """\
@@ -119,7 +120,8 @@ def balanced(seed, coulomb, duration=4.0, noise=1e-3):
 def held(tmp_path_factory):
     folder = tmp_path_factory.mktemp("held")
     (folder / "Held.mo").write_text(MODEL)
-    fmu_build.build(folder / "Held.mo", "Held", folder)
+    with as_a_user_builds():
+        fmu_build.build(folder / "Held.mo", "Held", folder)
     return folder
 
 

@@ -16,13 +16,15 @@ from fmuid.identification.problem.segments import segmented
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.segmented import Segmented
 from fmuid.simulation.simulator import Task
+from tests.conftest import as_a_user_builds
 
 MODELS = Path(__file__).parent / "models"
 
 
 @pytest.fixture(scope="module")
 def pendulum_fmu(tmp_path_factory):
-    return fmu_build.build(MODELS / "InvertedPendulum.mo", "InvertedPendulum", tmp_path_factory.mktemp("pendulum"))
+    with as_a_user_builds():
+        return fmu_build.build(MODELS / "InvertedPendulum.mo", "InvertedPendulum", tmp_path_factory.mktemp("x"))
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,8 @@ from collections import Counter
 from graphlib import TopologicalSorter
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 FILES = {
     ".".join(path.relative_to(base).with_suffix("").parts).removesuffix(".__init__"): path
@@ -34,22 +36,24 @@ def package_of(module: str) -> str:
     return module if inside else module.rpartition(".")[0]
 
 
-IMPORTS = {module: imported(module) for module in FILES}
+@pytest.fixture(scope="module")
+def imports() -> dict[str, set[str]]:
+    return {module: imported(module) for module in FILES}
 
 
-def test_no_module_and_no_package_imports_itself_through_others() -> None:
-    TopologicalSorter(IMPORTS).prepare()  # raises CycleError, which names the circle
+def test_no_module_and_no_package_imports_itself_through_others(imports: dict[str, set[str]]) -> None:
+    TopologicalSorter(imports).prepare()  # raises CycleError, which names the circle
     packages: dict[str, set[str]] = {}
-    for module, others in IMPORTS.items():
+    for module, others in imports.items():
         own = package_of(module)
         packages.setdefault(own, set()).update({package_of(other) for other in others} - {own})
     TopologicalSorter(packages).prepare()
 
 
-def test_the_export_imports_nothing_of_fmuid() -> None:
+def test_the_export_imports_nothing_of_fmuid(imports: dict[str, set[str]]) -> None:
     users = {
         m
-        for m, others in IMPORTS.items()
+        for m, others in imports.items()
         if m.startswith("fmu_build") and any(o.startswith("fmuid") for o in others)
     }
     assert users == set()

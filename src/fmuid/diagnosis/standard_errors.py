@@ -66,12 +66,11 @@ def standard_errors(fit: Refit, observed: Observed, prediction: Sequence[FloatAr
 def _transposed(whiten: Whitener | PiecewiseWhitener, whitened: FloatArray) -> FloatArray:
     """Return W'y, (..., C, N), for whitened y (..., C, K)."""
     if isinstance(whiten, PiecewiseWhitener):
-        ends = np.cumsum([len(piece.band_of) for _, _, piece in whiten.pieces])[:-1]
+        ends = np.cumsum([piece.mask.shape[1] for _, _, piece in whiten.pieces])[:-1]
         parts = zip(whiten.pieces, np.split(whitened, ends, axis=-1), strict=True)
         return np.concatenate([_transposed(piece, part) for (_, _, piece), part in parts], axis=-1)
     spectrum = np.zeros((*whitened.shape[:-1], whiten.mask.shape[1]))
     spectrum[..., 0] = whitened[..., 0] * whiten.mean_scale
-    for band, factor in enumerate(whiten.factors):
-        chosen = np.flatnonzero(whiten.band_of == band)
-        spectrum[..., chosen] = factor.T @ whitened[..., chosen]
+    for band, factor in zip(whiten.bands, whiten.factors, strict=True):
+        spectrum[..., band] = factor.T @ whitened[..., band]
     return from_real_spectrum(spectrum) * whiten.mask

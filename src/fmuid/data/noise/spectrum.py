@@ -82,27 +82,29 @@ class SetupNoise:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Whitener:
-    """Transforms a residual of one experiment into components of unit variance under the noise of a single run."""
+    """Transforms a residual of one experiment into components of unit variance under the noise of a single run.
+
+    A factor, (C, C), is of the components of its band.
+    """
 
     mask: FloatArray
     factors: FloatArray
-    band_of: FloatArray
+    bands: tuple[slice, ...]
     mean_scale: FloatArray
     frequencies: FloatArray
 
     @property
     def size(self) -> int:
         """Length of a whitened residual."""
-        return len(self.mask) * len(self.band_of)
+        return self.mask.size
 
     def __call__(self, residual: FloatArray) -> FloatArray:
         """Whiten (..., C, N) residuals to (..., C, N); coefficient 0 of each channel is its mean."""
         spectrum = real_spectrum(residual * self.mask)
         out = np.empty_like(spectrum)
         out[..., 0] = spectrum[..., 0] * self.mean_scale
-        for band, factor in enumerate(self.factors):
-            chosen = np.flatnonzero(self.band_of == band)
-            out[..., chosen] = factor @ spectrum[..., chosen]
+        for band, factor in zip(self.bands, self.factors, strict=True):
+            out[..., band] = factor @ spectrum[..., band]
         return out
 
 
@@ -140,7 +142,7 @@ class PiecewiseWhitener:
     @property
     def folds(self) -> tuple[NDArray[np.intp], ...]:
         """Indices of each piece's components in a flattened (C * K,) whitened residual."""
-        counts = [len(w.band_of) for _, _, w in self.pieces]
+        counts = [w.mask.shape[1] for _, _, w in self.pieces]
         channels, total = len(self.pieces[0][2].mask), sum(counts)
         index = np.arange(channels * total).reshape(channels, total)
         ends = np.cumsum([0, *counts])
@@ -267,8 +269,9 @@ def whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener:
     scale = np.sqrt(np.divide(np.maximum(wanted, 0.0), noise.variance, where=noise.variance > 0.0, out=wanted * 0))
     rounding = run.n_repeats * _rounding_spectrum(run, noise)
     factors = []
-    for band, covariance in enumerate(noise.covariance):
-        repeating = np.diag(np.mean(rounding[:, band_of == band], axis=1)) if np.any(band_of == band) else 0.0
+    bands = [slice(*np.searchsorted(band_of, (band, band + 1))) for band in range(len(noise.covariance))]
+    for band, covariance in zip(bands, noise.covariance, strict=True):
+        repeating = np.diag(np.mean(rounding[:, band], axis=1)) if band.start < band.stop else 0.0
         lower = cholesky(scale[:, None] * covariance * scale + repeating, lower=True)
         factors.append(solve_triangular(lower, np.eye(len(lower)), lower=True))
     lowest = scale**2 * np.diagonal(noise.covariance[0])
@@ -276,7 +279,7 @@ def whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener:
     return Whitener(
         mask=read_only(run.mask),
         factors=read_only(np.array(factors)),
-        band_of=read_only(band_of),
+        bands=tuple(bands),
         mean_scale=read_only(1.0 / np.sqrt(mean_variance)),
         frequencies=read_only(coefficient_frequencies(n, noise.dt)),
     )

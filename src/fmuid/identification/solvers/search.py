@@ -121,6 +121,7 @@ class Search:
         if problem.combination.kind == "min_max":
             self.goals_of = lambda evaluation: problem.root_weights**2 * evaluation.criteria
         self.noise_floor: NoiseFloor | None = None  # a solver that measured it leaves it here
+        self._equality = np.array([c.is_equality for c in problem.constraints], dtype=bool)
         self._record, self.recall = record, recall
         self._simulate: Simulate = lambda wanted: problem.evaluate_many(
             [wish.x for wish in wanted], differentiated=[wish.differentiated for wish in wanted]
@@ -191,15 +192,14 @@ class Search:
 
     def violations(self, evaluation: Evaluation, *, equality: bool) -> FloatArray:
         """Return the constraint violations of one kind, limits included among the inequalities."""
-        chosen = [c.is_equality is equality for c in self.problem.constraints]
-        own = evaluation.constraints[np.array(chosen, dtype=bool)]
+        own = evaluation.constraints[self._equality if equality else ~self._equality]
         return own if equality else np.concatenate([own, self.limits_of(evaluation)])
 
     def feasible(self, evaluation: Evaluation) -> bool:
         """Return whether every constraint is satisfied."""
         return bool(
-            np.all(self.violations(evaluation, equality=False) <= FEASIBLE)
-            and np.all(np.abs(self.violations(evaluation, equality=True)) <= FEASIBLE)
+            (self.violations(evaluation, equality=False) <= FEASIBLE).all()
+            and (np.abs(self.violations(evaluation, equality=True)) <= FEASIBLE).all()
         )
 
     @contextmanager
