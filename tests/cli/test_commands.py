@@ -207,7 +207,7 @@ def test_every_command_has_help_out_json_and_quiet(name: str, fmuid: Command) ->
         (["check"], "Missing argument 'CAMPAIGN'; see fmuid --help"),
         (["check", "x", "--xyz"], "No such option: --xyz; see fmuid --help"),
         (["build", "A.mo", "A", "--fmi", "2.0"], "Invalid value for '--fmi': '2.0' is not one of '2', '3'; see fmuid --help"),
-        (["compare", "a", "b", "--tolerance", "-1"], "Invalid value for '--tolerance': Input should be greater than or equal to 0; see fmuid --help"),
+        (["compare", "a", "b", "--tolerance", "-1"], "Invalid value for '--tolerance': -1.0 is not in the range x>=0.0; see fmuid --help"),
         (["check", "nowhere"], "nowhere: no such file; name a folder with a campaign.toml, or make one with: fmuid init"),
         (["identify", "nowhere"], "nowhere: no such file; name a folder with a campaign.toml, or make one with: fmuid init"),
         (["validate", "nowhere"], "nowhere: no such file; name a folder written by fmuid identify"),

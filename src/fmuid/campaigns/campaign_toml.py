@@ -40,7 +40,6 @@ from fmuid.data.filtering import LowPass, derivative
 from fmuid.data.measurements import read_measurements
 from fmuid.data.noise.outliers import without_outliers
 from fmuid.simulation.coupled.coupling_table import CoupledTable, coupling_of
-from fmuid.simulation.model_source import built_model
 
 FILE_NAME = "campaign.toml"
 MAX_STARTS, MAX_DRAWS, MAX_POINTS = 1000, 100_000, 1000  # of a solver, of Monte Carlo, on a front
@@ -459,6 +458,8 @@ def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
     table = convert(raw, _ModelTable, where)
     source = _source(table, folder, where)
     if source is not None and not (table.fmu and (folder / table.fmu).is_file()):
+        from fmuid.simulation.model_source import built_model  # slow to import
+
         table.fmu = str(built_model(source))
     coupling = coupling_of(table, folder, where)
     if table.interface and (coupling is not None or table.fmu.endswith(".ssp")):

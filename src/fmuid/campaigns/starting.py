@@ -12,7 +12,6 @@ from fmuid.campaigns.new_campaign import new_campaign
 from fmuid.core.campaign import Campaign, ModelSource
 from fmuid.core.errors import CampaignError, FmuidError
 from fmuid.data.recordings.resampling import TimeBase
-from fmuid.simulation.model_source import built_model
 from fmuid.simulation.pool.choice import runner_on
 
 
@@ -39,6 +38,8 @@ def given_model(model: Path, class_name: str | None = None) -> GivenModel:
             )
         return GivenModel(model)
     source = ModelSource(model, class_name or model.stem)
+    from fmuid.simulation.model_source import built_model  # slow to import
+
     return GivenModel(built_model(source), source)
 
 
