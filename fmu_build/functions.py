@@ -36,6 +36,8 @@ from fmu_build.syntax import (
     Statement,
     WhenStatement,
     WhileStatement,
+    references,
+    walk,
 )
 
 _EXTERNAL = tables.EXTERNAL | random_numbers.EXTERNAL
@@ -347,7 +349,7 @@ class Body:
 
         On that path a counter keeps its number, so that a bound on it ends the loop.
         """
-        outer = self._frame.variables.get(_LEFT, False)
+        functions, outer = self._functions, self._frame.variables.get(_LEFT, False)
         self._frame.variables[_LEFT] = False
         ends: list[tuple[SX, dict[str, Value]]] = []
         with ExitStack() as path:
@@ -361,7 +363,8 @@ class Body:
                 if isinstance(condition, SX) or isinstance(stopped, SX):
                     goes_on = algebra.sx(algebra.AND(condition, algebra.NOT(stopped)))
                     ends.append((goes_on, dict(self._frame.variables)))
-                    if len(ends) > _MAX_UNKNOWN_ROUNDS:
+                    endless = len(ends) > 1 and self._lost_count(statement) and functions.by_parameters(goes_on)
+                    if endless or len(ends) > _MAX_UNKNOWN_ROUNDS:
                         self._bound(goes_on, statement.at)
                         break
                     path.enter_context(self._evaluate.guard(goes_on))
@@ -384,6 +387,12 @@ class Body:
                 raise
             self._never(algebra.sx(True), f"a while loop goes on where {error.what}", statement.at)
             return False
+
+    def _lost_count(self, statement: WhileStatement) -> bool:
+        """Return whether no value is known any more of what the loop changes and its condition reads."""
+        changed = {a.target.parts[0].name for a in walk(statement.body) if isinstance(a, Assign)}
+        counters = changed & {r.parts[0].name for r in references(statement.condition)}
+        return bool(counters) and all(isinstance(self._frame.variables.get(name), SX) for name in counters)
 
     def _bound(self, goes_on: SX, at: Place) -> None:
         """Give up following a loop; if it goes on, the simulation ends."""

@@ -111,9 +111,15 @@ def test_what_the_others_hardly_see_is_held_by_a_prior_of_a_thousand_steps():
 def test_a_parameter_that_a_run_has_its_own_of_is_fitted_to_that_run():
     observed = recorded([[0.0, 0.0, 0.0]], [[0.0]])
     residuals = np.array([1.0, 2.0, 6.0]), np.array([0.0])
-    for name, loss, size in (("k@e0", 14.0 / 2.0, 2.0), ("k", 41.0 / 3.0, 3.0)):
+    # However little it moves the run.
+    for name, column, loss, size in (
+        ("k@e0", 1.0, 14.0 / 2.0, 2.0),
+        ("k@e0", 0.1, 14.0 / 2.0, 2.0),
+        ("k", 1.0, 41.0 / 3.0, 3.0),
+    ):
         unknown = Unknown(name, 0.0, -9.0, 9.0, 1.0)
-        fit = Refit((unknown,), {name: 0.0}, residuals, (np.ones((3, 1)), np.zeros((1, 1))), 0.0, 0, True)
+        slopes = np.full((3, 1), column), np.zeros((1, 1))
+        fit = Refit((unknown,), {name: 0.0}, residuals, slopes, 0.0, 0, True)
         held = leave_each_out(fit, observed)
         assert held.loss == pytest.approx([loss - 1.0, -1.0])
         assert held.size == pytest.approx([size, 1.0])
@@ -147,6 +153,20 @@ def test_parameters_that_no_experiment_tells_apart_can_be_held_out():
     columns = tuple(1e9 * np.repeat(j, 2, axis=1) for j in fit.jacobian)
     both = replace(fit, unknowns=(*fit.unknowns, twin), values={**fit.values, "twin": 1.0}, jacobian=columns)
     assert leave_each_out(both, observed).loss == pytest.approx(alone, rel=1e-3)
+
+
+def test_the_sizes_of_parameters_do_not_matter():
+    observed = recorded(*[[[0.0, 0.0]]] * 3)
+    residuals = tuple(np.array(r) for r in ([-1.0, -5.0], [-3.0, -7.0], [-8.0, -9.0]))
+    unknowns = tuple(Unknown(n, 0.0, -np.inf, np.inf, 1.0) for n in "ab")
+    found = [
+        leave_each_out(
+            Refit(unknowns, {"a": 0.0, "b": 0.0}, residuals, (np.diag([1.0, size]),) * 3, 0.0, 0, True), observed
+        ).loss
+        for size in (1.0, 1e8)
+    ]
+    assert found[0][0] == pytest.approx(((5.5 - 1.0) ** 2 + (8.0 - 5.0) ** 2) / 2 - 1.0, rel=1e-4)
+    assert found[1] == pytest.approx(found[0], rel=1e-4)
 
 
 def test_every_run_has_a_loss_of_its_own():
@@ -187,6 +207,8 @@ def test_closure_is_the_share_of_the_gap_that_is_gone():
     assert closure(lost(0.0, 0.0, 0.0), after) == 0.0
     assert closure(after, before) == pytest.approx(-1.0)
     assert closure_interval(before, after) == pytest.approx((0.5, 0.5))
+    # Of a gap below one floor, too.
+    assert closure_interval(lost(0.25, 0.25), lost(0.01, 0.01)) == pytest.approx((0.8, 0.8))
     low, high = closure_interval(before, lost(0.0, 1.0, 4.0))
     assert low <= closure(before, lost(0.0, 1.0, 4.0)) <= high
     assert high - low > 0.3
@@ -215,7 +237,10 @@ def test_a_closure_counts_experiments_by_their_size_and_runs_as_they_come():
     assert few[0] == pytest.approx(0.9)
     # Two runs of one experiment: half of the draws have both, a quarter each one twice.
     before, after = of([9.0], [4.0, 4.0]), of([9.0], [0.0, 2.0])
-    assert closure_interval(before, after) == pytest.approx((1.0 - np.sqrt(0.5), 1.0))
+    both, mixed, none = 1.0 - np.sqrt(0.5), 0.5, 1.0
+    assert closure_interval(before, after) == pytest.approx((both, none))
+    assert closure_interval(before, after, level=0.7) == pytest.approx((both, none))
+    assert closure_interval(before, after, level=0.4) == pytest.approx((mixed, mixed))
 
 
 def test_a_closure_interval_is_one_of_90_percent_and_the_same_each_time():
@@ -253,6 +278,9 @@ def test_the_error_of_an_advantage_is_that_of_a_mean_over_the_runs():
     three = HeldOut(np.array([1.0, 3.0, 8.0]), (np.ones(1), np.ones(1), np.ones(1)), np.full(3, 100.0))
     nothing = HeldOut(np.zeros(3), (np.zeros(1), np.zeros(1), np.zeros(1)), np.full(3, 100.0))
     assert advantage(nothing, three) == pytest.approx((4.0, np.sqrt(3 / 2 * 26 / 9)))
+    # One run alone has no scatter.
+    one, zero = (HeldOut(np.array([x]), (np.ones(1),), np.array([100.0])) for x in (3.0, 0.0))
+    assert advantage(zero, one) == (3.0, 0.0)
     # Of what was not repeated beside what was, the scatter is unknown: it adds nothing.
     mixed = HeldOut(np.array([2.0, 5.0]), (np.array([1.0, 3.0]), np.array([5.0])), np.array([100.0, 100.0]))
     still = HeldOut(np.zeros(2), (np.zeros(2), np.zeros(1)), np.array([100.0, 100.0]))

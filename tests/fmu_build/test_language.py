@@ -182,6 +182,29 @@ def test_a_while_loop_that_a_variable_ends():
     assert "Language.mo:68: a while loop goes on for more than 100 rounds" in model.c_header
 
 
+def test_what_decides_the_length_of_a_loop_is_a_constant_only_where_parameters_alone_do(tmp_path):
+    (tmp_path / "Loops.mo").write_text("""
+model Loops
+  function divided input Real u, limit; output Real y; algorithm y := u; while y > limit loop y := y/2; end while; end divided;
+  function row input Real x, t[:]; output Integer i; algorithm i := 1; while i < size(t, 1) and t[i] < x loop i := i + 1; end while; end row;
+  function equal input Real a[:], b[:]; output Boolean same; protected Integer i; algorithm
+    same := true; i := 1;
+    while i <= size(a, 1) loop
+      if a[i] <> b[i] then same := false; i := size(a, 1); end if;
+      i := i + 1;
+    end while;
+  end equal;
+  parameter Real limit = 3, x = 2.5, t[3] = {1, 2, 3};
+  input Real u; output Real y = divided(u, limit); output Real i = row(x, {1, 2, 3, 4}); output Real same = if equal(t, {1, 2, 4}) then 1 else 0;
+end Loops;
+""")
+    model = compile_modelica(tmp_path / "Loops.mo", "Loops")
+    vectors = {name: find(model, name).location.vector for name in ("limit", "x", "t[1]")}
+    assert vectors == {"limit": "p", "x": "p", "t[1]": "constant"}
+    instance = Instance.of(model, {"limit": 5.0, "x": 3.5})
+    assert [instance.get(name, 0.0, NOTHING, [8.0]) for name in ("y", "i", "same")] == [4.0, 4.0, 0.0]
+
+
 @pytest.mark.parametrize(
     ("name", "message"),
     [
