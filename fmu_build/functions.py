@@ -21,6 +21,7 @@ from fmu_build.expressions import Evaluator, Scope
 from fmu_build.flat_model import Formal, Function
 from fmu_build.graph import SX
 from fmu_build.messages import Message, message
+from fmu_build.possible import common, possible, settled
 from fmu_build.syntax import (
     Assert,
     Assign,
@@ -352,6 +353,7 @@ class Body:
         functions, outer = self._functions, self._frame.variables.get(_LEFT, False)
         self._frame.variables[_LEFT] = False
         ends: list[tuple[SX, dict[str, Value]]] = []
+        lost = False
         with ExitStack() as path:
             for _ in range(_MAX_ROUNDS):
                 stopped = self._stopped()
@@ -363,11 +365,11 @@ class Body:
                 if isinstance(condition, SX) or isinstance(stopped, SX):
                     goes_on = algebra.sx(algebra.AND(condition, algebra.NOT(stopped)))
                     ends.append((goes_on, dict(self._frame.variables)))
-                    endless = len(ends) > 1 and self._lost_count(statement) and functions.by_parameters(goes_on)
-                    if endless or len(ends) > _MAX_UNKNOWN_ROUNDS:
+                    if (lost and functions.by_parameters(goes_on)) or len(ends) > _MAX_UNKNOWN_ROUNDS:
                         self._bound(goes_on, statement.at)
                         break
                     path.enter_context(self._evaluate.guard(goes_on))
+                    lost = self._narrow(statement)
                     self._frame.variables[_LEFT] = False
                     if isinstance(self._frame.variables.get(_DONE), SX):
                         self._frame.variables[_DONE] = False
@@ -388,11 +390,37 @@ class Body:
             self._never(algebra.sx(True), f"a while loop goes on where {error.what}", statement.at)
             return False
 
-    def _lost_count(self, statement: WhileStatement) -> bool:
-        """Return whether no value is known any more of what the loop changes and its condition reads."""
+    def _narrow(self, statement: WhileStatement) -> bool:
+        """Give variables the numbers that they must have where a loop goes on.
+
+        Returns whether the loop has lost count: nothing that it changes and its condition reads is a number.
+        """
+        variables = self._frame.variables
         changed = {a.target.parts[0].name for a in walk(statement.body) if isinstance(a, Assign)}
         counters = changed & {r.parts[0].name for r in references(statement.condition)}
-        return bool(counters) and all(isinstance(self._frame.variables.get(name), SX) for name in counters)
+        facts: dict[int, bool] = {}
+        for name in counters:
+            value = variables.get(name)
+            if isinstance(value, SX):
+                held = [p for p in possible(value) if self._may_go_on(statement, name, p.value)]
+                facts |= common(held)
+                if len({p.value for p in held}) == 1:
+                    variables[name] = _number(held[0].value)
+        for name, value in variables.items() if facts else ():
+            if isinstance(value, SX) and (number := settled(value, facts)) is not None:
+                variables[name] = _number(number)
+        return bool(counters) and all(isinstance(variables.get(name), SX) for name in counters)
+
+    def _may_go_on(self, statement: WhileStatement, name: str, value: float) -> bool:
+        before = self._frame.variables
+        self._frame.variables = {**before, name: _number(value)}
+        try:
+            condition = self._evaluate.scalar(statement.condition)
+        except IndexOutsideError:
+            return False
+        finally:
+            self._frame.variables = before
+        return isinstance(condition, SX) or bool(condition)
 
     def _bound(self, goes_on: SX, at: Place) -> None:
         """Give up following a loop; if it goes on, the simulation ends."""
@@ -475,6 +503,10 @@ class Body:
         if isinstance(old, Array) and not isinstance(value, Array) and isinstance(value, bool | int | float | SX):
             raise self._library.error(f"a scalar is assigned to '{target.name}', which is an array", target.at)
         return value
+
+
+def _number(value: float) -> int | float:
+    return int(value) if value.is_integer() else value
 
 
 def _replace(array: Array, index: list[list[int] | int | SX], value: Value) -> Array:

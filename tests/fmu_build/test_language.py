@@ -182,27 +182,45 @@ def test_a_while_loop_that_a_variable_ends():
     assert "Language.mo:68: a while loop goes on for more than 100 rounds" in model.c_header
 
 
-def test_what_decides_the_length_of_a_loop_is_a_constant_only_where_parameters_alone_do(tmp_path):
+def test_parameters_stay_parameters_where_a_loop_has_an_end_whatever_they_are(tmp_path):
     (tmp_path / "Loops.mo").write_text("""
 model Loops
-  function divided input Real u, limit; output Real y; algorithm y := u; while y > limit loop y := y/2; end while; end divided;
-  function row input Real x, t[:]; output Integer i; algorithm i := 1; while i < size(t, 1) and t[i] < x loop i := i + 1; end while; end row;
-  function equal input Real a[:], b[:]; output Boolean same; protected Integer i; algorithm
+  function divided input Real u, limit; output Real y; algorithm
+    y := u; while y > limit loop y := y/2; end while; end divided;
+  function row input Real x, t[:]; output Integer i; algorithm
+    i := 1; while i < size(t, 1) and t[i] < x loop i := i + 1; end while; end row;
+  function equal "As Modelica.Math.Matrices.isEqual: a difference sets both counters to their ends"
+    input Real a[:, :], b[:, :]; output Boolean same; protected Integer i, j;
+  algorithm
     same := true; i := 1;
     while i <= size(a, 1) loop
-      if a[i] <> b[i] then same := false; i := size(a, 1); end if;
+      j := 1;
+      while j <= size(a, 2) loop
+        if a[i, j] <> b[i, j] then same := false; i := size(a, 1); j := size(a, 2); end if;
+        j := j + 1;
+      end while;
       i := i + 1;
     end while;
   end equal;
-  parameter Real limit = 3, x = 2.5, t[3] = {1, 2, 3};
-  input Real u; output Real y = divided(u, limit); output Real i = row(x, {1, 2, 3, 4}); output Real same = if equal(t, {1, 2, 4}) then 1 else 0;
+  function root input Real c; output Real x; protected Real e; algorithm
+    x := c; e := 1; while e > 1e-13 loop e := abs(x - c/x); x := (x + c/x)/2; end while; end root;
+  parameter Real limit = 3, x = 2.5, c = 2, t[2, 3] = [1, 2, 3; 4, 5, 6];
+  input Real u; output Real y = divided(u, limit); output Real i = row(x, {1, 2, 3, 4}); output Real square = root(c)^2;
+  output Real same = if equal(t, [1, 2, 3; 4, 5, 7]) then 1 else 0;
 end Loops;
 """)
     model = compile_modelica(tmp_path / "Loops.mo", "Loops")
-    vectors = {name: find(model, name).location.vector for name in ("limit", "x", "t[1]")}
-    assert vectors == {"limit": "p", "x": "p", "t[1]": "constant"}
-    instance = Instance.of(model, {"limit": 5.0, "x": 3.5})
-    assert [instance.get(name, 0.0, NOTHING, [8.0]) for name in ("y", "i", "same")] == [4.0, 4.0, 0.0]
+    vectors = {name: find(model, name).location.vector for name in ("limit", "x", "t[1,1]", "c")}
+    assert vectors == {"limit": "p", "x": "p", "t[1,1]": "p", "c": "constant"}
+
+    def found(**values: float) -> list[float]:
+        instance = Instance.of(model, {name.replace("_", ","): v for name, v in values.items()})
+        return [instance.get(name, 0.0, NOTHING, [8.0]) for name in ("y", "i", "square", "same")]
+
+    assert found(limit=5.0, x=3.5) == pytest.approx([4.0, 4.0, 2.0, 0.0])
+    assert found(**{"t[2_3]": 7.0}) == pytest.approx([2.0, 3.0, 2.0, 1.0])
+    for element in ("t[1_1]", "t[1_3]", "t[2_1]", "t[2_2]"):
+        assert found(**{"t[2_3]": 7.0, element: 0.0})[-1] == 0.0
 
 
 @pytest.mark.parametrize(
