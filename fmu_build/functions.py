@@ -21,7 +21,7 @@ from fmu_build.expressions import Evaluator, Scope
 from fmu_build.flat_model import Formal, Function
 from fmu_build.graph import SX
 from fmu_build.messages import Message, message
-from fmu_build.possible import common, possible, settled
+from fmu_build.possible import Possibilities, common
 from fmu_build.syntax import (
     Assert,
     Assign,
@@ -109,6 +109,8 @@ class Functions:
         time.
     unknown_rounds
         How many rounds of such loops there are.
+    possible
+        Which numbers expressions can be.
     """
 
     def __init__(self, library: Library) -> None:
@@ -116,6 +118,7 @@ class Functions:
         self._depth = 0
         self.by_parameters: Callable[[SX], Collection[str]] = lambda _: ()
         self.unknown_rounds = 0
+        self.possible = Possibilities()
         self.guards: list[SX] = []
         self.asserts: list[tuple[SX, Message, bool, Place]] = []
 
@@ -395,7 +398,7 @@ class Body:
 
         Returns whether the loop has lost count: nothing that it changes and its condition reads is a number.
         """
-        variables = self._frame.variables
+        variables, possible = self._frame.variables, self._functions.possible
         changed = {a.target.parts[0].name for a in walk(statement.body) if isinstance(a, Assign)}
         counters = changed & {r.parts[0].name for r in references(statement.condition)}
         facts: dict[int, bool] = {}
@@ -407,7 +410,7 @@ class Body:
                 if len({p.value for p in held}) == 1:
                     variables[name] = _number(held[0].value)
         for name, value in variables.items() if facts else ():
-            if isinstance(value, SX) and (number := settled(value, facts)) is not None:
+            if isinstance(value, SX) and (number := possible.settled(value, facts)) is not None:
                 variables[name] = _number(number)
         return bool(counters) and all(isinstance(variables.get(name), SX) for name in counters)
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from fmu_build.graph import SX, is_number, key
+from fmu_build.graph import SX, fold, is_number, key
 
 Facts = Mapping[int, bool]
 """Which conditions hold, by their keys."""
@@ -23,34 +23,43 @@ class Possible(NamedTuple):
     facts: Facts
 
 
-def possible(node: SX) -> list[Possible]:
-    """Return the numbers that an expression can be; none if it is not a choice among a few numbers."""
+class Possibilities:
+    """What expressions can be; each expression is looked at once."""
+
+    def __init__(self) -> None:
+        self._memory: dict[int, tuple[SX, list[Possible]]] = {}
+
+    def __call__(self, node: SX) -> list[Possible]:
+        """Return the numbers that an expression can be; none if it is not a choice among a few numbers."""
+        return fold(node, self._memory, _visit)
+
+    def settled(self, node: SX, facts: Facts) -> float | None:
+        """Return the number that an expression is where conditions hold; None if it may be several."""
+        values = {p.value for p in self(node) if _agree(p.facts, facts)}
+        return values.pop() if len(values) == 1 else None
+
+
+def common(possible: Iterable[Possible]) -> Facts:
+    """Return the facts on which all of some possibilities agree."""
+    every = [p.facts.items() for p in possible]
+    return dict(set(every[0]).intersection(*every[1:])) if every else {}
+
+
+def _visit(node: SX, parts: list[list[Possible]]) -> list[Possible]:
     if is_number(node):
         return [Possible(float(node), {})]
-    op = node.op() if node.n_dep() else None
+    op = node.op() if parts else None
     if op == ca.OP_IF_ELSE_ZERO:
         truth, fact = _plain(node.dep(0))
-        chosen = _under(fact, truth, possible(node.dep(1)))
+        chosen = [Possible(p.value, {**p.facts, fact: truth}) for p in parts[1] if _agree(p.facts, {fact: truth})]
         return [*chosen, Possible(0.0, {fact: not truth})] if chosen else []
     if op == ca.OP_NEG:
-        return [p._replace(value=-p.value) for p in possible(node.dep(0))]
-    if op not in _ARITHMETIC:
+        return [p._replace(value=-p.value) for p in parts[0]]
+    if op not in _ARITHMETIC or len(parts[0]) * len(parts[1]) > _MOST**2:
         return []
-    pairs = ((a, b) for a in possible(node.dep(0)) for b in possible(node.dep(1)) if _agree(a.facts, b.facts))
+    pairs = [(a, b) for a in parts[0] for b in parts[1] if _agree(a.facts, b.facts)]
     found = [Possible(_ARITHMETIC[op](a.value, b.value), {**a.facts, **b.facts}) for a, b in pairs]
     return found if len(found) <= _MOST else []
-
-
-def settled(node: SX, facts: Facts) -> float | None:
-    """Return the number that an expression is where conditions hold; None if it may be several."""
-    values = {p.value for p in possible(node) if _agree(p.facts, facts)}
-    return values.pop() if len(values) == 1 else None
-
-
-def common(left: Iterable[Possible]) -> Facts:
-    """Return the facts on which all of some possibilities agree."""
-    every = [p.facts.items() for p in left]
-    return dict(set(every[0]).intersection(*every[1:])) if every else {}
 
 
 def _plain(condition: SX) -> tuple[bool, int]:
@@ -59,10 +68,6 @@ def _plain(condition: SX) -> tuple[bool, int]:
     while condition.n_dep() and condition.op() == ca.OP_NOT:
         condition, truth = condition.dep(0), not truth
     return truth, key(condition)
-
-
-def _under(fact: int, truth: bool, found: Iterable[Possible]) -> list[Possible]:
-    return [Possible(p.value, {**p.facts, fact: truth}) for p in found if p.facts.get(fact, truth) == truth]
 
 
 def _agree(a: Facts, b: Facts) -> bool:
