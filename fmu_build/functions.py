@@ -356,7 +356,8 @@ class Body:
         functions, outer = self._functions, self._frame.variables.get(_LEFT, False)
         self._frame.variables[_LEFT] = False
         ends: list[tuple[SX, dict[str, Value]]] = []
-        lost = False
+        changed = {a.target.parts[0].name for a in walk(statement.body) if isinstance(a, Assign)}
+        counters, lost = changed & {r.parts[0].name for r in references(statement.condition)}, False
         with ExitStack() as path:
             for _ in range(_MAX_ROUNDS):
                 stopped = self._stopped()
@@ -372,7 +373,7 @@ class Body:
                         self._bound(goes_on, statement.at)
                         break
                     path.enter_context(self._evaluate.guard(goes_on))
-                    lost = self._narrow(statement)
+                    lost = self._narrow(statement, counters)
                     self._frame.variables[_LEFT] = False
                     if isinstance(self._frame.variables.get(_DONE), SX):
                         self._frame.variables[_DONE] = False
@@ -393,14 +394,12 @@ class Body:
             self._never(algebra.sx(True), f"a while loop goes on where {error.what}", statement.at)
             return False
 
-    def _narrow(self, statement: WhileStatement) -> bool:
+    def _narrow(self, statement: WhileStatement, counters: Collection[str]) -> bool:
         """Give variables the numbers that they must have where a loop goes on.
 
-        Returns whether the loop has lost count: nothing that it changes and its condition reads is a number.
+        `counters` are what the loop changes and its condition reads; returns whether none of them is a number.
         """
         variables, possible = self._frame.variables, self._functions.possible
-        changed = {a.target.parts[0].name for a in walk(statement.body) if isinstance(a, Assign)}
-        counters = changed & {r.parts[0].name for r in references(statement.condition)}
         facts: dict[int, bool] = {}
         for name in counters:
             value = variables.get(name)
