@@ -8,6 +8,8 @@ import math
 import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+from types import CodeType
 
 import numpy as np
 
@@ -42,6 +44,7 @@ _FUNCTIONS: Mapping[str, Callable[..., float]] = {
     "tan": math.tan,
     "tanh": math.tanh,
 }
+_REMEMBERED = 10_000  # formulas: a library of terms is evaluated again and again
 _ARRAYS = {"max": "maximum", "min": "minimum"}  # NumPy's names of functions, where others
 _SLOPES: Mapping[str, Callable[[float], float]] = {
     "abs": lambda x: math.copysign(1.0, x),
@@ -84,14 +87,9 @@ class Expression:
     def of_samples(self, columns: Mapping[str, FloatArray]) -> FloatArray:
         """Return the value at every sample of (N,) `columns`; NaN or infinite where it is undefined."""
         functions = {name: getattr(np, _ARRAYS.get(name, name)) for name in _FUNCTIONS}
-        tree = ast.Expression(copy.deepcopy(self._tree))
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Name):
-                node.ctx = ast.Load()
-        code = compile(ast.fix_missing_locations(tree), "<formula>", "eval")
         with np.errstate(all="ignore"):
             # Nothing but arithmetic, names and these functions is in a tree that `parse` has let through.
-            found = eval(code, {"__builtins__": {}} | functions, {n: columns[n] for n in self.names})
+            found = eval(_compiled(self), {"__builtins__": {}} | functions, {n: columns[n] for n in self.names})
         return np.asarray(found, dtype=np.float64)
 
     def slope(self, values: Mapping[str, float], slopes: Mapping[str, float]) -> float:
@@ -124,8 +122,7 @@ def parse(text: str, *, where: object = None) -> Expression:
         The text is not an expression of this kind.
     """
     try:
-        names: set[str] = set()
-        tree = _checked(ast.parse(text.strip(), mode="eval").body, names)
+        return _parsed(text.strip())
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         functions = ", ".join(_FUNCTIONS)
         raise ProblemError(
@@ -133,7 +130,22 @@ def parse(text: str, *, where: object = None) -> Expression:
             where=where,
             fix=f"use numbers, parameters, + - * / ** and {functions}",
         ) from None
-    return Expression(text.strip(), frozenset(names), tree)
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def _parsed(text: str) -> Expression:
+    names: set[str] = set()
+    tree = _checked(ast.parse(text, mode="eval").body, names)
+    return Expression(text, frozenset(names), tree)
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def _compiled(expression: Expression) -> CodeType:
+    tree = ast.Expression(copy.deepcopy(expression._tree))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name):
+            node.ctx = ast.Load()
+    return compile(ast.fix_missing_locations(tree), "<formula>", "eval")
 
 
 def _checked(node: ast.expr, names: set[str]) -> ast.expr:
