@@ -322,10 +322,10 @@ def _disturbed(
 def _held(values: FloatArray) -> FloatArray:
     """Hold each value until the next differs by 3 % of the range: an FMU stops where an input changes."""
     width = 0.03 * float(np.ptp(values))
-    out = np.array(values)
-    last = out[0]
-    for k in range(1, len(out)):
-        if abs(out[k] - last) > width:
-            last = out[k]
-        out[k] = last
-    return out
+    out = []
+    last = float(values[0])
+    for value in values.tolist():
+        if abs(value - last) > width:
+            last = value
+        out.append(last)
+    return np.array(out)

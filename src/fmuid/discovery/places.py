@@ -140,15 +140,15 @@ def _distinct(
 ) -> list[Term]:
     """Leave out terms that do, along these courses, what a simpler one does."""
     kept: list[Term] = []
-    known = np.zeros((0, sum(map(len, time))))
+    known = np.empty((len(terms), sum(map(len, time))))
     for term in sorted(terms, key=lambda t: t.rank):
         course = np.concatenate([term.course(c, t) for c, t in zip(courses, time, strict=True)])
         length = float(np.linalg.norm(course))
         if not np.isfinite(length) or length < 1e-6 * np.sqrt(len(course)):
             continue
         course /= length
-        if len(known) and float(np.abs(known @ course).max()) > 1.0 - _SAME:
+        if kept and float(np.abs(known[: len(kept)] @ course).max()) > 1.0 - _SAME:
             continue
+        known[len(kept)] = course
         kept.append(term)
-        known = np.vstack([known, course])
     return kept
