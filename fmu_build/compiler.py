@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import accumulate
@@ -74,12 +74,11 @@ def compile_flat(flat: FlatModel) -> CompiledModel:
             structural |= names
 
 
-def _deciding(scope: ModelScope, constants: Collection[str], value: SX) -> set[str]:
+def _deciding(scope: ModelScope, constants: set[str], value: SX) -> set[str]:
     """Return the parameters that decide a value beside `constants`; none if something else decides it, too."""
     found = [scope.declarations.by_symbol.get(k) for k in scope.graph.symbols(value)]
-    if any(d is None or d.kind != "parameter" for d in found):
-        return set()
-    return {d.variable.name for d in found if d is not None} - set(constants)
+    parameters = [d.variable.name for d in found if d is not None and d.kind == "parameter"]
+    return set(parameters) - constants if len(parameters) == len(found) else set()
 
 
 def _translate(flat: FlatModel, scope: ModelScope) -> CompiledModel:

@@ -353,11 +353,12 @@ class Body:
 
         On that path a counter keeps its number, so that a bound on it ends the loop.
         """
-        functions, outer = self._functions, self._frame.variables.get(_LEFT, False)
+        outer = self._frame.variables.get(_LEFT, False)
         self._frame.variables[_LEFT] = False
         ends: list[tuple[SX, dict[str, Value]]] = []
         changed = {a.target.parts[0].name for a in walk(statement.body) if isinstance(a, Assign)}
-        counters, lost = changed & {r.parts[0].name for r in references(statement.condition)}, False
+        counters = changed & {r.parts[0].name for r in references(statement.condition)}
+        lost = False  # count of the rounds
         with ExitStack() as path:
             for _ in range(_MAX_ROUNDS):
                 stopped = self._stopped()
@@ -369,7 +370,7 @@ class Body:
                 if isinstance(condition, SX) or isinstance(stopped, SX):
                     goes_on = algebra.sx(algebra.AND(condition, algebra.NOT(stopped)))
                     ends.append((goes_on, dict(self._frame.variables)))
-                    if (lost and functions.by_parameters(goes_on)) or len(ends) > _MAX_UNKNOWN_ROUNDS:
+                    if (lost and self._functions.by_parameters(goes_on)) or len(ends) > _MAX_UNKNOWN_ROUNDS:
                         self._bound(goes_on, statement.at)
                         break
                     path.enter_context(self._evaluate.guard(goes_on))

@@ -33,6 +33,7 @@ def build_once(file: Path, class_name: str, out: Path = FMUS, fmi: str = "2", ro
     locks.mkdir(parents=True, exist_ok=True)
     with (
         (locks / class_name).open("w") as lock,
+        # The code of effects takes seconds to optimise, and is simulated little.
         nullcontext() if class_name.endswith("WithEffects") else as_a_user_builds(),
     ):
         fcntl.flock(lock, fcntl.LOCK_EX)

@@ -47,7 +47,6 @@ def test_outputs_agree(fmus, case):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 @pytest.mark.parametrize("case", ["eccentric", "closed_loop"])
 def test_outputs_agree_in_fmi_3(fmi3_fmus, case):
     check(fmi3_fmus[CASES[case][0]], case)

@@ -44,7 +44,7 @@ def identify(
         str | None, typer.Option(help="Use this solver in every stage.", autocompletion=completion.solvers)
     ] = None,
     evaluations: Annotated[int | None, typer.Option(min=1, help="Largest number of evaluations a stage.")] = None,
-    seconds: Annotated[float | None, typer.Option(min=0.0, help="Longest time in simulations a stage, s.")] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.0, help="Longest simulation time of a stage, s.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out.")] = False,
     workers: Workers = None,
     dask: Dask = None,

@@ -239,7 +239,7 @@ class StageSpec:
     solver, solver_options
         Name (``auto`` chooses by the problem) and options; see `fmuid.identification.solvers`.
     max_evaluations, max_seconds
-        Budget, the seconds in simulations; None for the solver's default.
+        Budget, seconds of simulation time; None for the solver's default.
     constraints
         Constraints as written in ``campaign.toml``.
     analyses

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from types import CodeType
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,9 @@ _FUNCTIONS: Mapping[str, Callable[..., float]] = {
     "tanh": math.tanh,
 }
 _REMEMBERED = 10_000  # formulas: a library of terms is evaluated again and again
-_ARRAYS = {"max": "maximum", "min": "minimum"}  # NumPy's names of functions, where others
+_OTHERWISE = {"max": "maximum", "min": "minimum"}  # NumPy's names of functions
+# All that a compiled formula can call.
+_OF_ARRAYS: dict[str, Any] = {"__builtins__": {}, **{n: getattr(np, _OTHERWISE.get(n, n)) for n in _FUNCTIONS}}
 _SLOPES: Mapping[str, Callable[[float], float]] = {
     "abs": lambda x: math.copysign(1.0, x),
     "cos": lambda x: -math.sin(x),
@@ -86,10 +89,9 @@ class Expression:
 
     def of_samples(self, columns: Mapping[str, FloatArray]) -> FloatArray:
         """Return the value at every sample of (N,) `columns`; NaN or infinite where it is undefined."""
-        functions = {name: getattr(np, _ARRAYS.get(name, name)) for name in _FUNCTIONS}
         with np.errstate(all="ignore"):
             # Nothing but arithmetic, names and these functions is in a tree that `parse` has let through.
-            found = eval(_compiled(self), {"__builtins__": {}} | functions, {n: columns[n] for n in self.names})
+            found = eval(_compiled(self), _OF_ARRAYS, {n: columns[n] for n in self.names})
         return np.asarray(found, dtype=np.float64)
 
     def slope(self, values: Mapping[str, float], slopes: Mapping[str, float]) -> float:

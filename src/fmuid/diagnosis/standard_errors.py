@@ -66,9 +66,7 @@ def standard_errors(fit: Refit, observed: Observed, prediction: Sequence[FloatAr
 def _transposed(whiten: Whitener | PiecewiseWhitener, whitened: FloatArray) -> FloatArray:
     """Return W'y, (..., C, N), for whitened y (..., C, K)."""
     if isinstance(whiten, PiecewiseWhitener):
-        ends = np.cumsum([piece.mask.shape[1] for _, _, piece in whiten.pieces])[:-1]
-        parts = zip(whiten.pieces, np.split(whitened, ends, axis=-1), strict=True)
-        return np.concatenate([_transposed(piece, part) for (_, _, piece), part in parts], axis=-1)
+        return np.concatenate([_transposed(w, whitened[..., a:b]) for a, b, w in whiten.pieces], axis=-1)
     spectrum = np.zeros((*whitened.shape[:-1], whiten.mask.shape[1]))
     spectrum[..., 0] = whitened[..., 0] * whiten.mean_scale
     for band, factor in zip(whiten.bands, whiten.factors, strict=True):

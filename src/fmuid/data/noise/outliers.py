@@ -91,19 +91,19 @@ def _spikes(values: FloatArray, step: float, factor: float = _SPIKE) -> Mask:
     y = values[there]
     moves = np.abs(np.diff(y))
     least = max(step, 0.1 * _MAD * float(np.mean(moves)))
+    windows = sliding_window_view(np.pad(moves, _WINDOW // 2, mode="symmetric"), _WINDOW)
     found = np.zeros(len(values), dtype=bool)
     for width in range(1, _LONGEST + 1):
         beyond = _sticks_out(y, width)
         places = np.flatnonzero(beyond > factor * least)
-        usual = _MAD * _medians(moves, places)
+        usual = _MAD * _medians(windows, places)
         for begin in places[beyond[places] > factor * usual] + 1:
             found[there[begin : begin + width]] = True
     return found
 
 
-def _medians(moves: FloatArray, places: NDArray[np.intp]) -> FloatArray:
-    """Return the medians of the windows around places."""
-    windows = sliding_window_view(np.pad(moves, _WINDOW // 2, mode="symmetric"), _WINDOW)
+def _medians(windows: FloatArray, places: NDArray[np.intp]) -> FloatArray:
+    """Return the medians of some windows, not so many at once that memory runs short."""
     some = np.array_split(places, len(places) // _AT_ONCE + 1)
     return np.concatenate([np.median(windows[chosen], axis=1) for chosen in some])
 

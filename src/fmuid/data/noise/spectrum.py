@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,11 +141,8 @@ class PiecewiseWhitener:
     @property
     def folds(self) -> tuple[NDArray[np.intp], ...]:
         """Indices of each piece's components in a flattened (C * K,) whitened residual."""
-        counts = [w.mask.shape[1] for _, _, w in self.pieces]
-        channels, total = len(self.pieces[0][2].mask), sum(counts)
-        index = np.arange(channels * total).reshape(channels, total)
-        ends = np.cumsum([0, *counts])
-        return tuple(np.ravel(index[:, a:b]) for a, b in pairwise(ends.tolist()))
+        index = np.arange(self.size).reshape(len(self.pieces[0][2].mask), -1)
+        return tuple(np.ravel(index[:, a:b]) for a, b, _ in self.pieces)
 
 
 def estimate_noise(runs: Sequence[RepeatedRuns]) -> SetupNoise:
