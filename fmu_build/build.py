@@ -11,7 +11,6 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterable, Sequence
-from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
@@ -124,6 +123,8 @@ def _options(class_name: str, fmi: str, compiler: str, file: Path, roots: Sequen
     """Digest of what the FMU depends on beside the Modelica sources."""
     own = Path(__file__).parent
     tools = sorted(p for p in own.rglob("*") if p.suffix in (".py", ".c", ".h", ".mo"))
+    from importlib import metadata  # slow to import, and every command imports this module
+
     versions = [metadata.version(name) for name in _TOOLS] if compiler == "own" else []
     places = [str(p.resolve()) for p in (file, *roots)]
     flags = [os.environ.get(name, "") for name in ("CC", "FMU_BUILD_CFLAGS")]

@@ -30,6 +30,8 @@ def without_branches(function: Any, parameters: int | None) -> tuple[Any, Any] |
     """
     if parameters is None or function.n_in() <= parameters:
         return None
+    if _most_branches(function, parameters) < _FEWEST:
+        return None
     arguments = function.sx_in()
     given: list[Any] = [a.nonzeros() for a in arguments]
     results: list[list[Any]] = [[ca.SX(0.0)] * function.nnz_out(k) for k in range(function.n_out())]
@@ -68,6 +70,23 @@ def without_branches(function: Any, parameters: int | None) -> tuple[Any, Any] |
     without = [ca.SX(p, ca.vertcat(*r)) if r else ca.SX(p) for p, r in zip(patterns, results, strict=True)]
     name = function.name()
     return ca.Function(f"{name}_on", arguments, [on]), ca.Function(f"{name}_idle", arguments, ca.cse(without))
+
+
+def _most_branches(function: Any, parameters: int) -> int:
+    """Count the branches whose condition hangs on parameters alone, equal conditions included."""
+    moves: dict[int, bool] = {}
+    branches = 0
+    for k in range(function.n_instructions()):
+        op, inputs = function.instruction_id(k), function.instruction_input(k)
+        if op == ca.OP_OUTPUT:
+            continue
+        if op == ca.OP_INPUT:
+            moved = inputs[0] != parameters
+        else:
+            moved = any(moves[i] for i in inputs)
+            branches += op == ca.OP_IF_ELSE_ZERO and not moves[inputs[0]]
+        moves[function.instruction_output(k)[0]] = moved
+    return branches
 
 
 _BINARY = {

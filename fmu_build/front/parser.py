@@ -62,12 +62,13 @@ from fmu_build.syntax import (
 _STRING = r'"[^"\\]*(?:\\.[^"\\]*)*"'
 _QUOTED = r"'(?:\\.|[^'\\])*'"
 _COMMENT = r"//[^\n]*|/\*.*?\*/"
-_TOKEN = re.compile(
-    rf"(?:\s+|{_COMMENT})*([^\W\d]\w*|{_QUOTED}|{_STRING}|\d+(?:\.\d*)?(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?"
-    r"|:=|<=|>=|<>|==|\.[-+*/^]|[-+*/^()\[\]{},;:=<>.])",
+_TOKEN = re.compile(  # or what begins none; empty at the end
+    rf"(?>(?:\s+|{_COMMENT})*)([^\W\d]\w*|{_QUOTED}|{_STRING}|\d+(?:\.\d*)?(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?"
+    r"|:=|<=|>=|<>|==|/\*|\.[-+*/^]|[-+*/^()\[\]{},;:=<>.]|\S|\Z)",
     re.DOTALL,
 )
-_BLANK = re.compile(rf"(?:\s+|{_COMMENT})*", re.DOTALL)
+_SINGLE = re.compile(r"[\w\-+*/^()\[\]{},;:=<>.]")
+_ENDLESS = {'"': "a string that does not end", "/*": "a comment that does not end"}
 _BRACKETS = re.compile(rf"{_STRING}|{_QUOTED}|{_COMMENT}|[()]", re.DOTALL)
 _ESCAPE = re.compile(r"\\(.)", re.DOTALL)
 _ESCAPED = {"n": "\n", "t": "\t", "r": "\r", "a": "\a", "b": "\b", "f": "\f", "v": "\v"}
@@ -162,32 +163,28 @@ class _Parser:
     # ---- tokens
 
     def _tokenise(self, start: int, stop: int) -> None:
-        text, tokens, starts = self.text, self.tokens, self.starts
-        position = start
-        while position is not None and position < stop:
-            begin, position_after = position, None
-            for match in _TOKEN.finditer(text, begin, stop):
-                if match.start() != begin:
-                    break  # something between tokens that is none
-                begin = match.end()
-                token = match.group(1)
-                tokens.append(token)
-                starts.append(match.start(1))
-                if token == "annotation":
-                    position_after = self._skip(begin, len(tokens) - 1)
-                    break
-            if position_after is None:
-                rest = _BLANK.match(text, begin, stop)
-                at = rest.end() if rest else begin
-                if at < stop:
-                    raise ModelicaError(
-                        f"unexpected {text[at]!r}" if text[at] != '"' else "a string that does not end",
-                        where=Place(self.file, self._line(at)),
-                    )
+        """Split the text into tokens, leaving out what annotations hold."""
+        position: int | None = start
+        while position is not None:
+            position = self._tokenise_up_to_annotation(position, stop)
+        wrong = {t for t in set(self.tokens) if t == "/*" or (len(t) == 1 and not _SINGLE.match(t))}
+        if wrong:
+            number = next(k for k, token in enumerate(self.tokens) if token in wrong)
+            what = _ENDLESS.get(self.tokens[number], f"unexpected {self.tokens[number]!r}")
+            raise ModelicaError(what, where=Place(self.file, self._line(self.starts[number])))
+        self.starts[-1] = max(stop - 1, 0)
+
+    def _tokenise_up_to_annotation(self, position: int, stop: int) -> int | None:
+        add_token, add_start = self.tokens.append, self.starts.append
+        for match in _TOKEN.finditer(self.text, position, stop):
+            token = match[1]
+            add_token(token)
+            add_start(match.start(1))
+            if token == "annotation":
+                return self._skip(match.end(), len(self.tokens) - 1)
+            if not token:
                 break
-            position = position_after
-        tokens.append("")
-        starts.append(max(stop - 1, 0))
+        return None
 
     def _skip(self, position: int, number: int) -> int:
         depth = 0

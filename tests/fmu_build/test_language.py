@@ -250,6 +250,31 @@ def test_errors_of_the_source_have_their_line(tmp_path):
         compile_modelica(file, "M")
 
 
+@pytest.mark.parametrize(
+    "tail", ["// the end", "// the end\n", "/* the end */", "/* the end */\n", "\n\n// a\n// b"]
+)
+def test_a_file_may_end_with_a_comment(tmp_path, tail):
+    file = tmp_path / "M.mo"
+    file.write_text(f"// M\nmodel M\n  Real x = 2; /* x */\nend M;{tail}")
+    assert [v.name for v in compile_modelica(file, "M").variables] == ["x"]
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("/* not closed", r"M\.mo:3: a comment that does not end"),
+        ('Real y "not closed;', r"M\.mo:3: a string that does not end"),
+        ("Real y = 2 § 3;", r"M\.mo:3: unexpected '§'"),
+        ('Real y; // fine " here\n Real z = 1 ? 2;', r"M\.mo:4: unexpected '\?'"),
+    ],
+)
+def test_what_is_no_token_has_its_line(tmp_path, line, message):
+    file = tmp_path / "M.mo"
+    file.write_text(f"model M\n  Real x = 2;\n{line}\nend M;\n")
+    with pytest.raises(ModelicaError, match=message):
+        compile_modelica(file, "M")
+
+
 def test_operators_arrays_functions_and_modifiers():
     model = compile_modelica(LANGUAGE.with_name("Semantics.mo"), "Semantics.T")
     instance = Instance.of(model)
