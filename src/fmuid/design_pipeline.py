@@ -16,6 +16,7 @@ from fmuid.core.files import write_atomically
 from fmuid.core.folder_lock import claim
 from fmuid.core.formatting import counted
 from fmuid.core.immutable import FloatArray
+from fmuid.core.one_thread import in_one_thread
 from fmuid.data.crosscheck_csv import Table, write_csv
 from fmuid.design.excitation_search import Excitation
 from fmuid.design.parameters import Optimality, ParameterDesign, design_for_parameters
@@ -55,6 +56,7 @@ class Designed:
         return "\n".join(f"{label}: {value}" for label, value, *_ in self.answer["facts"])
 
 
+@in_one_thread
 def design_experiment(
     campaign: Campaign | Result | str | Path,
     purpose: Purpose,

@@ -14,6 +14,7 @@ from fmuid.core.campaign import Campaign
 from fmuid.core.errors import CampaignError, FmuidError
 from fmuid.core.files import write_atomically
 from fmuid.core.folder_lock import claim
+from fmuid.core.one_thread import in_one_thread
 from fmuid.diagnosis import calibration
 from fmuid.diagnosis.calibration import Calibration
 from fmuid.diagnosis.candidates import Fitted
@@ -45,6 +46,7 @@ _BOUNDED = (
 )
 
 
+@in_one_thread
 def diagnose(
     campaign: Campaign | Result | str | Path,
     *,

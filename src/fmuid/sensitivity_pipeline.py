@@ -15,6 +15,7 @@ from fmuid.core.errors import CampaignError, MeasurementsError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.core.files import write_atomically
 from fmuid.core.folder_lock import claim
+from fmuid.core.one_thread import in_one_thread
 from fmuid.data.crosscheck_csv import read_csv
 from fmuid.design.parameters import posed_stage
 from fmuid.design.planned import unrecorded_run, unrecorded_times
@@ -34,6 +35,7 @@ from fmuid.simulation.simulator import Simulator
 FILE_NAME = "sensitivity.json"
 
 
+@in_one_thread
 def global_sensitivity(
     campaign: Campaign | Result | str | Path,
     method: Method = "sobol",

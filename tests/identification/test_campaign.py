@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from fmuid import (
     Campaign,
@@ -275,6 +276,20 @@ def test_progress_is_told_in_order(bench):
     assert words == ["start gain trf", "end gain", "start all trf", "end all"]
     costs = [line.cost for line in notes.lines if not isinstance(line, str)]
     assert costs[-1] < 1e-3 * costs[0]
+
+
+def test_linear_algebra_takes_one_thread_and_gives_them_back(bench):
+    def threads():
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    class Threads(Observer):
+        def evaluated(self, progress):
+            seen.update(threads())
+
+    seen = set()
+    with threadpool_limits(2, user_api="blas"):
+        identify(campaign(), simulators=bench, observer=Threads(), with_uncertainty=False)
+        assert (seen, threads()) == ({1}, {2})
 
 
 def test_sensitivity_names_dead_parameters_and_the_noise_floor(bench, analytic):

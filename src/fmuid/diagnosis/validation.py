@@ -14,6 +14,7 @@ from fmuid.core.campaign import SEPARATOR, Campaign
 from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
+from fmuid.core.one_thread import in_one_thread
 from fmuid.diagnosis.cross_validation import closure_interval, losses
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
@@ -122,6 +123,7 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
     return answer
 
 
+@in_one_thread
 def validate_diagnosis(
     answer: Mapping[str, Any],
     campaign: Campaign,

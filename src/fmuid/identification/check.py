@@ -14,6 +14,7 @@ from fmuid.core.campaign import Campaign, ModelSpec, ParameterSpec
 from fmuid.core.errors import FmuError, SimulationError, UnitError
 from fmuid.core.experiments import Experiment, Signal
 from fmuid.core.formulas import parse
+from fmuid.core.one_thread import in_one_thread
 from fmuid.core.units import conversion
 from fmuid.identification.problem.segments import growth_of
 from fmuid.simulation.runners import Runner, in_process
@@ -179,6 +180,7 @@ class Effect:
     floor: float
 
 
+@in_one_thread
 def check_effects(
     campaign: Campaign, simulators: Mapping[str, Simulator], runner: Runner = in_process
 ) -> tuple[tuple[Finding, ...], tuple[Effect, ...]]:

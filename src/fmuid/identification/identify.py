@@ -16,6 +16,7 @@ import msgspec
 from fmuid.core.campaign import SEPARATOR, AnalysisSpec, Campaign, ParameterSpec, StageSpec
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.folder_lock import claim
+from fmuid.core.one_thread import in_one_thread
 from fmuid.identification.analyses import Findings, analyse
 from fmuid.identification.history import History
 from fmuid.identification.misfit import misfit
@@ -60,6 +61,7 @@ class _Posed:
     analyses: AnalysisSpec = field(default_factory=AnalysisSpec)
 
 
+@in_one_thread
 def identify(
     what: Campaign | Problem | str | Path,
     *,

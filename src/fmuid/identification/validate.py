@@ -14,6 +14,7 @@ from fmuid.core.errors import CampaignError, ProblemError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.formatting import html_table, text_table
 from fmuid.core.immutable import FloatArray
+from fmuid.core.one_thread import in_one_thread
 from fmuid.identification.check import load_models
 from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
 from fmuid.identification.problem.segments import last_stages, observed, segmented
@@ -100,6 +101,7 @@ class Validation:
         return {"scores": [asdict(score) for score in self.scores]}
 
 
+@in_one_thread
 def validate(
     result: Result | Mapping[str, float],
     campaign: Campaign | str | Path | None = None,
