@@ -76,6 +76,19 @@ def test_a_sensor_is_proposed_that_tells_apart_what_no_further_run_does():
     assert diagnose_subject(heard({**laws, "other": {1: 1.0, -1: 1e-4}}, {1: 1.0})).diagnosis.added_sensor is None
 
 
+@pytest.mark.parametrize("told", [{2: 0.004}, {-1: 0.004}])
+def test_nothing_is_proposed_that_would_not_settle_the_matter(told, monkeypatch):
+    subject = heard({"one": {1: 1.0}, "other": {1: 1.0, **told}}, {1: 1.0}, ports={"one": "p", "other": "p"})
+    found = diagnose_subject(subject)
+    assert found.diagnosis.verdict.kind == "ambiguous"
+    assert (found.diagnosis.next_experiment, found.diagnosis.added_sensor) == (None, None)
+    assert "fmuid design --for diagnosis searches for a run" in str(found)
+    monkeypatch.setattr("fmuid.diagnosis.decide.SAME", 2.0)
+    monkeypatch.setattr("fmuid.diagnosis.next_experiment.SAME", 2.0)
+    less = diagnose_subject(subject).diagnosis
+    assert less.verdict.kind == "effect" or less.added_sensor is not None
+
+
 def test_a_known_effect_beside_an_unknown_one_is_a_part_of_the_answer():
     """A hilly track is no law of speed: the asymmetry is named, and that something is left."""
     answer = diagnose_subject(plant({"a": 0.1, "hill": 0.05})).diagnosis

@@ -13,7 +13,7 @@ import pytest
 from fmus import FAULTS
 
 from fmuid.core.errors import FmuError, SimulationError
-from fmuid.simulation import fmu as fmu_module
+from fmuid.simulation import fmu_plan
 from fmuid.simulation.fmu import Fmu, load_fmu
 from fmuid.simulation.simulator import Simulator, Task
 
@@ -284,8 +284,8 @@ def test_fmi_1_is_refused(tmp_path):
 
 
 def test_tasks_are_laid_out_once_and_forgotten_when_they_are_too_many(build, monkeypatch):
-    monkeypatch.setattr(fmu_module, "_MAX_PREPARED", 100_000)
+    monkeypatch.setattr(fmu_plan, "_MAX_PREPARED", 100_000)
     fmu = Fmu(build(2))
     for _ in range(50):
         fmu.simulate(task(), {})
-    assert len(fmu._prepared) <= 9  # 8 bytes, 501 samples, 3 columns each
+    assert len(fmu._prepared._kept) <= 9  # 8 bytes, 501 samples, 3 columns each

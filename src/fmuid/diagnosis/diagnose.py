@@ -177,7 +177,7 @@ def diagnose_subject(
     corrected = judgement.named[0] if judgement.named else nominal
     ambiguous = verdict.kind == "ambiguous"
     following = suggest(subject, judgement.surviving) if ambiguous else None
-    beyond = 0.0 if following is None else following.separation_sigma
+    beyond = decide.SAME if following is None else following.separation_sigma
     closing = _Closing(subject, nominal, prediction, evidence.null)
     answers = [
         Answer(s.names, probability[s.names], closing(s)) for s in judgement.surviving if s.names in probability

@@ -18,7 +18,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.level import NoiseLevel
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.catalogue import Sensor
-from fmuid.diagnosis.decide import spread
+from fmuid.diagnosis.decide import SAME, spread
 from fmuid.diagnosis.extended_model import CampaignModel, Prediction
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Unknown
@@ -161,9 +161,10 @@ def distance_matrix(
 
 
 def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
-    """Return the variation of an experiment that best separates the first two of `alike`; None if none does.
+    """Return the variation of an experiment that best separates the first two of `alike`.
 
-    It is assumed to be repeated as often as the original experiment.
+    None if none would settle which of them is right (`decide.SAME` standard deviations). It is assumed to be
+    repeated as often as the original experiment.
     """
     if len(alike) < 2 or subject.observed.nuisances:  # segments begin where this run was measured, not another
         return None
@@ -182,14 +183,14 @@ def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
             except SimulationError:
                 continue
             sigma = _new(apart, rivals)
-            if sigma > (0.0 if best is None else best.separation_sigma):
+            if sigma > (SAME if best is None else best.separation_sigma):
                 best = NextExperiment(
                     case.setup, f"as {case.id}, with its input times {scale:g}", sigma, (a.id, b.id)
                 )
     return best
 
 
-def sensor_to_add(subject: Subject, alike: Sequence[Fitted], *, beyond: float = 0.0) -> AddedSensor | None:
+def sensor_to_add(subject: Subject, alike: Sequence[Fitted], *, beyond: float = SAME) -> AddedSensor | None:
     """Return the sensor that best separates the first two of `alike` in the existing experiments.
 
     None if no sensor exceeds `beyond` sigma, the separation by the best additional experiment.

@@ -20,6 +20,8 @@ from fmuid.data.noise.spectrum import rounding_draws
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.projection import project_off
 
+_TOGETHER = 32  # signatures whose scores are computed at once: the draws are read once, and memory stays bounded
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Null:
@@ -74,8 +76,11 @@ class NoiseDraws:
         """
         left = project_off(self.noise, basis)
         excess = (self.weight @ left**2 - self.weight @ self.free) / self.free[self.weight > 0.0].sum()
-        drops = np.array([(s @ left) ** 2 for s in signatures]) if signatures else np.zeros((1, left.shape[1]))
-        return Null(read_only(excess), read_only(drops.max(axis=0)))
+        largest = np.zeros(left.shape[1])
+        for i in range(0, len(signatures), _TOGETHER):
+            scores = np.array(signatures[i : i + _TOGETHER]) @ left
+            largest = np.maximum(largest, (scores**2).max(axis=0))
+        return Null(read_only(excess), read_only(largest))
 
 
 def draw_noise(observed: Observed, *, draws: int = 400, seed: int = 0) -> NoiseDraws:

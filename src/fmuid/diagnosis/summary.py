@@ -29,6 +29,8 @@ def summary(diagnosis: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"Or add a sensor: {sensor['description']} ({sensor['separation_sigma']:.3g} standard deviations)"
         )
+    if diagnosis["verdict"]["kind"] == "ambiguous" and not (following or sensor):
+        lines.append("Next experiment: fmuid design --for diagnosis searches for a run that settles it")
     if diagnosis["verdict"]["kind"] == "complete" and diagnosis.get("power"):
         lines.append(f"Would have been seen, at least this large: {_smallest(diagnosis['power'])}")
     lines += machine_lines(diagnosis)

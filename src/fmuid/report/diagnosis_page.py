@@ -122,7 +122,8 @@ def _machines(diagnosis: Mapping[str, Any]) -> str:
 def _next_experiment(diagnosis: Mapping[str, Any]) -> str:
     proposal = diagnosis.get("next_experiment")
     if not proposal:
-        return ""
+        ambiguous = diagnosis["verdict"]["kind"] == "ambiguous"
+        return "`fmuid design --for diagnosis` searches for a run that settles it." if ambiguous else ""
     between = " from ".join(proposal.get("between", ()))
     text = f"{proposal.get('description', '')} (setup {proposal.get('setup', '?')})"
     if between:

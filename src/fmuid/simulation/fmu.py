@@ -28,7 +28,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.simulation import resets, stepper
 from fmuid.simulation.fmu_description import DescribedInterface, FmuDescription, library_name, read_description
 from fmuid.simulation.fmu_library import FmuLibrary, ProcessSpentError
-from fmuid.simulation.fmu_plan import UNKNOWN_TOLERANCE, PreparedTask
+from fmuid.simulation.fmu_plan import UNKNOWN_TOLERANCE, PreparedTask, PreparedTasks
 from fmuid.simulation.fmu_variables import MAX_VARIABLES, Slot, in_words, read_feedthrough, read_variables
 from fmuid.simulation.simulator import Task, Variable
 from fmuid.simulation.stepper import FUNCTIONS, Outcome
@@ -36,7 +36,6 @@ from fmuid.simulation.stepper import FUNCTIONS, Outcome
 _STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 _FATAL = 4
 _CHECK_BUDGET = 0.5  # s for seeing whether a reset is as good as a new instance
-_MAX_PREPARED = 64 * 2**20  # bytes of signals kept laid out, oldest out first
 
 
 class Fmu:
@@ -89,7 +88,7 @@ class Fmu:
         self._renewal: Literal["reset", "instantiate"] | None = None
         self._set_before: dict[str, None] = {}
         self._differentiates: dict[frozenset[str], bool] = {}
-        self._prepared: dict[tuple[int, tuple[str, ...]], PreparedTask] = {}
+        self._prepared = PreparedTasks()
 
     @property
     def variables(self) -> Mapping[str, Variable]:
@@ -281,7 +280,7 @@ class Fmu:
     def prepare(self, task: Task, parameters: Mapping[str, float]) -> PreparedTask:
         """Return the task prepared for this FMU, with `parameters` for the next run."""
         names = tuple(parameters)
-        prepared = self._prepared.get((id(task), names))
+        prepared = self._prepared.get(task, names)
         if prepared is None:
             library = self._load()
             prepared = PreparedTask(
@@ -299,9 +298,7 @@ class Fmu:
             if new:  # tasks prepared earlier must from now on put these back
                 self._set_before.update(dict.fromkeys(new))
                 self._prepared.clear()
-            while self._prepared and sum(p.size for p in self._prepared.values()) > _MAX_PREPARED:
-                self._prepared.pop(next(iter(self._prepared)))
-            self._prepared[id(task), names] = prepared  # keeps the task, and so its id, alive
+            self._prepared.add(prepared)
         prepared.set_parameters(parameters)
         return prepared
 

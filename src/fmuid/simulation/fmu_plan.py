@@ -20,6 +20,7 @@ from fmuid.simulation.simulator import Feedback, Task, Variable
 from fmuid.simulation.stepper import DTYPES, FUNCTIONS, Group, Plan
 
 UNKNOWN_TOLERANCE = 1e-6  # of FMUs that suggest none
+_MAX_PREPARED = 64 * 2**20  # bytes of signals kept laid out
 
 
 class PreparedTask:
@@ -307,3 +308,28 @@ class PreparedTask:
         )
         plan.slope_orders = self._pointer(np.ones(len(columns), dtype=np.int32))
         plan.slopes = self._pointer(np.zeros(max(1, len(columns))))
+
+
+class PreparedTasks:
+    """Prepared tasks by task and names of parameters; the oldest go once their signals take too much memory."""
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all of them."""
+        self._kept: dict[
+            tuple[int, tuple[str, ...]], PreparedTask
+        ] = {}  # they keep the tasks, and so the ids, alive
+        self._size = 0
+
+    def get(self, task: Task, names: tuple[str, ...]) -> PreparedTask | None:
+        """Return the one for a task and the names of its parameters, if it is known."""
+        return self._kept.get((id(task), names))
+
+    def add(self, prepared: PreparedTask) -> None:
+        """Remember another one."""
+        self._kept[id(prepared.task), prepared.names] = prepared
+        self._size += prepared.size
+        while self._size > _MAX_PREPARED and len(self._kept) > 1:
+            self._size -= self._kept.pop(next(iter(self._kept))).size
