@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
 FILE_NAME, JOURNAL = "diagnosis.json", "diagnosis.journal"
 _BOUNDED = (
-    "Runs were not repeated, so their noise was not measured: its bound is what smooth motion cannot be. Slow "
-    "noise and drift cannot be told from a slow effect: repeat the runs, or give each signal's sigma."
+    "Runs were not repeated, so their noise was not measured: its bound is what no smooth motion explains. "
+    "Slow noise and drift cannot be told from a slow effect: repeat the runs, or give each signal's sigma."
 )
 
 
@@ -71,17 +71,17 @@ def diagnose(
     Parameters
     ----------
     campaign
-        A campaign, or its folder. Without an ``[effects]`` table the catalogue is made from its models. Or an
-        identification's result or run folder: its campaign, from the values found.
+        A campaign, its folder, or an identification's result or run folder, whose values are then the start.
+        Without an ``[effects]`` table, the catalogue is made from its models.
     start
         An identification of the campaign, whose values are the parameters' start values.
     out
         Folder for ``diagnosis.json``, the report ``index.html``, and ``corrected``: the model with the named
-        effects, and a campaign that goes on from it. Nothing is written without it. While the diagnosis goes on,
-        every simulation is recorded there. What an interrupted one has left is never replaced.
+        effects, and a campaign to continue with. If None, nothing is written. While the diagnosis runs, every
+        simulation is recorded there. The records of an interrupted diagnosis are never overwritten.
     experiments
-        Ids or globs, instead of the campaign's choice: what ``[effects]`` names, or every run that is not kept for
-        validation. Repeats come along.
+        Ids or globs, instead of the campaign's choice, which are the runs that ``[effects]`` names, or every run
+        that is not kept for validation. Repeats are included.
     resume
         Continue the interrupted diagnosis in `out` without repeating its simulations.
     executor
@@ -105,16 +105,16 @@ def diagnose(
     Returns
     -------
     Found
-        ``found.diagnosis`` is the answer.
+        Its ``diagnosis`` is the answer.
 
     Raises
     ------
     CampaignError
-        The catalogue does not fit the campaign, or it is to be calibrated on without repeated runs.
+        The catalogue does not fit the campaign, or calibration is requested without repeated runs.
     JournalError
         `out` contains an interrupted diagnosis and `resume` is False, or a complete one and `resume` is True.
     SimulationError
-        The nominal model cannot be simulated at its start values, or no plant to calibrate on can.
+        The nominal model cannot be simulated at its start values, or no plant for the calibration can.
     """
     if calibrate < 0:
         raise ValueError(f"calibrate must not be negative, but is {calibrate}")
@@ -146,7 +146,7 @@ def diagnose(
         key = calibration.key_of(_files(campaign, subject), subject)
         if calibrate and subject.observed.nuisances:
             raise CampaignError(
-                "runs are cut into segments, which begin where these runs were measured, not simulated plants",
+                "runs are cut into segments, which start from measurements, and simulated plants have none",
                 where="calibrate",
                 fix="omit calibrate",
             )
@@ -169,7 +169,7 @@ def diagnose(
             if say is not None:
                 say("drawing", 0.97)
             _write(found, campaign, folder, seed, None if discovery is None else discovery.best)
-    # The workers are gone: whoever simulates on does so in this process.
+    # The workers have ended, so any further simulation runs in this process.
     return replace(found, subject=replace(subject, model=replace(subject.model, runner=in_process)))
 
 
@@ -181,7 +181,7 @@ def campaign_from(
     trust: bool = False,
     planned: bool = False,
 ) -> Campaign:
-    """Return the campaign that is meant, from the values of an identification if one is named; see `diagnose`.
+    """Return the campaign, with the values of an identification if one is named; see `diagnose`.
 
     Raises
     ------
@@ -204,7 +204,7 @@ def campaign_from(
 
 
 def recorded_in(folder: Path, *, resume: bool) -> RecordedSimulations:
-    """Return the record of a diagnosis in its folder; the result is written first, and then the record goes."""
+    """Return the record of a diagnosis in its folder; it is removed after the result has been written."""
     return RecordedSimulations(folder / JOURNAL, resume=resume, complete=(folder / FILE_NAME).exists())
 
 
@@ -223,7 +223,7 @@ def _calibrated(subject: Subject, count: int, seed: int, telling: dict[str, Any]
 
 
 def _files(campaign: Campaign, subject: Subject) -> list[Path]:
-    """Files that a diagnosis rests on: models, those that carry the effects, the catalogue."""
+    """Return the files that a diagnosis depends on: models, those that carry the effects, and the catalogue."""
     models = {file for model in campaign.models.values() for file in model.files}
     models |= {carrier(file, subject.catalogue) for file in models}
     return [*sorted(models), *([] if campaign.effects is None else [campaign.effects.catalogue])]
@@ -256,14 +256,14 @@ def answer_of(found: Found, campaign: Campaign | None = None) -> dict[str, Any]:
             f"At a bound of the campaign, so hardly determined by these experiments: {', '.join(at_bounds)}."
         )
     for effect, value in found.subject.modelled.items():
-        answer["notes"].append(f"Not looked for, since the campaign puts it into the model: {effect} ({value}).")
+        answer["notes"].append(f"Not looked for, because the campaign has it in the model: {effect} ({value}).")
     if found.subject.observed.bounded:
         answer["notes"].append(_BOUNDED)
     return answer
 
 
 def _at_bounds(found: Found) -> list[str]:
-    """Return the nominal parameters of the model handed out that were stopped by a bound, with their values."""
+    """Return the nominal parameters of the corrected model that ended at a bound, with their values."""
     values = found.corrected.fit.values
     return [
         f"{u.name} = {values[u.name]:.4g}"
@@ -273,17 +273,17 @@ def _at_bounds(found: Found) -> list[str]:
 
 
 def _into_the_model(found: Found) -> Fitted:
-    """Return the answer that becomes the corrected model: what is sure, or else the best of the alternatives."""
+    """Return the answer that becomes the corrected model: the certain effects, or else the best alternative."""
     sure = set(found.diagnosis.verdict.effects)
     alone = [fitted for fitted in found.candidates if set(fitted.effects) == sure]
     return min(alone, key=lambda fitted: fitted.fit.cost) if sure and alone else found.corrected
 
 
 def _machines(found: Found) -> BetweenMachines | None:
-    """Return what differs between machines.
+    """Return the differences between machines.
 
-    Where no effect is named, for instance because its size differs between machines, that is beside the one that
-    comes closest, if the own values of machines then leave much less than those of the nominal model do.
+    If no effect is named, for instance because its size differs between machines, the effect that comes closest is
+    included, provided that separate values per machine then leave much less of the gap than without it.
     """
     told = between_machines(found.subject, _into_the_model(found))
     if told is None or found.surviving or found.best is None or not found.diagnosis.gap.present:
@@ -295,7 +295,7 @@ def _machines(found: Found) -> BetweenMachines | None:
 
 
 def _drawing(campaign: Campaign, found: Found) -> Drawing | None:
-    """Return the picture of the first model that has the verdict's place; of the first, if none has it."""
+    """Return the picture of the first model that contains the verdict's place, or of the first if none does."""
     from fmuid.report.model_graph import drawing, graph_of
 
     used = dict.fromkeys(run.setup for run in found.subject.observed.runs)

@@ -198,7 +198,7 @@ def test_an_effect_that_the_campaign_puts_into_the_model_is_no_candidate_and_tha
     answer = json.loads(file.read_text())
     assert answer["verdict"]["effects"] == ["cable"]
     assert "air_drag" not in {e["id"] for e in answer["effects"]}
-    note = "Not looked for, since the campaign puts it into the model: air_drag (drag = 0.3)."
+    note = "Not looked for, because the campaign has it in the model: air_drag (drag = 0.3)."
     assert note in answer["notes"]
 
 

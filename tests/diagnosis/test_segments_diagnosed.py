@@ -148,7 +148,7 @@ def test_a_complete_model_of_a_plant_that_runs_away_is_called_complete(held, tmp
     assert answer.verdict.kind == "complete"
     assert answer.gap.p_value > 0.01
     assert answer.model == pytest.approx({"J": J, "mgl": MGL, "d": D}, rel=0.05)
-    assert "Runs of setup 'plant' are predicted in 20 segments, whose 40 initial states are fitted along." in (
+    assert "Runs of setup 'plant' are predicted in 20 segments, whose 40 initial states are fitted as well." in (
         answer.notes
     )
     # As much is left as noise leaves beside the parameters and the states.
@@ -185,7 +185,7 @@ def test_runs_of_a_stage_with_an_observer_are_cut_into_segments_and_that_is_said
     subject = subject_of(campaign, load_simulator)
     assert all(isinstance(case.simulator, Segmented) for case in subject.model.cases)
     (finding,) = subject.findings
-    assert finding.endswith("fitted along; stage 'all' has an observer instead.")
+    assert finding.endswith("fitted as well; stage 'all' has an observer instead.")
 
 
 def test_a_model_that_cannot_be_started_anew_is_predicted_whole_and_that_is_said(held, tmp_path):

@@ -44,7 +44,7 @@ def test_what_is_not_known_is_left_out(tmp_path):
     path = write_diagnosis_report(diagnosis, tmp_path, campaign="Actuator", pictures=DiagnosisPictures())
     page = Page(path.read_text())
     assert "Complete (100 %): nothing is missing" in page.text
-    assert "corrected" not in page.text.split("Provenance")[0].split("Parameters that moved")[0]
+    assert "corrected" not in page.text.split("Provenance")[0].split("Parameters that changed")[0]
     assert {p.stem for p in (tmp_path / "figures").iterdir()} == {"gap"}
     assert "Next experiment" not in page.text
 
@@ -59,7 +59,7 @@ def test_what_is_not_known_is_left_out(tmp_path):
             [["delay@speed"], ["lag@speed"]],
             "Load friction at gear is missing, and either delay at speed or lag at speed (94 %): these sensors",
         ),
-        ("unknown", [], [], "Unknown effect at gear_friction (5 %): none"),
+        ("unknown", [], [], "Unknown effect at gear_friction (5 %): no effect"),
         ("insufficient", [], [], "Not enough data"),
         ("effect", ["mesh_loss", "viscous"], [], "Mesh loss and viscous are missing at gear_friction (94 %)"),
         ("partial", ["value@rotor.J"], [], "Another value of rotor.J is missing (94 %), and something else"),
@@ -116,7 +116,9 @@ def test_the_smallest_gain_that_would_have_been_seen_is_told_from_none():
     diagnosis = copy.deepcopy(samples.diagnosis())
     diagnosis["verdict"] |= {"kind": "complete", "effects": [], "port": None, "ports": []}
     diagnosis["power"] = {"sensor_gain": {"tau_sensor.gain": 1.0132}}
-    assert "Would have been seen, at least this large: sensor_gain (tau_sensor.gain = 1.013)" in summary(diagnosis)
+    assert "Smallest effects that would have been seen: sensor_gain (tau_sensor.gain = 1.013)" in summary(
+        diagnosis
+    )
 
 
 def test_a_verdict_that_is_not_likely_is_no_good_news():
@@ -133,7 +135,7 @@ def test_of_an_unknown_effect_the_closest_is_named_and_nothing_is_called_correct
     diagnosis["port_closures"] = {"gear_friction": 0.62, "torque_sensor": 0.1}
     found = {fact.label: fact.value for fact in facts(diagnosis)}
     assert found["What comes closest"] == (
-        "mesh_loss closes 0.40 (0.85 to 1.01) on held-out data, too little for a name (from 0.5 on); "
+        "mesh_loss closes 0.40 (0.85 to 1.01) on held-out data, too little to be named (it takes 0.5); "
         "a free function at gear_friction 0.62"
     )
     assert found["Gap, in noise floors"] == "9.4 → 6.1 refitted"

@@ -1,9 +1,10 @@
 """Calibration of probabilities: how often verdicts are right on plants simulated from the model and its noise.
 
-Plants are the fitted nominal model with no effect, one, two, one whose law has another shape, or a free function
-at a port that no effect of the catalogue has; their noise is mixed, frequency by frequency, from the differences
-between repeats. Each plant is diagnosed like the measurements, and for each kind of verdict a logistic curve
-(Platt 1999) maps the weight of its answers to how often they were true. No label of any real measurement is used.
+Plants are the fitted nominal model with no effect, with one, with two, with one whose law has another shape, or
+with a free function at a port that matches no effect of the catalogue. Their noise is mixed, frequency by
+frequency, from the differences between repeats. Each plant is diagnosed like the measurements, and for each kind
+of verdict a logistic curve (Platt 1999) maps the weight of its answers to how often they were true. No label of
+any real measurement is used.
 """
 
 from __future__ import annotations
@@ -38,16 +39,16 @@ from fmuid.diagnosis.verdict import Verdict
 
 KINDS = ("none", "one", "shape", "two", "unknown")
 SHARES = (0.25, 0.25, 0.2, 0.15, 0.15)
-GAPS = (0.5, 1.0, 3.0, 10.0)  # floors
-_DRAWS = 10  # of a plant, until one can be simulated
-_MISMATCH = 0.15  # of an effect's gap: what a law of another shape leaves
+GAPS = (0.5, 1.0, 3.0, 10.0)  # gaps of the plants, in noise floors
+_DRAWS = 10  # attempts to draw a plant of a kind that can be simulated
+_MISMATCH = 0.15  # share of an effect's gap that the wrong shape of its law leaves
 _SPREAD = (1.5, 0.5)  # prior standard deviations of a curve's offset from 0 and of its slope from 1
 _EDGE = 1e-3  # probabilities are kept this far from 0 and 1
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """Outcome for one simulated plant: the verdict's kind, the weight of its answers, and their truth."""
+    """Outcome for one simulated plant: the verdict's kind, the weight of its answers, and whether one is true."""
 
     kind: str
     weight: float
@@ -56,12 +57,12 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """For each kind of verdict, offset and slope of the map from log odds of a weight to those of being right.
+    """For each kind of verdict, offset and slope that map the log odds of its weight to those of being right.
 
     Attributes
     ----------
     curves
-        Curves by kind; verdicts of other kinds keep their weights.
+        Curves by kind; the weights of other kinds of verdict are kept.
     trials
         Number of plants used for the fit.
     source
@@ -80,9 +81,9 @@ class Calibration:
     def apply(
         self, verdict: Verdict, probability: Mapping[tuple[str, ...], float]
     ) -> dict[tuple[str, ...], float]:
-        """Return the probabilities of answers, after scaling those that the verdict leaves open.
+        """Return the probabilities of answers, scaling those that the verdict leaves open and all others.
 
-        Their sum is the rate at which such verdicts are right.
+        The former then sum to the rate at which such verdicts are right.
         """
         weight = says(verdict, probability)
         if verdict.kind not in self.curves or not 0.0 < weight < 1.0:
@@ -94,7 +95,7 @@ class Calibration:
         return {name: p * (inside if frozenset(name) in said else outside) for name, p in probability.items()}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return its JSON value."""
+        """Return the JSON value."""
         curves = {kind: list(curve) for kind, curve in self.curves.items()}
         return {"format": "fmuid-calibration", "version": 1, "trials": self.trials, "curves": curves}
 
@@ -113,7 +114,7 @@ def is_true(verdict: Verdict, truth: frozenset[str]) -> bool:
 
 
 def fit_curves(trials: Sequence[Trial], source: str) -> Calibration:
-    """Fit the curve of each kind of verdict; few trials leave it near the identity."""
+    """Fit the curve of each kind of verdict; with few trials it stays near the identity."""
     curves = {}
     for kind in dict.fromkeys(t.kind for t in trials):
         own = [t for t in trials if t.kind == kind]
@@ -133,12 +134,12 @@ def fit_curves(trials: Sequence[Trial], source: str) -> Calibration:
 def simulated_plants(
     subject: Subject, fit: Refit, paths: Mapping[str, tuple[FloatArray, ...]], count: int, *, seed: int = 0
 ) -> Iterator[tuple[Subject, frozenset[str]]]:
-    """Make plants from the refitted nominal model, each with the truth about it.
+    """Make plants from the refitted nominal model, each with its true answer.
 
     Parameters
     ----------
     subject, fit
-        The subject of the diagnosis, and its nominal refit.
+        The subject of the diagnosis and its nominal refit.
     paths
         Samples of the regimes' variables along the nominal model's trajectory.
     count
@@ -147,7 +148,7 @@ def simulated_plants(
     Raises
     ------
     SimulationError
-        No plant of a kind can be simulated.
+        None of the plants drawn for a kind can be simulated.
     """
     rng = np.random.default_rng(seed)
     maker = _Maker(subject, fit, paths, rng)
@@ -164,7 +165,7 @@ def simulated_plants(
 
 
 def _numbers(count: int) -> list[int]:
-    """Return how many plants of each kind there are among `count`, in their shares by largest remainder."""
+    """Return the number of plants of each kind among `count`: `SHARES` rounded by largest remainder."""
     quotas = count * np.array(SHARES)
     numbers = np.floor(quotas + 1e-9).astype(int)
     numbers[np.argsort(numbers - quotas, kind="stable")[: count - numbers.sum()]] += 1
@@ -179,7 +180,7 @@ class _Maker:
     rng: np.random.Generator
 
     def plant(self, kind: str) -> tuple[Subject, frozenset[str]] | None:
-        """Return a plant and the names that are true of it; None if it cannot be simulated."""
+        """Return a plant and the names of its true answer; None if it cannot be simulated."""
         values, truth = dict(self.fit.values), frozenset({"none"})
         drive: dict[str, list[FloatArray]] = {}
         size = float(self.rng.choice(GAPS))
@@ -202,7 +203,7 @@ class _Maker:
         return float(np.sqrt(np.mean(left**2)))
 
     def _sized(self, effect: Effect, size: float) -> dict[str, float]:
-        """Return the effect's values at which it leaves a gap of `size`, as far as its bounds allow."""
+        """Return the values at which the effect leaves a gap of `size`, as far as its bounds allow."""
         trial, factor = effect.trials[int(self.rng.integers(len(effect.trials)))], 1.0
         for _ in range(3):
             values = effect.scaled(trial, factor)
@@ -213,7 +214,7 @@ class _Maker:
         return effect.scaled(trial, factor)
 
     def _function(self, size: float) -> dict[str, list[FloatArray]]:
-        """Return a random function of a regime at a port that leaves a gap of `size`."""
+        """Return a random function of a regime, acting at a port, that leaves a gap of `size`."""
         ports: list[Port] = [p for p in self.subject.catalogue.ports.values() if p.input is not None]
         port = ports[int(self.rng.integers(len(ports)))]
         families = list(bases(self.paths, self.subject.catalogue.regimes).values())
@@ -231,12 +232,13 @@ class _Maker:
         return {str(port.input): [np.asarray(factor * f) for f in shape]}
 
     def _measured(self, prediction: Prediction) -> Subject:
-        """Return the subject with the prediction, and noise like that of its repeats, in place of its runs."""
+        """Return the subject with its runs replaced by the prediction, with noise like that of the repeats."""
         cases = []
         for case, run, clean in zip(self.subject.model.cases, self.subject.observed.runs, prediction, strict=True):
             repeats = run.n_repeats
             deviation = real_spectrum(run.deviations)
-            # Mixed anew at every frequency: a few differences alone would make runs that are too much alike.
+            # Mixed anew at every frequency: with only a few differences, the runs would otherwise be too much
+            # alike.
             mix = self.rng.standard_normal((repeats, *deviation.shape[::2])) / np.sqrt(max(repeats - 1, 1))
             values = clean + from_real_spectrum(np.einsum("rkn,kcn->rcn", mix, deviation))
             channels = tuple(replace(c, repeats=values[:, k]) for k, c in enumerate(case.channels))
@@ -254,8 +256,8 @@ def shipped() -> Calibration:
     """Return the calibration shipped with the package, from plants of the actuator's FMU."""
     return _read(
         (files("fmuid.diagnosis") / "calibration.json").read_text(),
-        "of the Harmonic Drive actuator, the default (of repeated runs, --calibrate 60 makes them from this model "
-        "and its noise)",
+        "of the Harmonic Drive actuator, the default (for repeated runs, --calibrate 60 makes them from this "
+        "model and its noise)",
     )
 
 
@@ -271,7 +273,7 @@ def keep(key: str, calibration: Calibration) -> None:
 
 
 def key_of(paths: Sequence[Path], subject: Subject) -> str:
-    """Return a hash of files, of the experiments with their sensors and repeats, and of the nominal parameters."""
+    """Return a hash of the files, the experiments with their sensors and repeats, and the nominal parameters."""
     digest = hashlib.sha256()
     for path in paths:
         digest.update(path.read_bytes())

@@ -19,7 +19,7 @@ from fmuid.diagnosis.standard_errors import standard_errors
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Estimate
 
-_TWINS = 4  # of the effects left out for one that was found, how many are refitted
+_TWINS = 4  # number of effects, left out in favour of one that was found, that are refitted in its place
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,8 +31,8 @@ class Fitted:
     effects
         All effects in the model.
     names
-        Effects named as causes; the others modify the shape of an effect from which the signals cannot distinguish
-        them.
+        Effects named as causes. The others only change the shape of a named effect that the signals cannot
+        distinguish from them.
     """
 
     effects: tuple[str, ...]
@@ -50,7 +50,7 @@ class Fitted:
 def fit_effects(
     subject: Subject, effects: Sequence[Effect], starts: Sequence[Mapping[str, float]], *, iterations: int = 12
 ) -> Fitted | None:
-    """Refit the nominal parameters and those of `effects` together; None if no start can be simulated."""
+    """Refit the nominal parameters together with those of `effects`; None if no start can be simulated."""
     unknowns = subject.nominal + tuple(u for e in effects for u in e.unknowns)
     neutral = {name: value for e in effects for name, value in e.neutral.items()}
     try:
@@ -79,7 +79,7 @@ def score_further(
 ) -> tuple[Score, ...]:
     """Score the effects that `fitted` lacks, at its estimate; indistinguishable effects are scored once.
 
-    With scores of a simpler model, only the `most` promising effects by their signatures there.
+    Given the scores of a simpler model, score only the `most` effects whose signatures there promise most.
     """
     left_out = {twin.effect for s in likely for twin in s.same}
     others = [e for e in subject.effects if e.id not in fitted.effects and e.id not in left_out]
@@ -93,7 +93,7 @@ def score_further(
 
 
 def _promise(score: Score, basis: FloatArray, residual: FloatArray) -> float:
-    """Return the fall of the cost along the part of a signature that is new beside `basis`."""
+    """Return the fall of the cost along the part of a signature that is orthogonal to `basis`."""
     if score.signature is None:
         return 0.0
     new = project_off(score.signature, basis)
@@ -115,7 +115,7 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
     """
     by_id = {e.id: e for e in subject.effects}
     effect = by_id[score.effect]
-    # The signature says how large the effect should be, as far as it is linear in its size.
+    # The signature says how large the effect should be, as far as the response is linear in its size.
     factor = float(np.clip(score.scale, -3.0 if effect.two_sided else 0.03, 3.0))
     sizes = [effect.scaled(score.trial, factor), *({**effect.neutral, **trial} for trial in effect.trials)]
     unbent = {**fitted.fit.values, **{u.name: u.start for u in subject.nominal}}
@@ -123,7 +123,7 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
     found = [start for start in starts if start is not None]
     effects = [*(by_id[name] for name in fitted.effects), effect]
     added = fit_effects(subject, effects, found) if found else None
-    if added is None or added.fit.cost > fitted.fit.cost:  # without the effect it is as good as before
+    if added is None or added.fit.cost > fitted.fit.cost:  # at neutral values it is no worse than without
         added = fit_effects(subject, effects, [{**fitted.fit.values, **effect.neutral}])
     return None if added is None else replace(added, names=(*fitted.names, effect.id))
 
@@ -140,7 +140,7 @@ def twins(subject: Subject, fitted: Fitted, scores: Sequence[Score]) -> list[Fit
 
 
 def _best_start(subject: Subject, starts: Sequence[Mapping[str, float]]) -> Mapping[str, float] | None:
-    """Return the start with the least cost, None if none can be simulated."""
+    """Return the start with the least cost; None if none can be simulated."""
     costs = [
         np.inf
         if isinstance(outcome, SimulationError)
@@ -162,7 +162,7 @@ def contribution(subject: Subject, fitted: Fitted, name: str) -> float:
 
 
 def estimates(fitted: Fitted, subject: Subject) -> dict[str, Estimate]:
-    """Return every parameter with its standard error, None if the data do not determine it."""
+    """Return every parameter with its standard error, which is None if the data do not determine it."""
     (prediction,) = subject.model.predict([fitted.fit.values])  # remembered from the refit
     errors: FloatArray = np.full(len(fitted.fit.unknowns), np.nan)
     if not isinstance(prediction, SimulationError):

@@ -38,25 +38,25 @@ class Effect:
     unknowns
         Its parameters, both sizes and shapes; all are free in a refit.
     neutral
-        Values at which the effect is off; for a shape, which matters only while the effect is on, the start value.
+        Values at which the effect is off; for a shape, which matters only while the effect is on, its start value.
     shapes
         The parameters that are shapes.
     acts, expression
-        How it acts at a port of the model's source, and the Modelica expression added there; empty if the model
-        already has the effect (see `fmu_build.instrument`).
+        How the effect acts at a port of the model's source, and the Modelica expression added there; empty if the
+        model already has the effect (see `fmu_build.instrument`).
     states
         States of the expression.
     usual
-        Whether this law is physically usual at this port; it is then preferred among indistinguishable effects.
+        Whether this law is physically usual at this port, and so preferred among indistinguishable effects.
     variant
-        Whether it changes the model even while it is off, so that the model is built only when the effect is
+        Whether the effect changes the model even while it is off. Such a model is built only when the effect is
         tried.
     trials
         Plausible values for scoring: two or three magnitudes, with shapes where they matter.
     two_sided
         Whether a size of the opposite sign is equally plausible.
     units
-        Of the parameters.
+        Units of the parameters.
     """
 
     id: str
@@ -76,7 +76,7 @@ class Effect:
     variant: bool = False
 
     def scaled(self, trial: Mapping[str, float], factor: float) -> dict[str, float]:
-        """Return the values of a trial with sizes scaled from neutral by `factor`, within bounds."""
+        """Return the values of a trial with sizes scaled by `factor` from neutral, clipped to their bounds."""
         values = {**self.neutral, **trial}
         for u in self.unknowns:
             if u.name in trial and u.name not in self.shapes:
@@ -87,7 +87,7 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """A sensor that could be added: the variable of the model it would read, and its white noise."""
+    """A sensor that could be added: the variable of the model that it would read, and its white noise."""
 
     name: str
     variable: str
@@ -204,7 +204,7 @@ def _known_port(port: str, ports: Mapping[str, Port], where: str) -> None:
 
 
 def _refuse_shared(effects: Mapping[str, Effect], path: Path) -> None:
-    """Refuse a parameter of two effects: fitted together they could not be told apart."""
+    """Refuse a parameter shared by two effects: fitted together, they could not be told apart."""
     owner: dict[str, str] = {}
     for effect in effects.values():
         for u in effect.unknowns:

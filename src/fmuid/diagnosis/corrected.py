@@ -29,10 +29,10 @@ from fmuid.simulation.signal_effects import signal_and_property
 FOLDER, EFFECTS = "corrected", "effects.toml"
 _HEAD = """\
 # The model with {effects}, and the values found by fmuid diagnose.
-# identify, validate and diagnose go on from here; a second diagnosis looks for what is still missing.
+# Continue from here with identify, validate and diagnose; a second diagnosis looks for what is still missing.
 
 """
-_COMMUTE = ("gain", "lag", "delay")  # with the differentiation of a signal after the model
+_COMMUTE = ("gain", "lag", "delay")  # effects that commute with the differentiation of a signal after the model
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,7 @@ class _Document:
         return Corrected(self.folder, tuple(files), tuple(self.notes))
 
     def _write_effects(self) -> None:
-        """Write the effects that are added to source as a catalogue, with those of an earlier diagnosis."""
+        """Write a catalogue of the effects that are added to the source, with those of an earlier diagnosis."""
         assert self.campaign.effects is not None
         inside = [e.id for e in self.effects if e.expression]
         if not inside:
@@ -139,7 +139,7 @@ class _Document:
         raw = read_toml(self.campaign.effects.catalogue)
         found: dict[str, Any] = {"effects": {}, "ports": {}}
         for source in (m.source for m in self.campaign.models.values()):
-            if source is not None and source.effects is not None:  # of an earlier diagnosis
+            if source is not None and source.effects is not None:  # effects of an earlier diagnosis
                 before = read_toml(source.effects)
                 found = {key: {**found[key], **before.get(key, {})} for key in found}
         found["effects"] |= {name: raw["effects"][name] for name in inside}
@@ -177,7 +177,7 @@ class _Document:
             if effect.expression:
                 lines.append(f"    {effect.acts} at {effect.port}: {effect.expression}")
             elif all(self._of_a_signal(u.name) for u in effect.unknowns):
-                lines.append("    lies between the model and its signals: not in here")
+                lines.append("    acts between the model and its signals, so it is not part of this source")
         return modelica_text(replace(flat, variables=variables), f"{_stem(source)}Corrected", lines)
 
     def _of_a_signal(self, name: str) -> bool:
@@ -202,7 +202,7 @@ class _Document:
             if "starts" in parameters[name]:
                 per = campaign.parameters[name].per
                 self.notes.append(
-                    f"{name} has one value per {per}, so only the corrected campaign has what was found"
+                    f"{name} has one value per {per}; the values found are only in the corrected campaign"
                 )
         described = {u.name: e.description for e in self.effects for u in e.unknowns}
         for u in own:
@@ -226,7 +226,7 @@ class _Document:
         return {key: raw[key] for key in (*order, *raw) if key in raw}
 
     def _starts(self, name: str, otherwise: float = 0.0) -> dict[str, Any]:
-        """Return the value found for a parameter; of one that machines or runs have their own of, also theirs."""
+        """Return the value found for a parameter, and those of single machines or runs if it has them."""
         begin = f"{name}{SEPARATOR}"
         own = {n.removeprefix(begin): v for n, v in self.values.items() if n.startswith(begin)}
         if not own:
@@ -234,7 +234,7 @@ class _Document:
         return {"start": float(np.mean(list(own.values()))), "starts": own}
 
     def _model(self, setup: str, spec: ModelSpec, fmu: Path, table: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the table of a setup's model, with paths from here and what lies at its signals."""
+        """Return the table of a setup's model, with paths from here and the effects at its signals."""
         new = dict(table)
         if spec.coupling is not None:
             new["fmus"] = {n: self._path(file) for n, file in spec.coupling.components.items()}
@@ -264,7 +264,7 @@ class _Document:
         return new | ({"map": renamed} if renamed else {})
 
     def _stage(self, free: list[str], tie: Mapping[str, str]) -> dict[str, Any]:
-        """Return one stage of all the runs that were diagnosed, read by the sensors that the campaign tells."""
+        """Return one stage with all diagnosed runs, read by the sensors that the campaign specifies."""
         used = [id for case in self.subject.model.cases for id in case.experiments]
         used = [id for id in used if id in self.campaign.identification]
         stage: dict[str, Any] = {"experiments": used, "free": free} if used else {"free": free}

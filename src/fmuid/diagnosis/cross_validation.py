@@ -2,8 +2,8 @@
 
 Each experiment is left out in turn. The parameters for the other experiments come from one Gauss-Newton step at
 the full estimate (exact for a linear model, and sufficient to distinguish an effect from chance), so a round of
-cross-validation costs linear algebra, not simulations. Where an experiment, or a machine with no other one, has a
-parameter of its own, this is fitted to the experiment itself, and its loss allows for that.
+cross-validation costs linear algebra, not simulations. A parameter of a single experiment, or of a machine with no
+other experiment, is fitted to that experiment itself, and the loss allows for it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from fmuid.diagnosis.projection import orthonormal, project_off
 from fmuid.diagnosis.refit import Refit
 
 _PRIOR_STEPS = 1e3  # a parameter that the remaining experiments cannot see moves by no more than about this
-_ALIKE = 1e-13  # of parameters whose columns are one but for rounding; a ridge is lost beside large ones
+_ALIKE = 1e-13  # of columns that differ only by rounding; a ridge is lost beside large columns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,9 +33,9 @@ class HeldOut:
         (E,) mean squared whitened residual of a single run of the experiment, beyond the noise floor's 1, over the
         components in its signals' bandwidth.
     per_run
-        The same for every single run, one array per experiment.
+        The same for every single run: one array per experiment.
     size
-        (E,) number of components, less the parameters that are fitted to the experiment itself.
+        (E,) number of components, less the number of parameters fitted to the experiment itself.
     """
 
     loss: FloatArray
@@ -81,7 +81,7 @@ def leave_each_out(fit: Refit, observed: Observed) -> HeldOut:
 
 
 def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the solution of normal equations; what the experiments do not tell apart stays as it is."""
+    """Return the solution of normal equations, zero along directions that the experiments do not determine."""
     scale = 1.0 / np.sqrt(np.diag(normal))
     inverse = np.linalg.pinv(normal * np.outer(scale, scale), rcond=_ALIKE, hermitian=True)
     return np.asarray(scale * (inverse @ (scale * right)))
@@ -97,7 +97,7 @@ def losses(
 ) -> HeldOut:
     """Return the losses of whitened residuals of the mean runs, one per fold.
 
-    `taken` are orthonormal bases of what was fitted to each fold itself.
+    `taken` are orthonormal bases of the parameters that were fitted to each fold itself.
     """
     per_run, loss, size = [], [], []
     for k, (whole, (e, rows)) in enumerate(zip(residuals, observed.folds, strict=True)):
@@ -129,12 +129,12 @@ def closure_interval(
 ) -> tuple[float, float]:
     """Return a bootstrap interval of the closure: experiments are drawn, and runs within experiments.
 
-    With `noise`, draws of the excess that noise alone leaves (`Null.excess`), the interval applies to new runs:
-    the remaining gap cannot be measured more precisely.
+    With `noise`, draws of the excess that noise alone leaves (`Null.excess`), the interval applies to new runs,
+    whose remaining gap cannot be measured more precisely.
     """
     rng = np.random.default_rng(seed)
     n = len(before.loss)
-    b, a = np.empty((n, draws)), np.empty((n, draws))  # every fold's loss in every draw of its runs
+    b, a = np.empty((n, draws)), np.empty((n, draws))  # loss of every fold for every draw of its runs
     for e, (own, other) in enumerate(zip(before.per_run, after.per_run, strict=True)):
         pick = rng.integers(0, len(own), (draws, len(own)))
         b[e] = before.loss[e] + own[pick].mean(axis=1) - own.mean()
@@ -152,8 +152,8 @@ def closure_interval(
 def advantage(better: HeldOut, worse: HeldOut) -> tuple[float, float]:
     """Return the mean difference of losses (worse - better) and its standard error over the runs.
 
-    Experiments are not a sample from a population: an effect that only one of them shows is just as real. The
-    recorded runs are the random part, or pieces of runs if none was repeated.
+    Experiments are not a sample from a population: an effect that only one of them shows is just as real. What is
+    random is the recorded runs, or pieces of runs if none was repeated.
     """
     size = better.size / better.size.sum()
     difference = (worse.loss - better.loss) * size

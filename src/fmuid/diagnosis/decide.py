@@ -17,25 +17,25 @@ from fmuid.diagnosis.scores import stack
 from fmuid.diagnosis.verdict import NONE, UNKNOWN, Kind
 
 # Calibrated on the virtual rig (`make blind`), never on data whose answer is to be found.
-GAP_THAT_MATTERS = 0.25  # floors: smaller gaps are within what sampling and discretisation of a rig leave
+GAP_THAT_MATTERS = 0.25  # noise floors: smaller gaps are within what sampling and discretisation of a rig leave
 SIGNIFICANCE = 0.01
-SCORE_MARGIN = 2.0  # the largest score must be this many times what noise reaches in one diagnosis of a hundred
+SCORE_MARGIN = 2.0  # the largest score must exceed this many times the 99 % quantile under noise alone
 CLOSURE_THAT_PLACES = 0.1  # free functions at a port must close at least this much for the port to be named
 CLOSURE_THAT_NAMES = 0.5  # a named effect must close at least half of the gap on experiments left out
-CLOSURE_THAT_FINISHES = 1 / 3  # or this much of a weak gap, if then nothing is left that noise would not leave
-GAIN_OF_A_SECOND = 0.25  # a further effect must close at least a quarter of what is left
-DECOY_MARGIN = 0.65  # a decoy must leave less than this share of the gap of the best named effect
-ABOUT_AS_WELL = 1.5  # ratio of gaps left: a free function is one linear step, effects are refitted to the end
-CLOSURE_BEYOND_DECOYS = 0.85  # an effect that closes this much is not unknown: its law has another shape
+CLOSURE_THAT_FINISHES = 1 / 3  # or this much of a weak gap, if the rest is no more than noise
+GAIN_OF_A_SECOND = 0.25  # a further effect must close at least a quarter of the remaining gap
+DECOY_MARGIN = 0.65  # a decoy must leave less than this share of the gap that the best named effect leaves
+ABOUT_AS_WELL = 1.5  # ratio of remaining gaps: a free function is one linear step, effects are refitted to the end
+CLOSURE_BEYOND_DECOYS = 0.85  # an effect that closes this much is not unknown, though its law may differ in shape
 SAME = 4.0  # models whose predictions differ by fewer standard deviations cannot be told apart
-_BLOCK = 20.0  # samples of model error that carry as much as one of noise
+_BLOCK = 20.0  # this many samples of model error carry as much information as one of noise
 
 
 def separation(a: Fitted, b: Fitted, observed: Observed, *, without: int | None = None) -> float:
     """Return by how many standard deviations the data prefer `a` to `b` (negative: `b` to `a`).
 
-    The predictions of the two models differ by D sigma; if one of them is true the difference of their costs is
-    D^2 with a standard deviation of 2 D. The part that even the better model leaves unexplained counts as noise
+    If the predictions of the two models differ by D sigma and one of them is true, the difference of their costs
+    is D^2 with a standard deviation of 2 D. The part that even the better model leaves unexplained counts as noise
     too, but it is far from white: `_BLOCK` of its samples count as one. With `without`, that experiment is
     excluded.
     """
@@ -45,7 +45,7 @@ def separation(a: Fitted, b: Fitted, observed: Observed, *, without: int | None 
         return 0.0
     wider = spread(float(np.mean(observed.repeats)) * min(a.gap, b.gap) ** 2)
     costs = float(ra @ ra), float(rb @ rb)
-    if observed.bounded:  # what is left may be noise as well, and is not even
+    if observed.bounded:  # the rest may be noise as well, and is unevenly distributed
         better = ra if costs[0] <= costs[1] else rb
         wider *= float(np.sqrt(max(1.0, float((ra - rb) ** 2 @ better**2) / difference**2)))
     return (costs[1] - costs[0]) / (2.0 * difference * wider)
@@ -87,7 +87,7 @@ def survivors(best: Fitted, candidates: Sequence[Fitted], observed: Observed) ->
 def stable(surviving: Sequence[Fitted], rivals: Sequence[Fitted], observed: Observed) -> bool | None:
     """Return whether the data prefer no rival to the surviving answers when any single experiment is left out.
 
-    Losing the evidence with an experiment is not a contradiction. None with fewer than three experiments.
+    Losing the evidence together with an experiment is not a contradiction. None for fewer than three experiments.
     """
     if len(observed.runs) < 3:
         return None
@@ -111,7 +111,7 @@ def names(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
     """Return whether `best` closes enough of the gap for its effects to be named.
 
     A weak gap is largely chance, and if only one experiment shows it, little can be learnt without that
-    experiment. It is then sufficient that the model is complete with the effects, unless *unknown* is more likely.
+    experiment. It then suffices that the effects complete the model, unless *unknown* is more likely.
     """
     trained = 1.0 - best.gap / nominal.gap if nominal.gap > 0.0 else 0.0
     held_out = closure(nominal.held_out, best.held_out)
@@ -128,8 +128,8 @@ def beyond_doubt(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
 def strained(fitted: Fitted, effects: Sequence[Effect]) -> bool:
     """Return whether a named effect's parameters ended at bounds that are neither its start nor a trial.
 
-    Bounds are considered jointly: a combination of values from two different trials is not plausible by itself. At
-    such bounds, the law imitates something other than its effect.
+    A combination of bounds counts as plausible only if a single trial, or the neutral values, has all of it. At
+    other bounds, the law imitates something other than its effect.
     """
     for effect in (e for e in effects if e.id in fitted.names):
         near = {u.name: 0.01 * u.step for u in effect.unknowns}
@@ -146,7 +146,7 @@ def strained(fitted: Fitted, effects: Sequence[Effect]) -> bool:
 
 
 def _limits(effect: Effect, unknown: Unknown) -> set[float]:
-    """Return the bounds of a shape, or of a size: where an effect may be no larger. It may be off."""
+    """Return the bounds that limit an effect; the bound at which a one-sided effect is off is none of them."""
     bounds, neutral = {unknown.lower, unknown.upper}, effect.neutral[unknown.name]
     if unknown.name in effect.shapes or effect.two_sided:
         return bounds
@@ -154,18 +154,18 @@ def _limits(effect: Effect, unknown: Unknown) -> set[float]:
 
 
 def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy], ports: Sequence[str]) -> Decoy | None:
-    """Return the decoy that shows that the gap is due to none of the named effects, if any.
+    """Return the decoy that shows that the named effects do not cause the gap, if there is one.
 
-    That is: it leaves much less of the gap on experiments left out than the best named effect does, and that
-    effect does not close nearly all of it. If an effect at one of `ports` is named, a free function of a sensor's
-    own past there is no evidence, because it can imitate a lag of any order.
+    It leaves much less of the gap on held-out experiments than the best named effect does, and that effect does
+    not close nearly all of it. If an effect at one of `ports` is named, a free function of a sensor's own past
+    there is no evidence, because it can imitate a lag of any order.
     """
     lumped = len(best.names) > 1 and len(set(ports)) == 1
     decoys = [d for d in decoys if (d.port in ports if lumped else d.over != OWN_PAST or d.port not in ports)]
     if not decoys or (closure(nominal.held_out, best.held_out) >= CLOSURE_BEYOND_DECOYS and not lumped):
         return None
     decoy = min(decoys, key=lambda d: d.held_out.mean)
-    if lumped:  # one law of one variable that nobody has named, in place of two that have been
+    if lumped:  # one unnamed law of one variable in place of two named ones
         return decoy if decoy.held_out.gap <= ABOUT_AS_WELL * best.held_out.gap else None
     gained, error = advantage(decoy.held_out, best.held_out)
     if gained > error and decoy.held_out.gap < DECOY_MARGIN * best.held_out.gap:
@@ -176,8 +176,8 @@ def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy], ports: S
 def needed_beside(alone: Sequence[Decoy], beside: Sequence[Decoy], nominal: Fitted) -> bool:
     """Return whether effects explain a part that free functions do not, though one closes much of the gap.
 
-    `beside` are free functions fitted beside the effects: the best of them must leave hardly anything, and much
-    less than the best of those `alone`. Otherwise the effects only imitate the free function.
+    `beside` are free functions fitted together with the effects. The best of them must leave hardly anything, and
+    much less than the best of those `alone`; otherwise the effects only imitate the free function.
     """
     first, second = (min(decoys, key=lambda d: d.held_out.mean) for decoys in (alone, beside))
     gained, error = advantage(second.held_out, first.held_out)
@@ -192,8 +192,8 @@ def of_its_law(best: Fitted, alone: Sequence[Decoy], beside: Sequence[Decoy], po
     """Return whether the remaining gap of `best` is due to the shape of its own law.
 
     This holds if a free function at one of its `ports`, added to `best`, removes much of the rest, about as much
-    as any other; and if that function alone does about as well as `best`, so it depends on the variable of that
-    law.
+    as any other, and if that function alone does about as well as `best`, so that it depends on the variable of
+    that law.
     """
     if not beside:
         return False
@@ -222,7 +222,7 @@ def places(nominal: Fitted, decoys: Sequence[Decoy]) -> tuple[str, ...]:
 def weigh(
     nominal: Fitted, surviving: Sequence[Fitted], observed: Observed, kind: Kind
 ) -> dict[tuple[str, ...], float]:
-    """Return the probability of every surviving answer, of `NONE` and of `UNKNOWN`, before they are calibrated.
+    """Return the probability of every surviving answer, of `NONE` and of `UNKNOWN`, before calibration.
 
     Weights decrease with the square of the separation from the best answer; the weight of `UNKNOWN` is the part
     that the closure leaves open.
@@ -246,5 +246,5 @@ def weigh(
 
 
 def _doubt(closed: float) -> float:
-    """Return what *unknown* weighs beside effects that close so much of the held-out gap, and weigh as much."""
+    """Return the weight of *unknown* relative to that of effects which close this share of the held-out gap."""
     return (1.0 - closed) ** 2

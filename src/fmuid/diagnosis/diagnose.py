@@ -92,7 +92,7 @@ class Evidence:
     null
         Null distribution under noise alone.
     power
-        By effect, the smallest parameter values at which it would have been detected.
+        For each effect, the smallest parameter values at which it would have been detected.
     """
 
     present: bool
@@ -125,11 +125,11 @@ def diagnose_subject(
     subject
         The model, the measurements with their noise floor, the nominal parameters and the effects.
     say
-        Called with progress.
+        Called with the current task and the fraction done.
     seed
         Seed of the null distribution and the bootstrap.
     calibration
-        Conversion of weights to probabilities; by default the one shipped with the package.
+        Conversion of weights to probabilities; by default, the one shipped with the package.
 
     Raises
     ------
@@ -144,7 +144,7 @@ def diagnose_subject(
     nominal = fit_effects(subject, (), [{}])
     if nominal is None:
         raise SimulationError("the nominal model cannot be refitted", fix="check its start values")
-    if observed.nuisances:  # linear at the start values so far
+    if observed.nuisances:  # linearised at the start values so far
         observed = with_states(observed, model, nominal.fit.values)
         subject = replace(subject, observed=observed)
         nominal = fit_effects(subject, (), [nominal.fit.values]) or nominal
@@ -263,7 +263,7 @@ def _judge(
     paths: Mapping[str, tuple[FloatArray, ...]],
     say: Say,
 ) -> Judgement:
-    """Return the verdict: what survives, what free functions say against it, and what it leaves."""
+    """Return the verdict: the surviving answers, the evidence of free functions against them, and the rest."""
     observed = subject.observed
     powerless = len(set(observed.groups)) < 2 or not (evidence.present or evidence.power)
     surviving = () if best is None else decide.survivors(best, candidates, observed)
@@ -280,7 +280,7 @@ def _judge(
     )
     alone: tuple[Decoy, ...] = ()
     beside: tuple[Decoy, ...] = ()
-    lumped = len(own) > len(set(own)) == 1  # two laws where one may do
+    lumped = len(own) > len(set(own)) == 1  # two laws where one might suffice
     if best is None or not named_at_all or lumped or not decide.beyond_doubt(nominal, best, finished=done):
         say("free functions at every port", 0.75)
         regimes, catalogued = subject.catalogue.regimes, subject.catalogue.ports
@@ -297,7 +297,7 @@ def _judge(
     decoy = decide.unexplained(nominal, best or nominal, alone, own)
     imitated = decoy is not None and not (not lumped and beside and decide.needed_beside(alone, beside, nominal))
     if best is None or not named_at_all or imitated:
-        # Without repeats what no effect explains may be slow noise.
+        # Without repeats, a gap that no effect explains may be slow noise.
         kind: Kind = "insufficient" if observed.bounded else "unknown"
         return Judgement(Verdict(kind, ports=decide.places(nominal, alone)), surviving, alone)
     stable = decide.stable(surviving, [nominal, *candidates], observed)
@@ -317,7 +317,7 @@ def _judge(
 def _where_left(
     subject: Subject, best: Fitted, paths: Mapping[str, tuple[FloatArray, ...]], beside: Sequence[Decoy]
 ) -> str:
-    """Return in words where most of what `best` leaves lies, and at which port a free function closes most."""
+    """Return in words where most of the rest after `best` lies, and at which port a free function closes most."""
     regimes = folded(paths, subject.catalogue.regimes)
     energy = excess_map(subject.observed, _prediction(subject, best.fit.values), regimes)
     shares = energy.shares(1)
@@ -350,10 +350,11 @@ class _Closing:
         )
 
     def _interval(self, fitted: Fitted) -> tuple[float, float]:
-        """Return from where to where the closure on new runs is to be expected.
+        """Return the range in which the closure on new runs is expected to lie.
 
-        Predicting an experiment from the others alone is harder than new runs are for a model that has seen all,
-        and those are harder than the runs it was fitted to: the lower end is of the first, the upper of the last.
+        New runs are easier to predict for a model fitted to all experiments than an experiment is from the others
+        alone, and harder than the runs that the model was fitted to. The lower end is that of the held-out
+        closure, the upper end that of the closure in sample.
         """
         noise = self.null.excess
         low, high = closure_interval(self.nominal.held_out, fitted.held_out, noise=noise)
@@ -390,7 +391,7 @@ def _candidates(
     probability: Mapping[tuple[str, ...], float],
     closing: _Closing,
 ) -> tuple[Candidate, ...]:
-    # An effect is credited with what it closes alone; those of an answer with what they close together.
+    # An effect is credited with its own closure; the effects of an answer, with their joint closure.
     best_with = {fitted.names[0]: fitted for fitted in candidates if len(fitted.effects) == 1}
     for answer in reversed(surviving):
         best_with |= dict.fromkeys(answer.names, answer)

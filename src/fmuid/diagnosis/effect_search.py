@@ -20,15 +20,15 @@ Say = Callable[[str, float], None]
 """Called with the current task and the fraction done (0 to 1)."""
 
 _SINGLES = 7  # effects refitted on their own
-_SHARE = 0.05  # of the best score that another one must have to be refitted
+_SHARE = 0.05  # least score for a refit, as a share of the best score
 _PAIRS = 4  # further effects tried beside the best
-_ABOUT_AS_MUCH = 1.5  # ratio of what two effects of the same shape move
-_SCORED = 8  # effects scored anew for that
-_SWAPS = 2  # effects tried in place of each
-_MOST = 3  # effects together
-_SHAPE = 0.1  # of the gap (a hundredth of its energy): what a further law there explains is the shape of the first
-_SAME_PLACE = 0.95  # correlation of one law's signatures at two ports that count as one
-_ALIKE = 0.9  # correlation of signatures above which a further effect is taken for another shape of the first
+_ABOUT_AS_MUCH = 1.5  # ratio below which two effects of the same shape move the predictions about as much
+_SCORED = 8  # effects that are scored again when another is added
+_SWAPS = 2  # effects tried in place of each named one
+_MOST = 3  # largest number of effects together
+_SHAPE = 0.1  # share of the gap (a hundredth of its energy) up to which a further law there only shapes the first
+_SAME_PLACE = 0.95  # correlation of one law's signatures at two ports above which the ports count as one
+_ALIKE = 0.9  # correlation of signatures above which a further effect counts as another shape of the first
 
 
 def search(
@@ -49,7 +49,7 @@ def search(
     noise
         Null distribution: no effect is added to a model whose residual is within the noise.
     present
-        Whether there is a gap; without one only the two best are refitted.
+        Whether there is a gap; without one, only the two best effects are refitted.
     """
     singles = _promising(scores)[: _SINGLES if present else 2]
     candidates: list[Fitted] = []
@@ -94,14 +94,14 @@ def aliases(
 ) -> tuple[tuple[str, ...], ...]:
     """Return the classes of effects that could not be distinguished if one of them caused the gap.
 
-    That is: explaining a gap of this size, or one that would just be `seen` (as a drop of the cost), their
-    predictions would differ by fewer standard deviations than a preference takes. The comparison uses signatures
-    of refitted effects if available, else those of trials.
+    When they explain a gap of this size, or one that would just be `seen` (as a drop of the cost), their
+    predictions differ by fewer standard deviations than a preference requires. The comparison uses the signatures
+    of refitted effects if available, otherwise those of trials.
     """
     base = stack(nominal.fit.residuals, subject.observed)
     energy = max(float(base @ base) - base.size, seen)
     tried, refitted = _signatures(subject, nominal, candidates, scores)
-    for score in scores:  # those that no data tell apart were scored once
+    for score in scores:  # indistinguishable effects were scored once
         tried |= {
             name: refitted.get(score.effect, tried[score.effect]) for name in (twin.effect for twin in score.same)
         }
@@ -126,7 +126,7 @@ def _signatures(
 
 
 def _shaped(before: Fitted, after: Fitted, signatures: Sequence[Mapping[str, FloatArray]]) -> str | None:
-    """Return the name in `before` that the effect that is new in `after` acts like, small or at the size found."""
+    """Return the effect in `before` that the newest effect in `after` acts like, at trial size or as refitted."""
     new = after.effects[-1]
     alike = {
         name: max(
@@ -139,10 +139,10 @@ def _shaped(before: Fitted, after: Fitted, signatures: Sequence[Mapping[str, Flo
 
 
 def _same_place(subject: Subject, after: Fitted, signatures: Sequence[Mapping[str, FloatArray]]) -> bool:
-    """Return whether the effect that is new in `after` acts where one before it does.
+    """Return whether the newest effect in `after` acts at the same place as an earlier one.
 
-    That is at its port, or at one that no law that both have tells from it. The value of a held parameter acts
-    wherever its component does.
+    That is its own port, or one that no law present at both ports distinguishes from it. The value of a held
+    parameter acts wherever its component does.
     """
     ports = {e.id: e.port for e in subject.effects}
     new, before = ports[after.effects[-1]], {ports[name] for name in after.effects[:-1]}
@@ -159,7 +159,7 @@ def _same_place(subject: Subject, after: Fitted, signatures: Sequence[Mapping[st
 
 
 def _renamed(subject: Subject, better: Fitted, first: str, company: list[Fitted]) -> tuple[Fitted, list[Fitted]]:
-    """Name, of the last effect and the `first` that it shapes, the one that does more; both if about as much."""
+    """Name whichever does more: the last effect, or the `first` that it shapes; both if about as much."""
     new = better.effects[-1]
     named, shape = (contribution(subject, better, name) for name in (first, new))
     swapped = replace(better, names=tuple(new if n == first else n for n in better.names))
@@ -176,7 +176,7 @@ def _promising(scores: Sequence[Score]) -> list[Score]:
 
 
 def _company(subject: Subject, best: Fitted, scores: Sequence[Score], noise: NoiseDraws) -> list[Fitted]:
-    """Refit `best` with further effects; none if noise alone would leave as much and score as high."""
+    """Refit `best` with further effects; none if its residual and their scores are within the noise."""
     further, finished = _further(subject, best, scores, noise)
     return [] if finished else _added(subject, best, further[:_PAIRS])
 
@@ -184,7 +184,7 @@ def _company(subject: Subject, best: Fitted, scores: Sequence[Score], noise: Noi
 def _further(
     subject: Subject, best: Fitted, scores: Sequence[Score], noise: NoiseDraws
 ) -> tuple[list[Score], bool]:
-    """Score further effects beside `best`; also whether neither they nor what is left are more than noise."""
+    """Score further effects added to `best`; also return whether scores and residual are within the noise."""
     further = _promising(score_further(subject, best, likely=scores, most=_SCORED))
     null = noise.null(
         nominal_basis(best.fit, subject.observed), [s.signature for s in further if s.signature is not None]
@@ -205,7 +205,7 @@ def _added(subject: Subject, fitted: Fitted, scores: Sequence[Score]) -> list[Fi
 
 
 def _swaps(subject: Subject, best: Fitted, candidates: Sequence[Fitted], scores: Sequence[Score]) -> list[Fitted]:
-    """Refit `best` with each of its effects but the last one replaced by others."""
+    """Refit `best` with each of its effects except the last replaced by others."""
     tried = {frozenset(c.effects) for c in candidates}
     found: list[Fitted] = []
     for name in best.names[:-1] if best.effects == best.names else ():
@@ -219,9 +219,9 @@ def _swaps(subject: Subject, best: Fitted, candidates: Sequence[Fitted], scores:
 
 
 def _pruned(subject: Subject, best: Fitted, candidates: list[Fitted]) -> Fitted:
-    """Leave out of `best`, one by one, the effects that those found after them have made needless.
+    """Leave out of `best`, one by one, the effects that later ones have made unnecessary.
 
-    What is first added to a model stands for much that is missing; once the rest is there, it may explain nothing.
+    The first effect added stands in for much that is missing; once the rest is there, it may explain nothing.
     """
     while len(best.names) > 1 and best.effects == best.names:
         simpler = [without(subject, best, name) for name in best.names]

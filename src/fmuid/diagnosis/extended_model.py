@@ -30,15 +30,15 @@ from fmuid.simulation.simulator import Simulator, Task, differentiates, takes_an
 Prediction = tuple[FloatArray, ...]
 """(C, N) predicted signals, one array per experiment."""
 
-_WIDTH = 1e-4  # of the differences around a simulation, relative: ties and sensors
+_WIDTH = 1e-4  # relative width of differences around a simulation, for ties and sensors
 Direction = tuple[dict[str, float], float]
-"""How a model's variables move with one parameter: their proportions, and their size."""
+"""How a model's variables move with one parameter: their proportions, and the size of the move."""
 _Key = tuple[int, frozenset[tuple[str, float]], tuple[tuple[str, bytes], ...]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Differentiated:
-    """The runs that give tangents; by parameter its difference and the points at its ends, by run its moves."""
+    """Runs that give tangents; per parameter, its difference and end points; per run, the directions moved."""
 
     jobs: Sequence[Job] = ()
     names: Sequence[str] = ()
@@ -62,7 +62,7 @@ class CampaignModel:
     tie
         Model variables that are expressions of campaign parameters.
     variant
-        Function of setup and values for the model with effects that are only built when tried; else None.
+        Function of setup and values that returns the model with effects that are only built when tried, or None.
     """
 
     cases: tuple[Case, ...]
@@ -98,12 +98,12 @@ class CampaignModel:
     ) -> list[Prediction | SimulationError]:
         """Return predictions at `values` with additional inputs driven.
 
-        Each drive gives, by input, (N,) samples for every experiment.
+        Each drive maps an input to (N,) samples for every experiment.
         """
         return self._simulate([(values, drive) for drive in drives])
 
     def trajectories(self, values: Mapping[str, float], variables: Sequence[str]) -> tuple[FloatArray, ...]:
-        """Return (len(variables), N) trajectories of model variables, one array an experiment.
+        """Return (len(variables), N) trajectories of model variables, one array per experiment.
 
         Raises
         ------
@@ -112,7 +112,7 @@ class CampaignModel:
         """
         jobs = []
         for case in self.cases:
-            # Segments are fitted to the outputs that were measured.
+            # Segments are fitted to the measured outputs.
             read = case.task.outputs if isinstance(case.simulator, Segmented) else ()
             task = replace(case.task, outputs=tuple(dict.fromkeys((*read, *variables))))
             own = self.start_values(case, {**self.fixed, **values})
@@ -144,7 +144,7 @@ class CampaignModel:
         return [self._tangents(one, [next(outcomes) for _ in one.jobs]) for one in posed]
 
     def _differentiated(self, values: Mapping[str, float], names: Sequence[str]) -> _Differentiated:
-        """Return the runs that give the tangents at a point, none where they cannot be had."""
+        """Return the runs that give the tangents at a point; none if exact tangents are not available."""
         plain, disturbed = self._split(values)
         names = [name for name in names if name in plain]
         if disturbed or not names:
@@ -192,7 +192,7 @@ class CampaignModel:
         return frozenset(outputs.union(*(case.task.inputs for case in self.cases)))
 
     def _split(self, values: Mapping[str, float]) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
-        """Return the parameters that models take, and those of the signals around them, by signal."""
+        """Return the parameters of models, and those of signal effects by signal."""
         every = {**self.fixed, **values}
         own = {n for n in every if n.partition(SEPARATOR)[0] in self._known}
         plain, disturbed = split_signal_parameters({n: v for n, v in every.items() if n not in own}, self._signals)
@@ -206,7 +206,7 @@ class CampaignModel:
         return self._tasks[key]
 
     def expanded(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return `values` with the model variables that are tied to them; as ``name@owner`` if those are."""
+        """Return `values` with the model variables tied to them; as ``name@owner`` if those have owners."""
         every = {**self.fixed, **values}
         machines, found = {case.machine for case in self.cases}, dict(values)
         for name, expression in self.tie.items():
@@ -221,7 +221,7 @@ class CampaignModel:
         return found
 
     def start_values(self, case: Case, values: Mapping[str, float]) -> dict[str, float]:
-        """Campaign parameters in the model's units; what is none of them is a variable of the model."""
+        """Return campaign parameters in the model's units; any other name is a variable of the model."""
         own = {
             name: v for name, v in values.items() if name in case.simulator.variables and name not in case.setting
         }
@@ -271,7 +271,7 @@ class CampaignModel:
 
 
 def _conditions(case: Case) -> str:
-    """Return a digest of what a run is made under: its setup, settings and inputs over time."""
+    """Return a digest of the conditions of a run: its setup, settings and inputs over time."""
     digest = hashlib.blake2b(repr((case.setup, sorted(case.task.start_values.items()))).encode())
     for name, values in sorted(case.task.inputs.items()):
         digest.update(name.encode() + np.asarray(values).tobytes())
@@ -287,7 +287,7 @@ def _direction(above: Mapping[str, float], below: Mapping[str, float], width: fl
 
 
 def _key(index: int, case: Case, values: Mapping[str, float], disturbed: Disturbed | None) -> _Key:
-    """Return what a simulation depends on: a value that is the model's own start value changes nothing."""
+    """Return the key of a simulation's result; a value equal to the model's own start value is left out."""
     variables, settings = case.simulator.variables, case.task.start_values
     own = frozenset((n, v) for n, v in values.items() if v != variables[n].start or n in settings)
     changed = {} if disturbed is None else dict(disturbed.inputs)
@@ -305,11 +305,11 @@ def _task(task: Task, disturbed: Disturbed | None) -> Task:
 def _disturbed(
     case: Case, index: int, signal: Effects, drive: Mapping[str, Sequence[FloatArray]] | None
 ) -> Disturbed | None:
-    """Return the case's task with its signals disturbed and further inputs driven; None if it stays as it is."""
+    """Return the case's task with its signals disturbed and further inputs driven; None if it is unchanged."""
     driven = {}
     for name, series in (drive or {}).items():
         values = _held(np.asarray(series[index]))
-        # A step of the model ends at a measured sample: what acts during it is known at that sample.
+        # A step of the model ends at a measured sample, so what acts during the step is known at that sample.
         values = np.append(values, values[-1]) if case.lead else values
         if np.any(values) or case.simulator.variables[name].start != 0.0:
             driven[name] = values

@@ -21,7 +21,7 @@ class ExcessMap:
     Attributes
     ----------
     rows
-        (experiment, signal).
+        (experiment, signal) pairs.
     energy
         (rows,) excess energy in squared sigmas, never below 0.
     edges
@@ -69,9 +69,9 @@ def excess_map(
     Parameters
     ----------
     predictions
-        (C, N) an experiment.
+        (C, N) per experiment.
     regimes
-        Variable -> (N,) samples an experiment: speed, load torque, time and so on.
+        Variable -> (N,) samples per experiment: speed, load torque, time and so on.
     """
     whitened, taken = observed.residuals(predictions), observed.taken
     edges = {name: _edges(values) for name, values in regimes.items()}

@@ -1,4 +1,4 @@
-"""A catalogue that the model makes itself: laws of physics at the ports of its source, sized by simulation."""
+"""A catalogue made from the model itself: laws of physics at the ports of its source, sized by simulation."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
 SIZES = "PMZVAFTL"
-SHARES = (0.01, 0.05, 0.2)  # of what flows: the sizes that a law is tried at
-_MAGNITUDE = 0.01  # of what flows: the disturbance at which a port's response is taken
-_OFF = (1.05, 1.2)  # of a held value
-_TOLERATED = 10.0  # standard deviations that a held value may be off
+SHARES = (0.01, 0.05, 0.2)  # sizes at which a law is tried, as shares of the nominal flow
+_MAGNITUDE = 0.01  # disturbance at which a port's response is taken, as a share of the nominal flow
+_OFF = (1.05, 1.2)  # trial factors on a held value
+_TOLERATED = 10.0  # standard deviations by which a held value may be wrong
 _HEAD = """\
 # What the model may lack, for `fmuid diagnose`: laws at the ports of its source, its signals and held parameters.
-# `expression` is Modelica and is added to the model at the port; every variable of the model may occur in it.
-# A law of your own is one more entry. Sizes are shares of what flows and moves in the nominal simulation.
+# `expression` is Modelica and is added to the model at the port; it may use every variable of the model.
+# To add a law of your own, add an entry. Sizes are shares of the flows and motions in the nominal simulation.
 """
 
 
@@ -79,7 +79,7 @@ class _Law(Table):
         return self.expression if isinstance(self.expression, str) else self.expression[domain]
 
     def may_act(self, port: Port) -> bool:
-        """Return whether the law is of a port's domain and kind, and the port has what it uses."""
+        """Return whether the law is for a port of this domain and kind, and the port has what it uses."""
         if port.domain not in self.domains or port.kind not in self.on:
             return False
         cuts = self.acts == "cut"
@@ -91,7 +91,7 @@ class _Law(Table):
         return all(_names(text) <= given for text in used)
 
     def may_be_sized(self, sizes: Collection[str]) -> bool:
-        """Return whether these sizes are all that its numbers are made of."""
+        """Return whether these sizes are all that the law's numbers depend on."""
         texts = [t for p in self.parameters.values() for t in (p.scale, p.most, p.start) if t]
         used = {n for text in texts for n in parse(text).names}
         own = [self.expression] if isinstance(self.expression, str) else self.expression.values()
@@ -117,7 +117,7 @@ def laws() -> Mapping[str, _Law]:
 
 
 def fitting(place: Place) -> Iterator[tuple[str, _Law]]:
-    """Yield the laws that may act at a port: of its domain and kind, and with quantities and sizes that it has."""
+    """Yield the laws that may act at a port: for its domain and kind, using quantities and sizes that it has."""
     for name, law in laws().items():
         if law.may_act(place.port) and law.may_be_sized(place.sizes):
             yield name, law
@@ -139,7 +139,7 @@ def catalogue_text(places: Sequence[Place], held: Mapping[str, Held], signals: s
     held
         Held parameters, by name.
     signals
-        The catalogue of the campaign's signals, or only the head of one.
+        The catalogue of the campaign's signals, or only its head.
     """
     lines: list[str] = []
     for place in places:
@@ -238,7 +238,7 @@ def _inline(values: Mapping[str, float]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """A held parameter that may be off: value, unit, and how well it is known (relative standard deviation)."""
+    """A held parameter that may be wrong: value, unit, and how well it is known (relative standard deviation)."""
 
     value: float
     unit: str
@@ -276,9 +276,9 @@ def _held_lines(name: str, held: Held) -> list[str]:
 def sized(
     ports: Sequence[Port], time: Sequence[FloatArray], courses: Sequence[Mapping[str, FloatArray]]
 ) -> list[Place]:
-    """Return the ports with sizes from the courses of their variables, one mapping for each run.
+    """Return the ports with sizes taken from their variables over time, one mapping per run.
 
-    A port where nothing moves or flows is left out: nothing there would show.
+    A port where nothing moves or flows is left out, because an effect there would not show.
     """
     duration = max(float(t[-1] - t[0]) for t in time)
     by_name = {port.name: port for port in ports}
@@ -334,15 +334,15 @@ def with_catalogue(
     *,
     runner: Runner = in_process,
 ) -> Campaign:
-    """Return the campaign with a catalogue of effects, and models built that carry them.
+    """Return the campaign with a catalogue of effects, and with models built to carry them.
 
-    A campaign that names none gets one made from its models' source, or of signals and held parameters where
-    there is none. Effects with an `expression` are added to the source of the models.
+    A campaign that names no catalogue gets one made from the source of its models, or from its signals and held
+    parameters where there is no source. Effects with an `expression` are added to the source of the models.
 
     Raises
     ------
     CampaignError
-        A catalogue adds effects to models of which the campaign does not name the source.
+        A catalogue adds effects to models whose source the campaign does not name.
     ModelicaError, BuildError
         A model cannot be built with the effects.
     """
@@ -409,7 +409,7 @@ def _sources(campaign: Campaign) -> dict[str, _Setup]:
 
 
 def _seen(campaign: Campaign) -> list[Experiment]:
-    """Return the runs of models that are not kept for validation."""
+    """Return the runs of models that are not reserved for validation."""
     return [e for e in campaign.measurements if e.id not in campaign.validation and e.setup in campaign.models]
 
 
@@ -471,7 +471,7 @@ def _held_value(name: str, model: CampaignModel, fixed: Mapping[str, float]) -> 
 
 
 def possible_laws(flat: FlatModel) -> dict[str, list[str]]:
-    """Return the names of the laws that may act at each port of a model, whatever its sizes are."""
+    """Return the names of the laws that may act at each port of a model, whatever its sizes."""
     sizes = dict.fromkeys(SIZES, 1.0)
     found = {port.name: [name for name, _ in fitting(Place(port, sizes))] for port in find_ports(flat)}
     return {name: names for name, names in found.items() if names}

@@ -1,9 +1,9 @@
 """Separation of rival answers by a future run, in standard deviations, and which run or sensor to add.
 
-A rival that is wrong is refitted once the run is made, and bends as far as the recorded runs let it: of what two
-predictions differ by only that part counts that the rival's parameters cannot follow at less cost.
-`fmuid.design` searches for the run; what a diagnosis itself suggests is one of its own, scaled, and never beyond
-what the campaign has already driven the rig to by more than half. Sensors are those of the catalogue.
+Once the run is made, a wrong rival is refitted and adapts as far as the recorded runs let it. So of the difference
+of two predictions only the part counts that the rival's parameters cannot follow at less cost. `fmuid.design`
+searches for the run; a diagnosis itself only suggests one of the campaign's own runs with its input scaled, by no
+more than half beyond the original. Sensors are those of the catalogue.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from fmuid.identification.problem.cases import Case, Channel
 from fmuid.simulation.simulator import default_tolerance
 
 _SCALES = (-1.0, 0.25, 0.5, 1.25, 1.5)
-_NINE_OF_TEN = 1.2816  # standard deviations
-_PRECISELY, _USUAL = 1e-2, 1e-4  # of a diagnosis' own solver tolerance: nearly equal models are compared
-_UNBOUNDED = 10.0  # standard deviation, in values, of a parameter without bounds that no run has told of
+_NINE_OF_TEN = 1.2816  # standard deviations: one-sided 90 %
+_PRECISELY, _USUAL = 1e-2, 1e-4  # shares of a diagnosis' solver tolerance: nearly equal models are compared
+_UNBOUNDED = 10.0  # standard deviation, in values, of an unbounded parameter that no run determines
 
 Whiten = Callable[[Prediction], FloatArray]
-"""Differences of predictions to one vector in standard deviations of the noise."""
+"""Convert differences of predictions to one vector in standard deviations of the noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Rival:
     Attributes
     ----------
     told
-        (P, P) triangular factor of the information there is: a change d of the parameters costs ``|told d|^2``.
+        (P, P) triangular factor of the available information: a change d of the parameters costs ``|told d|^2``.
     draws
         Plausible parameter values, the estimate first.
     residual
@@ -63,12 +63,12 @@ class Rival:
 
     @property
     def values(self) -> Mapping[str, float]:
-        """The estimate."""
+        """The parameter estimate."""
         return self.draws[0]
 
 
 def rival_of(fitted: Fitted, observed: Observed, *, draws: int = 1, seed: int = 0) -> Rival:
-    """Return a refitted model as a rival, with a number of draws of its parameters."""
+    """Return a refitted model as a rival, with draws of its parameters."""
     unknowns, fit = fitted.fit.unknowns, fitted.fit
     here = np.array([fit.values[u.name] for u in unknowns])
     width = [(u.upper - u.lower) / np.sqrt(12.0) for u in unknowns]
@@ -88,8 +88,8 @@ def rival_of(fitted: Fitted, observed: Observed, *, draws: int = 1, seed: int = 
 def separations(apart: FloatArray, rivals: Sequence[Rival]) -> FloatArray:
     """Return by how many standard deviations a diagnosis will prefer the right one of two rivals, or more.
 
-    That is in nine cases of ten, by recorded runs and the new one: by a distance D the new one makes their costs
-    differ by D^2 on average, with a standard deviation of 2 D (see `decide.separation`).
+    It does so in nine cases out of ten, using the recorded runs and the new one. A distance D in the new run makes
+    the costs differ by D^2 on average, with a standard deviation of 2 D (see `decide.separation`).
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def separations(apart: FloatArray, rivals: Sequence[Rival]) -> FloatArray:
 
     Returns
     -------
-    (R, R): of the first, if it is right, to the second.
+    (R, R): preference for the first rival, if it is right, over the second.
     """
     found = np.zeros_like(apart)
     for a, right in enumerate(rivals):
@@ -114,14 +114,14 @@ def separations(apart: FloatArray, rivals: Sequence[Rival]) -> FloatArray:
 def distances(
     model: CampaignModel, rivals: Sequence[Rival], whiten: Whiten
 ) -> tuple[FloatArray, list[Prediction]]:
-    """Return by how many standard deviations rivals differ in runs, whatever the wrong one is refitted to.
+    """Return by how many standard deviations rivals differ in runs, however the wrong one is refitted.
 
     Returns
     -------
     array
-        (R, R): if the first is true, from the second; the least over its draws.
+        (R, R): distance from the first rival, if it is true, to the second; the least over the draws of the first.
     list of Prediction
-        Of every draw of every rival, in their order.
+        Predictions of every draw of every rival, in their order.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def distances(
 def distance_matrix(
     linear: Sequence[Linear], drawn: Sequence[Prediction], rivals: Sequence[Rival], whiten: Whiten
 ) -> FloatArray:
-    """Return the (R, R) distances from what was simulated; see `distances`."""
+    """Return the (R, R) distances computed from simulations; see `distances`."""
     found = np.zeros((len(rivals), len(rivals)))
     of = [k for k, rival in enumerate(rivals) for _ in rival.draws]
     for b, (wrong, here) in enumerate(zip(rivals, linear, strict=True)):
@@ -166,7 +166,7 @@ def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
     None if none would settle which of them is right (`decide.SAME` standard deviations). It is assumed to be
     repeated as often as the original experiment.
     """
-    if len(alike) < 2 or subject.observed.nuisances:  # segments begin where this run was measured, not another
+    if len(alike) < 2 or subject.observed.nuisances:  # segments start from measurements of this very run
         return None
     observed, (a, b) = subject.observed, alike[:2]
     rivals = [rival_of(f, observed) for f in (a, b)]
@@ -215,7 +215,7 @@ def sensor_to_add(subject: Subject, alike: Sequence[Fitted], *, beyond: float = 
 
 
 def _new(apart: FloatArray, rivals: Sequence[Rival]) -> float:
-    """Return the smaller separation of two rivals; 0 if a further run adds nothing but chance to it."""
+    """Return the smaller separation of two rivals; 0 if a further run adds only chance."""
     told = min(apart[0, 1], apart[1, 0]) > 2.0 * _NINE_OF_TEN
     found = separations(apart, rivals)
     return float(min(found[0, 1], found[1, 0])) if told else 0.0
@@ -238,7 +238,7 @@ def with_sensors(case: Case, sensors: Sequence[Sensor]) -> Case:
 
 
 def _in_sigmas(subject: Subject, prediction: Prediction, sensor: Sensor, new: Sequence[bool]) -> FloatArray:
-    """Return what all runs read, in standard deviations of its noise; the last rows are the added sensor's."""
+    """Return what all runs read, in standard deviations of their noise; the added sensor's rows come last."""
     observed = subject.observed
     known = observed.whiten([p[:-1] if n else p for p, n in zip(prediction, new, strict=True)])
     read = [

@@ -1,10 +1,9 @@
 """What noise alone would do: null distributions drawn from the runs' own differences.
 
-The R runs of an experiment have R - 1 independent differences, each a draw of what one run differs from the truth
-by. Random mixtures of them, scaled to the mean of R runs, are residuals of a complete model: their energy and
-their largest score, after the nominal parameters are refitted, tell when a gap is more than noise. Variations from
-run to run that touch many signals at once are in them, as white noise would not have them. Rounding errors that
-all runs share are added.
+The R runs of an experiment have R - 1 independent differences, each a draw of the error of one run. Random
+mixtures of them, scaled to the mean of R runs, are residuals of a complete model: their energy and their largest
+score, after the nominal parameters are refitted, show when a gap is more than noise. Unlike white noise, they
+contain variations from run to run that affect many signals at once. Rounding errors that all runs share are added.
 """
 
 from __future__ import annotations
@@ -33,8 +32,8 @@ class Null:
     def p_value(self, excess: float, drop: float = 0.0) -> float:
         """Return how likely noise alone leaves this excess energy, or a score as large as `drop`.
 
-        Of the excess by the share of draws with at least as much, a fitted normal beyond the last draw; with a
-        drop, twice the smaller of the two shares (Bonferroni).
+        For the excess, this is the share of draws with at least as much, continued by a fitted normal beyond the
+        last draw. With a drop, it is twice the smaller of the two shares (Bonferroni).
         """
         energy = self._of_excess(excess)
         if drop <= 0.0:
@@ -48,15 +47,15 @@ class Null:
         return max(above, tail) if above > 0 else min(tail, 1.0 / (len(self.excess) + 1))
 
     def threshold(self, quantile: float = 0.99) -> float:
-        """Return the drop that noise alone exceeds in 1 - `quantile` of all diagnoses."""
+        """Return the drop that noise alone exceeds in a share 1 - `quantile` of all diagnoses."""
         return float(np.quantile(self.largest_drop, quantile))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseDraws:
-    """(M, D) draws of the residual that noise alone would leave, of all experiments one after the other.
+    """(M, D) draws of the residual that noise alone would leave, with all experiments concatenated.
 
-    `weight` is (M,) one over the number of repeats in the signals' bandwidth, 0 beyond; `free` is (M,) the share
+    `weight` is (M,): 1 / (number of repeats) within the signals' bandwidth, 0 beyond it. `free` is (M,): the share
     of each component that nuisances leave.
     """
 
@@ -84,7 +83,7 @@ class NoiseDraws:
 
 
 def draw_noise(observed: Observed, *, draws: int = 400, seed: int = 0) -> NoiseDraws:
-    """Draw residuals of a complete model, before anything is refitted."""
+    """Draw residuals of a complete model, before any refit."""
     rng = np.random.default_rng(seed)
     noise = np.empty((sum(w.size for w in observed.whiteners), draws))
     begin = 0
@@ -93,7 +92,7 @@ def draw_noise(observed: Observed, *, draws: int = 400, seed: int = 0) -> NoiseD
         if len(c):
             mix = rng.standard_normal((draws, len(c))) / np.sqrt(len(c))
             noise[begin : begin + w.size] = (mix @ c).T
-            if np.any(observed.noise[run.setup].repeating):  # which no contrast has
+            if np.any(observed.noise[run.setup].repeating):  # absent from every contrast
                 shared = rounding_draws(run, observed.noise[run.setup], draws=draws, seed=seed)
                 noise[begin : begin + w.size] += np.sqrt(len(run.values)) * w(shared).reshape(draws, -1).T
         else:

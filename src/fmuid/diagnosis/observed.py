@@ -14,10 +14,10 @@ from fmuid.data.noise.runs import RepeatedRuns, cut
 from fmuid.data.noise.spectrum import PiecewiseWhitener, SetupNoise, Whitener, bandwidth, estimate_noise, whitener
 from fmuid.diagnosis.projection import project_off
 
-_FEW = 4  # experiments: with fewer, leaving one out leaves too little to learn from
-_PIECES = 6  # that a run without repeats is then cut into
-_SHORTEST = 64  # samples of a piece
-_MOST_TAKEN = 0.5  # of the components in the bandwidth
+_FEW = 4  # experiments: with fewer, too little remains when one is left out
+_PIECES = 6  # number of pieces that a run without repeats is then cut into
+_SHORTEST = 64  # samples in the shortest piece
+_MOST_TAKEN = 0.5  # largest share of the components in the bandwidth that nuisances may take
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,16 +27,16 @@ class Observed:
     Attributes
     ----------
     runs
-        One entry an experiment.
+        One entry per experiment.
     noise
-        Setup -> its noise.
+        Noise by setup.
     predicted
-        (C, N) an experiment that a model predicts; what it has and the measurements lack belongs to the signals'
-        bandwidth, too. Empty if none is known yet.
+        (C, N) predictions per experiment; what a prediction contains and the measurements lack also belongs to the
+        signals' bandwidth. Empty if none is known yet.
     nuisances
-        (M, K) orthonormal bases an experiment, of what unknowns of its own do to its whitened residual, such as
-        the initial states of segments. They are projected off all residuals, and cost as many degrees of freedom.
-        Empty if there are none.
+        (M, K) orthonormal bases, one per experiment, of the effect of its own unknowns, such as the initial states
+        of segments, on its whitened residual. They are projected off all residuals and cost as many degrees of
+        freedom. Empty if there are none.
     """
 
     runs: tuple[RepeatedRuns, ...]
@@ -46,7 +46,7 @@ class Observed:
 
     @classmethod
     def from_runs(cls, runs: Sequence[RepeatedRuns]) -> Observed:
-        """Estimate each setup's noise, from its repeats where there are some.
+        """Estimate each setup's noise, from repeats where available.
 
         If there are only a few runs without repeats, they are cut into pieces for cross-validation.
         """
@@ -59,7 +59,7 @@ class Observed:
 
     @property
     def bounded(self) -> bool:
-        """Whether some noise level is only a bound because there are no repeats; the true noise may be larger."""
+        """Whether a noise level is only a bound, for lack of repeats; it does not cover slow noise."""
         return any(n.bounded for n in self.noise.values())
 
     def select(self, ids: Sequence[str]) -> Observed:
@@ -81,7 +81,7 @@ class Observed:
     def folds(self) -> tuple[tuple[int, NDArray[np.intp] | slice], ...]:
         """Cross-validation folds: experiment, and components of its whitened residual.
 
-        Whole experiments where they were repeated; pieces of those that were not.
+        A fold is a whole experiment, or a piece of one that was cut.
         """
         return tuple(
             (e, fold)
@@ -91,7 +91,7 @@ class Observed:
 
     @cached_property
     def groups(self) -> tuple[int, ...]:
-        """(F,) which folds are left out together: runs with the same input and conditions are one experiment."""
+        """(F,) group of each fold: runs with the same input and conditions are left out together."""
         first: dict[object, int] = {}
         pieces = [isinstance(self.whiteners[e], PiecewiseWhitener) for e, _ in self.folds]
         return tuple(
@@ -103,8 +103,8 @@ class Observed:
     def in_band(self) -> tuple[NDArray[np.bool_], ...]:
         """Which components of each experiment's whitened residual lie in the bandwidth of their signal.
 
-        Gaps are means over these, so that they do not depend on how often a signal was sampled. Where nuisances
-        take more than half of them, all components count.
+        Gaps are means over these components, so they do not depend on the sampling rate of a signal. Where
+        nuisances take more than half of them, all components count.
         """
         predicted = self.predicted or (None,) * len(self.runs)
         limits = [
@@ -153,8 +153,8 @@ def _whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener | PiecewiseWhite
 def gap(residuals: Sequence[FloatArray], observed: Observed) -> float:
     """Return the gap in floors: G = sqrt(max(0, mean whitened residual^2 - 1)), for one run on average.
 
-    The mean is over components in the signals' bandwidth. The mean of R runs carries 1/R of a run's noise, so this
-    much is what noise alone would leave in it.
+    The mean is over components in the signals' bandwidth. The mean of R runs carries 1/R of a run's noise, which
+    is the part that noise alone would leave in it.
     """
     return float(np.sqrt(max(0.0, excess(residuals, observed))))
 
@@ -166,7 +166,7 @@ def excess(residuals: Sequence[FloatArray], observed: Observed) -> float:
 
 
 def excesses(residuals: Sequence[FloatArray], observed: Observed) -> tuple[FloatArray, FloatArray]:
-    """Return (E,) G^2 of every experiment before it is clipped, and how many components it is a mean of."""
+    """Return (E,) G^2 of every experiment before it is clipped, and the number of components averaged."""
     count = np.array(
         [band.sum() - t[band].sum() for band, t in zip(observed.in_band, observed.taken, strict=True)]
     )

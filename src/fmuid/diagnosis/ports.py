@@ -3,7 +3,7 @@
 A port is an input of the model that is zero by default and acts where effects act. Driving it with basis
 functions evaluated along the model's own trajectory gives the responses that any unnamed effect of that form would
 leave. The port whose responses explain the residual is where the gap arises; a decoy that beats every named effect
-on held-out experiments is evidence that the effect is none of them.
+on held-out experiments is evidence that none of them is the cause.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Refit, Unknown
 
 OWN_PAST = "its own past"
-_PASTS = 6  # time constants of a memory, from a few samples to a part of the longest run
+_PASTS = 6  # number of time constants of a memory, from a few samples to part of the longest run
 _SAME_PORT = 0.99  # correlation of responses above which the sensors cannot tell two ports apart
 Basis = tuple[tuple[FloatArray, ...], ...]
 """Basis functions, each with (N,) samples for every experiment."""
@@ -30,16 +30,16 @@ Basis = tuple[tuple[FloatArray, ...], ...]
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A place where an effect may act: an additive input of the model, or an output that is read wrongly.
+    """A place where an effect may act: an additive input of the model, or an output that is misread.
 
     Attributes
     ----------
     name
-        As effects name it.
+        Name of the port, as used by effects.
     input, output
         The model's input that is zero by default, or the measured output.
     magnitude
-        A plausible disturbance in `unit`; responses are taken at it.
+        A plausible disturbance in `unit`, at which responses are taken.
     added
         Whether `input` is to be added to the model's source, as a flow at the port of this name.
     """
@@ -55,16 +55,16 @@ class Port:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
-    """What a family of free functions at a port does to the signals.
+    """Response of the signals to a family of free functions at a port.
 
     Attributes
     ----------
     port, over
-        Where it acts and what it is a function of.
+        Where the functions act, and which variable they depend on.
     alike
-        Further ports at which the same functions do the same, as far as these sensors see.
+        Further ports at which the same functions have the same response, as far as these sensors see.
     columns
-        (M_e, B) an experiment: whitened change for each of the B functions, of the port's magnitude.
+        (M_e, B) per experiment: whitened change for each of the B functions, in units of the port's magnitude.
     """
 
     port: str
@@ -82,9 +82,9 @@ class Decoy:
     port, over, alike
         As in its `Response`.
     held_out
-        Its losses on experiments left out.
+            Losses on held-out experiments.
     amounts
-        (B,) coefficients of its functions, in the port's magnitude.
+            (B,) coefficients of its functions, in units of the port's magnitude.
     """
 
     port: str
@@ -116,9 +116,9 @@ def times(basis: Basis, factor: Sequence[FloatArray]) -> Basis:
 
 
 def pasts(values: Sequence[FloatArray], time: Sequence[FloatArray]) -> Basis:
-    """Return a variable behind first-order lags, over its largest absolute value.
+    """Return a variable after first-order lags, divided by its largest absolute value.
 
-    Time constants go, evenly on a logarithmic scale, from three samples to a third of the longest run.
+    Time constants are spaced evenly on a logarithmic scale from three samples to a third of the longest run.
     """
     size = max(max(float(np.abs(v).max()) for v in values), 1e-300)
     shortest = 3.0 * min(float(np.mean(np.diff(t))) for t in time)
@@ -135,7 +135,7 @@ def pasts(values: Sequence[FloatArray], time: Sequence[FloatArray]) -> Basis:
 
 
 def quantile_knots(values: Sequence[FloatArray], count: int) -> FloatArray:
-    """Return knots where the data are: quantiles of all experiments together, each of equal weight."""
+    """Return knots at quantiles of all experiments, each experiment having equal weight."""
     resampled = [np.quantile(v, np.linspace(0, 1, 201)) for v in values]
     knots = np.unique(np.quantile(np.concatenate(resampled), np.linspace(0, 1, count)))
     spread = knots[-1] - knots[0]
@@ -155,10 +155,10 @@ def responses_of(
     bases: Mapping[str, Basis],
     own: Mapping[str, Mapping[str, Basis]] | None = None,
 ) -> tuple[Response, ...]:
-    """Return what every basis does at every port, at the parameters of `base`; those of `own` at theirs alone.
+    """Return the responses to every basis at every port, at the parameters of `base`; `own` holds bases by port.
 
-    Ports whose responses cannot be simulated are left out. A sensor may also misread by what other signals, or its
-    own past, are.
+    Ports whose responses cannot be simulated are left out. A sensor's error may also depend on other signals or on
+    its own past.
     """
     found = _at_sensors(model, observed, base, ports, bases)
     distinct = _distinct(model, observed, base, ports, bases)
@@ -230,7 +230,7 @@ def _of_signals(
 def _distinct(
     model: CampaignModel, observed: Observed, base: Refit, ports: Sequence[Port], bases: Mapping[str, Basis]
 ) -> dict[str, tuple[str, ...]]:
-    """Return the inputs among the ports, each with those after it that no signal tells from it."""
+    """Return the inputs among the ports, each with the later ones that no signal distinguishes from it."""
     inputs = [p for p in ports if p.input is not None]
     probe = next(iter(bases.values()), ())[:3]
     if not probe:
@@ -274,7 +274,7 @@ def _fit(response: Response, base: Refit, observed: Observed) -> Decoy:
     steps = np.array([u.step for u in unknowns])
     a = np.concatenate([w * j for w, j in zip(weight, jacobian, strict=True)]) * steps
     r = np.concatenate([w * x for w, x in zip(weight, base.residuals, strict=True)])
-    # A coefficient that no signal shows stays near zero: prior standard deviation of thirty magnitudes.
+    # A coefficient that no signal shows stays near zero: its prior standard deviation is thirty magnitudes.
     prior = np.concatenate([np.full(len(base.unknowns), 1e-3), np.full(count, 1.0 / 30.0)])
     solution = np.linalg.solve(a.T @ a + np.diag(prior**2), -(a.T @ r))
     residuals = tuple(x + j @ (steps * solution) for x, j in zip(base.residuals, jacobian, strict=True))

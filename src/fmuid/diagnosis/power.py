@@ -9,16 +9,16 @@ import numpy as np
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.scores import Score
 
-_PLAUSIBLE = 3.0  # times a trial: as far as a refit starts from it
+_PLAUSIBLE = 3.0  # largest plausible size, in trials: a refit starts from no farther away
 
 
 def smallest_seen(
     scores: Sequence[Score], effects: Sequence[Effect], *, threshold: float
 ) -> dict[str, dict[str, float]]:
-    """Return by effect the values of its parameters at which its score would reach `threshold`.
+    """Return by effect the parameter values at which its score would reach `threshold`.
 
-    Sizes are scaled linearly from the trial that did best, shapes are the trial's. Effects are left out that
-    would not be seen at a plausible size: beyond their bounds, or at more than three times the trial.
+    Sizes are scaled linearly from the trial that did best and clipped to their bounds; shapes are the trial's. An
+    effect that would need more than three times the trial is left out.
     """
     by_id = {e.id: e for e in effects}
     found = {}

@@ -1,4 +1,4 @@
-"""Orthonormal bases of what unknowns can do to residuals, and what they leave."""
+"""Orthonormal bases of the responses of residuals to unknowns, and projections off them."""
 
 from __future__ import annotations
 

@@ -16,26 +16,26 @@ from fmuid.diagnosis.observed import Observed
 from fmuid.identification.solvers.trust_region import SettledError, trust_region
 
 Predict = Callable[[Sequence[Mapping[str, float]]], Sequence[Sequence[FloatArray] | SimulationError]]
-"""Points in parameter space -> predictions (C, N) of every experiment, or why there are none."""
+"""Points in parameter space -> predictions (C, N) of every experiment, or the error for a point without one."""
 
 
 Tangents = Callable[[Mapping[str, float], Sequence[str]], Mapping[str, Sequence[FloatArray]]]
 """A point, names of parameters -> d prediction / d parameter of every experiment, by name, where it is known."""
 
-_WORTH = 4  # exact columns cost three runs and a third of one each, differences one each
-_ENOUGH = 0.5  # fall of the cost, in squared standard deviations, that is worth another iteration
-_WIDE = 8.0  # steps to either side, so that the slope is that of the cost and not of its ripples
-_PATIENCE = 10  # trial points in a row that are no better: each is four times as near
+_WORTH = 4  # exact columns cost three runs plus a third of a run each, differences one run each
+_ENOUGH = 0.5  # fall of the cost, in squared standard deviations, that justifies another iteration
+_WIDE = 8.0  # steps to either side, so that the slope follows the cost and not its ripples
+_PATIENCE = 10  # consecutive trial points without improvement; each is four times as near
 
 Slopes = Literal["exact", "near", "wide"]
-"""Where derivatives come from: the model, differences of a plausible step, or of many to either side."""
+"""Source of derivatives: the model, differences over a plausible step, or over many steps to either side."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """A parameter that is searched: bounds, and the step that is small but well above solver noise.
+    """A parameter that is searched: bounds, and a step that is small but well above solver noise.
 
-    With an `sd`, what is known of it beforehand is a normal distribution around its start.
+    With an `sd`, prior knowledge of it is a normal distribution around its start.
     """
 
     name: str
@@ -55,15 +55,15 @@ class Refit:
     values
         Parameter -> estimate.
     residuals
-        Whitened residual of the mean run, (M_e,) an experiment.
+        Whitened residual of the mean run, (M_e,) per experiment.
     jacobian
-        d residual / d parameter, (M_e, P) an experiment, at the estimate, by finite steps.
+        d residual / d parameter, (M_e, P) per experiment, at the estimate, by finite steps.
     cost
         Sum over runs of squared whitened residuals of the mean run, and of priors.
     evaluations
-        Simulations of the whole campaign that it took.
+        Number of simulations of the whole campaign.
     converged
-        Whether the search from the start that led here ended by its own tolerance, not by its budget.
+        Whether the search that led to this result ended by its tolerance, not by its budget.
     """
 
     unknowns: tuple[Unknown, ...]
@@ -87,9 +87,9 @@ def refit(
 ) -> Refit:
     """Minimise the whitened squared residual of the mean runs.
 
-    Where bodies hit and stick, the cost has ripples, in which a search by local slopes ends early. If those at its
-    end promise a fall of the cost that no step keeps, it goes on with slopes across the ripples (implicit
-    filtering, Kelley 2011).
+    Where bodies collide and stick, the cost has ripples, and a search by local slopes ends early. If the slopes at
+    its end promise a fall of the cost that no step achieves, the search continues with slopes across the ripples
+    (implicit filtering, Kelley 2011).
 
     Parameters
     ----------
@@ -98,17 +98,17 @@ def refit(
     observed
         The measurements and their noise.
     unknowns
-        What is searched.
+        The parameters to search for.
     starts
-        Points to search from, each with the unknowns' own start for what it does not name. The result is at least
-        as good as every one of them that can be simulated.
+        Points to search from; a parameter that a point does not name starts from its own start. The result is at
+        least as good as every start that can be simulated.
     tangents
-        Gives exact derivatives. Without, where it knows none and within a step of a bound (there an effect may
-        just begin) columns are finite differences.
+        Gives exact derivatives. Columns are finite differences without it, where it knows none, and within a step
+        of a bound (where an effect may just begin).
     max_iterations
-        Jacobians at the most, from each start.
+        Largest number of Jacobians from each start.
     tolerance
-        Ends when an iteration lowers the cost by less than this share of it, or by less than 0.5.
+        The search ends when an iteration lowers the cost by less than this share of it, or by less than 0.5.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def refit(
         else:
             campaign.known[x.tobytes()] = outcome
             end = _search(campaign, x, max_iterations, tolerance)
-            if tangents is not None:  # where exact slopes end (a kink) those of a plausible step may go on
+            if tangents is not None:  # at a kink, where exact slopes end, those of a plausible step may continue
                 further = _search(campaign, end[1], max_iterations, tolerance, "near")
                 end = further if further[0] < end[0] - max(_ENOUGH, tolerance * end[0]) else end
             found.append(end)
@@ -136,8 +136,8 @@ def refit(
         end = min(end, across, _search(campaign, across[1], max_iterations, tolerance, "near"), key=lambda e: e[0])
     cost, x, converged = end
     residuals = campaign.parts(x)
-    # The search follows the exact slope. What is predicted from the result is as far away as a plausible step,
-    # where the slope of an effect that begins somewhere (a backlash) is another one.
+    # The search follows the exact slope. Predictions from the result reach as far as a plausible step, where the
+    # slope of an effect with a threshold (such as backlash) differs.
     jacobian = campaign.jacobian(x, "near")
     return Refit(tuple(unknowns), campaign.values(x), residuals, jacobian, cost, campaign.evaluations, converged)
 
@@ -145,7 +145,7 @@ def refit(
 def _search(
     campaign: _Campaign, start: FloatArray, max_iterations: int, tolerance: float, slopes: Slopes = "exact"
 ) -> tuple[float, FloatArray, bool]:
-    """Return the cost and the point that a search from `start` ends at, and whether by its own tolerance."""
+    """Return the cost and the end point of a search from `start`, and whether it ended by its tolerance."""
     best, cost, iterations, vain = start, campaign.cost(start), 0, 0
 
     def residuals(x: FloatArray) -> FloatArray:
@@ -226,7 +226,7 @@ class _Campaign:
         return {name: float(v) for name, v in zip(self._names, x, strict=True)}
 
     def evaluate(self, points: Sequence[FloatArray]) -> list[tuple[FloatArray, ...] | SimulationError]:
-        """Return the residuals of every experiment at each point, or why there are none."""
+        """Return the residuals of every experiment at each point, or the error for a point without them."""
         self.evaluations += len(points)
         return [
             outcome if isinstance(outcome, SimulationError) else self._observed.residuals(outcome)
@@ -251,14 +251,14 @@ class _Campaign:
         return float(r @ r)
 
     def vector(self, x: FloatArray) -> FloatArray:
-        """Return the residuals, and what is known beforehand below them."""
+        """Return the residuals, followed by those of the priors."""
         return np.concatenate([self.stacked(self.parts(x)), self.prior @ (x - self._start)])
 
     def stacked(self, parts: Sequence[FloatArray]) -> FloatArray:
         return np.concatenate([w * p for w, p in zip(self.weight, parts, strict=True)])
 
     def promised(self, x: FloatArray) -> float:
-        """Return the fall of the cost that the slopes of a plausible step promise, as far as bounds allow."""
+        """Return the fall of the cost that the slopes of a plausible step promise, within bounds."""
         slopes = np.vstack([self.stacked(self.jacobian(x, "near")), self.prior]) * self.steps
         room = np.stack([self.lower - x, self.upper - x]) / self.steps
         free = room[0] < room[1]
@@ -267,15 +267,15 @@ class _Campaign:
         return float(r @ r) - 2.0 * float(found.cost)
 
     def jacobian(self, x: FloatArray, slopes: Slopes = "exact") -> tuple[FloatArray, ...]:
-        """Return d residual / d unknown, (M_e, P) an experiment; differences where it cannot be exact."""
-        if slopes == "near":  # a search, what it promises and the result take those of one point
+        """Return d residual / d unknown, (M_e, P) per experiment; differences where it cannot be exact."""
+        if slopes == "near":  # shared by the search, its promise and the result at one point
             return _remembered(self._near, x, lambda: self._differences(x, {}))
         return self._differences(x, {}, _WIDE) if slopes == "wide" else self._differences(x, self._exactly(x))
 
     def _differences(
         self, x: FloatArray, columns: dict[int, tuple[FloatArray, ...]], wide: float = 0.0
     ) -> tuple[FloatArray, ...]:
-        """Add the columns that are missing, from a step away or from as many to either side."""
+        """Add the missing columns, from one step away or from `wide` steps to either side."""
         base = self.parts(x)
         left = [k for k in range(len(x)) if k not in columns]
         away = np.diag(np.where(x + self.steps > self.upper, -self.steps, self.steps))[left]
@@ -298,14 +298,15 @@ class _Campaign:
         found = self._tangents(self.values(x), [self._names[k] for k in inside])
         self.evaluations += 1
         columns = {k: self._observed.whiten(found[self._names[k]]) for k in inside if self._names[k] in found}
-        # What moves nothing at all may still do so after a step, as a backlash that is not reached.
+        # A parameter without any local response may still have one after a step, as a backlash that is not
+        # reached.
         return {k: parts for k, parts in columns.items() if any(np.any(p) for p in parts)}
 
 
 def _remembered(
     known: OrderedDict[bytes, tuple[FloatArray, ...]], x: FloatArray, found: Callable[[], tuple[FloatArray, ...]]
 ) -> tuple[FloatArray, ...]:
-    """Return what is known of a point, or what is found; the last two points are remembered."""
+    """Return the known entry of a point, or a newly computed one; the last two points are remembered."""
     key = x.tobytes()
     if key not in known:
         known[key] = found()

@@ -1,4 +1,4 @@
-"""Regimes: along which variables of the model a gap is looked at, and free functions of them."""
+"""Regimes: the variables of the model along which a gap is examined, and free functions of them."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ class Regime:
     Attributes
     ----------
     name
-        As the report names it.
+        Name used in the report.
     variable
         Variable of the model.
     kind
         ``speed`` (its sign is the direction), ``angle`` (in rad; laws repeat every turn) or ``value``.
     orders
-        Periods a turn, for an angle.
+        Periods per turn, for an angle.
     ports
-        The only ports where functions of it act; at any if there are none.
+        The only ports where functions of it act; any port if empty.
     """
 
     name: str
@@ -51,13 +51,13 @@ def trajectories(
 def folded(
     paths: Mapping[str, tuple[FloatArray, ...]], regimes: Mapping[str, Regime]
 ) -> dict[str, tuple[FloatArray, ...]]:
-    """Return `paths` with angles within one turn: laws repeat with it."""
+    """Return `paths` with angles folded into one turn, because laws repeat with it."""
     angles = {r.name for r in regimes.values() if r.kind == "angle"}
     return {n: tuple(p % (2 * np.pi) for p in path) if n in angles else path for n, path in paths.items()}
 
 
 def _powers(path: Sequence[FloatArray]) -> Basis:
-    """Return first to third power of a variable, signed as it is."""
+    """Return first to third power of a variable; even powers keep its sign."""
     size = max(float(np.abs(p).max()) for p in path) or 1.0
     return tuple(tuple(read_only(np.sign(p) * np.abs(p / size) ** k) for p in path) for k in (1, 2, 3))
 
@@ -67,8 +67,8 @@ def bases(
 ) -> dict[str, Basis]:
     """Return families of functions that an unnamed effect may be: of speed, acceleration, angle, load, past, time.
 
-    Functions of angle and time come also with the sign of the speed, as friction has it. Regimes that are confined
-    to ports are in `own_bases`.
+    Functions of angle and time also come multiplied by the sign of the speed, as in friction. Regimes confined to
+    ports are in `own_bases`.
     """
     time = paths["time"]
     since = [t - t[0] for t in time]
@@ -90,7 +90,7 @@ def bases(
         if regime.kind == "speed":
             rate = [np.gradient(w, t) for w, t in zip(path, time, strict=True)]
             found[f"{regime.name}, its rate"] = hats(rate, quantile_knots(rate, knots))
-            # Knots say nothing of speeds that one experiment alone reaches.
+            # Knots carry no information at speeds that only one experiment reaches.
             found[f"{regime.name}, smooth"] = _powers(path)
     found["time"] = over_time
     if direction is not None:
@@ -103,7 +103,7 @@ def own_bases(
 ) -> dict[str, Basis]:
     """Return families of functions that an unnamed effect may be at `port` alone: of the regimes confined to it.
 
-    Each comes by itself and in proportion to it over every angle, as the torque of a motor's current has it.
+    Each comes by itself and multiplied by the regime over every angle, like the torque of a motor current.
     """
     angles = [r for r in regimes.values() if r.kind == "angle" and not r.ports]
     found: dict[str, Basis] = {}
@@ -119,7 +119,7 @@ def own_bases(
 
 
 def _of_angle(path: Sequence[FloatArray], regime: Regime) -> Basis:
-    """Return harmonics of an angle, in the experiments that turn far enough to tell them from a constant."""
+    """Return harmonics of an angle, in the experiments that turn far enough to separate them from a constant."""
     turning = [np.ptp(p) > np.pi / max(regime.orders) for p in path]
     return times(
         harmonics(path, regime.orders), [np.full(len(p), float(t)) for p, t in zip(path, turning, strict=True)]

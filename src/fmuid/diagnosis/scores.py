@@ -1,8 +1,9 @@
 """Scores: how much of the residual each effect could explain that refitting the nominal parameters cannot.
 
-One finite-step simulation a trial magnitude gives an effect's signature. What the nominal parameters can imitate
-is projected off it, in units of noise; what remains is held against the residual. Finite steps matter: the
-gradient of backlash or saturation at their neutral value is zero. (A score test, Rao 1948, with finite steps.)
+One finite-step simulation per trial magnitude gives an effect's signature. The part that the nominal parameters
+can imitate is projected off it, in units of noise; the rest is compared with the residual. Finite steps matter:
+the gradients of backlash and saturation at their neutral values are zero. (A score test, Rao 1948, with finite
+steps.)
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.projection import orthonormal, project_off
 from fmuid.diagnosis.refit import Predict, Refit
 
-_NEARLY = 0.98  # correlation of signatures above which they are compared at sizes that move as much
-_COMPARED = 3  # of those, the most alike
+_NEARLY = 0.98  # correlation of signatures above which effects are compared again at matched sizes
+_COMPARED = 3  # number of the most similar ones compared
 _SEEN = 5.0  # standard deviations: smaller effects would not be named
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Score:
-    """What one effect could explain.
+    """The part of the residual that one effect could explain.
 
     Attributes
     ----------
@@ -35,15 +36,16 @@ class Score:
     drop
         By how much the cost would fall if the signature were scaled to fit.
     scale
-        That factor on the trial's signature.
+        That factor, applied to the trial's signature.
     per_run
-        Drop over its own run-to-run standard error: how many of them the mean over runs is above zero.
+        Drop divided by its own run-to-run standard error: how many of these the mean over runs is above zero.
     signature
         The trial's projected signature, of unit length; None if it does not move any signal.
     moved, length
-        By how many sigmas the trial moves the predictions, and by how many more than the fitted parameters could.
+        By how many sigmas the trial moves the predictions, and by how many beyond what the fitted parameters can
+        do.
     same
-        Scores of effects that the data cannot tell from this one: they are left out for it.
+        Scores of effects that the data cannot distinguish from this one, which stands for them.
     """
 
     effect: str
@@ -63,7 +65,7 @@ def stack(parts: Sequence[FloatArray], observed: Observed) -> FloatArray:
 
 
 def nominal_basis(base: Refit, observed: Observed) -> FloatArray:
-    """Return an orthonormal basis of what the refitted parameters can do to the predictions."""
+    """Return an orthonormal basis of the responses of the predictions to the refitted parameters."""
     return orthonormal(stack(base.jacobian, observed))
 
 
@@ -85,7 +87,7 @@ def score_effects(
 def _scored(
     predict: Predict, observed: Observed, base: Refit, trials: Sequence[tuple[Effect, Mapping[str, float]]]
 ) -> Iterator[Score | None]:
-    """Yield the score of each trial, None of those that fail to simulate."""
+    """Yield the score of each trial, None for those that fail to simulate."""
     outcomes = predict([{**base.values, **trial} for _, trial in trials])
     basis = nominal_basis(base, observed)
     residual = stack(base.residuals, observed)
@@ -109,13 +111,13 @@ def _scored(
 def said_once(
     predict: Predict, observed: Observed, base: Refit, effects: Sequence[Effect], scores: Sequence[Score]
 ) -> tuple[Score, ...]:
-    """Return the scores less those of effects that the data cannot tell from another one, which names them.
+    """Return the scores without indistinguishable effects, which move to `same` of the effect that remains.
 
     Two effects are the same if the data would prefer one to the other by less than a standard deviation: the sine
-    of the angle between their signatures, times what the larger scored of them explains (at least `_SEEN` standard
-    deviations). Trials are of unlike size, and laws seldom linear: effects that are nearly alike are compared once
-    more at sizes that move as much. Of equals the more usual one stays, then the one of fewer parameters, then a
-    value that is off, then the first.
+    of the angle between their signatures, times what the better-scored of them explains (at least `_SEEN` standard
+    deviations). Trials differ in size, and laws are seldom linear, so effects that are nearly alike are compared
+    once more at sizes that move the predictions equally. Among equals, the more usual effect remains, then the one
+    with fewer parameters, then a deviating parameter value, then the first.
     """
     by_id = {s.effect: s for s in scores}
     order = sorted(effects, key=lambda e: (not e.usual, len(e.unknowns), not e.id.startswith("value@")))

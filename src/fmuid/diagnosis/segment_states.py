@@ -1,9 +1,9 @@
 """The initial states of segments in a diagnosis: fitted to each run, and projected off its residuals.
 
-Predictions in segments have their initial states fitted to what was measured (`fmuid.simulation.segmented`).
-Noise that the states follow is no longer in the residual, so it must not be expected there; and what acts after
-the simulation, such as a wrong gain of a sensor, must be allowed to move the states. Both follow if the tangents
-of the states, whitened, are projected off every residual and every difference.
+Predictions in segments have their initial states fitted to the measurements (`fmuid.simulation.segmented`). Noise
+that the states follow is no longer in the residual, so it must not be expected there, and effects after the
+simulation, such as a wrong gain of a sensor, must be allowed to move the states. Both hold if the whitened
+tangents of the states are projected off every residual and every difference.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from fmuid.diagnosis.projection import orthonormal
 from fmuid.identification.problem.segments import why_whole
 from fmuid.simulation.segmented import Segmented
 
-_DEPENDENT = 1e-8  # smallest singular value of unit columns, over the largest
+_DEPENDENT = 1e-8  # smallest singular value of unit columns, relative to the largest
 
 
 def with_states(observed: Observed, model: CampaignModel, values: Mapping[str, float]) -> Observed:
-    """Return the measurements with the initial states of segments as nuisances, linear at `values`.
+    """Return the measurements with the initial states of segments as nuisances, linearised at `values`.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def with_states(observed: Observed, model: CampaignModel, values: Mapping[str, f
 
 
 def findings_of(model: CampaignModel, stages: Mapping[str, StageSpec]) -> tuple[str, ...]:
-    """Return what was done, by setup; `stages` are the ones whose segments or observer count."""
+    """Return notes on how each setup is predicted; `stages` are the ones whose segments or observer count."""
     found = []
     for setup in dict.fromkeys(case.setup for case in model.cases):
         own = [c.simulator for c in model.cases if c.setup == setup]
@@ -55,13 +55,13 @@ def findings_of(model: CampaignModel, stages: Mapping[str, StageSpec]) -> tuple[
         if stage is not None and not cut and (why := why_whole(stage, own[0])):
             found.append(
                 f"Runs of setup '{setup}' are predicted whole, not as stage '{stage.name}' does: with effects, "
-                f"{why}. Of a plant that runs away, this diagnosis says little."
+                f"{why}. This diagnosis says little about an unstable plant."
             )
         if cut:
             segments, states = sum(s.segments for s in cut), sum(s.nuisances for s in cut)
             why = f"; stage '{stage.name}' has an observer instead" if stage is not None and stage.observer else ""
             found.append(
                 f"Runs of setup '{setup}' are predicted in {segments} segments, whose {states} initial states are "
-                f"fitted along{why}."
+                f"fitted as well{why}."
             )
     return tuple(found)

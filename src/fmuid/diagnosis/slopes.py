@@ -1,4 +1,4 @@
-"""Predictions and their derivatives at several points, simulated at once: exact ones, else finite differences."""
+"""Predictions and their derivatives at several points, simulated together: exact, or else finite differences."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def predicted(model: CampaignModel, points: Sequence[Mapping[str, float]]) -> li
 def linear_at(
     model: CampaignModel, points: Sequence[Mapping[str, float]], unknowns: Sequence[Sequence[Unknown]]
 ) -> list[Linear]:
-    """Return the model near every point, along the unknowns of that point.
+    """Return the model near every point, linearised along the unknowns of that point.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""How sure a refit is of its parameters, whatever the colour of what it leaves.
+"""Standard errors of a refit, whatever the colour of its residuals.
 
-The refit minimises residuals e of the mean runs whitened by W, so its estimate is off by ``(J'W'WJ)^-1 J'W'W e``.
-Whitening knows the noise by what few repeats differ by, in bands of frequency and as if a run began where it ends.
-So the covariance of ``J'W'W e`` is taken from the residuals themselves over time, as in an identification
+The refit minimises residuals e of the mean runs whitened by W, so the error of its estimate is ``(J'W'WJ)^-1 J'W'W
+e``. Whitening knows the noise only from the differences of a few repeats, in bands of frequency and as if a run
+were periodic. So the covariance of ``J'W'W e`` is taken from the residuals over time, as in an identification
 (`fmuid.identification.uncertainty.coloured_residuals`).
 """
 
@@ -20,7 +20,7 @@ from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import stack
 from fmuid.identification.uncertainty.coloured_residuals import Record, coloured_covariance
 
-_DETERMINED = 1e-6  # smallest singular value of unit columns, over the largest
+_DETERMINED = 1e-6  # smallest singular value of unit columns, relative to the largest
 
 
 def standard_errors(fit: Refit, observed: Observed, prediction: Sequence[FloatArray]) -> FloatArray:
@@ -33,9 +33,9 @@ def standard_errors(fit: Refit, observed: Observed, prediction: Sequence[FloatAr
     fit
         The refit, with its Jacobian of whitened residuals.
     observed
-        What it was fitted to.
+        The measurements that it was fitted to.
     prediction
-        (C, N) at its estimate, one an experiment.
+        (C, N) per experiment, at the estimate.
     """
     steps = np.array([u.step for u in fit.unknowns])
     whitened = stack(fit.jacobian, observed) * steps

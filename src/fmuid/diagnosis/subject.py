@@ -29,7 +29,7 @@ from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.signal_effects import signal_parameters
 from fmuid.simulation.simulator import Simulator
 
-_LOOSEST = (3e-3, 1e-3, 1e-4)  # solver tolerances to begin with
+_LOOSEST = (3e-3, 1e-3, 1e-4)  # initial solver tolerances
 _SLICE = re.compile(r"^(?P<name>.*)\[(?P<index>[\d:,\s]+)\]$")
 
 
@@ -37,8 +37,8 @@ _SLICE = re.compile(r"^(?P<name>.*)\[(?P<index>[\d:,\s]+)\]$")
 class Subject:
     """Model, measurements with their noise, nominal parameters and effects to consider.
 
-    `recordings` are the runs that it rests on, by id, and their digests. `modelled` are the effects of the
-    catalogue that the campaign's own values put into the model, and which values: they are no candidates.
+    `recordings` are the runs in use, by id, with their digests. `modelled` are the effects of the catalogue that
+    the campaign's own values put into the model, with these values: they are not candidates.
     """
 
     model: CampaignModel
@@ -66,10 +66,11 @@ def subject_of(
     load
         Loads the model of a setup.
     experiments
-        Ids or globs, instead of the campaign's own choice. Repeats come along, except those kept for validation.
+        Ids or globs, instead of the campaign's own choice. Repeats are included, except those reserved for
+        validation.
 
-    An effect of which a parameter is nominal is none: it is refitted always. Nor is one that the campaign holds at
-    another value than the catalogue's neutral one: it is in the model.
+    An effect with a nominal parameter is not a candidate, because the parameter is always refitted. Neither is one
+    that the campaign holds at a value other than the catalogue's neutral one, because it is in the model.
 
     Raises
     ------
@@ -124,7 +125,7 @@ def solved_well_enough(
 ) -> tuple[CampaignModel, tuple[str, ...]]:
     """Return the model with the loosest tolerances whose errors no measurement would show, and findings.
 
-    Runs that cannot be predicted to their end, however tightly they are solved, lose what comes after.
+    Runs that cannot be predicted to their end at any tolerance are cut where prediction fails.
     """
     starts = [model.start_values(case, {**model.fixed, **values}) for case in model.cases]
     noise = Observed.from_runs(model.runs).noise
@@ -152,8 +153,8 @@ def model_of(
 ) -> tuple[CampaignModel, Catalogue, set[str], dict[str, str]]:
     """Return the model of the chosen runs that carries the effects.
 
-    With their catalogue, the names of the model's variables, and the effects that the campaign's own values put
-    into the model with these values.
+    Also return the catalogue of effects, the names of the model's variables, and the effects that the campaign's
+    own values put into the model, with these values.
     """
     spec = _spec(campaign)
     catalogue = load_catalogue(spec.catalogue)
@@ -176,7 +177,7 @@ def model_of(
             if not math.isclose(value, effect.neutral[name], rel_tol=1e-9):
                 modelled[effect.id] = f"{name} = {value:.6g}"
         if effect.id not in modelled:
-            # Its own values act from here on, whatever the campaign calls them and in which unit.
+            # Its own values act from here on, whatever name and unit the campaign gives them.
             own = {u.name for u in effect.unknowns}
             cases = tuple(_without(case, own) for case in cases)
             fixed = {n: effect.neutral.get(n.partition(SEPARATOR)[0], v) for n, v in fixed.items()}
@@ -185,7 +186,7 @@ def model_of(
 
 
 def _not_nominal(campaign: Campaign, catalogue: Catalogue) -> list[Effect]:
-    """Return the effects that no nominal parameter belongs to."""
+    """Return the effects without nominal parameters."""
     assert campaign.effects is not None
     nominal = set(campaign.effects.nominal)
     nominal |= {m.variable(name) for name in nominal for m in campaign.models.values()}
@@ -193,7 +194,7 @@ def _not_nominal(campaign: Campaign, catalogue: Catalogue) -> list[Effect]:
 
 
 def _held(case: Case, unknown: str, fixed: Mapping[str, float]) -> list[float]:
-    """Return the value that a campaign gives an effect's parameter in a case, in the model's unit, if any."""
+    """Return the values that a campaign gives an effect's parameter in a case, in the model's unit, if any."""
     if unknown in case.task.start_values:
         return [case.task.start_values[unknown]]
     own = case.values(fixed)
@@ -203,7 +204,7 @@ def _held(case: Case, unknown: str, fixed: Mapping[str, float]) -> list[float]:
 
 
 def _without(case: Case, variables: Collection[str]) -> Case:
-    """Return the case with no parameter of the campaign that sets one of the model's `variables`."""
+    """Return the case without the parameters of the campaign that set one of the model's `variables`."""
     if not any(variable in variables for variable, _ in case.setting.values()):
         return case
     return replace(case, setting={n: to for n, to in case.setting.items() if to[0] not in variables})
@@ -267,7 +268,7 @@ def carrier(file: Path, catalogue: Catalogue) -> Path:
 
 
 def _nominal(campaign: Campaign, spec: EffectsSpec, cases: Sequence[Case]) -> tuple[Unknown, ...]:
-    """Return the nominal parameters; of one that machines or experiments have their own of, one for each."""
+    """Return the nominal parameters; those that differ between machines or experiments, one per owner."""
     helpers = {n for text in spec.tie.values() for n in parse(text).names}
     unknowns: list[Unknown] = []
     for name in spec.nominal:
@@ -293,7 +294,7 @@ def _of_sensors(case: Case) -> set[str]:
 
 
 def unknown_of(p: ParameterSpec) -> Unknown:
-    """Return a parameter of the campaign as one that is searched."""
+    """Convert a parameter of the campaign to an unknown."""
     width = p.upper - p.lower
     step = 0.02 * abs(p.start) if p.start != 0.0 else (1e-3 * width if np.isfinite(width) else 1e-3)
     return Unknown(p.name, p.start, p.lower, p.upper, step)

@@ -32,7 +32,7 @@ def summary(diagnosis: Mapping[str, Any]) -> list[str]:
     if diagnosis["verdict"]["kind"] == "ambiguous" and not (following or sensor):
         lines.append("Next experiment: fmuid design --for diagnosis searches for a run that settles it")
     if diagnosis["verdict"]["kind"] == "complete" and diagnosis.get("power"):
-        lines.append(f"Would have been seen, at least this large: {_smallest(diagnosis['power'])}")
+        lines.append(f"Smallest effects that would have been seen: {_smallest(diagnosis['power'])}")
     lines += machine_lines(diagnosis)
     return lines + [f"Note: {note}" for note in diagnosis.get("notes", ())]
 
@@ -137,12 +137,12 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
 
 
 def named(verdict: Mapping[str, Any]) -> list[str]:
-    """Return every effect that a verdict names, those that all answers have first."""
+    """Return every effect that a verdict names, first those that all answers have."""
     return list(dict.fromkeys([*verdict["effects"], *(n for names in verdict["one_of"] for n in names)]))
 
 
 def in_words(effect: str) -> str:
-    """Return an effect's id in words: its law, and the port or parameter if the id has it."""
+    """Return an effect's id in words: its law, and the port or parameter if the id has one."""
     law, _, port = effect.partition("@")
     if law == "value":
         return f"another value of {port}"
@@ -176,7 +176,7 @@ def _gap_text(gap: Mapping[str, Any]) -> str:
 
 
 def _more_data(diagnosis: Mapping[str, Any]) -> str:
-    """Return what to record where the data cannot tell: see `powerless` in `diagnose_subject`."""
+    """Return what to record when the data cannot decide: see `powerless` in `diagnose_subject`."""
     if diagnosis["gap"]["present"] and not diagnosis["gap"]["calibrated"]:
         return (
             "repeat a run as it is, and record one with a different input; what is left may be slow noise,"
@@ -208,13 +208,13 @@ def _beside(law: Mapping[str, Any]) -> str:
 
 
 def _closest(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
-    """Return what comes closest to an explanation where nothing explains it."""
+    """Return what comes closest to an explanation when nothing explains the gap."""
     judged = [a for a in diagnosis["answers"] if a.get("closure")]
     found = []
     if judged:
         best = max(judged, key=lambda a: a["closure"]["held_out"])
         too_little = best["closure"]["held_out"] < CLOSURE_THAT_NAMES
-        least = f", too little for a name (from {CLOSURE_THAT_NAMES:g} on)" if too_little else ""
+        least = f", too little to be named (it takes {CLOSURE_THAT_NAMES:g})" if too_little else ""
         names = " + ".join(best["effects"])
         found.append(f"{names} closes {closure_text(best['closure'])} on held-out data{least}")
     ports = diagnosis.get("port_closures") or {}
@@ -225,13 +225,13 @@ def _closest(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
 
 
 def verdict_text(diagnosis: Mapping[str, Any]) -> str:
-    """Return the verdict as one line, with the probability that what it says is true."""
+    """Return the verdict as one line, with the probability that it is true."""
     verdict = diagnosis["verdict"]
     effects, ports = list(verdict["effects"]), list(verdict["ports"])
     sure = f" ({100 * probability(diagnosis):.0f} %)"
     are = "is" if len(effects) == 1 else "are"
     missing = f"{_listed(effects, 'and')} {are} missing" if effects else ""
-    # Ids of made catalogues name the port already.
+    # Ids of made catalogues already name the port.
     at = f" at {', '.join(ports)}" if len(ports) == 1 and not any("@" in n for n in named(verdict)) else ""
     match verdict["kind"]:
         case "complete":
@@ -247,13 +247,13 @@ def verdict_text(diagnosis: Mapping[str, Any]) -> str:
             return _capital(f"{either}{at}{sure}: these sensors and experiments cannot tell them apart")
         case "unknown":
             at = f" at {' or '.join(ports)}" if ports else ""
-            return f"Unknown effect{at}{sure}: none of the catalogue explains it"
+            return f"Unknown effect{at}{sure}: no effect in the catalogue explains it"
         case _:
             return "Not enough data to say"
 
 
 def probability(diagnosis: Mapping[str, Any]) -> float:
-    """Return the probability of what the verdict says: that one of the answers it leaves open is true."""
+    """Return the probability of the verdict: that one of the answers it leaves open is true."""
     wanted = {"complete": ["none"], "unknown": ["unknown"]}.get(diagnosis["verdict"]["kind"])
     special = (["none"], ["unknown"])
     return sum(
@@ -272,7 +272,7 @@ def _lowered(sentence: str) -> str:
 
 
 def likeliest(diagnosis: Mapping[str, Any]) -> list[list[str]]:
-    """Return the table of the likeliest answers, then of other effects, its header first."""
+    """Return the table of the likeliest answers, then of other effects, with its header first."""
     header = ["answer", "probability", "closure (held out)", "90 % interval", "parameters"]
     by_id = {e["id"]: e for e in diagnosis["effects"]}
     rows, shown = [], set()
@@ -287,7 +287,7 @@ def likeliest(diagnosis: Mapping[str, Any]) -> list[list[str]]:
 
 
 def ranked(effects: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return the effects, the likeliest first; of equally likely ones those that close most."""
+    """Return the effects, the likeliest first; equally likely ones by how much they close."""
 
     def place(effect: Mapping[str, Any]) -> tuple[float, float]:
         held_out = (effect.get("closure") or {}).get("held_out")

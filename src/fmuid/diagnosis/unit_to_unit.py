@@ -1,7 +1,7 @@
-"""Differences between machines in a diagnosis: which parameters of its answer have another value on each machine.
+"""Differences between machines in a diagnosis: which parameters of its answer differ from machine to machine.
 
-The effects of the answer and the nominal parameters are refitted to the runs of every machine by themselves,
-whatever they share in the diagnosis; the estimates are then held against their standard errors (Cochran's test).
+The effects of the answer and the nominal parameters are refitted to the runs of each machine separately, even if
+they are shared in the diagnosis; the estimates are then compared given their standard errors (Cochran's test).
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import BetweenMachines, Estimate, MachineParameter
 from fmuid.identification.uncertainty.between_machines import machine_spread
 
-LEVEL = 0.05  # of a difference in any of the parameters
+LEVEL = 0.05  # significance level of a difference in any of the parameters
 
 
 def between_machines(subject: Subject, answer: Fitted) -> BetweenMachines | None:
     """Return which parameters of an answer differ between machines; None unless there are several machines.
 
-    Parameters of single experiments are refitted along, but not compared.
+    Parameters of single experiments are refitted as well, but not compared.
     """
     machines = tuple(dict.fromkeys(case.machine for case in subject.model.cases))
     if len(machines) < 2:
         return None
     found: dict[str, dict[str, Estimate]] = {}
     failed: list[str] = []
-    beyond: list[tuple[FloatArray, FloatArray]] = []  # what is left, and how many components it is a mean of
+    beyond: list[tuple[FloatArray, FloatArray]] = []  # remaining squared gaps, and numbers of components averaged
     for machine in machines:
         own = of_machine(subject, machine)
         fitted = fit_effects(own, [e for e in own.effects if e.id in answer.effects], [answer.fit.values])
@@ -56,7 +56,7 @@ def between_machines(subject: Subject, answer: Fitted) -> BetweenMachines | None
 
 
 def of_machine(subject: Subject, machine: str) -> Subject:
-    """Return the subject with the runs of one machine alone, and the nominal parameters that these have."""
+    """Return the subject with the runs of one machine alone, and the nominal parameters of these runs."""
     cases = tuple(case for case in subject.model.cases if case.machine == machine)
     owners = {machine, *(case.id for case in cases)}
     parts = [u.name.partition(SEPARATOR) for u in subject.nominal]

@@ -27,9 +27,9 @@ from fmuid.simulation.runners import Runner, in_process
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """One signal of one run: root mean square errors in `unit`, and the same over the signal's spread (NRMSE).
+    """One signal of one run: root mean square errors in `unit`, and relative to the signal's spread (NRMSE).
 
-    `noise` is the standard deviation of the sensor's noise, None where no run was repeated.
+    `noise` is the standard deviation of the sensor's noise; None where no run was repeated.
     """
 
     experiment: str
@@ -46,10 +46,11 @@ class Comparison:
 class DiagnosisValidation:
     """Benefit of the correction on data that the diagnosis has not seen.
 
-    `runs` are the recordings that it is judged by, `used` those of them that the diagnosis was made from: only
-    those asked for by name can be, and None means that it does not say. `gaps` gives, by experiment and for
-    ``all`` together, the gap in noise floors of the nominal model refitted and of the corrected one. `interval` is
-    where the closure of all of them lies with 90 %: a bootstrap over runs, and over pieces of those not repeated.
+    `runs` are the recordings used for validation. `used` are those of them that the diagnosis was made from, which
+    only happens to runs asked for by name; None means that the diagnosis does not say. `gaps` gives, by experiment
+    and for ``all`` together, the gap in noise floors of the refitted nominal model and of the corrected one.
+    `interval` is the 90 % interval of the overall closure: a bootstrap over runs, and over pieces of runs that
+    were not repeated.
     """
 
     comparisons: tuple[Comparison, ...]
@@ -74,17 +75,17 @@ class DiagnosisValidation:
 
 
 def closure(before: float, after: float) -> float:
-    """Return 1 - G1/G0, 0 where there was no gap."""
+    """Return 1 - G1/G0; 0 where there was no gap."""
     return 1.0 - after / before if before > 0.0 else 0.0
 
 
 def read_diagnosis(path: Path) -> dict[str, Any]:
-    """Return the JSON value of a diagnosis; the verdict of a file of version 1 as version 2 has it.
+    """Return the JSON value of a diagnosis; the verdict of a version 1 file is converted to version 2.
 
     Raises
     ------
     FmuidError
-        The file is missing or holds something else, or lacks its verdict or a model's values.
+        The file is missing, is not a diagnosis, or lacks its verdict or a model's values.
     """
     try:
         answer = json.loads(path.read_text())
@@ -103,7 +104,7 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
     verdict = answer.get("verdict")
     if not isinstance(verdict, dict) or not {"kind", "effects"} <= verdict.keys():
         raise FmuidError("no verdict", where=path, fix="diagnose again")
-    if answer["version"] == 1:  # which names in one list what cannot be told apart
+    if answer["version"] == 1:  # it lists indistinguishable effects in one list
         apart = [[name] for name in verdict["effects"]] if verdict["kind"] == "ambiguous" else []
         verdict |= {"one_of": apart, "effects": [] if apart else verdict["effects"]}
     verdict.setdefault("one_of", [])
@@ -132,25 +133,25 @@ def validate_diagnosis(
     experiments: Sequence[str] = (),
     runner: Runner = in_process,
 ) -> DiagnosisValidation:
-    """Simulate other runs with the diagnosed model and with the nominal model refitted.
+    """Simulate other runs with the diagnosed model and with the refitted nominal model.
 
     Parameters
     ----------
     answer
         The JSON value of a diagnosis.
     campaign
-        That was diagnosed, or one with an ``[effects]`` table that names the same catalogue.
+        The diagnosed campaign, or one with an ``[effects]`` table that names the same catalogue.
     others
-        The same campaign with other recordings, to validate on these.
+        The same campaign with other recordings, on which to validate.
     experiments
-        Ids or globs; by default the campaign's validation set, or all of its runs if it has none, without those
-        that the diagnosis was made from. Repeats of those named come along where they were not used.
+        Ids or globs. By default, the campaign's validation set, or all of its runs if it has none, without those
+        that the diagnosis was made from. Repeats of named runs are included if they were not used.
 
     Raises
     ------
     FmuidError
-        By default no run is left, or the diagnosis does not say which ones it was made from.
-        The diagnosis is of another model: it has parameters that neither campaign nor catalogue nor FMUs know.
+        No run is left by default, or the diagnosis does not say which runs it was made from.
+        Or the diagnosis is of another model: it has parameters unknown to campaign, catalogue and FMUs.
     SimulationError
         A run cannot be simulated.
     """
@@ -198,7 +199,7 @@ def validate_diagnosis(
 
 
 def _of_others(values: Mapping[str, float], model: CampaignModel) -> tuple[str, ...]:
-    """Return, in words, which parameters that a machine or run has its own of the diagnosis did not see."""
+    """Return notes on the parameters per machine or run that have no value in the diagnosis."""
     names = dict.fromkeys(n.partition(SEPARATOR)[0] for n in values if SEPARATOR in n)
     unseen = {
         name: dict.fromkeys(c.id for c in model.cases if name in c.setting and name not in c.values(values))

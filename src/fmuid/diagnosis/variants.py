@@ -1,4 +1,4 @@
-"""Models with effects: one for effects that vanish while off, variants for the others when tried."""
+"""Models with effects: one model with effects that vanish while off, and variants for the others when tried."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from fmuid.simulation.simulator import Simulator
 def carrier(source: ModelSource, catalogue: Catalogue) -> Path:
     """Build the model with those effects and inputs of a catalogue that act at its ports.
 
-    Of effects that make another model of it even while they are off, it has the parameters alone: see `Variants`.
+    For effects that change the model even while they are off, it only has the parameters: see `Variants`.
 
     Raises
     ------
     CampaignError
-        The model has none of the ports that effects act at.
+        The model has none of the ports at which effects act.
     """
     flat = flat_model(source)
     known = {port.name for port in find_ports(flat)}
@@ -41,19 +41,19 @@ def carrier(source: ModelSource, catalogue: Catalogue) -> Path:
 
 
 def built_with(model: ModelSpec, catalogue: Catalogue) -> Path:
-    """Build a model with all that a catalogue adds at its ports, effects that make variants too.
+    """Build a model with all that a catalogue adds at its ports, including effects that make variants.
 
     Raises
     ------
     ModelicaError, BuildError
-        It cannot be built.
+        The model cannot be built.
     """
     assert model.source is not None
     return _built(model.source, flat_model(model.source), catalogue, catalogue.effects)
 
 
 def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Collection[str]) -> Path:
-    """Build a model with what a catalogue adds to it; of effects that make variants, with those that are tried."""
+    """Build a model with the additions of a catalogue; effects that make variants only if `tried`."""
     known = {port.name for port in find_ports(flat)}
     terms, added, inside = [], [], effects_inside(source)
     for effect in catalogue.effects.values():
@@ -74,7 +74,7 @@ def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Co
 
 
 def term_of(effect: Effect, where: str) -> Term:
-    """Return what an effect adds to a model: while it is off nothing, at no cost; its states stand still."""
+    """Return the term that adds an effect: while it is off, it vanishes at no cost and its states stand still."""
     sizes = [u.name for u in effect.unknowns if u.name not in effect.shapes]
     neutral = [(name, effect.neutral[name]) for name in sizes]
     on = " or ".join(f"abs({name} - {off!r}) > 0" if off else f"abs({name}) > 0" for name, off in neutral)
@@ -87,15 +87,15 @@ def term_of(effect: Effect, where: str) -> Term:
 
 @dataclass(frozen=True, eq=False)
 class Variants:
-    """Models with effects that make another one of it even while they are off: built when one is first tried.
+    """Models with effects that change the model even while they are off, built when one is first tried.
 
-    Effects with states, or that loops go through, share a model, in which those that are off stand still.
-    Connections that are parted make a model of their own.
+    Effects that have states or are part of algebraic loops share a model, in which those that are off stand still.
+    Effects that cut connections get a model of their own.
 
     Attributes
     ----------
     models
-        By setup, of models with their source; their `fmu` carries the other effects.
+        Models with source, by setup; their `fmu` carries the other effects.
     load
         Loads a model.
     """
@@ -117,7 +117,7 @@ class Variants:
         Raises
         ------
         ModelicaError, BuildError
-            It cannot be built.
+            The variant cannot be built.
         """
         on = [e for e in self._effects if _is_on(e, values)]
         if not on or setup not in self.models:

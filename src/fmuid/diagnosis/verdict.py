@@ -32,9 +32,10 @@ class Verdict:
     one_of
         Sets of effects, one of which is needed in addition; for an ``ambiguous`` verdict only.
     ports
-        The places that these sensors cannot separate where the gap enters; empty if none is named.
+        The places where the gap may enter, which these sensors cannot separate; empty if none is named.
     stable
-        Whether no single experiment, left out, would give a contradictory verdict; None if that cannot be judged.
+        Whether leaving out any single experiment would give no contradictory verdict; None if that cannot be
+        judged.
     rest
         The gap that the effects leave, if it exceeds the noise.
     """
@@ -71,7 +72,7 @@ class Gap:
     p_value
         p-value of that residual under the noise floor.
     nominal, nominal_refit, corrected
-        At the start values, with the nominal parameters refitted, and with the verdict's effects added.
+        Gap at the start values, with the nominal parameters refitted, and with the verdict's effects added.
     floor_units
         Standard deviation of each signal's noise, in its unit.
     calibrated
@@ -89,7 +90,7 @@ class Gap:
 
 @dataclass(frozen=True, slots=True)
 class Share:
-    """A part of the gap: of one signal of one experiment, within a range of a variable."""
+    """A part of the gap: of one signal in one experiment, within a range of a variable."""
 
     experiment: str
     signal: str
@@ -112,7 +113,7 @@ class PhysicalGap:
     Attributes
     ----------
     before, after
-        With the nominal parameters refitted, and with the effects added.
+        Gap with the nominal parameters refitted, and with the effects added.
     floor
         The gap that noise alone leaves in the mean of the repeats.
     """
@@ -130,7 +131,7 @@ class Closure:
     Attributes
     ----------
     train, held_out
-        On the data that they were fitted to, and on experiments left out.
+        Closure on the data that the effects were fitted to, and on held-out experiments.
     interval
         The 90 % interval of the latter.
     physical
@@ -167,7 +168,7 @@ class Candidate:
     score
         Fall of the cost that its signature promises, in squared noise units.
     closure
-        Of the best model that has it: the verdict's, or the one with it alone.
+        Closure of the best model that has it: the verdict's, or the one with it alone.
     """
 
     id: str
@@ -218,7 +219,7 @@ class LawParameter:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A law over the quantity that it depends on, others at `held` values: (n,) values and flows."""
+    """A law over the quantity that it depends on, with others at `held` values: (n,) values and flows."""
 
     variable: str
     unit: str
@@ -235,24 +236,24 @@ class LawFound:
     Attributes
     ----------
     id, port
-        Of the law as an effect, and where it acts: a flow out of a node, or from the second node of a branch to
-        the first.
+        Id of the law as an effect, and the port where it acts: a flow out of a node, or from the second node of a
+        branch to the first.
     beside
-        Effects of the verdict that the model with the law has, too.
+        Effects of the verdict that are also in the model with the law.
     formula
-        With numbers and units.
+        The law with numbers and units.
     effect
-        As a table of a catalogue, with its Modelica `expression`, its parameters and the states of its own.
+        The law as a table of a catalogue, with its Modelica `expression`, its parameters and its own states.
     parameters
-        Of the law.
+        Parameters of the law.
     values
-        Of all parameters of the model that has it.
+        Values of all parameters of the model with the law.
     closure
-        Of the gap, as of an answer.
+        Closure of the gap, as for an answer.
     gap, p_value
-        What it leaves, in floors, and how likely noise alone leaves as much.
+        The remaining gap, in noise floors, and how likely noise alone leaves as much.
     curve
-        Of a law of one quantity.
+        The law as a curve, if it depends on one quantity.
     """
 
     id: str = ""
@@ -296,11 +297,12 @@ class MachineParameter:
     Attributes
     ----------
     differs
-        Whether the machines differ beyond the errors of the estimates, all parameters considered (Bonferroni).
+        Whether the machines differ beyond the errors of the estimates, with all parameters considered
+        (Bonferroni).
     p_value
-        Of Cochran's test that all machines have the same value.
+        p-value of Cochran's test that all machines have the same value.
     mean, spread
-        Mean over all machines of the kind, and standard deviation between them.
+        Mean over all machines of this kind, and standard deviation between them.
     next_machine
         95 % prediction interval of the next machine's value; None for two machines.
     machines
@@ -325,12 +327,12 @@ class BetweenMachines:
     machines
         Names of the machines.
     effects
-        The effects that were refitted with the nominal parameters.
+        Effects that were refitted with the nominal parameters.
     parameters
-        Those that differ first.
+        Compared parameters, those that differ first.
     gap
-        What is left, in floors, if each machine has values of its own for all of them; None if one cannot be
-        refitted.
+        The remaining gap, in noise floors, if each machine has its own values for all of them; None if one cannot
+        be refitted.
     left_out
         Names of parameters that the runs of fewer than two machines determine.
     failed
@@ -366,17 +368,17 @@ class Diagnosis:
     Attributes
     ----------
     answers
-        Those that survive, the likeliest first, with `NONE` and `UNKNOWN`: their probabilities sum to 1.
+        The surviving answers, likeliest first, with `NONE` and `UNKNOWN`: their probabilities sum to 1.
     effects
-        Every candidate.
+        All candidates.
     port_closures
         By port, the largest share of the gap that a free function there closes on held-out experiments.
     power
-        By effect, the values of its parameters from which on it would have been seen.
+        By effect, the smallest values of its parameters at which it would have been seen.
     law_found
-        Where the verdict is *unknown* or *partial* and a law was looked for.
+        The law found or the reason for none, where the verdict is *unknown* or *partial* and a law was looked for.
     machines
-        Which parameters differ between machines, if runs of several were diagnosed.
+        Differences between machines, if runs of several were diagnosed.
     """
 
     verdict: Verdict

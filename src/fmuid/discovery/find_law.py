@@ -30,13 +30,13 @@ from fmuid.discovery.terms import HIDDEN, evaluated, names_in
 from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.simulator import Simulator
 
-CLOSURE_THAT_HOLDS = 0.8  # of the gap, on experiments left out: from here on a law is one
-_PLACES = 4  # that are looked at, those where free functions close most
-_TRIED = (6, 4)  # laws of a round that are refitted in the rebuilt model: of one further term, and of two
-_TERMS = 3  # of a law, at the most
+CLOSURE_THAT_HOLDS = 0.8  # share of the held-out gap that a law must close to count as found
+_PLACES = 4  # number of places examined: those where free functions close most
+_TRIED = (6, 4)  # laws per round that are refitted in the rebuilt model: with one further term, and with two
+_TERMS = 3  # largest number of terms in a law
 _INTERVAL = 1.96  # standard errors: 95 %
-_POINTS = 101  # of a curve
-_NOTHING = 0.05  # floors that are left or not, whatever the law
+_POINTS = 101  # number of points of a curve
+_NOTHING = 0.05  # noise floors: a gap too small to prefer one law to another
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,9 +67,9 @@ def find_law(
 ) -> Discovery | None:
     """Look for a law if a diagnosis is *unknown* or *partial*; return None for any other verdict.
 
-    A few terms of a library are selected to explain the residual of the nominal model; the best laws are added to
-    the model at the port, and the model is rebuilt and refitted with all parameters. A law is extended as long as
-    it leaves more than noise and further terms close enough of the rest on held-out experiments. If effects
+    The search selects a few terms of a library that explain the residual of the nominal model. It adds the best
+    laws to the model at the port, rebuilds the model and refits it with all parameters. A law is extended as long
+    as it leaves more than noise and further terms close enough of the rest on held-out experiments. If effects
     explain a part, a law is first sought in their place, then in addition to them.
 
     Parameters
@@ -101,16 +101,16 @@ def find_law(
             if best is not None and not reason:
                 best = search.named(search.pruned(best))
                 return Discovery(search.told(best, seed), best)
-        except UserError as error:  # a model that cannot be built or simulated is no law
+        except UserError as error:  # a model that cannot be built or simulated yields no law
             reason = str(error)
         reasons.append(reason if not base.effects else f"beside {base.id}, {reason}")
     return _none("; ".join(reasons))
 
 
 def _best(chosen: Sequence[Chosen], terms: int, most: int) -> list[Chosen]:
-    """Return the best of those of so many terms: on experiments left out, and on those that were fitted.
+    """Return the best choices with so many terms: half by held-out loss, half by fit.
 
-    Leaving one of few experiments out says little where the rest is far from linear.
+    With few experiments, leaving one out says little where the rest is far from linear.
     """
     own = [c for c in chosen if len(c.terms) == terms]
     first = sorted(own, key=lambda c: c.held_out.mean)[: most - most // 2]
@@ -132,7 +132,7 @@ class _Search:
     noise: NoiseDraws
 
     def best(self, say: Say) -> tuple[Candidate | None, str]:
-        """Return the best law, and why it is none if it does not hold."""
+        """Return the best law, and the reason why it is refused, if it is."""
         spots = self.spots()
         if not spots:
             return None, "no flow can be added to the model where the gap enters"
@@ -149,14 +149,14 @@ class _Search:
         return best, self.refused(best)
 
     def along(self, law: Candidate) -> Spot:
-        """Return the place of a law with its quantities along the trajectories that the law gives."""
+        """Return the place of a law with its quantities along the trajectories of the model with the law."""
         name, flat = law.law.spot.port.name, next(iter(self.flats.values()))
         return spot(name, flat, law.subject.model, law.fitted.fit.values) or law.law.spot
 
     def spots(self) -> list[Spot]:
-        """Return the places in question that can carry a law, those where free functions leave least first.
+        """Return the candidate places that can carry a law, those where free functions leave least first.
 
-        A function of two quantities may look like hardly any free function of one, wherever it acts.
+        A function of two quantities may resemble hardly any free function of one, wherever it acts.
         """
         found, subject = self.found, self.found.subject
         ports = subject.catalogue.ports
@@ -169,7 +169,7 @@ class _Search:
         return [s for n in names[:_PLACES] if (s := spot(n, flat, subject.model, values)) is not None]
 
     def extended(self, law: Candidate | None, spots: Sequence[Spot]) -> Candidate | None:
-        """Return the best law of a further term (or of one or two, if there is none yet), if it is worth it."""
+        """Return the best law with a further term (one or two, if there is no law yet), if it is worth it."""
         subject = self.found.subject if law is None else law.subject
         before = self.base if law is None else law.fitted
         chosen = [c for s in spots for c in choose(subject, before.fit, s, self.noise, pairs=law is None)]
@@ -180,7 +180,7 @@ class _Search:
         return best if decide.worth_adding(before, best.fitted) else None
 
     def _refitted(self, law: Candidate | None, chosen: Sequence[Chosen]) -> list[Candidate]:
-        """Put laws into the model, each beside the others but off, and refit each with all parameters."""
+        """Put laws into the model, each added while the others are off, and refit each with all parameters."""
         laws, starts = [], []
         for k, one in enumerate(chosen):
             port = one.spot.port.name
@@ -210,7 +210,7 @@ class _Search:
         return found
 
     def _simplest(self, candidates: Sequence[Candidate]) -> Candidate:
-        """Return the simplest of the laws that the data do not tell from the best one."""
+        """Return the simplest of the laws that the data do not distinguish from the best one."""
         observed = self.found.subject.observed
         best = min(candidates, key=lambda c: c.fitted.held_out.mean)
         most = decide.ABOUT_AS_WELL * best.fitted.held_out.gap + _NOTHING
@@ -228,11 +228,11 @@ class _Search:
         return null.p_value(excess(law.fitted.fit.residuals, observed))
 
     def finished(self, law: Candidate) -> bool:
-        """Return whether a law leaves nothing that matters, or nothing that noise alone would not leave."""
+        """Return whether a law leaves nothing that matters, or no more than noise."""
         return law.fitted.gap <= decide.GAP_THAT_MATTERS or self.p_value(law) >= decide.SIGNIFICANCE
 
     def refused(self, law: Candidate) -> str:
-        """Return why the best law is none, or nothing if it holds."""
+        """Return why the best law is refused, or nothing if it holds."""
         base = self.base
         closed = closure(base.held_out, law.fitted.held_out)
         gained, error = advantage(law.fitted.held_out, base.held_out)
@@ -240,11 +240,11 @@ class _Search:
         formula = law.law.formula(law.fitted.fit.values)
         said = f"the best law, {formula}, closes {closed:.2f} of the gap on experiments left out"
         if gained <= error or (closed < CLOSURE_THAT_HOLDS and not weak):
-            return f"{said}, too little (from {CLOSURE_THAT_HOLDS:g} on)"
+            return f"{said}, too little (it takes {CLOSURE_THAT_HOLDS:g})"
         decoy = min(self.found.decoys, key=lambda d: d.held_out.mean, default=None)
         if decoy is not None and not self.finished(law) and self._beaten(law, decoy):
             free = closure(base.held_out, decoy.held_out)
-            return f"{said}, but a free function of {decoy.over} at {decoy.port} {free:.2f}"
+            return f"{said}, but a free function of {decoy.over} at {decoy.port} closes {free:.2f}"
         return ""
 
     def _beaten(self, law: Candidate, decoy: Decoy) -> bool:
@@ -252,7 +252,7 @@ class _Search:
         return gained > error and decoy.held_out.gap < decide.DECOY_MARGIN * law.fitted.held_out.gap
 
     def pruned(self, law: Candidate) -> Candidate:
-        """Leave out the effects beside a law that it has made needless."""
+        """Leave out the effects beside a law that it has made unnecessary."""
         by_id, fitted = {e.id: e for e in law.subject.effects}, law.fitted
         for name in law.fitted.effects[:-1]:
             rest = [by_id[n] for n in fitted.effects if n != name]
@@ -264,9 +264,9 @@ class _Search:
         return replace(law, fitted=fitted)
 
     def named(self, law: Candidate) -> Candidate:
-        """Return a law with the names that it goes by from here on."""
+        """Return a law with its final names."""
         values, spot = law.fitted.fit.values, law.law.spot
-        # A model that has laws of earlier diagnoses keeps them.
+        # A model that has laws of earlier diagnoses keeps their names.
         taken = {n for flat in self.flats.values() for n in flat.variables}
         words = (f"law{k or ''}" for k in (0, *range(2, len(taken) + 3)))
         name = next(w for w in words if not any(n.startswith(f"{spot.port.name}.{w}_") for n in taken))
@@ -312,7 +312,7 @@ class _Search:
 
 
 def curve(law: Law, values: Mapping[str, float]) -> Curve:
-    """Return a law over the quantity that it is mainly a function of, the others at their root mean square."""
+    """Return a law over the quantity that it mainly depends on, with the others at their root mean square."""
     x, courses = law.terms[0].over, law.spot.courses
     grid = np.linspace(min(c[x.name].min() for c in courses), max(c[x.name].max() for c in courses), _POINTS)
     held = {n: float(np.sqrt(np.mean(np.concatenate([c[n] for c in courses]) ** 2))) for n in courses[0]}

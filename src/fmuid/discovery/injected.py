@@ -1,4 +1,4 @@
-"""Laws as effects of a catalogue, and models that contain them, built like laws that a user writes."""
+"""Laws as effects of a catalogue, and models that contain them, built as if a user had written the laws."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from fmuid.discovery.terms import HIDDEN, Term
 from fmuid.simulation.segmented import in_place_of
 from fmuid.simulation.simulator import Simulator
 
-_MOST = 20.0  # flows at the port: the largest coefficient
-_STEP = 2e-3  # of the flow at the port, and of a shape
+_MOST = 20.0  # largest coefficient, relative to the largest flow at the port
+_STEP = 2e-3  # step of a coefficient, relative to that flow; ten times as much for a shape, relative to its value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +31,7 @@ class Law:
     spot
         The place.
     terms
-        Of the law.
+        Terms of the law.
     base
         Prefix of the names of its parameters.
     """
@@ -42,7 +42,7 @@ class Law:
 
     @property
     def sizes(self) -> tuple[str, ...]:
-        """Names of the coefficients, one a term."""
+        """Names of the coefficients, one per term."""
         return tuple(self._name("size", k) for k in range(len(self.terms)))
 
     def shapes(self, k: int) -> dict[str, str]:
@@ -58,7 +58,7 @@ class Law:
 
     @property
     def expression(self) -> str:
-        """Modelica of the law: a flow at its port."""
+        """The law in Modelica: a flow at its port."""
         return " + ".join(
             f"{size}*{_put_in(term.text, self._meant(k))}"
             for k, (size, term) in enumerate(zip(self.sizes, self.terms, strict=True))
@@ -66,7 +66,7 @@ class Law:
 
     @property
     def states(self) -> tuple[State, ...]:
-        """States of the law's own."""
+        """The law's own states."""
         return tuple(
             State(self.state(k), _put_in(term.rate, self._meant(k)))
             for k, term in enumerate(self.terms)
@@ -94,7 +94,7 @@ class Law:
         return sum(t.rank + 1 for t in self.terms)
 
     def effect(self, id: str, description: str, starts: Mapping[str, float] | None = None) -> Effect:
-        """Return it as an effect, off at its neutral values; shapes start from their own values or `starts`."""
+        """Return the law as an effect, off at its neutral values; shapes start from their values or `starts`."""
         flow, unit = self.spot.flow, self.spot.port.units[1]
         unknowns = [Unknown(n, 0.0, -_MOST * flow, _MOST * flow, _STEP * flow) for n in self.sizes]
         units = dict.fromkeys(self.sizes, unit)

@@ -13,8 +13,8 @@ from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.discovery.terms import Kind, Quantity, Term, library
 
-_MOVES = 1e-6  # of its size: a quantity that moves no more is a constant
-_SAME = 1e-4  # courses whose correlation is nearer to 1 are the same
+_MOVES = 1e-6  # relative to its size: a quantity that moves less counts as constant
+_SAME = 1e-4  # time series whose correlation is within this of 1 are the same
 _POSITION: Mapping[str, Kind] = {"rotational": "angle", "translational": "position"}
 
 
@@ -27,7 +27,7 @@ class Spot:
     flow
         The largest flow there.
     courses
-        By the name that a law uses, (N,) samples: one mapping an experiment.
+        (N,) samples by the name that a law uses, one mapping per experiment.
     time
         (N,) times of these samples.
     terms
@@ -79,7 +79,7 @@ def _load_probe(port: Port, ports: Sequence[Port]) -> tuple[str, ...]:
 def _local(
     port: Port, load: Sequence[str], course: Mapping[str, FloatArray], time: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return courses by the names that laws at a port use."""
+    """Return time series by the names that laws at a port use."""
 
     def across(names: Sequence[str]) -> FloatArray | None:
         own = [course[n] for n in names if n in course]
@@ -105,7 +105,7 @@ def _quantities(port: Port, courses: Sequence[Mapping[str, FloatArray]]) -> list
     potential, flow = port.units
     start, p = float(courses[0]["p"][0]), "p"
     if port.domain == "thermal" and port.kind == "node" and start != 0.0:
-        p = f"(p - {start:.6g})"  # above what it starts from
+        p = f"(p - {start:.6g})"  # above its start value
     position = _POSITION.get(port.domain, "value") if port.kind == "node" else "value"
     found = [
         _quantity(p, "p", potential, courses, position, above=start if p != "p" else 0.0),
@@ -138,7 +138,7 @@ def _quantity(
 def _distinct(
     terms: Sequence[Term], courses: Sequence[Mapping[str, FloatArray]], time: Sequence[FloatArray]
 ) -> list[Term]:
-    """Leave out terms that do, along these courses, what a simpler one does."""
+    """Leave out terms that, along these time series, do the same as a simpler one."""
     kept: list[Term] = []
     known = np.empty((len(terms), sum(map(len, time))))
     for term in sorted(terms, key=lambda t: t.rank):

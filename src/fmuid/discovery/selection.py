@@ -1,8 +1,8 @@
 """Sparse selection of a few library terms that explain the residual, by linear least squares.
 
-What each term does to the signals is simulated: the model's input at the port is driven by the term's course along
-the model's own trajectory. Few terms are chosen forward, beside the parameters that are fitted, and are judged on
-experiments left out. Each must do more than noise alone would make any term of the library do.
+The response of the signals to each term is simulated: the model's input at the port is driven by the term along
+the model's own trajectory. A few terms are chosen by forward selection, fitted together with the parameters, and
+judged on held-out experiments. Each must do more than noise alone would make any term of the library do.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from fmuid.diagnosis.subject import Subject
 from fmuid.discovery.places import Spot
 from fmuid.discovery.terms import Term
 
-_DRIVEN = 0.05  # of the flow at the port: the size at which a term's response is taken
-_JUDGED = 40  # terms of a place that are judged on held-out experiments
-_BEGUN, _PARTNERS = 6, 4  # of which pairs are made
+_DRIVEN = 0.05  # size at which a term's response is taken, as a share of the flow at the port
+_JUDGED = 40  # terms per place that are judged on held-out experiments
+_BEGUN, _PARTNERS = 6, 4  # terms from which pairs are made, and partners tried for each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
-    """Terms at a place with their coefficients (flows), and how they do on experiments left out.
+    """Terms at a place with their coefficients (flows), and their losses on held-out experiments.
 
-    `drop` is the fall of the cost on those that they were fitted to.
+    `drop` is the fall of the cost on the experiments that they were fitted to.
     """
 
     spot: Spot
@@ -48,7 +48,7 @@ class Chosen:
 class _Column:
     term: Term
     parts: tuple[FloatArray, ...]
-    signature: FloatArray  # of unit length, beside the parameters that are fitted
+    signature: FloatArray  # of unit length, with the response to the fitted parameters projected off
     drop: float
 
 
@@ -106,7 +106,7 @@ def _columns(subject: Subject, base: Refit, spot: Spot) -> list[_Column]:
 
 
 def _drop_beside(first: _Column, second: _Column, left: FloatArray) -> float:
-    """Return the fall of the cost by a second term, less what the first one can do of it."""
+    """Return the fall of the cost by a second term, beyond what the first one achieves."""
     new = second.signature - first.signature * float(first.signature @ second.signature)
     length = float(np.linalg.norm(new))
     return float(new @ left / length) ** 2 if length > 1e-3 else 0.0

@@ -1,7 +1,8 @@
 """The library of terms for laws: dimensionless Modelica expressions of the quantities at a place.
 
-A quantity x comes as x/X, X being the largest absolute value that it reached, so that the coefficient of every
-term is a flow, and the size of the term there. Widths, limits, pitches and lags are parameters in x's own unit.
+A quantity x occurs as x/X, where X is its largest absolute value (rounded up), so that the coefficient of every
+term is a flow and gives the size of the term there. Widths, limits, pitches and lags are parameters in x's own
+unit.
 """
 
 from __future__ import annotations
@@ -17,26 +18,26 @@ from fmuid.core.immutable import FloatArray
 from fmuid.data.filtering import first_order
 
 Kind = Literal["position", "angle", "speed", "flow", "value"]
-HIDDEN = "hidden"  # a term's own state, in its text
-_WIDTHS = (0.1, 0.2, 0.4)  # of what a quantity reaches
+HIDDEN = "hidden"  # the name of a term's own state in its text
+_WIDTHS = (0.1, 0.2, 0.4)  # shares of the largest value of a quantity
 _LIMITS = (0.2, 0.35, 0.5, 0.65, 0.8)
-_DIRECTION = 0.01  # of the largest speed, within which friction turns round
-_WAVES = np.arange(1.0, 12.5, 0.5)  # waves over the range of a position
-_TURNS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)  # waves a turn
+_DIRECTION = 0.01  # share of the largest speed within which friction reverses
+_WAVES = np.arange(1.0, 12.5, 0.5)  # number of waves over the range of a position
+_TURNS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)  # waves per turn
 _LAGS = 5
 _PLAIN, _SHAPED, _TWO, _STATE = 1, 2, 3, 4  # ranks
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """What a law at a place may depend on.
+    """A quantity that a law at a place may depend on.
 
     Attributes
     ----------
     text
-        Modelica.
+        The quantity in Modelica.
     name
-        Of the variable in it.
+        Name of the variable in it.
     size
         Largest absolute value reached.
     low, high
@@ -58,7 +59,7 @@ class Quantity:
 
     @property
     def ratio(self) -> str:
-        """Return it over its size, in Modelica."""
+        """Return the quantity divided by its size, in Modelica."""
         return f"({self.text}/{self.size:g})"
 
 
@@ -74,20 +75,20 @@ class Shape:
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One term of a law, with a coefficient to come.
+    """One term of a law, without its coefficient.
 
     Attributes
     ----------
     text
-        Modelica of a place's quantities, of its own `shapes` and of the state `HIDDEN`, of size one.
+        Modelica expression of size one, of a place's quantities, its own `shapes` and the state `HIDDEN`.
     rank
         Complexity of the term.
     shapes
-        Its parameters, by the name that they have in the text.
+        Parameters of its shape, by their names in the text.
     rate
         The derivative of its state, empty if it has none.
     over
-        The quantity that it is mainly a function of.
+        The quantity that it mainly depends on.
     """
 
     text: str
@@ -98,13 +99,13 @@ class Term:
 
     @property
     def family(self) -> str:
-        """What it is but for the values of its shapes."""
+        """The term irrespective of the values of its shapes."""
         return f"{self.text} | {self.rate}"
 
     def course(
         self, quantities: Mapping[str, FloatArray], time: FloatArray, values: Mapping[str, float] | None = None
     ) -> FloatArray:
-        """Return (N,) values along (N,) courses of the quantities; shapes have their own values by default."""
+        """Return (N,) values along (N,) time series of the quantities; shapes have their own values by default."""
         columns = {**quantities, "time": time}
         columns |= {n: np.full(len(time), s.value) for n, s in self.shapes.items()}
         columns |= {n: np.full(len(time), v) for n, v in (values or {}).items()}
@@ -115,7 +116,7 @@ class Term:
     def state(
         self, quantities: Mapping[str, FloatArray], time: FloatArray, values: Mapping[str, float]
     ) -> FloatArray:
-        """Return (N,) values of its state along courses of the quantities."""
+        """Return (N,) values of its state along time series of the quantities."""
         return replace(self, text=HIDDEN).course(quantities, time, values)
 
 
@@ -137,7 +138,7 @@ def _lagged(rate: str, columns: Mapping[str, FloatArray], time: FloatArray) -> F
     step, decay = float(np.mean(np.diff(time))), float(np.mean(zero - one))
     keep = float(np.exp(-step * decay))
     gain = (1.0 - keep) / decay if decay * step > 1e-9 else step
-    # What drives it between two samples is their mean.
+    # Between two samples it is driven by their mean.
     driven = np.concatenate([[0.0], 0.5 * (zero[1:] + zero[:-1])])
     return first_order(gain * driven, keep)
 
@@ -146,7 +147,7 @@ def library(quantities: Sequence[Quantity], inputs: Sequence[Quantity], time: Se
     """Return every term that a law at a place may have: of one quantity, of two, with a hidden state."""
     found: list[Term] = []
     for x in quantities:
-        found += _of_one(x) if x.kind != "flow" else ()  # a load makes something of other quantities
+        found += _of_one(x) if x.kind != "flow" else ()  # a load only acts together with other quantities
     for u in inputs:
         found += _of_input(u)
     for x in (q for q in quantities if q.kind != "flow"):
@@ -204,13 +205,13 @@ def _of_one(x: Quantity) -> Iterator[Term]:
 
 
 def direction_of(x: Quantity) -> str:
-    """Return the direction of a speed in Modelica: its sign, but steadily through standstill."""
+    """Return the direction of a speed in Modelica: its sign, but continuous through standstill."""
     return f"tanh({x.text}/{_DIRECTION * x.size:g})"
 
 
 def _wide(text: str, x: Quantity, widths: Iterable[float], rank: int, least: float = 0.02) -> Iterator[Term]:
     """Yield a term for each width, as a share of what `x` reaches."""
-    if "sign_above" in text:  # what is beyond a dead zone, with its sign
+    if "sign_above" in text:  # the part beyond a dead zone, with its sign
         p = x.text
         text = text.replace(f"sign_above({p}, width)", f"({p} - max(min({p}, width), -width))")
     for share in widths:
@@ -228,7 +229,7 @@ def _of_input(u: Quantity) -> Iterator[Term]:
 
 
 def _of_two(x: Quantity, y: Quantity) -> Iterator[Term]:
-    """Yield products: functions of `x` that may turn with its sign, times functions of `y`."""
+    """Yield products of functions of `x`, which may reverse with its sign, and functions of `y`."""
     firsts = [direction_of(x), x.ratio, f"{x.ratio}*abs({x.ratio})"] if x.kind == "speed" else [x.ratio]
     seconds = [f"abs({y.ratio})", f"{y.ratio}^2"]
     if y.kind != "flow":
@@ -241,7 +242,7 @@ def _of_two(x: Quantity, y: Quantity) -> Iterator[Term]:
 
 
 def _with_state(x: Quantity, y: Quantity, time: Sequence[FloatArray]) -> Iterator[Term]:
-    """Yield terms with a state that lags or accumulates a function of `y`, by itself or times one of `x`."""
+    """Yield terms with a state that lags or accumulates a function of `y`, alone or times a function of `x`."""
     shortest = 5.0 * min(float(np.mean(np.diff(t))) for t in time)
     longest = max(float(t[-1] - t[0]) for t in time)
     firsts = [direction_of(x), x.ratio] if x.kind == "speed" else [x.ratio]
