@@ -57,7 +57,8 @@ if TYPE_CHECKING:
     from fmuid.simulation.simulator import Task as Task
     from fmuid.simulation.simulator import Variable as Variable
 
-# Public name -> module, loaded on first use: `import fmuid` stays quick. No module has the name of a function.
+# Public name -> module, loaded on first use, so that `import fmuid` stays quick. No module has the name of a
+# function.
 
 _PUBLIC = {
     "AnalysisSpec": "core.campaign",
@@ -122,7 +123,7 @@ def _as_html(shown: Any) -> str:
 
 
 def _show_pictures_in_notebooks() -> None:
-    """Have IPython, if this is one of its kernels, show results with pictures: they know nothing of plots."""
+    """Make IPython kernels show results with pictures; the results themselves know nothing of plots."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
     if shell is not None:

@@ -35,9 +35,9 @@ FILE_NAME, INPUT = "design.json", "input.csv"
 Purpose = Literal["diagnosis", "parameters"]
 Say = Callable[[str, float], None]
 _SETTLES = "Does it settle the question"
-_DRAWN = 4  # answers in the pictures
-_SHOWN = 6  # pairs of answers, the closest
-_SAID = 3  # of what would help beyond an excitation
+_DRAWN = 4  # answers shown in the figures
+_SHOWN = 6  # pairs of answers shown, the closest ones
+_SAID = 3  # changes listed that would help beyond an excitation
 _FURTHER = {"sensor": "It takes", "setting": "Or set", "limits": "Or allow"}
 
 
@@ -52,7 +52,7 @@ class Designed:
     interrupted: bool
 
     def __str__(self) -> str:
-        """Return it in words."""
+        """Return the design in words."""
         return "\n".join(f"{label}: {value}" for label, value, *_ in self.answer["facts"])
 
 
@@ -83,13 +83,13 @@ def design_experiment(
         ``parameters``: the most informative run for the free parameters. ``diagnosis``: the run that best
         distinguishes the answers of a diagnosis.
     start
-        An identification of the campaign, whose values the parameters take. Or its diagnosis, the folder or
-        ``diagnosis.json``; `campaign` may be that as well.
+        An identification of the campaign, whose values the parameters take, or a diagnosis of it: the folder or
+        ``diagnosis.json``. The latter may also be given as `campaign`.
     out
         Folder for ``input.csv``, ``design.json`` and the page ``index.html``. If None, nothing is written.
     stage, optimality
-        Of a design for parameters: whose parameters, and whether the volume (``D``) or the sum of squares (``A``)
-        of what they may be becomes least.
+        For a design for parameters: the stage that names them, and whether to minimise the volume (``D``) of their
+        confidence region or the sum of squares (``A``) of their standard errors.
     evaluations
         Number of excitations to try.
     seed
@@ -104,7 +104,7 @@ def design_experiment(
     Returns
     -------
     Designed
-        ``answer`` is the value of ``design.json``.
+        Its ``answer`` is the value of ``design.json``.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def design_experiment(
 def campaign_and_diagnosis(
     what: Campaign | Result | str | Path, start: Result | str | Path | None = None, *, trust: bool = False
 ) -> tuple[Campaign, dict[str, Any] | None]:
-    """Return the campaign that is meant, and the JSON of its diagnosis if one is named; see `design_experiment`.
+    """Return the campaign, and the JSON of its diagnosis if one is named; see `design_experiment`.
 
     Raises
     ------
@@ -178,7 +178,7 @@ def campaign_and_diagnosis(
 
 
 def _diagnosis_file(what: object) -> Path | None:
-    """Return the JSON file that a diagnosis wrote, if that is what is meant."""
+    """Return the JSON file written by a diagnosis, if `what` names one."""
     if not isinstance(what, str | Path):
         return None
     path = Path(what)
@@ -239,7 +239,7 @@ def _of_diagnosis(made: DiagnosisDesign) -> dict[str, Any]:
     if len(settled) == len(made.rivals):
         facts.append((_SETTLES, "yes, whichever answer is right", "good"))
     elif settled:
-        facts.append((_SETTLES, f"yes, if the right answer is {' or '.join(settled)}; else not"))
+        facts.append((_SETTLES, f"only if the right answer is {' or '.join(settled)}"))
     else:
         facts.append((_SETTLES, "no run within these limits settles it", "warn"))
     closest = sorted(made.pairs, key=lambda pair: pair[2])
@@ -281,7 +281,7 @@ def _run_facts(planned: Planned, found: Excitation) -> list[tuple[str, ...]]:
         ),
     ]
     if planned.assumed:
-        facts.append(("Limits, as none are given, are what recorded runs reached", "; ".join(planned.assumed)))
+        facts.append(("Limits, taken from the recorded runs as none are given", "; ".join(planned.assumed)))
     if found.interrupted:
         facts.append(("Interrupted", f"the best of {counted(found.evaluations, 'excitation')}", "warn"))
     return facts

@@ -1,4 +1,4 @@
-"""Global sensitivity of a campaign: load, simulate in worker processes, and write what matters."""
+"""Global sensitivity of a campaign: load, simulate in worker processes, and write the results."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def global_sensitivity(
 ) -> GlobalSensitivity:
     """Return how much each parameter matters to each output over its whole range.
 
-    Only the inputs of the runs count, unless `of` is ``criterion``: nothing need be measured yet.
+    Only the inputs of the runs count, unless `of` is ``criterion``, so the outputs need not be measured yet.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def global_sensitivity(
     method, of, samples, seed
         As in `global_sensitivity_of`.
     stage
-        Stage whose parameters, ties and runs are meant; by default the campaign's only stage, or all its free
+        Stage whose parameters, ties and runs are used; by default the campaign's only stage, or all its free
         parameters and identification runs.
     experiments
         Ids or globs, instead of the stage's runs.
@@ -128,7 +128,7 @@ def _with_planned_run(
     inputs: str | Path | None,
     setup: str | None,
 ) -> tuple[Campaign, StageSpec]:
-    """Return the campaign with the run that is planned, and the stage of that run alone."""
+    """Return the campaign with the planned run, and the stage with that run alone."""
     where = campaign.file or campaign.folder
     recorded = [e.setup for e in campaign.measurements]
     setup = setup or campaign.design.setup or next(iter([*recorded, *campaign.models]), None)

@@ -84,4 +84,4 @@ def test_without_limits_the_rig_goes_no_farther_than_it_has(
     text = (bench / "campaign.toml").read_text()
     (bench / "campaign.toml").write_text(text.replace(LIMITS, ""))
     assert design("--out", "next") == 0
-    assert "as none are given, are what recorded runs reached: u from" in capsys.readouterr().out
+    assert "taken from the recorded runs as none are given: u from" in capsys.readouterr().out

@@ -42,7 +42,7 @@ from fmuid.data.noise.outliers import without_outliers
 from fmuid.simulation.coupled.coupling_table import CoupledTable, coupling_of
 
 FILE_NAME = "campaign.toml"
-MAX_STARTS, MAX_DRAWS, MAX_POINTS = 1000, 100_000, 1000  # of a solver, of Monte Carlo, on a front
+MAX_STARTS, MAX_DRAWS, MAX_POINTS = 1000, 100_000, 1000  # of a solver, Monte Carlo, a Pareto front
 _Table = Mapping[str, Any]
 
 
@@ -255,7 +255,7 @@ def load_campaign(
     if not planned:
         _check_models(models, recorded, roles=roles, parameters=parameters, settings=settings, file=str(file))
     for n in document.stages:
-        if n in ("", ".", "..") or "/" in n or not n.isprintable():  # groups and files are called so
+        if n in ("", ".", "..") or "/" in n or not n.isprintable():  # groups and files get this name
             fix = "use letters, digits, spaces, . - _"
             raise CampaignError(f"'{n}' is not a valid stage name", where=f"{file} [stages]", fix=fix)
     stages = {
@@ -315,7 +315,7 @@ def _robot(
 
 
 def _have_every_run_judged(document: _Document, recorded: Measurements) -> None:
-    """Have stages, which say how sensors read, name no run and no signal that is not there."""
+    """Make stages, which define how sensors read, name no run and no signal that is missing."""
     measured = {name for experiment in recorded for name in experiment.outputs}
     document.roles = {}
     for table in document.stages.values():
@@ -480,7 +480,7 @@ def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
 
 
 def _source(table: _ModelTable, folder: Path, where: str) -> ModelSource | None:
-    """Return the Modelica source that a model's table names; the class is called like the file by default."""
+    """Return the Modelica source that a model's table names; by default, the class has the name of the file."""
     if not table.source:
         if table.class_:
             raise CampaignError("names a class without its source", where=where, fix='write source = "file.mo"')
@@ -543,7 +543,7 @@ def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
 
 
 def _check_owners(parameters: Mapping[str, ParameterSpec], measurements: Measurements, file: str) -> None:
-    """Check that start values of single machines or experiments are of ones that were recorded."""
+    """Check that machines and experiments with their own start values were recorded."""
     owners = {"machine": {e.machine for e in measurements}, "experiment": set(measurements.experiments)}
     for spec in parameters.values():
         for owner in spec.starts:
@@ -556,7 +556,7 @@ def _check_owners(parameters: Mapping[str, ParameterSpec], measurements: Measure
 
 
 def _prior(table: _ParameterTable, where: str) -> Prior | None:
-    """Return what is known of a parameter beforehand, once it is said in one way only."""
+    """Return the prior knowledge about a parameter, which may be stated in one way only."""
     if table.tolerance is not None and not (math.isfinite(table.tolerance) and table.tolerance > 0):
         raise CampaignError(
             f"tolerance is {table.tolerance:g}", where=where, fix="write tolerance > 0, relative; or known = true"
@@ -591,7 +591,7 @@ class _Roles:
             raise CampaignError(
                 "no run is left for identification", where=where, fix="name some in identification"
             )
-        # A repeat that one role names by its id does not come along in the other.
+        # A repeat that one role names by its id is not included in the other.
         used = tuple(i for i in used if i not in named or i in (table.identification or ()))
         for experiment_id in used:
             if experiment_id in held_out:

@@ -18,13 +18,13 @@ from fmuid.simulation.simulator import Simulator, Task, Variable
 
 _MAX_RUNS = 3
 _MAX_CANDIDATES = 60  # parameters whose effect is simulated
-_DRAWN = ("m", "m2", "m3", "rad", "1")  # units of what a drawing tells
-_STEP = 0.01  # relative change of a parameter to see its effect
-_LEAST_NEW = 1e-2  # of an effect, not explained by the parameters chosen before
-_LEAST_EFFECT = 1e-4  # of the largest
-_ALL_BUT = 0.99  # of the longest column: one that is as good
-_SAME = 1e-3  # of an output's range, between the FMU's solver and fmuid's
-_CLEARLY = 0.1  # share of the squared error left that makes one reading of the inputs better than the other
+_DRAWN = ("m", "m2", "m3", "rad", "1")  # units of quantities that a drawing shows
+_STEP = 0.01  # relative change of a parameter for estimating its effect
+_LEAST_NEW = 1e-2  # least share of an effect that parameters chosen before do not explain
+_LEAST_EFFECT = 1e-4  # least effect, relative to the largest
+_ALL_BUT = 0.99  # relative to the longest column: a column of this length is as good
+_SAME = 1e-3  # difference between the FMU's solver and fmuid's, relative to an output's range
+_CLEARLY = 0.1  # remaining share of the squared error for one interpolation of the inputs to count as better
 
 NO_EFFECT = "does not affect any measured output"
 EXPLAINED = "redundant with the free parameters; if you know one of those, fix it instead"
@@ -85,7 +85,7 @@ def first_choice(
         try:
             effects[candidate.name] = np.concatenate([one.effect(candidate).ravel() for one in seen])
         except FmuidError:
-            continue  # a structural or otherwise delicate parameter: not one to start with
+            continue  # a structural or otherwise delicate parameter, unsuitable for a start
     drawn = {v.name for v in tried if _is_drawn(v)}
     names = independent_columns(effects, last=drawn)
     free = tuple(model.variables[n] for n in names)
@@ -157,7 +157,7 @@ def independent_columns(columns: Mapping[str, FloatArray], last: Collection[str]
             new = {n: x for n, x in lengths.items() if x > max(least, _LEAST_NEW * own[n])}
             if not new:
                 break
-            # What is left of two redundant parameters is as much of one as of the other: then the first is taken.
+            # Of two redundant parameters, equal parts remain; then the first is chosen.
             name = next(n for n, length in new.items() if length >= _ALL_BUT * max(new.values()))
             direction = left[name] / new[name]
             chosen.append(name)
@@ -166,7 +166,7 @@ def independent_columns(columns: Mapping[str, FloatArray], last: Collection[str]
 
 
 class _Seen:
-    """A run, and the model's answer to it at the start values; outputs over their ranges."""
+    """A run, with the model's response at the start values; outputs are divided by their ranges."""
 
     def __init__(self, model: Simulator, task: Task, measured: FloatArray, runner: Runner) -> None:
         self._model, self._task, self._measured, self._runner = model, task, measured, runner
@@ -174,12 +174,12 @@ class _Seen:
         self.scale = np.maximum(np.ptp(self.nominal, axis=1, keepdims=True), 1e-12)
 
     def linear(self) -> _Seen:
-        """Return the same with inputs that are linear between their samples."""
+        """Return the same run with linear interpolation of its inputs."""
         return _Seen(self._model, replace(self._task, interpolation="linear"), self._measured, self._runner)
 
     def effect(self, parameter: Variable) -> FloatArray:
-        """Return the outputs' change by the parameter's relative change, (outputs, N)."""
-        # From both sides: redundant parameters look alike only as far as differences are derivatives.
+        """Return the (outputs, N) change of the outputs with the parameter's relative change."""
+        # Central differences: redundant parameters look alike only as far as differences approximate derivatives.
         above, below = (
             simulated(self._runner, self._model, self._task, {parameter.name: (parameter.start or 0.0) * factor})
             for factor in (1 + _STEP, 1 - _STEP)
@@ -212,7 +212,7 @@ def _seen(model: Simulator, run: Experiment, mapping: Mapping[str, str], runner:
 
 
 def _interpolation(seen: Sequence[_Seen], free: Sequence[Variable]) -> tuple[Interpolation, float]:
-    """Return how the inputs act, and by what factor the other way explains the runs worse."""
+    """Return the interpolation of the inputs, and the factor by which the alternative explains the runs worse."""
     try:
         held, on_lines = (sum(one.left(free) for one in s) for s in (seen, [one.linear() for one in seen]))
     except FmuidError:

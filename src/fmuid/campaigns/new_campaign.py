@@ -34,12 +34,12 @@ from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.segmented import Growth
 from fmuid.simulation.simulator import Variable
 
-_MAX_NAMES = 8  # of parameters that are held, in one line
+_MAX_NAMES = 8  # fixed parameters named in one line
 
 
 @dataclass(frozen=True, slots=True)
 class NewCampaign:
-    """The campaign written, and one line for each guess."""
+    """The new campaign, and one line for each guess."""
 
     folder: Path
     guesses: tuple[str, ...]
@@ -234,7 +234,7 @@ def _run(
 
 
 def _by_model_exchange(model: Fmu | CoupledModel) -> Fmu | None:
-    """Return the same FMU on fmuid's solver, if it can also be simulated so."""
+    """Return the same FMU on fmuid's solver, if it can be simulated that way too."""
     if isinstance(model, CoupledModel) or model.interface == "model exchange":
         return None
     try:
@@ -246,7 +246,7 @@ def _by_model_exchange(model: Fmu | CoupledModel) -> Fmu | None:
 def _for_identification(runs: Mapping[str, Experiment]) -> list[Experiment]:
     """Return all runs but the last one, without repeats.
 
-    Of fewer than three none is kept back: a diagnosis leaves one out in turn and needs another to learn from.
+    With fewer than three, all are returned: a diagnosis leaves each out in turn and needs another to learn from.
     """
     firsts = [run for run in runs.values() if run.repeat_of is None]
     return firsts[:-1] if len(firsts) > 2 else firsts
@@ -308,7 +308,7 @@ def _toml(
         f"[models.{toml_text(setup)}]",
         *named,
         f"map = {{ {renamed} }}" if renamed else "map = {}",
-        "# Inputs between their samples: hold, linear, or preceding (a sample acts from the one before it on).",
+        "# Inputs between samples: hold, linear, or preceding (a sample acts from the time of the previous one).",
         f"interpolation = {toml_text(choice.interpolation)}",
         *(
             ["# Simulated with fmuid's solver, not the FMU's.", f"interface = {toml_text(interface)}"]
@@ -335,7 +335,11 @@ def _toml(
         "# One stage: every free parameter, all runs for identification, least squares on every output.",
         "[stages.all]",
         "budget = { evaluations = 500 }",
-        *([f"# {away}: each segment starts afresh.", 'segments = "auto"'] if away is not None else []),
+        *(
+            [f"# {away}, so each segment starts again from its own state.", 'segments = "auto"']
+            if away is not None
+            else []
+        ),
         "",
     ]
     return "\n".join(lines) + "\n"

@@ -17,7 +17,7 @@ format = "fmuid-effects"
 version = 1
 """
 _WORDS = {
-    ("input", "gain"): ("'{}' acts in a wrong scale", "Calibration of the actuator"),
+    ("input", "gain"): ("'{}' acts with a wrong scale", "Calibration of the actuator"),
     ("input", "offset"): ("'{}' acts with a constant added", "Zero of the actuator"),
     ("input", "lag"): ("'{}' acts with a first-order lag", "Bandwidth of the actuator"),
     ("input", "delay"): (
@@ -30,7 +30,7 @@ _WORDS = {
     ),
     ("input", "dead_zone"): ("'{}' acts only beyond a threshold", "Overlap of a valve, threshold of an amplifier"),
     ("input", "crosstalk"): ("'{}' acts with a share of other inputs", "Coupling between channels"),
-    ("output", "gain"): ("'{}' is read in a wrong scale", "Calibration of the sensor"),
+    ("output", "gain"): ("'{}' is read with a wrong scale", "Calibration of the sensor"),
     ("output", "offset"): ("'{}' is read with a constant added", "Zero of the sensor"),
     ("output", "lag"): ("'{}' is read with a first-order lag", "Filter of the sensor"),
     ("output", "delay"): ("'{}' is read late", "Communication and sampling"),
@@ -41,7 +41,7 @@ _WORDS = {
         "Coupling between channels, cross-axis sensitivity",
     ),
 }
-_HARD = 100.0  # a limit that is as good as abrupt
+_HARD = 100.0  # a practically abrupt limit
 _TWO_SIDED = ("gain", "offset", "drift", "crosstalk")
 
 
@@ -90,12 +90,12 @@ def signal_catalogue(runs: Iterable[Experiment], mapping: Mapping[str, str], mod
             sizes = _sizes(law, s, others, step, duration)
             if kind == s.causality and sizes:
                 effects += _effect(s.name, law, description.format(s.name), source, sizes)
-    note = ["# ---- regimes: variables of the model; a gap is looked at along them, and over time ----", ""]
+    note = ["# ---- regimes: variables of the model along which a gap is examined, in addition to time ----", ""]
     return "\n".join([_HEAD, *ports, *note, *regimes, *effects])
 
 
 class _Signal(NamedTuple):
-    """A signal, called as in the FMU if it is an input; its range and largest absolute value in `unit`."""
+    """A signal, named as in the FMU if it is an input, with its range and largest absolute value in `unit`."""
 
     name: str
     causality: str
@@ -122,7 +122,7 @@ def _signals(
 
 
 class _Size(NamedTuple):
-    """Of a parameter: trial values, then neutral, lower, upper and step, all in `unit`; a shape if it starts."""
+    """Sizes of a parameter: trials, then neutral, lower, upper and step, in `unit`; a shape if it has a start."""
 
     name: str
     trials: tuple[float, ...]

@@ -26,12 +26,12 @@ class Comparison:
         Root mean square error over the reference's samples, divided by the reference's range (by its
         largest absolute value if it is constant, by one if it is zero). NaN if the result misses samples.
     max_error, max_error_time
-        Largest absolute error in the variable's unit, and when (s).
+        Largest absolute error in the variable's unit, and its time (s).
     outside
         Fraction of the result's samples that are outside the funnel; None without a funnel.
     spans
-        From when to when (s) the result is outside: of the funnel or, without one, further from the reference
-        than three times the tolerance, if it is out of tolerance.
+        Intervals (s) in which the result is outside the funnel. Without a funnel, and only if the result is out of
+        tolerance, those in which it is further from the reference than three times the tolerance.
     within
         Whether the variable is within tolerance.
     """
@@ -55,8 +55,8 @@ def compare_tables(
 ) -> tuple[Comparison, ...]:
     """Compare every variable of `reference` (or those in `names`) with `result`.
 
-    Errors are taken at the reference's times, between the result's samples by linear interpolation; where a
-    time appears twice (an event), its last row counts.
+    Errors are taken at the reference's times, between the result's samples by linear interpolation; if a time
+    occurs twice (an event), its last row counts.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def compare_tables(
         Half-widths in value (as a fraction of the reference's range) and in time (s). A result is within the
         funnel if each of its samples is within both of some point of the reference.
     names
-        Variables to compare; all of the reference by default.
+        Variables to compare; all variables of the reference by default.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def compare_tables(
 def _compare(
     result: Table, reference: Table, name: str, tolerance: float, funnel: tuple[float, float] | None
 ) -> Comparison:
-    last = np.append(np.diff(reference.time) > 0, True)  # of rows at one time
+    last = np.append(np.diff(reference.time) > 0, True)  # last row of each time
     known = last & np.isfinite(reference.columns[name])
     time, expected = reference.time[known], reference.columns[name][known]
     if not time.size:

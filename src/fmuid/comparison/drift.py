@@ -1,4 +1,4 @@
-"""Comparison of an FMU or results with stored references: how far it has drifted, and where."""
+"""Comparison of an FMU or results with stored references: how far they have drifted, and where."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ def drift_of(
     result
         An FMU, a CSV file, or a folder of CSV files.
     reference
-        A CSV file, or a folder of them. For an FMU, columns that are its inputs drive it (`interpolation`
-        between samples); the others are compared. For a folder of results, files of the same name are.
+        A CSV file, or a folder of them. For an FMU, columns that are its inputs drive it (`interpolation` applies
+        between samples) and the others are compared. For a folder of results, files of the same name are compared.
     tolerance, funnel, names
         As in `fmuid.comparison.compare.compare_tables`.
     parameters
@@ -195,7 +195,7 @@ def _simulated(
     where: str,
     runner: Runner,
 ) -> Table:
-    """Return what the FMU does under the reference's inputs, in the reference's units."""
+    """Return the FMU's response to the reference's inputs, in the reference's units."""
     variables = simulator.variables
     for name in (*outputs, *parameters):
         if name not in variables:
@@ -204,7 +204,7 @@ def _simulated(
         n: _converted(reference.columns[n], reference.units.get(n), variables[n].unit, f"{where}: '{n}'")
         for n in inputs
     }
-    # Where an event has two rows at one time, the last one drives.
+    # At an event with two rows at one time, the last row is used as input.
     last = np.append(np.diff(reference.time) > 0, True)
     task = Task(
         reference.time[last],
@@ -221,7 +221,7 @@ def _simulated(
 
 
 def _converted(values: FloatArray, source: str | None, target: str | None, where: str) -> FloatArray:
-    """Return `values` in the target unit; where a unit is not stated, they are taken to be in it."""
+    """Return `values` in the target unit; values without a stated unit are assumed to be in it already."""
     try:
         return conversion(source, target)(values) if source and target else values
     except UnitError as error:

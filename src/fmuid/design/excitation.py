@@ -1,4 +1,4 @@
-"""Excitations of a few numbers each: within a range and a slope whatever the numbers are.
+"""Excitations defined by a few numbers each, which stay within a range and a slope whatever the numbers are.
 
 Every signal begins and ends at rest. Multisines have random or optimised phases (Schoukens, Swevers, Pintelon and
 van der Auweraer 2004); binary sequences are of maximum length (Godfrey 1993).
@@ -15,11 +15,11 @@ import numpy as np
 from fmuid.core.campaign import DesignSpec, Family
 from fmuid.core.immutable import FloatArray
 
-_LINES = 8  # of a multisine
-_LEVELS = 8  # of steps
-_FASTEST = 2.5  # samples a period of the highest frequency
-_CLIPPED = 0.95  # of the crest of a wave, at most
-_ORDER = 9  # of the shift register
+_LINES = 8  # lines of a multisine
+_LEVELS = 8  # levels of a staircase
+_FASTEST = 2.5  # samples per period of the highest frequency
+_CLIPPED = 0.95  # largest share of a wave's crest that is clipped
+_ORDER = 9  # order of the shift register
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +39,13 @@ class Shape:
     Parameters
     ----------
     family
-        Of the signals.
+        Family of the signals.
     bounds
-        Of each input.
+        Bounds of each input.
     optimised
-        Whether the phases of a multisine are numbers of the search; else they are drawn once.
+        Whether the phases of a multisine are searched for; otherwise they are drawn once.
     seed
-        Of drawn phases.
+        Seed of drawn phases.
     """
 
     family: Family
@@ -64,9 +64,9 @@ class Shape:
         return own[self.family]
 
     def __call__(self, x: FloatArray, time: FloatArray) -> FloatArray:
-        """Return the (inputs, N) samples that (size,) numbers in [0, 1] stand for.
+        """Return the (inputs, N) samples defined by (size,) numbers in [0, 1].
 
-        The first number of each input is its size: at 0 it stays at rest.
+        The first number of each input is its size: at 0, the input stays at rest.
         """
         parts = np.split(np.clip(x, 0.0, 1.0), len(self.bounds))
         made = _MADE[self.family]
@@ -99,21 +99,21 @@ def shapes(spec: DesignSpec, bounds: Sequence[Bounds], *, seed: int) -> tuple[Sh
 
 
 def _frequency(x: float, time: FloatArray) -> float:
-    """Return a frequency between one period of the record and the fastest that its samples show, Hz."""
+    """Return a frequency between one period per record and the highest that its samples can represent, Hz."""
     span = float(time[-1] - time[0])
     fastest = max(2.0 / span, (len(time) - 1) / span / _FASTEST)
     return float((1.0 / span) * (fastest * span) ** x)
 
 
 def _lines(part: FloatArray, time: FloatArray) -> FloatArray:
-    """Return the frequencies of a multisine: multiples of the record's own, evenly spaced in their logarithm."""
+    """Return the frequencies of a multisine: multiples of the record's own, evenly spaced in logarithm."""
     span = float(time[-1] - time[0])
     low, high = sorted((_frequency(part[2], time), _frequency(part[3], time)))
     return np.unique(np.round(np.geomspace(low, high, _LINES) * span)) / span
 
 
 def _clock(x: float, time: FloatArray) -> float:
-    """Return how long a bit lasts: a sample to a quarter of the record, s."""
+    """Return the duration of a bit: from one sample to a quarter of the record, s."""
     span = float(time[-1] - time[0])
     shortest = span / (len(time) - 1)
     return float(shortest * max(1.0, 0.25 * span / shortest) ** x)
@@ -135,7 +135,7 @@ def _chirp(part: FloatArray, time: FloatArray, b: Bounds, _: np.random.Generator
 
 
 def _oscillation(part: FloatArray, time: FloatArray, b: Bounds, wave: FloatArray) -> FloatArray:
-    """Return a wave of the size, around the mean and clipped as three numbers say, no steeper than allowed."""
+    """Return a wave with its size, mean and clipping given by three numbers, no steeper than allowed."""
     size = part[0] * 0.5 * (b.upper - b.lower)
     crest = max(float(np.max(np.abs(wave))), 1e-300) * (1.0 - _CLIPPED * part[4])
     wave = size * np.clip(wave / crest, -1.0, 1.0)
@@ -148,9 +148,9 @@ def _oscillation(part: FloatArray, time: FloatArray, b: Bounds, wave: FloatArray
 
 
 def _from_rest(values: FloatArray, time: FloatArray, b: Bounds) -> FloatArray:
-    """Return the signal led away from rest and back to it no faster than it may move."""
+    """Return the signal with both ends moved to rest, no steeper than allowed."""
     values = np.clip(values, b.lower, b.upper)
-    if np.isfinite(b.rate):  # the lesser of two slopes is none that is steeper
+    if np.isfinite(b.rate):  # clipping by a cone of the allowed slope makes nothing steeper
         reach = b.rate * np.minimum(time, time[-1] - time)
         values = np.clip(values, b.rest - reach, b.rest + reach)
     values[[0, -1]] = b.rest
@@ -181,7 +181,7 @@ def _bits() -> FloatArray:
 
 
 def _held(levels: FloatArray, edges: FloatArray, time: FloatArray, b: Bounds) -> FloatArray:
-    """Return levels held between `edges`, with ramps between them where steps are too steep."""
+    """Return levels held between `edges`, with ramps where steps would be too steep."""
     if not np.isfinite(b.rate):
         index = np.clip(np.searchsorted(edges, time * (1 + 1e-12), side="right") - 1, 0, len(levels) - 1)
         return _from_rest(levels[index], time, b)

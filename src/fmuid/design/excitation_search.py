@@ -1,4 +1,4 @@
-"""The search for an excitation: a few of every family, then derivative-free improvement of the best."""
+"""The search for an excitation: a few from every family, then derivative-free improvement of the best."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from fmuid.core.immutable import FloatArray
 from fmuid.design.excitation import Shape
 from fmuid.identification.solvers.nlopt_solver import minimised
 
-_BARRIER = 1e3  # above every cost of a run within limits
-_FIRST = 0.4  # share of the evaluations that goes to a few of every family
-_SHRUNK = 0.5  # size of the next trial of a run that leaves its limits
-_STEP = 0.15  # of the local search
+_BARRIER = 1e3  # exceeds every cost of a run within limits
+_FIRST = 0.4  # share of the evaluations for the first few of every family
+_SHRUNK = 0.5  # factor on the size of a run that exceeds its limits, for the next trial
+_STEP = 0.15  # initial step of the local search
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Judged:
 
     @property
     def total(self) -> float:
-        """One number for comparison: every run within the limits is better than any run outside them."""
+        """One number for comparison: every run within the limits ranks before any run outside them."""
         return self.cost if self.violation <= 0.0 else _BARRIER * (1.0 + min(self.violation, 1e6))
 
 
@@ -72,7 +72,7 @@ def search(
     Parameters
     ----------
     judge
-        Of (inputs, N) samples.
+        Judges (inputs, N) samples.
     evaluations
         Number of calls of `judge`.
     say
@@ -101,7 +101,7 @@ def search(
         each = max(2, int(_FIRST * evaluations / len(shapes)))
         for k, shape in enumerate(shapes):
             _begin(shape, each, seed, lambda x, k=k: cost(k, x))  # type: ignore[misc]
-        # A few points say little of a family: each is bettered for a while, then the best of them to the end.
+        # A few points say little about a family: the best of each is improved for a while, then the best of all.
         every = (evaluations - len(tried)) // (2 * len(shapes))
         for k in range(len(shapes)):
             better(k, every)
@@ -123,7 +123,7 @@ def search(
 
 
 def _begin(shape: Shape, count: int, seed: int, cost: Callable[[FloatArray], float]) -> None:
-    """Try points of a Sobol' sequence, `count` in all; one that leaves a limit again at smaller sizes."""
+    """Try `count` points of a Sobol' sequence; one that exceeds a limit is tried again at smaller sizes."""
     from scipy.stats import qmc  # takes a second to import
 
     points = qmc.Sobol(shape.size, rng=seed).random_base2(max(1, int(np.ceil(np.log2(count)))))

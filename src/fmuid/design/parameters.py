@@ -1,7 +1,8 @@
 """The most informative excitation for the parameters: D- or A-optimal, averaged over plausible values.
 
-The information of a run is ``J' J`` with J the whitened derivatives of its predictions by the parameters, each
-taken relative to its value; what recorded runs and bounds say adds to it (Fedorov 1972; Pronzato and Pazman 2013).
+The information of a run is ``J' J``, where J are the whitened derivatives of its predictions by the parameters,
+each relative to its value. The information of recorded runs and bounds is added (Fedorov 1972; Pronzato and Pazman
+2013).
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ from fmuid.simulation.runners import Runner
 from fmuid.simulation.simulator import Simulator
 
 Optimality = Literal["D", "A"]
-_DRAWS = 3  # of the parameters, the start values among them
-_SPREAD = 0.3  # relative, of parameters that no run has determined any better
-_UNBOUNDED = 10.0  # relative standard deviation of a parameter of which nothing is known
+_DRAWS = 3  # draws of the parameters, including the start values
+_SPREAD = 0.3  # relative spread of parameters that no run has determined any better
+_UNBOUNDED = 10.0  # relative standard deviation of an entirely unknown parameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +44,7 @@ class ParameterDesign:
     Attributes
     ----------
     planned, excitation
-        The run.
+        The designed run.
     criterion
         The optimality criterion.
     values
@@ -159,7 +160,7 @@ def design_for_parameters(
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """Information of an excitation, as the cost of a search.
+    """Information from an excitation, as the cost of a search.
 
     Attributes
     ----------
@@ -176,7 +177,7 @@ class Information:
     optimality: Optimality = "D"
 
     def __call__(self, samples: FloatArray) -> Judged:
-        """Return what (inputs, N) samples are worth."""
+        """Return the cost and the violation of limits of (inputs, N) samples."""
         model = self.planned.under(samples)
         try:
             violation, worst = self.planned.violation(model, self.draws, predicted(model, self.draws))
@@ -208,7 +209,7 @@ class Information:
 
 
 def posed_stage(campaign: Campaign, stage: str | None) -> StageSpec:
-    """Return whose parameters are meant, as a stage.
+    """Return the stage whose parameters are to be determined.
 
     Raises
     ------
@@ -254,7 +255,7 @@ def _unknowns(
 
 
 def _kind(case: Case) -> tuple[object, ...]:
-    """Return what runs must share for their noise to be pooled."""
+    """Return what runs must have in common for their noise to be pooled."""
     return (
         case.setup,
         tuple(c.signal for c in case.channels),
@@ -280,7 +281,7 @@ def _recorded(
 
 
 def _sizes(unknowns: Sequence[Unknown]) -> FloatArray:
-    """(P,) what a parameter's error is held against: its value; where that is 0, its range."""
+    """(P,) the scale of a parameter's error: its value, or its range if the value is 0."""
     width = [u.upper - u.lower if np.isfinite(u.upper - u.lower) else 1.0 for u in unknowns]
     return np.array([abs(u.start) or w for u, w in zip(unknowns, width, strict=True)])
 
@@ -296,7 +297,7 @@ def _beforehand(campaign: Campaign, unknowns: Sequence[Unknown]) -> FloatArray:
 
 
 def _draws(unknowns: Sequence[Unknown], known: FloatArray, seed: int) -> list[dict[str, float]]:
-    """Return values that the parameters may have, their start first."""
+    """Return plausible values of the parameters, with their start values first."""
     sizes, start = _sizes(unknowns), np.array([u.start for u in unknowns])
     lower, upper = np.array([u.lower for u in unknowns]), np.array([u.upper for u in unknowns])
     covariance = np.linalg.inv(known + np.diag(1.0 / np.square(_SPREAD * sizes)))

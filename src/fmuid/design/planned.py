@@ -23,11 +23,11 @@ from fmuid.identification.problem.solver_error import solver_accuracy
 from fmuid.simulation.simulator import Simulator
 
 DESIGNED = "designed"
-_BEYOND = 0.5  # of what recorded runs reached: how far a designed one may go where the user gives no limit
-_SAMPLES = 1000  # of a run where nothing says how often to sample
-_LOOSEST = (1e-3, 1e-4)  # solver tolerances to begin with
-_TYPICAL = 0.7  # of every number that makes an excitation
-_FEWEST = 20  # samples of a run that a design makes sense for
+_BEYOND = 0.5  # share of the range of recorded runs by which a designed one may exceed it, where no limit is given
+_SAMPLES = 1000  # samples of a run without a given sample time
+_LOOSEST = (1e-3, 1e-4)  # initial solver tolerances
+_TYPICAL = 0.7  # typical value of each number that defines an excitation
+_FEWEST = 20  # smallest number of samples for which a design makes sense
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class Watched:
     channel: int | None = None
 
     def left(self, values: FloatArray) -> float:
-        """Return by which share of the range (or bound) the values exceed the limits, 0 if they do not."""
+        """Return the share of the range (or bound) by which the values exceed the limits, 0 if they do not."""
         over = max(float(np.max(values)) - self.upper, self.lower - float(np.min(values)))
         finite = [abs(b) for b in (self.lower, self.upper) if np.isfinite(b)]
         width = self.upper - self.lower if len(finite) == 2 else max(finite, default=1.0)
@@ -64,7 +64,7 @@ class Watched:
 
 @dataclass(frozen=True, slots=True)
 class Settable:
-    """A value that a run can set on the model, such as a payload, in the model's unit."""
+    """A value, such as a payload, that a run can set on the model, in the model's unit."""
 
     name: str
     variable: str
@@ -102,7 +102,7 @@ class Planned:
 
     @property
     def time(self) -> FloatArray:
-        """(N,) times of its samples, s."""
+        """(N,) sample times, s."""
         return self.case.time
 
     def whiten(self, difference: FloatArray) -> FloatArray:
@@ -121,7 +121,7 @@ class Planned:
         return replace(self.case, task=replace(self.case.task, inputs={**self.case.task.inputs, **own}))
 
     def solved_well_enough(self, shapes: Sequence[Shape], points: Sequence[Mapping[str, float]]) -> Planned:
-        """Return the run with a solver tolerance whose errors no measurement would show, whatever drives it.
+        """Return the run with a solver tolerance whose errors no measurement would show for any excitation.
 
         One excitation of each shape is tried at every point.
         """
@@ -140,7 +140,7 @@ class Planned:
     def violation(
         self, model: CampaignModel, points: Sequence[Mapping[str, float]], predictions: Sequence[Prediction]
     ) -> tuple[float, str]:
-        """Return the largest violation of the limits by the runs, and the limit concerned.
+        """Return the largest violation of the limits in the runs, and the limit concerned.
 
         Raises
         ------
@@ -186,7 +186,7 @@ def template_of(campaign: Campaign, simulator: Simulator, setup: str) -> Case:
 
 
 def unrecorded_times(duration: float, sample_time: float | None) -> FloatArray:
-    """Return the (N,) sample times of a run that nobody has recorded; a thousand if no sample time is given."""
+    """Return the (N,) sample times of a run without recording; a thousand samples if no sample time is given."""
     return _times(duration, sample_time or duration / _SAMPLES)
 
 
@@ -197,10 +197,10 @@ def unrecorded_run(
     time: FloatArray,
     driven: Mapping[str, Signal] = frozen_mapping({}),
 ) -> Experiment:
-    """Return a run of a setup at (N,) times that nobody has recorded: its outputs are zero.
+    """Return a run of a setup at (N,) times without recording: its outputs are zero.
 
-    It has the outputs whose noise the user gives, else those that other runs of the setup measure, else the
-    model's. Inputs that are not `driven` stay at their start values.
+    It has the outputs whose noise the user gives, or else those that other runs of the setup measure, or else
+    those of the model. Inputs that are not `driven` stay at their start values.
 
     Raises
     ------
@@ -251,7 +251,7 @@ def planned_run(
     template
         A run of the same setup.
     noise
-        Noise of the setup; by default as given by the user for the template's outputs.
+        Noise of the setup; by default, the noise that the user gives for the template's outputs.
 
     Raises
     ------
@@ -309,7 +309,7 @@ def _times(duration: float, step: float) -> FloatArray:
 def _limits(
     campaign: Campaign, template: Case, recorded: Sequence[Case]
 ) -> tuple[dict[str, Limit], tuple[str, ...]]:
-    """Return the user's limits; where no input has one, what recorded runs reached, in the model's units."""
+    """Return the user's limits, or, if no input has any, the range of recorded runs, in the model's units."""
     limits, model = dict(campaign.design.limits), campaign.models[template.setup]
     variables = template.simulator.variables
     asked = {model.variable(name) for name in limits}

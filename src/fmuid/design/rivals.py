@@ -1,8 +1,8 @@
 """The excitation that best distinguishes the answers of a diagnosis (T-optimal: Atkinson and Fedorov 1975).
 
-A run settles it if in nine cases of ten a diagnosis will prefer the right answer by as many standard deviations as
-it takes to name one alone (`decide.SAME`). By noise alone the wrong one would then fit better in fewer than one
-case of a million: what else models leave unexplained, and that rivals are taken to be linear, needs that margin.
+A run decides between answers if, in nine cases out of ten, a diagnosis will prefer the right answer by as many
+standard deviations as it takes to name one alone (`decide.SAME`). By noise alone, the wrong one would then fit
+better in fewer than one case in a million. The margin allows for model error and for the linearisation of rivals.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from fmuid.diagnosis.slopes import linear_at, predicted
 from fmuid.diagnosis.subject import Subject
 
 SETTLED = SAME
-_DRAWS = 3  # of every rival's parameters, the estimate among them
-_MOST = 6  # rivals
-_WIDER = 2.0  # by which limits are widened to say what that would give
-_SENSORS = (1e-6, 1.0)  # of its own range, between which the noise of an added sensor is looked for
+_DRAWS = 3  # draws of every rival's parameters, including the estimate
+_MOST = 6  # largest number of rivals
+_WIDER = 2.0  # factor by which limits are widened to show the effect
+_SENSORS = (1e-6, 1.0)  # range, relative to a sensor's own, in which the noise of an added one is searched for
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class DiagnosisDesign:
 
     @property
     def pairs(self) -> list[tuple[Rival, Rival, float]]:
-        """Every two rivals, and their separation: the smaller of both ways."""
+        """Every pair of rivals with its separation, the smaller of both directions."""
         return [
             (self.rivals[i], self.rivals[j], float(min(self.separations[i, j], self.separations[j, i])))
             for i in range(len(self.rivals))
@@ -80,7 +80,7 @@ class DiagnosisDesign:
 
     @property
     def settled_for(self) -> list[Rival]:
-        """The rivals that the run leaves alone, should they be right."""
+        """The rivals that would remain alone after the run if they were right."""
         own = np.where(np.eye(len(self.rivals), dtype=bool), np.inf, self.separations)
         return [rival for rival, row in zip(self.rivals, own, strict=True) if row.min() >= SETTLED]
 
@@ -187,19 +187,19 @@ def design_for_diagnosis(
     designed = DiagnosisDesign(planned, found, rivals, separations(criterion.distances(found.samples), rivals))
     if found.interrupted or designed.least >= SETTLED:
         return designed
-    say("what else would help", 0.92)
+    say("looking for other changes that would help", 0.92)
     return replace(designed, beyond=tuple(_beyond(designed, subject, campaign)))
 
 
 @dataclass(frozen=True, eq=False)
 class Apart:
-    """How far apart an excitation sets rivals, as the cost of a search: how often a wrong one fits better."""
+    """Separation of rivals by an excitation, as the cost of a search: how often a wrong one fits better."""
 
     planned: Planned
     rivals: tuple[Rival, ...]
 
     def __call__(self, samples: FloatArray) -> Judged:
-        """Return what (inputs, N) samples are worth."""
+        """Return the cost and the violation of limits of (inputs, N) samples."""
         model = self.planned.under(samples)
         points = [values for r in self.rivals for values in r.draws]
         try:
@@ -212,7 +212,7 @@ class Apart:
         return Judged(_misjudged(apart))
 
     def distances(self, samples: FloatArray) -> FloatArray:
-        """Return the (R, R) distances that (inputs, N) samples give.
+        """Return the (R, R) distances of the rivals under (inputs, N) samples.
 
         Raises
         ------
@@ -226,7 +226,7 @@ class Apart:
 
 
 def _misjudged(apart: FloatArray) -> float:
-    """Return the logarithm of how often a wrong one of two rivals fits better, the mean over all of them."""
+    """Return the log of the probability that the wrong one of two rivals fits better, averaged over all pairs."""
     pairs = apart[~np.eye(len(apart), dtype=bool)]
     return float(logsumexp(log_ndtr(-0.5 * pairs)) - np.log(len(pairs)))
 
@@ -236,7 +236,7 @@ def _least(found: FloatArray) -> float:
 
 
 def _beyond(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) -> list[Beyond]:
-    """Return what would tell the rivals apart that no excitation within the limits does, the best first."""
+    """Return changes that separate rivals which no excitation within the limits separates, best first."""
     planned, samples, rivals = designed.planned, designed.excitation.samples, designed.rivals
     criterion = Apart(planned, rivals)
     found = _sensors(designed, subject, campaign)
@@ -267,7 +267,7 @@ def _tried(kind: str, what: str, criterion: Apart, samples: FloatArray) -> list[
 
 
 def _sensors(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) -> list[Beyond]:
-    """Return the outputs that nothing reads yet: their noise is the user's, or what would be enough."""
+    """Return the outputs without a sensor, with the noise that the user gives or the noise that would suffice."""
     planned, rivals = designed.planned, designed.rivals
     case = planned.driven_case(designed.excitation.samples)
     read = {c.variable for c in case.channels}

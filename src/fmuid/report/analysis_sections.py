@@ -1,4 +1,4 @@
-"""What was found about a stage's estimate, as figures and tables."""
+"""Analyses of a stage's estimate, as figures and tables."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def front_items(result: StageResult) -> list[Figure | Table]:
             Series("estimate", np.array([front.chosen[i]]), np.array([front.chosen[k]]), "start", points=True),
         )
         name, other = front.objectives[i], front.objectives[k]
-        x, y = (Axis(f"{objective}, over what was demanded") for objective in (name, other))
+        x, y = (Axis(f"{objective}, relative to its demand") for objective in (name, other))
         panels.append(Panel(f"{name} against {other}", x, y, series))
     title = f"Pareto front: {result.name}"
     caption = (
-        "Errors over what was demanded: at most 1 is as good as asked. No point is beaten in everything; from one "
-        f"to the next something gets better and something worse. The search for them: {front.message}."
+        "Errors relative to their demands: at most 1 meets the demand. No point is worse than another in every "
+        f"objective: along the front, one improves at the expense of another. The search: {front.message}."
     )
     names = [e.name for e in result.estimates if e.name in front.points[0].parameters]
     units = {e.name: pretty_unit(e.unit or "") for e in result.estimates}
@@ -47,13 +47,13 @@ def front_items(result: StageResult) -> list[Figure | Table]:
 
 
 def profile_items(result: StageResult) -> list[Figure | Table]:
-    """Return the profiles, and their intervals beside those of the standard errors."""
+    """Return the profiles, and their intervals beside those from the standard errors."""
     if not result.profiles:
         return []
     panels = tuple(_profile_panel(profile, result[profile.name]) for profile in result.profiles)
     caption = (
-        "Growth of the least cost as one parameter is held and the others are fitted again, over what a 95 % "
-        "interval allows: the interval ends where the curve passes 1."
+        "Rise of the least cost as one parameter is fixed and the others are refitted, relative to the rise that "
+        "bounds a 95 % interval: the interval ends where the curve crosses 1."
     )
     stem = f"profiles-{slug(result.name)}"
     rows = tuple(
@@ -63,7 +63,7 @@ def profile_items(result: StageResult) -> list[Figure | Table]:
     header = ("parameter", "unit", "profile from", "to", "standard error from", "to ")
     return [
         LineFigure(stem, f"Profiles: {result.name}", panels, caption, min(len(panels), 2)),
-        Table(header, rows, f"{stem}-intervals", "95 % intervals", "A dash: no end was met."),
+        Table(header, rows, f"{stem}-intervals", "95 % intervals", "A dash: no end was found."),
     ]
 
 
@@ -76,7 +76,7 @@ def _profile_panel(profile: Profile, estimate: Estimate) -> Panel:
     root = PchipInterpolator(values, np.sqrt(rise) * np.sign(values - estimate.value))(grid)
     series = [
         Series("profile", grid, root**2, "final"),
-        Series("others fitted again", values, rise, "final", points=True),
+        Series("others refitted", values, rise, "final", points=True),
     ]
     if estimate.interval is not None:
         low, high = estimate.interval
@@ -92,28 +92,28 @@ def _profile_panel(profile: Profile, estimate: Estimate) -> Panel:
 
 
 def spread_table(result: StageResult) -> Table | None:
-    """Return the criteria over the uncertainty of the parameters."""
+    """Return the distribution of the criteria given the uncertainty of the parameters."""
     if not result.spread:
         return None
     rows = tuple((s.label, s.value, s.median, s.high, s.worst, 100.0 * s.satisfied) for s in result.spread)
     return Table(
-        ("criterion", "estimate", "median", "95 % below", "worst", "as good as asked, %"),
+        ("criterion", "estimate", "median", "95 % below", "worst", "meets its demand, %"),
         rows,
         f"spread-{slug(result.name)}",
         "Criteria over the uncertainty of the parameters",
-        "Monte Carlo over the estimates' joint distribution. Errors are divided by what was demanded: at most 1 "
-        "is as good as asked. Worst: also of the points of the joint 95 % region where an error is expected to "
+        "Monte Carlo over the joint distribution of the estimates. Errors are divided by their demands: at most 1 "
+        "meets the demand. Worst: also includes the points of the joint 95 % region where an error is expected to "
         "be largest.",
         (5, 3, 3, 3, 3, 3),
     )
 
 
 def starts_figure(result: StageResult) -> Figure | None:
-    """Return where the starts ended, sorted: the waterfall."""
+    """Return the sorted final costs of the starts: a waterfall plot."""
     if len(result.starts) < 2:
         return None
     cost = np.sort([s.cost for s in result.starts])
-    # What differs by rounding is the same, and a figure would show nothing else.
+    # Differences by rounding are no differences, and a figure would show nothing else.
     above = np.round(cost / cost[0], 6) if cost[0] > 0.0 else cost
     number = np.arange(1, cost.size + 1, dtype=np.float64)
     series = (Series("final cost of a start", number, above, "final", points=True),)
@@ -126,7 +126,7 @@ def starts_figure(result: StageResult) -> Figure | None:
 
 
 def whiteness_table(result: StageResult) -> Table | None:
-    """Return whether the residuals are noise, channel by channel."""
+    """Return a test of the residuals for whiteness, channel by channel."""
     if result.uncertainty is None or not result.uncertainty.whiteness:
         return None
     rows = tuple(

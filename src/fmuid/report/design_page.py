@@ -1,4 +1,4 @@
-"""The page of a designed experiment: what drives the rig, what each model predicts, and what it will tell."""
+"""The page of a designed experiment: its input, the predictions of each model, and its expected information."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _BAND = 2.0  # standard deviations of the noise on either side
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedSignal:
-    """A signal of the designed run: (N,) samples by what predicts them, one line of them for an input.
+    """A signal of the designed run: (N,) samples by model, or a single line for an input.
 
     `sigma` is the standard deviation of a sample's noise, drawn around the first line.
     """
@@ -54,10 +54,10 @@ def write_design_page(
         The folder cannot be written.
     """
     figures = [
-        LineFigure("input", "What drives the rig", tuple(map(_panel, inputs)), "Dashed: limits.", 1),
+        LineFigure("input", "Input", tuple(map(_panel, inputs)), "Dashed: limits.", 1),
         LineFigure(
             "prediction",
-            "What is predicted",
+            "Predictions",
             tuple(map(_panel, outputs)),
             "The band is two standard deviations of a sample's noise on either side of the first model.",
             1,
@@ -66,14 +66,14 @@ def write_design_page(
     if any(len(signal.lines) > 1 for signal in outputs):
         apart = tuple(_panel(_less_the_first(signal)) for signal in outputs)
         first = next(iter(outputs[0].lines))
-        figures.append(LineFigure("difference", "What tells them apart", apart, f"Less what {first} predicts.", 1))
+        figures.append(LineFigure("difference", "Differences", apart, f"Minus the prediction of {first}.", 1))
     document = Document(
         f"Designed experiment: {campaign}",
         "The input is in input.csv, beside this page.",
         tuple(Fact(*fact) for fact in answer["facts"]),
         (
             Section("The run", tuple(figures), answer["text"]),
-            Section("What it tells", (_told(answer),)),
+            Section("Expected information", (_told(answer),)),
             Section("Provenance", (provenance_table(provenance),)),
         ),
     )
@@ -111,7 +111,7 @@ def _told(answer: Mapping[str, Any]) -> Table:
         )
         return Table(("parameter", "value", "before / %", "with this run / %"), rows, "told", "Standard errors")
     rows = tuple((*map(" and ".join, pair["between"]), pair["separation_sigma"]) for pair in answer["pairs"])
-    return Table(("if true", "against", "separation / sigma"), rows, "told", "Answers told apart")
+    return Table(("if true", "against", "separation / sigma"), rows, "told", "Separation of the answers")
 
 
 def _percent(share: float | None) -> float | None:

@@ -1,4 +1,4 @@
-"""From what a diagnosis found to the arrays its report draws."""
+"""Conversion of a diagnosis to the arrays that its report draws."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from fmuid.report.figures import Overlay
 from fmuid.report.plots.figure_data import Axis, Role
 
 _KNOTS = 11
-_CURVE_KNOTS = 25  # of what is estimated beside a law: standstill shows
-_CURVE = 400  # abscissas of a law's curve
-_PANELS = 3  # variables that explain most
-_QUANTITIES = {"rate": ("speed",), "p": ("position", "potential"), "through": ("flow",)}  # of a law: regimes
-_ONE_WAY = 0.05  # share of the samples that go the rarer way, below which directions are not told apart
+_CURVE_KNOTS = 25  # knots of the free function added to a law, enough to show standstill
+_CURVE = 400  # points of a law's curve
+_PANELS = 3  # number of variables shown, those that explain most
+_QUANTITIES = {"rate": ("speed",), "p": ("position", "potential"), "through": ("flow",)}  # regimes of a law
+_ONE_WAY = 0.05  # share of samples in the rarer direction, below which directions are not separated
 _PRIOR = 1.0 / 30.0  # an ordinate that no signal shows stays within thirty magnitudes of zero
 
 
 def pictures_of(found: Found) -> DiagnosisPictures:
-    """Return the arrays behind the pictures of a diagnosis; simulates the campaign some sixty times.
+    """Return the arrays behind the figures of a diagnosis; simulates the campaign about sixty times.
 
     Raises
     ------
@@ -111,9 +111,10 @@ def _excess(found: Found) -> ExcessEnergy | None:
 
 
 def _curves(found: Found) -> tuple[MissingQuantity, ...]:
-    """Return the laws of the best answer as curves, and what the measurements say of them.
+    """Return the laws of the best answer as curves, with what the measurements say about them.
 
-    That is the law with what a free function of its variable adds beside the corrected model: a partial-residual
+    A curve is the law plus a free function of its variable, fitted to the residual of the corrected model: a
+    partial-residual
     plot (Larsen and McCleary 1972). Empty unless every law is a function of one variable.
     """
     best, catalogue = found.surviving[0] if found.surviving else None, found.subject.catalogue
@@ -151,7 +152,7 @@ def _curves(found: Found) -> tuple[MissingQuantity, ...]:
 def _law(
     effect: Effect, values: Mapping[str, float], regimes: Mapping[str, Regime]
 ) -> tuple[Regime, Callable[[FloatArray], FloatArray]] | None:
-    """Return the variable that a law is a function of, and that function; None if there is no such variable."""
+    """Return the variable that a law depends on, and its function; None if there is no such variable."""
     if not effect.expression or effect.acts != "flow" or effect.states:
         return None
     formula = parse(effect.expression.replace("^", "**"))
@@ -165,9 +166,9 @@ def _law(
 
 
 def _missing(found: Found, nominal: Prediction, laws: Mapping[str, Prediction]) -> tuple[MissingQuantity, ...]:
-    """Return what a free function of each regime variable has to add at the verdict's port.
+    """Return the contribution that a free function of each regime variable has to make at the verdict's port.
 
-    A law is drawn as the free function that moves the nominal model as its effects do.
+    A law is drawn as the free function that moves the nominal model in the same way as its effects.
     """
     place = found.diagnosis.verdict.ports[:1]
     port = found.subject.catalogue.ports.get("".join(place))
@@ -228,8 +229,8 @@ def _ordinates(
     """Fit the (K,) ordinates of functions at a port beside the nominal parameters of a model, linearly.
 
     `prediction` is the model's at its `fit`, whose Jacobian has the nominal parameters in `columns`. Returns the
-    ordinates with their standard errors, what the models with effects would have there, and the share of the
-    residual's energy that is explained; None if one cannot be simulated.
+    ordinates with their standard errors, the ordinates that the models with effects would have, and the explained
+    share of the residual's energy; None if one cannot be simulated.
     """
     observed = found.subject.observed
     assert port.input is not None

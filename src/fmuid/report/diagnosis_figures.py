@@ -1,7 +1,7 @@
-"""The pictures of a diagnosis, built from plain arrays and the diagnosis' JSON value.
+"""The figures of a diagnosis, built from plain arrays and the diagnosis' JSON value.
 
-`DiagnosisPictures` is what the diagnosis hands over beside its JSON: arrays only, computed there. Every part
-may be empty (too little data, no effect found); its picture is then left out.
+`DiagnosisPictures` are the arrays that the diagnosis computes in addition to its JSON. Every part may be empty
+(too little data, no effect found); its figure is then left out.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from fmuid.report.plots.figure_data import (
     Table,
 )
 
-_NO_GAP = 0.03  # floors: where the logarithmic axis of gaps begins
+_NO_GAP = 0.03  # noise floors: where the logarithmic axis of gaps begins
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +42,7 @@ class RegimeBins:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """One text a bin."""
+        """One label per bin."""
         span = float(np.ptp(self.edges))
         return tuple(range_text(a, b, span) for a, b in pairwise(self.edges.tolist()))
 
@@ -61,14 +61,14 @@ class ExcessEnergy:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Branch:
-    """What is missing over one variable, in one direction of motion if that matters.
+    """The missing quantity over one variable, in one direction of motion if that matters.
 
     Parameters
     ----------
     x, y, standard_error
-        (n,) estimates by knots of the variable, and their standard errors (None if unknown).
+        (n,) estimates at the knots of the variable, and their standard errors (None if unknown).
     laws
-        (label, x, y) of models with effects, as lines; the first one is the corrected model.
+        (label, x, y) of models with effects, as lines; the first is the corrected model.
     direction
         ``forward``, ``backward`` or empty.
     """
@@ -82,16 +82,16 @@ class Branch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MissingQuantity:
-    """What has to be added at the winning port, estimated, over one variable, and the winning law over it.
+    """The estimated quantity missing at the winning port, over one variable, with the winning law.
 
     Parameters
     ----------
     variable
         Speed, angle or load.
     quantity
-        Such as ``Axis("missing gear friction torque", "N.m")``.
+        For example ``Axis("missing gear friction torque", "N.m")``.
     branches
-        One, or one a direction of motion.
+        One branch, or one per direction of motion.
     explained
         Share of the residual's energy that such a function of `variable` explains, if known.
     """
@@ -124,13 +124,13 @@ def before_and_after(overlays: Sequence[Overlay]) -> LineFigure | None:
         "The signal with the largest gap"
         + (" of each setup" if len(overlays) > 1 else "")
         + ", repeats averaged. "
-        "Beneath: what the best of these models leaves, prediction minus measurement."
+        "Below: residual of the best of these models, prediction minus measurement."
     )
     return overlay_figure("before-after", "Before and after", overlays, caption)
 
 
 def parameters_table(diagnosis: Mapping[str, Any]) -> Table | None:
-    """Return every parameter refitted without and with what is missing, and by how much that moves it."""
+    """Return every parameter, refitted without and with the missing effects, and its change."""
     if not named(diagnosis["verdict"]):
         return None
     before, after = diagnosis.get("nominal", {}).get("parameters", {}), diagnosis["model"]["parameters"]
@@ -139,12 +139,12 @@ def parameters_table(diagnosis: Mapping[str, Any]) -> Table | None:
         old = before.get(name)
         rows.append((name, old, value, None if not old else 100 * (value - old) / abs(old)))
     header = ("parameter", "nominal, refitted", "corrected", "change, %")
-    caption = "What is missing had pulled the nominal parameters away. A dash: a parameter of the effect itself."
-    return Table(header, tuple(rows), "corrected-model", "Parameters that moved", caption, (5, 5, 5, 2))
+    caption = "The missing effects had biased the nominal parameters. A dash: a parameter of the effect itself."
+    return Table(header, tuple(rows), "corrected-model", "Parameters that changed", caption, (5, 5, 5, 2))
 
 
 def machines_table(diagnosis: Mapping[str, Any]) -> Table | None:
-    """Return every parameter as the runs of each machine tell it, and where the next machine's value lies."""
+    """Return every parameter as estimated from the runs of each machine, with an interval for the next machine."""
     machines = diagnosis.get("machines")
     if not machines:
         return None
@@ -202,9 +202,9 @@ def missing_figure(missing: Sequence[MissingQuantity]) -> LineFigure | None:
         f"{100 * m.explained:.0f} % by {m.variable.name}" for m in missing if m.explained is not None
     )
     caption = (
-        "Points: what a function of one variable, in each direction of motion, must add at the verdict's port, "
-        "with standard errors; angles are within a turn. Lines: what the effects add."
-    ) + (f" Energy of the residual explained so: {shares}." if shares else "")
+        "Points: contribution that a function of one variable, in each direction of motion, must make at the port "
+        "of the verdict, with standard errors; angles are within one turn. Lines: contribution of the effects."
+    ) + (f" Share of the residual's energy that it explains: {shares}." if shares else "")
     return LineFigure("missing", "What is missing at the port", tuple(panels), caption, min(len(panels), 3))
 
 
@@ -234,14 +234,14 @@ def effects_figure(diagnosis: Mapping[str, Any], most: int = 12) -> BarFigure | 
         tuple(bars.values()),
         Axis("closure of the gap on held-out data"),
         ((1.0, "all of the gap"),),
-        "Part of the gap each effect closes on runs that were not fitted, beyond refitting the nominal "
+        "Share of the gap that each effect closes on runs not used for its fit, beyond refitting the nominal "
         "parameters; lines are its bootstrap interval. Blue: the verdict.",
         limits=(max(-1.0, low), 1.25),
     )
 
 
 def ports_figure(diagnosis: Mapping[str, Any]) -> BarFigure | None:
-    """Return what a free function at each port would close, if that was asked."""
+    """Return the share of the gap that a free function at each port would close, if it was computed."""
     ports = diagnosis.get("port_closures") or {}
     if not ports:
         return None
@@ -277,7 +277,7 @@ def gap_figure(diagnosis: Mapping[str, Any], steps: Mapping[str, float] | None =
         "From the gap to the noise floor",
         tuple(replace(b, value=max(b.value, _NO_GAP), note=f"{b.value:.3g}") for b in bars),
         Axis("gap, in multiples of the noise floor", log=True),
-        caption="Root of the mean squared whitened residual above what noise alone gives, over the signals'"
+        caption="Root mean square of the whitened residual beyond noise alone, over the signals'"
         f" bandwidth. {_floors(diagnosis)}".rstrip(),
         limits=(_NO_GAP, 2.0 * max(b.value for b in bars)),
     )
@@ -303,7 +303,7 @@ def law_figure(diagnosis: Mapping[str, Any]) -> LineFigure | None:
     line = Series(law["id"], np.array(curve["x"]), np.array(curve["y"]), "final")
     quantity = Axis(f"flow at {law['port']}", curve["flow_unit"])
     panel = Panel(law["port"], Axis(f"{curve['variable']} at {law['port']}{at}", curve["unit"]), quantity, (line,))
-    caption = f"A flow of {law['formula']}, over what these runs reached{at}."
+    caption = f"A flow of {law['formula']}, over the range that these runs reached{at}."
     return LineFigure("law-found", "The law found", (panel,), caption)
 
 

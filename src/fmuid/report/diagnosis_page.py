@@ -42,7 +42,7 @@ def write_diagnosis_report(
     model
         The model's components, with the place marked.
     provenance
-        Name and value of what the result depends on: hashes, versions, commands.
+        Names and values of everything that the result depends on: hashes, versions, commands.
     formats
         File formats of the figures.
 
@@ -86,7 +86,7 @@ def write_diagnosis_report(
     )
     document = Document(
         f"Diagnosis: {campaign}",
-        "Where simulation and measurement part, which effect causes it, and how far the gap shrinks with it.",
+        "Where simulation and measurement differ, which effect causes it, and how much of the gap it closes.",
         facts(diagnosis),
         tuple(s for s in sections if s.items or s.text),
     )
@@ -138,6 +138,4 @@ def _added_sensor(diagnosis: Mapping[str, Any]) -> str:
     if not sensor:
         return ""
     separated = f"{' from '.join(sensor['between'])} by {sensor['separation_sigma']:.3g} standard deviations"
-    return (
-        f"With a further sensor ({sensor['description']}) the experiments as they are would separate {separated}."
-    )
+    return f"With an additional sensor ({sensor['description']}), the existing runs would separate {separated}."

@@ -18,7 +18,7 @@ from fmuid.report.interactive import specification
 from fmuid.report.plots import Format, save_data, save_figures
 from fmuid.report.plots.figure_data import Cell, Figure, ParallelFigure, Table, slug, tables
 
-_MOST_ROWS = 500  # of a table on the page
+_MOST_ROWS = 500  # rows of a table shown on the page
 _PLACEHOLDER = "@plotly.js@"
 
 
@@ -74,8 +74,8 @@ def write_document(
 ) -> Path:
     """Write ``index.html``, ``figures/*`` and ``data/*.csv`` into `out` and return the path of the HTML.
 
-    The HTML holds everything it shows (plotly.js included, once) and asks no network; it is written last.
-    `progress` takes the share of the drawing that is behind.
+    The HTML contains everything it shows (plotly.js included, once) and needs no network; it is written last.
+    `progress` is called with the share of the drawing that is done.
 
     Raises
     ------
@@ -122,12 +122,12 @@ def rendered(document: Document) -> str:
         stems=lambda figure: [stem for stem, _ in tables(figure)],
         most_rows=_MOST_ROWS,
     )
-    # The library is 5 MB: put in last, so the template engine need not carry it.
+    # The library is 5 MB, so it is inserted last and the template engine need not carry it.
     return page.replace(_PLACEHOLDER, get_plotlyjs().replace("</script", "<\\/script"), 1)
 
 
 def _json(spec: Any) -> str:
-    # "<" written as an escape: nothing in the data can close the script element it is embedded in.
+    # "<" is written as an escape, so that nothing in the data can close the enclosing script element.
     text = json.dumps(spec, separators=(",", ":"), allow_nan=False, default=_number)
     return text.replace("<", "\\u003c")
 
@@ -137,7 +137,7 @@ def _number(value: Any) -> float:
 
 
 def shown(cell: Cell, digits: int = 5) -> str:
-    """Return a table's cell as text: `digits` significant ones, a dash where unknown."""
+    """Return a table's cell as text, with `digits` significant digits; a dash where unknown."""
     if cell is None or (isinstance(cell, float) and math.isnan(cell)):
         return "–"
     if isinstance(cell, str):

@@ -26,25 +26,25 @@ from fmuid.report.plots.figure_data import (
 from fmuid.report.thinning import MAX_SAMPLES, kept_samples
 
 TIME = Axis("time", "s")
-_AXES = 10  # criteria beside each other
+_AXES = 10  # number of criteria beside each other
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overlay:
-    """One measured signal with what models predicted for it.
+    """One measured signal with the predictions of models.
 
     Parameters
     ----------
     experiment, signal, unit
-        What was measured.
+        The run, the signal and its unit.
     time
         (N,) s.
     measurement
         (N,) the mean over repeats if there are any; NaN where a sample is missing.
     predictions
-        (label, role, (N,) values), in the order they are drawn.
+        (label, role, (N,) values), in drawing order.
     sigma
-        Standard deviation of the measurement's noise, one number or (N,); None if it is not known.
+        Standard deviation of the measurement's noise: one number or (N,); None if unknown.
     """
 
     experiment: str
@@ -63,7 +63,7 @@ class Overlay:
 
 
 def overlay_panel(overlay: Overlay) -> Panel:
-    """Return measurement and predictions over time, and what the best prediction leaves of it beneath."""
+    """Return measurement and predictions over time, with the residual of the best prediction below."""
     rows = [overlay.measurement, *(y for _, _, y in overlay.predictions)]
     keep = kept_samples(rows)
     time = overlay.time[keep]
@@ -78,7 +78,7 @@ def overlay_panel(overlay: Overlay) -> Panel:
 def _residual(overlay: Overlay) -> Panel | None:
     """Return the last prediction minus the measurement, between two standard deviations of the noise.
 
-    The predictions before it are left out: beside theirs, a good one's residual is a line.
+    The other predictions are left out: beside theirs, the residual of a good one would be a flat line.
     """
     if not overlay.predictions:
         return None
@@ -95,7 +95,7 @@ def _residual(overlay: Overlay) -> Panel | None:
 
 
 def overlay_figure(name: str, title: str, overlays: Sequence[Overlay], caption: str = "") -> LineFigure:
-    """Return a grid of overlays (the paper's Figs. 6, 7, 13 and 14), each with its residual beneath it."""
+    """Return a grid of overlays (the paper's Figs. 6, 7, 13 and 14), each with its residual below."""
     columns = 1 if len(overlays) == 1 else 2
     return LineFigure(name, title, tuple(overlay_panel(o) for o in overlays), caption, columns)
 
@@ -123,7 +123,7 @@ class StageHistory:
 def milestones(cost: FloatArray, count: int = 5) -> list[int]:
     """Return up to `count` evaluations between the first and the best, each the best so far when it was made.
 
-    They are spread evenly over the logarithm of the cost, so that each looks different from the one before.
+    They are spread evenly over the logarithm of the cost, so that each looks different from the previous one.
     """
     so_far = np.fmin.accumulate(cost)
     improved = [k for k in range(1, cost.size) if cost[k] <= so_far[k] < so_far[k - 1]]
@@ -158,11 +158,11 @@ def cost_figure(stages: Sequence[StageHistory]) -> LineFigure:
         Series("evaluation", number[keep], cost[keep], "iterate", points=True),
         Series("best so far", number[keep], lowest[keep], "final"),
     )
-    y = Axis("cost over the stage's first", log=log)
+    y = Axis("cost relative to the stage's first", log=log)
     panel = Panel("Search", Axis("evaluation"), y, series, tuple(marks) if len(marks) > 1 else ())
     caption = "Failed simulations have no cost and leave a gap."
     caption += " Vertical lines: the stages." if len(marks) > 1 else ""
-    return LineFigure("cost", "Cost over the evaluations", (panel,), caption, 1)
+    return LineFigure("cost", "Cost over evaluations", (panel,), caption, 1)
 
 
 def parallel_figure(
@@ -186,9 +186,9 @@ def parallel_figure(
 
 
 def parallel_criteria_figure(stage: StageHistory) -> ParallelFigure:
-    """Return the stage's evaluations with its criteria as the axes: which goals are met at whose cost.
+    """Return the stage's evaluations with its criteria as axes: which goals are met at the expense of which.
 
-    Of many criteria, those that are largest at the start.
+    If there are many criteria, only those that are largest at the start are shown.
     """
     criteria = stage.criteria
     known = criteria[np.isfinite(criteria).all(axis=1)]
@@ -203,7 +203,7 @@ def parallel_criteria_figure(stage: StageHistory) -> ParallelFigure:
     figure = _parallel(f"parallel-criteria-{slug(stage.stage)}", title, scales, criteria[:, chosen], stage)
     few = "" if len(chosen) == criteria.shape[1] else f" The {_AXES} criteria that are largest at the start."
     return replace(
-        figure, caption=f"{figure.caption} Every criterion is divided by its demand: 1 is as asked.{few}"
+        figure, caption=f"{figure.caption} Every criterion is divided by its demand: at most 1 meets it.{few}"
     )
 
 
@@ -212,7 +212,7 @@ def _parallel(
 ) -> ParallelFigure:
     every = -(-len(stage.cost) // MAX_SAMPLES)
     shown = np.union1d(np.arange(0, len(stage.cost), every), stage.best)
-    which = "One line an evaluation" if every == 1 else f"One line for one in {every} evaluations"
+    which = "One line per evaluation" if every == 1 else f"One line for every {every} evaluations"
     return ParallelFigure(
         name,
         title,
@@ -240,7 +240,7 @@ def correlation_figure(stage: str, names: Sequence[str], correlation: FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """An estimate beside what it is compared with."""
+    """An estimate with the value that it is compared with."""
 
     name: str
     value: float
@@ -272,12 +272,12 @@ def deviation_figure(estimates: Sequence[Estimate], kind: str) -> BarFigure | No
         tuple(bars),
         Axis(f"deviation from the {kind}", "%"),
         ((0.0, kind),),
-        "Lines: 95 % interval from the standard error, of the noise alone.",
+        "Lines: 95 % interval from the standard error, for noise alone.",
     )
 
 
 def fit_figure(name: str, scores: Sequence[RunScore]) -> BarFigure:
-    """Return NRMSE run by run, with what the noise alone would leave of it."""
+    """Return the NRMSE of every run, with the part that noise alone would leave."""
     bars = tuple(
         Bar(
             f"{s.experiment} · {s.signal}",
@@ -288,7 +288,7 @@ def fit_figure(name: str, scores: Sequence[RunScore]) -> BarFigure:
         for s in scores
         if s.failure is None
     )
-    caption = "RMSE over the standard deviation of the measurement: 0 is perfect, 100 % no better than its mean."
+    caption = "RMSE divided by the standard deviation of the measurement: 0 is perfect, 100 % as bad as its mean."
     return BarFigure(name, "NRMSE of every run", bars, Axis("NRMSE", "%"), caption=caption)
 
 

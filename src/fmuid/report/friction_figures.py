@@ -1,7 +1,7 @@
-"""Bearing friction over speed (the paper's Fig. 10): what free rotation shows, and what the loss table says.
+"""Bearing friction over speed (the paper's Fig. 10): from free rotation, and from the loss table.
 
-Without load the sliding law of Table 1 leaves tau_W = tau_bf1 / eta_mf1 in either direction; at constant
-speed the motor current balances just that.
+Without load, the sliding law of Table 1 leaves tau_W = tau_bf1 / eta_mf1 in either direction; at constant speed,
+the motor current balances exactly this torque.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from fmuid.simulation.simulator import Simulator
 
 SETUP, REFERENCE, CURRENT, CONSTANT = "free_shaft", "w_ref", "i_motor", "K_m"
 _SHORTEST = 0.3  # s: shorter stretches of constant speed are steps, not plateaus
-_SETTLING = 0.5  # of a plateau, left out at its beginning
+_SETTLING = 0.5  # share of a plateau that is left out at its beginning
 
 
 def bearing_friction(
@@ -34,9 +34,9 @@ def bearing_friction(
     Parameters
     ----------
     campaign
-        With runs of the setup ``free_shaft`` that have plateaus of constant ``w_ref``.
+        Has runs of the setup ``free_shaft`` with plateaus of constant ``w_ref``.
     simulators
-        Models by setup; their start values stand where the campaign gives none.
+        Models by setup; their start values are used where the campaign gives none.
     start, best
         Parameter values before and after the identification.
     """
@@ -86,7 +86,7 @@ def no_load_torque(table: FloatArray, speed: FloatArray) -> FloatArray:
 def free_rotation(runs: list[Experiment], motor_constant: float) -> FrictionPoints | None:
     """Return motor torque at every plateau of constant speed, averaged over the repeats; None without any.
 
-    The standard error is that of the mean over repeats, None where a plateau was run once.
+    The standard error is that of the mean over repeats; None for a plateau that was run once.
     """
     found: dict[float, list[float]] = {}
     for run in runs:

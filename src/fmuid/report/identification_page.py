@@ -26,9 +26,9 @@ from fmuid.report.stage_sections import search_history, stage_section
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
-_CLOSE = 2.0  # times the noise: what a residual of two standard deviations would be
-_DRAWN = 48  # runs of one figure
-_SIMULATED = 0.3  # of the time that a report takes, until figures are drawn
+_CLOSE = 2.0  # relative to the noise: a residual of two standard deviations
+_DRAWN = 48  # largest number of runs in one figure
+_SIMULATED = 0.3  # share of the report's time that passes before figures are drawn
 
 
 def write_report(
@@ -47,19 +47,19 @@ def write_report(
     Parameters
     ----------
     run_folder
-        What ``fmuid identify --out`` wrote: ``result.json`` and ``history.h5``.
+        Output folder of ``fmuid identify --out``, with ``result.json`` and ``history.h5``.
     out
         Folder for ``index.html``, ``figures/`` and ``data/``; ``report`` in the run folder by default.
     campaign, simulators
-        The campaign and its models by setup; read from where the result says by default.
+        The campaign and its models by setup; by default, read from the paths that the result names.
     formats
         File formats of the figures: png, svg, pdf.
     trust
-        Whether functions that the campaign names may be called, if it is read here; see `load_campaign`.
+        Whether functions that the campaign names may be called if it is read here; see `load_campaign`.
     runner
-        What simulates; in this process by default.
+        Runner of the simulations; this process by default.
     progress
-        Called with the share of the work that is behind, and what is done next.
+        Called with the share of the work that is done, and the next step.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def write_report(
 
 
 def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
-    """Return what a reader wants first: did it work, how near, how well on runs that were not used."""
+    """Return what a reader wants first: success, accuracy, and the errors on runs that were not used."""
     evaluations = sum(s.evaluations for s in result.stages)
     good = result.status is Status.CONVERGED
     found = []
@@ -143,9 +143,9 @@ def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
     criteria = {(c.case, c.label): c.value for s in result.stages for c in s.criteria}  # the last stage counts
     if criteria:
         largest, middle = max(criteria.values()), float(np.median(list(criteria.values())))
-        # A perfect fit scatters about 1, where a demand is the noise: how many are below says little.
+        # If a demand is the noise, the error of a perfect fit scatters about 1: counting those below says little.
         text = f"median {middle:.3g}, worst {largest:.3g}"
-        found.append(Fact("Error over what was demanded", text, "good" if largest <= 1 else "plain"))
+        found.append(Fact("Error relative to the demand", text, "good" if largest <= 1 else "plain"))
     warnings = sum(len(s.warnings) for s in result.stages)
     if warnings:
         found.append(Fact("Warnings", f"{warnings}, in the stages below", "warn"))
@@ -159,7 +159,7 @@ def _before_and_after(
     simulators: Mapping[str, Simulator],
     runner: Runner,
 ) -> list[Section]:
-    """Return the run that is predicted worst, with the values at the start and with those found."""
+    """Return the run that is predicted worst, with the start values and with the values found."""
 
     def predicted(values: Result | dict[str, float], runs: Sequence[str]) -> Validation:
         return validate(values, campaign, experiments=runs, simulators=simulators, runner=runner)
@@ -180,8 +180,8 @@ def _before_and_after(
         ("identified", "final", after.predictions[k]),
     ]
     (shown,) = (o for o in overlays(campaign, after.cases[k], lines) if o.signal == worst.signal)
-    kind = "The run kept for validation" if validation else "The run"
-    caption = f"{kind} that is predicted worst, {worst.experiment}. Beneath: simulation minus measurement."
+    kind = "The run reserved for validation" if validation else "The run"
+    caption = f"{kind} that is predicted worst, {worst.experiment}. Below: simulation minus measurement."
     return [Section("Before and after", (figures.overlay_figure("before-after", "Worst run", [shown], caption),))]
 
 
@@ -227,9 +227,9 @@ def _estimates_table(
         row += [stage_of[e.name], f"at its {e.at_bound} bound" if e.at_bound else e.description]
         rows.append(tuple(row))
     caption = (
-        "Standard errors and intervals are of the noise, the residuals' colour, and the errors of what the stage "
-        "fixed at estimates of earlier stages (inherited: their share of the variance). What no stage identified "
-        "counts as known. A dash: none can be given; the stage's warnings say why."
+        "Standard errors and intervals cover the noise, the colour of the residuals, and the errors of values "
+        "that the stage fixed at estimates of earlier stages (inherited: their share of the variance). Values "
+        "that no stage identified count as known. A dash: none can be given; the stage's warnings say why."
     )
     digits = tuple(
         dict.fromkeys(("moved, %", "standard error", "deviation, %", "inherited, %"), 2).get(name, 5)
@@ -296,7 +296,7 @@ def _fit_sections(
         if not runs:
             continue
         found = validate(result, campaign, experiments=runs, simulators=simulators, runner=runner)
-        # A run that was used shows what it was used for, another one what runs like it were used for.
+        # A used run shows the signals it was used for; any other run shows those that similar runs were used for.
         keep = (
             judged
             if role == "identification"
@@ -324,7 +324,7 @@ def _fit_section(
 ) -> Section:
     items: list[Figure | Table] = []
     overlaid: list[Figure | Table] = []
-    caption = "Beneath: simulation minus measurement (mean of the repeats)."
+    caption = "Below: simulation minus measurement (mean of the repeats)."
     for (setup, signal), all_ in drawn.items():
         worst = {s.experiment for s in _worst([s for s in judged if (s.setup, s.signal) == (setup, signal)])}
         some = [o for o in all_ if o.experiment in worst]
@@ -353,8 +353,8 @@ def _fit_section(
         for s in scores
     )
     caption = (
-        "Over all repeats. Noise floor: RMSE that the sensor noise alone leaves. NRMSE: over the standard "
-        "deviation of the measurement; relative error: over its root mean square."
+        "Over all repeats. Noise floor: RMSE that the sensor noise alone leaves. NRMSE: relative to the standard "
+        "deviation of the measurement; relative error: relative to its root mean square."
     )
     digits = (5, 5, 5, 5, 3, 3, 3, 3, 5)
     items.append(Table(header, rows, f"fit-{role}", "Fit, run by run", caption, digits))

@@ -1,10 +1,10 @@
 """Figure values as plotly figures for the screen: plain dictionaries, drawn by plotly.js in the browser.
 
-Arrays travel as base64 of their bytes, so a report with many runs stays small.
+Arrays are stored as base64 of their bytes, so a report with many runs stays small.
 
 What a figure shows is decided once, in `plots.figure_data`. This module (about 450 lines) draws it for the screen,
-`plots.draw` (about 380) for print. One renderer would not serve: plotly exports static pictures through a browser
-(Kaleido needs Chrome), and Matplotlib draws them without one, but not for zooming.
+`plots.draw` (about 380 lines) for print. One renderer would not serve both: plotly exports static pictures through
+a browser (Kaleido needs Chrome), and Matplotlib draws them without one, but not for zooming.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ _FONT = {"family": "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif", "size": 1
 def specification(figure: Figure) -> Spec:
     """Return `figure` as plotly's ``{"data": [...], "layout": {...}}``.
 
-    ``"narrow"`` is what is different in the layout on a phone; ``"links"`` names the axes that zoom together.
+    ``"narrow"`` holds the layout changes for a phone; ``"links"`` names the axes that zoom together.
 
-    Lines often share their abscissa: it is kept once, in ``"shared"``, and a trace has the number of it for
-    its ``x``; the page puts it back before it draws.
+    Lines often share their abscissa. It is stored once, in ``"shared"``, and a trace has its index as ``x``; the
+    page restores it before drawing.
     """
     match figure:
         case LineFigure():
@@ -108,7 +108,7 @@ def _lines(figure: LineFigure) -> tuple[list[Spec], Spec]:
                 text = html.escape(style.legend(series), quote=False)
                 place = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}", "legendgroup": text}
                 trace = _series(part, series)
-                if text not in seen:  # an empty trace of its own carries the legend, each line keeps its name
+                if text not in seen:  # a separate empty trace carries the legend, and each line keeps its name
                     data.append(trace | place | {"name": text, "x": [None], "y": [None]})
                     seen.add(text)
                 data.append(trace | place | {"showlegend": False})
@@ -125,7 +125,7 @@ def _parts(panel: Panel) -> tuple[Panel, ...]:
 
 
 def _places(figure: LineFigure, columns: int, top: int) -> Spec:
-    """Return where the axes of every panel lie in a grid of `columns`, and how high that is."""
+    """Return the positions of the axes of every panel in a grid of `columns`, and the height of the grid."""
     rows = -(-max(1, len(figure.panels)) // columns)
     paired = any(panel.beneath is not None for panel in figure.panels)
     tall, between = (300 if len(figure.panels) == 1 else 205) + (110 if paired else 0), 72
@@ -283,7 +283,7 @@ def _colours(figure: MapFigure, stops: Sequence[tuple[float, str]]) -> Spec:
 
 
 def _map_places(figure: MapFigure, columns: int) -> Spec:
-    """Return where the blocks of a map lie in a grid of `columns`, and how high that is."""
+    """Return the positions of the blocks of a map in a grid of `columns`, and the height of the grid."""
     count = max(1, len(figure.groups))
     lines = -(-count // columns)
     cells = 40 if not figure.groups else 24 if len(figure.rows) < 20 else 16
@@ -441,7 +441,7 @@ def _dimension(scale: Scale, values: FloatArray) -> Spec:
 
 
 def packed(values: FloatArray) -> Spec:
-    """Return an array as plotly reads it from base64: 4 bytes a number, 8 where 4 would blur neighbours."""
+    """Return an array in plotly's base64 form: 4 bytes per number, or 8 where 4 would merge neighbours."""
     short = values.astype("<f4")
     finite = values[np.isfinite(values)]
     steps = np.abs(np.diff(finite))

@@ -1,4 +1,4 @@
-"""The model as its components and what connects them, with the place marked where the gap enters."""
+"""The model as connected components, with the place marked where the gap enters."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from fmu_build.syntax import Reference, references
 from fmuid.report.document import Drawing
 
 _BOX, _GAP = (132, 40), (44, 26)  # width and height, px
-_ACROSS = 4  # layers that fit beside each other on a telephone; more go downwards
-_MOST = 40  # parts that can still be read
+_ACROSS = 4  # layers that fit side by side on a phone; further layers go downwards
+_MOST = 40  # largest number of parts that can still be read
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class ModelGraph:
     Attributes
     ----------
     parts
-        By name, in the order of their declarations.
+        Parts by name, in the order of their declarations.
     links
         Pairs of names.
     ports
@@ -66,7 +66,7 @@ def graph_of(flat: FlatModel) -> ModelGraph:
 
 
 def drawing(graph: ModelGraph, ports: Collection[str]) -> Drawing | None:
-    """Return the picture of a model with `ports` marked; None if it has nothing to show, or too much."""
+    """Return the picture of a model with `ports` marked; None if there is nothing to show, or too much."""
     layers = _layers(graph)
     if not 2 <= len(graph.parts) <= _MOST:
         return None
@@ -104,7 +104,7 @@ def _pair(names: Sequence[str]) -> tuple[str, str] | None:
 
 
 def _layers(graph: ModelGraph) -> list[list[str]]:
-    """Return the parts by their distance from the first, which is an input if there is one."""
+    """Return the parts grouped by distance from the first, which is an input if there is one."""
     beside: dict[str, set[str]] = {name: set() for name in graph.parts}
     for a, b in graph.links:
         beside[a].add(b)

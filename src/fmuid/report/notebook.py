@@ -16,19 +16,19 @@ from fmuid.report.plots import render
 from fmuid.report.plots.figure_data import Figure
 from fmuid.report.predicted import overlays
 
-_DRAWN = 4  # runs
+_DRAWN = 4  # largest number of runs drawn
 
 
 def as_html(shown: Result | Validation | Found) -> str:
-    """Return the tables of a result as HTML, and pictures of what it holds; nothing is simulated for them."""
+    """Return the tables of a result as HTML, with pictures of its contents; nothing is simulated for them."""
     return shown._repr_html_() + "".join(map(_picture, figures_of(shown)))
 
 
 def figures_of(shown: Result | Validation | Found) -> list[Figure]:
     """Return the figures of a result.
 
-    Of an identification the correlations of its estimates, of a validation the runs with the largest errors and
-    the error of every run, of a diagnosis the gap and the effects.
+    For an identification: the correlations of its estimates. For a validation: the runs with the largest errors,
+    and the error of every run. For a diagnosis: the gap and the effects.
     """
     if isinstance(shown, Found):
         answer = shown.diagnosis.to_dict()

@@ -45,7 +45,7 @@ def overlays(
 
 
 def heading(campaign: Campaign | None, case: Case) -> str:
-    """Return the title of a case's panel: its id and what the run was."""
+    """Return the title of a case's panel: its id and the kind of run."""
     if campaign is None:
         return case.id
     run = campaign.measurements.experiments.get(case.experiments[0] if case.experiments else case.id)

@@ -1,4 +1,4 @@
-"""What a result depends on: versions of the software and hashes of the files."""
+"""Everything that a result depends on: versions of the software and hashes of the files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _PACKAGES = ("fmuid", "numpy", "scipy", "nlopt", "h5py", "casadi")
 
 
 def versions(*more: str) -> dict[str, str]:
-    """Return the versions of Python and of the packages that numbers depend on, `more` among them."""
+    """Return the versions of Python and of the packages that affect numbers, including `more`."""
     return {"python": platform.python_version(), **provenance.versions((*_PACKAGES, *more))}
 
 
@@ -37,6 +37,6 @@ def hashes(paths: Iterable[Path], folder: Path) -> dict[str, str]:
 
 
 def provenance_table(values: Mapping[str, str]) -> Table:
-    """Return `values`, as recorded by the run, and what wrote the report, as a table."""
+    """Return `values`, as recorded by the run, and the version that wrote the report, as a table."""
     writer = ", ".join(f"{n} {version(n)}" for n in ("fmuid", "matplotlib", "plotly"))
     return Table(("what", "value"), (*values.items(), ("report written by", writer)), "provenance")

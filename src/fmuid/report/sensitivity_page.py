@@ -27,8 +27,8 @@ from fmuid.report.plots.figure_data import (
 )
 from fmuid.report.provenance_table import provenance_table
 
-_DRAWN = 4  # outputs with bars and clouds of their own, those that vary most between parameters
-_POINTS = 400  # of a cloud
+_DRAWN = 4  # outputs with separate bars and clouds: those that vary most between parameters
+_POINTS = 400  # largest number of points in a cloud
 _SCALARS = {
     "change": "root mean square change from the start values / standard deviation of the noise",
     "criterion": "criterion",
@@ -38,8 +38,8 @@ _SCALARS = {
     "maximum": "maximum",
 }
 _MEANINGS = {
-    "sobol": "First: the share of the output's variance that the parameter causes alone; total: with everything"
-    " that it does together with others. Lines: 95 % intervals by bootstrap.",
+    "sobol": "First: the share of the output's variance that the parameter causes alone; total: including its"
+    " interactions with other parameters. Lines: 95 % intervals by bootstrap.",
     "morris": "Mean size of the elementary effects (mu*): the change of the scalar per range of the parameter,"
     " averaged over the other parameters. A spread (sigma) as large as mu* says that the effect depends on the"
     " others, or is not linear. Lines: 95 % intervals by bootstrap.",
@@ -166,4 +166,4 @@ def _ranges(found: GlobalSensitivity, units: Mapping[str, str]) -> Table:
         (name, low, high, units.get(name.split(SEPARATOR)[0], ""))
         for name, (low, high) in zip(found.names, found.ranges, strict=True)
     )
-    return Table(("parameter", "from", "to", "unit"), rows, "ranges", "What the parameters were drawn from")
+    return Table(("parameter", "from", "to", "unit"), rows, "ranges", "Ranges of the parameters")

@@ -30,7 +30,7 @@ def stage_section(
     campaign: Campaign | None,
     simulators: Mapping[str, Simulator],
 ) -> Section:
-    """Return how one stage went: history over the measurement, cost, parallel coordinates, criteria."""
+    """Return the section of one stage: history over the measurement, cost, parallel coordinates, criteria."""
     items: list[Figure | Table | None] = []
     details: list[Figure | Table | None] = []
     history = None if recorded is None else search_history(result, recorded)
@@ -56,7 +56,7 @@ def _present(items: Sequence[Figure | Table | None]) -> tuple[Figure | Table, ..
 
 
 def search_history(result: StageResult, recorded: Recorded) -> StageHistory:
-    """Return what the search evaluated, without what was asked about its result."""
+    """Return the evaluations of the search, without those of analyses of its result."""
     names = tuple(e.name for e in result.estimates if e.name not in result.ties)
     searched = recorded.rows.searched
     values = recorded.rows.parameters(names)[searched].reshape(-1, len(names))
@@ -67,7 +67,7 @@ def search_history(result: StageResult, recorded: Recorded) -> StageHistory:
 
 
 def _short(labels: Sequence[str]) -> tuple[str, ...]:
-    """Return the criteria's labels, without the kind where all have the same."""
+    """Return the criteria's labels, without the kind if it is the same for all."""
     if len({label.rpartition(" ")[2] for label in labels}) > 1:
         return tuple(labels)
     return tuple(label.rpartition(" ")[0] if ": " in label.rpartition(" ")[0] else label for label in labels)
@@ -78,7 +78,7 @@ def iterates(
 ) -> list[Overlay]:
     """Return measurement, start, some intermediate iterates and the final one of every judged signal.
 
-    Nothing is simulated: the history holds the predictions of every iterate that improved.
+    Nothing is simulated: the history contains the predictions of every iterate that improved.
     """
     spec = campaign.stages[result.name]
     runs = case_building.experiments_of(campaign, spec.experiments, where=result.name)
@@ -119,8 +119,8 @@ def _history_figure(name: str, shown: Sequence[Overlay]) -> Figure | None:
         return None
     title = f"Optimisation history over the measurement: {name}"
     caption = (
-        "Measurement, start, some iterates that were the best when they were made, and the final one; beneath, "
-        "what the final one leaves: prediction minus measurement."
+        "Measurement, start, some iterates that were the best of their time, and the final one; below, its "
+        "residual: prediction minus measurement."
     )
     return figures.overlay_figure(f"history-{slug(name)}", title, shown, caption)
 
@@ -140,8 +140,8 @@ def _criteria(result: StageResult) -> Table | None:
         ("case", "criterion", "start", "end"),
         rows,
         f"criteria-{slug(result.name)}",
-        "Error over what was demanded, by criterion",
-        "Each criterion is divided by what was demanded of it: at most 1 is as good as asked. Where the demand is "
-        "the noise, a perfect fit scatters about 1.",
+        "Error relative to the demand, by criterion",
+        "Each criterion is divided by its demand: at most 1 meets the demand. If the demand is the noise, the "
+        "error of a perfect fit scatters about 1.",
         (5, 5, 3, 3),
     )

@@ -1,4 +1,4 @@
-"""Fewer samples for the eye: long recordings are drawn by their extremes, never by averages."""
+"""Fewer samples for plotting: long recordings are drawn by their extremes, never by averages."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def kept_samples(rows: Sequence[FloatArray], most: int = MAX_SAMPLES) -> NDArray
     rows
         Arrays (N,) over one time axis; NaN marks missing samples.
     most
-        About how many indices to keep; all of them if N is no larger.
+        Approximate number of indices to keep; all of them if N is no larger.
 
     Returns
     -------
@@ -32,7 +32,7 @@ def kept_samples(rows: Sequence[FloatArray], most: int = MAX_SAMPLES) -> NDArray
     buckets = max(1, most // (2 * len(rows)))
     edges = np.linspace(0, n, buckets + 1).astype(np.intp)
     width = int(np.max(np.diff(edges)))
-    # Pad every bucket to one width by repeating its last sample, so that all are reduced at once.
+    # Pad every bucket to one width by repeating its last sample, so that all are reduced together.
     index = np.minimum(edges[:-1, None] + np.arange(width), edges[1:, None] - 1)
     kept = [np.array([0, n - 1])]
     for row in rows:

@@ -1,6 +1,6 @@
-"""Figures a person can publish: PNG, SVG and PDF, and the data behind each as CSV.
+"""Publishable figures as PNG, SVG and PDF, and the data behind each as CSV.
 
-The values a figure shows are in `figure_data`; matplotlib is imported when the first one is drawn.
+The values a figure shows are in `figure_data`; matplotlib is imported when the first figure is drawn.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from fmuid.core.errors import FmuidError
 from fmuid.core.files import write_atomically
 from fmuid.report.plots.figure_data import Figure, tables
 
-_WORTH_A_PROCESS = 12  # figures: starting one takes about as long as drawing these
+_WORTH_A_PROCESS = 12  # figures: starting a process takes about as long as drawing this many
 Format = Literal["png", "svg", "pdf"]
 
 __all__ = ["Format", "render", "save_data", "save_figure", "save_figures"]
@@ -53,7 +53,7 @@ def save_figures(
     formats: Sequence[Format] = ("png",),
     progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Write many figures as `save_figure` does, on several processors; `progress` takes the share that is behind.
+    """Write many figures like `save_figure`, on several processors; `progress` takes the share that is done.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def save_figures(
         The folder cannot be written, or a helper process died.
     """
     helpers = min(os.cpu_count() or 1, 4, len(figures) // _WORTH_A_PROCESS + 1) - 1
-    # Processes of their own, not `multiprocessing`: that would run the caller's script again.
+    # Separate processes instead of `multiprocessing`, which would run the caller's script again.
     command = [sys.executable, "-P", "-m", "fmuid.report.plots", str(folder), *formats]
     started = [subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) for _ in range(helpers)]
     with ExitStack() as stack:
@@ -85,7 +85,7 @@ def save_figures(
 
 
 def save_data(figure: Figure, folder: Path) -> tuple[Path, ...]:
-    """Write the values `figure` shows as CSV, one file a panel, and return the paths."""
+    """Write the values that `figure` shows as CSV, one file per panel, and return the paths."""
     paths = []
     for stem, table in tables(figure):
         paths.append(folder / f"{stem}.csv")

@@ -1,6 +1,7 @@
-"""Drawing of figure values with matplotlib: the only importer of it.
+"""Drawing of figure values with matplotlib; the only module that imports it.
 
-Objects and the Agg canvas only; the settings hold inside `drawn`, so the caller's own plots are left alone.
+It only uses objects and the Agg canvas, and its settings hold inside `drawn`, so the caller's own plots are
+unaffected.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ _MAX_CELLS_WITH_NUMBERS = 150
 
 
 def drawn(figure: Figure, format: str) -> bytes:
-    """Draw `figure` and return the file content; no date inside, so equal values give equal bytes."""
+    """Draw `figure` and return the file content, without a date, so that equal values give equal bytes."""
     with matplotlib.rc_context(_SETTINGS):
         canvas = canvas_of(figure)
         metadata: dict[str, Any] = {"Title": figure.title, **_DATELESS[format]}
@@ -86,7 +87,7 @@ def drawn(figure: Figure, format: str) -> bytes:
 
 
 def canvas_of(figure: Figure) -> Canvas:
-    """Return the drawn matplotlib figure, to change or to embed."""
+    """Return the drawn matplotlib figure, for changing or embedding it."""
     match figure:
         case LineFigure():
             canvas = _lines(figure)
@@ -101,7 +102,7 @@ def canvas_of(figure: Figure) -> Canvas:
 
 
 def _number_plainly(canvas: Canvas) -> None:
-    """Have numbers at axes set as text: Matplotlib takes longer to set a formula than to draw all lines."""
+    """Set numbers at axes as text: Matplotlib takes longer to set a formula than to draw all lines."""
     for axis in (axis for axes in canvas.axes for axis in (axes.xaxis, axes.yaxis)):
         if isinstance(axis.get_major_formatter(), LogFormatterSciNotation):
             axis.set_major_formatter(_PowersOfTen())
@@ -136,7 +137,7 @@ def _lines(figure: LineFigure) -> Canvas:
     n = max(1, len(figure.panels))
     columns = min(figure.columns, n)
     rows = -(-n // columns)
-    # A grid has margins of its own: measuring every text of a large one takes longer than drawing it.
+    # A grid has fixed margins: measuring every text of a large one takes longer than drawing it.
     paired = any(panel.beneath is not None for panel in figure.panels)
     height = (3.5 if n == 1 else 2.1) + (1.0 if paired else 0.0)
     canvas = _canvas(_WIDTH, 0.35 + height * rows, constrained=n == 1 and not paired)
@@ -187,7 +188,7 @@ def _margins(canvas: Canvas, rows: int, columns: int, second_line: float) -> dic
 
 
 def _fit_title(axes: Axes, title: str, width: float) -> None:
-    """Write a title no wider than its panel (inches): smaller first, then cut."""
+    """Write a title no wider than its panel (inches): first in a smaller font, then cut."""
     fits = width / 0.058  # characters of the usual size
     share = max(0.75, min(1.0, fits / max(len(title), 1)))
     room = int(fits / share)
@@ -214,7 +215,7 @@ def _panel(axes: Axes, panel: Panel, handles: dict[str, Any]) -> None:
         )
     _label(axes, panel.x, panel.y)
     if not panel.x.log and panel.series:
-        alone = axes.get_position().width > 0.5  # numbers of seven digits do not run into each other
+        alone = axes.get_position().width > 0.5  # wide enough for numbers of seven digits
         axes.locator_params(axis="x", nbins=7 if alone else 5)
         spans = [s.x[np.isfinite(s.x)] for s in panel.series]
         if all(not s.points for s in panel.series) and any(x.size for x in spans):
@@ -361,7 +362,7 @@ def _bar(axes: Axes, k: int, bar: Bar) -> None:
 
 
 def _position(scale: Scale) -> Callable[[Any], Any]:
-    """Where a value lies between the ends of its scale, 0 to 1."""
+    """Return a function for the position of a value between the ends of its scale, 0 to 1."""
     to_line: Callable[[Any], Any] = np.log if scale.axis.log else np.asarray
     low, high = to_line(scale.lower), to_line(scale.upper)
     return lambda value: (to_line(value) - low) / (high - low) if high > low else 0.5 + 0 * to_line(value)

@@ -1,6 +1,6 @@
-"""What a figure shows, as values: no drawing, no numerics.
+"""The contents of figures, as values: no drawing, no numerics.
 
-Four kinds carry every picture of fmuid: panels of lines (`LineFigure`), a matrix of cells (`MapFigure`), bars
+Four kinds cover every picture of fmuid: panels of lines (`LineFigure`), a matrix of cells (`MapFigure`), bars
 with intervals (`BarFigure`), and parallel coordinates (`ParallelFigure`). The same value is drawn with
 matplotlib for print (`fmuid.report.plots`), with plotly for the screen (`fmuid.report`), and written as CSV
 (`tables`), so the three cannot disagree.
@@ -20,7 +20,7 @@ import numpy as np
 from fmuid.core.immutable import FloatArray, read_only
 
 Role = Literal["measurement", "start", "iterate", "final", "reference", "before", "after", "floor", "alternative"]
-"""What a line, point or bar stands for; its look follows from it (`fmuid.report.plots.style`)."""
+"""The role of a line, point or bar, which determines its look (`fmuid.report.plots.style`)."""
 
 Cell = float | str | None
 
@@ -42,7 +42,7 @@ class Axis:
         return f"{self.name} / ({unit})" if "/" in unit or "·" in unit else f"{self.name} / {unit}"
 
     def wrapped(self, break_: str) -> str:
-        """Return the label, the unit of a long one on a line of its own."""
+        """Return the label, with the unit of a long one on a separate line."""
         return self.label.replace(" / ", f"{break_}/ ", 1) if len(self.label) > 26 else self.label
 
     @property
@@ -62,7 +62,7 @@ class Series:
     x, y
         (N,) in the panel's units; NaN breaks a line.
     role
-        What it stands for.
+        Role of the line, which determines its look.
     error
         (N,) standard errors of `y`, or None.
     """
@@ -94,7 +94,7 @@ class Panel:
     beneath
         A smaller panel under this one, over the same abscissa, such as a residual.
     link
-        Panels of a page with the same text are zoomed together, such as those of one run.
+        Panels of a page with the same link are zoomed together, such as those of one run.
     """
 
     title: str
@@ -152,7 +152,7 @@ class MapFigure:
 
     @property
     def headings(self) -> tuple[tuple[str, int], ...]:
-        """The groups with the unit on a line of its own: neighbours leave each other little room."""
+        """The groups with the unit on a separate line, because neighbours have little room."""
         return tuple((name.replace(" / ", "\n/ ", 1), n) for name, n in self.groups)
 
     @property
@@ -197,9 +197,9 @@ class Scale:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParallelFigure:
-    """Parallel coordinates, MOPS' view of a search: one line an evaluation, coloured by its cost.
+    """Parallel coordinates, MOPS' view of a search: one line per evaluation, coloured by its cost.
 
-    `values` is (evaluations, scales); `best` the row drawn on top.
+    `values` is (evaluations, scales); `best` is the row drawn on top.
     """
 
     name: str
@@ -224,8 +224,8 @@ Figure = LineFigure | MapFigure | BarFigure | ParallelFigure
 class Table:
     """Rows under a header; numbers stay numbers until they are written or shown.
 
-    `digits` are the significant digits that a reader is shown, column by column; five by default. `precise` are
-    those of a row, where it needs more in every column that would have five.
+    `digits` are the significant digits that a reader is shown, by column; five by default. `precise` are those of
+    a row, where it needs more in every column that would have five.
     """
 
     header: tuple[str, ...]
@@ -247,14 +247,14 @@ class Table:
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.header)
         if self.rows and all(isinstance(cell, float) for row in self.rows for cell in row):
-            line = ",".join(["%.9g"] * len(self.header)) + "\n"  # recordings are long: one format a row
+            line = ",".join(["%.9g"] * len(self.header)) + "\n"  # recordings are long: one format per row
             return text.getvalue() + "".join([line % row for row in self.rows]).replace("nan", "")
         writer.writerows([_written(cell) for cell in row] for row in self.rows)
         return text.getvalue()
 
 
 def tables(figure: Figure) -> Iterator[tuple[str, Table]]:
-    """Yield the data behind `figure` as (file stem, table): one table a panel, one for any other kind."""
+    """Yield the data behind `figure` as (file stem, table): one table per panel, one for any other kind."""
     match figure:
         case LineFigure():
             for k, panel in enumerate(figure.panels, start=1):
@@ -324,7 +324,7 @@ _EXPONENTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 
 def pretty_unit(unit: str) -> str:
-    """Return a unit as print has it: ``kg.m2`` as ``kg·m²``; ``1`` as nothing."""
+    """Return a unit as it is printed: ``kg.m2`` as ``kg·m²``; ``1`` as nothing."""
     if unit in ("", "1"):
         return ""
     return re.sub(

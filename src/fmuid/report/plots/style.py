@@ -1,4 +1,4 @@
-"""One look for print and screen: colours by Okabe and Ito, safe for the colour-blind, one look a role."""
+"""One style for print and screen: colour-blind safe colours by Okabe and Ito, one look per role."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ LIGHT = "#D9D9D9"
 INK = "#222222"
 
 ORDERED = "cividis"
-"""Colour map of lines by cost, even in lightness and for colour-blind eyes; both libraries have it."""
+"""Colour map of lines by cost: even in lightness, safe for the colour-blind, and in both libraries."""
 SEQUENTIAL = ((0.0, "#F4F7FA"), (0.35, SKY), (0.7, BLUE), (1.0, "#00263D"))
-"""Magnitudes: nothing is pale, much is dark, also on a grey printer."""
+"""Colour map of magnitudes: pale for nothing, dark for much, also on a grey printer."""
 DIVERGING = ((0.0, BLUE), (0.5, "#F7F7F7"), (1.0, VERMILLION))
 
 
@@ -38,7 +38,7 @@ class Look:
 
 
 LOOKS: dict[Role, Look] = {
-    # The measurement is wide and pale so that a prediction on top of it stays visible where they agree.
+    # The measurement is wide and pale, so that it stays visible under a prediction that agrees with it.
     "measurement": Look("#A6A6A6", 2.4, order=1),
     "start": Look(ORANGE, 1.3, dash="dash", marker="square", order=3),
     "iterate": Look(SKY, 0.8, order=2, alpha=0.75),
@@ -57,5 +57,5 @@ def legend(series: Series) -> str:
 
 
 def bar_colour(role: Role) -> str:
-    """Return the fill of a bar; a line's dark grey would be heavy here."""
+    """Return the fill of a bar; the dark grey of lines would be too heavy here."""
     return GREY if role == "floor" else LOOKS[role].colour
