@@ -35,7 +35,7 @@ from fmuid.simulation.stepper import FUNCTIONS, Outcome
 
 _STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 _FATAL = 4
-_CHECK_BUDGET = 0.5  # s for seeing whether a reset is as good as a new instance
+_CHECK_BUDGET = 0.5  # s for checking whether a reset is equivalent to a new instance
 
 
 class Fmu:
@@ -83,7 +83,7 @@ class Fmu:
         self._library: FmuLibrary | None = None
         self._folder: Path | None = None
         self._instance: int | None = None
-        self._instantiated = False  # ever, in this process
+        self._instantiated = False  # at any time in this process
         self._used = False  # the instance has simulated and needs a reset
         self._renewal: Literal["reset", "instantiate"] | None = None
         self._set_before: dict[str, None] = {}
@@ -191,7 +191,7 @@ class Fmu:
             if key not in self._differentiates:
                 slots = [self._slots.get(name) for name in sorted(key)]
                 references = [s.reference for s in slots if s is not None and s.size == 1 and s.suffix]
-                ours = self.tool == "fmuid"  # no other FMU is loaded into this process to ask it
+                ours = self.tool == "fmuid"  # no other FMU is loaded into this process for the question
                 self._differentiates[key] = (
                     ours and len(references) == len(slots) and self._try_directions(references)
                 )
@@ -295,7 +295,7 @@ class Fmu:
                 even_steps=self.even_steps,
             )
             new = [n for n in (*names, *task.start_values) if n not in self._set_before]
-            if new:  # tasks prepared earlier must from now on put these back
+            if new:  # tasks prepared earlier must restore these from now on
                 self._set_before.update(dict.fromkeys(new))
                 self._prepared.clear()
             self._prepared.add(prepared)
@@ -303,11 +303,11 @@ class Fmu:
         return prepared
 
     def _first(self, prepared: PreparedTask) -> FloatArray:
-        """Simulate, and see whether a reset brings the FMU back to where it began."""
+        """Simulate, and check whether a reset restores the FMU to its initial state."""
         begun = time.perf_counter()
         predictions = self._simulate(prepared)
         elapsed = time.perf_counter() - begun
-        if self._renewal is None:  # not found wanting meanwhile
+        if self._renewal is None:  # not rejected meanwhile
             n = len(prepared.task.time)
             n = min(n, max(2, int(n * _CHECK_BUDGET / max(elapsed, 1e-9))))
             same = False
@@ -356,7 +356,7 @@ class Fmu:
             fatal = failed is not None and plan.status == _FATAL
             error = self.failure(Outcome(outcome), prepared)
         finally:
-            if not finished:  # also on Ctrl-C: nobody knows what state it is in
+            if not finished:  # also on Ctrl-C, because the state of the FMU is then unknown
                 self.discard(fatal)
         if failed == "RESET":
             self._renewal = "instantiate"

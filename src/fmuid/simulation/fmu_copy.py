@@ -63,7 +63,7 @@ def copy_with_starts(fmu: Fmu, values: Mapping[str, float], target: Path) -> Non
 
 
 def takes_effect(fmu: Fmu, values: Mapping[str, float], copy: Path, runner: Runner = in_process) -> bool:
-    """Return whether the copy, with nothing set, starts like the original with `values` set."""
+    """Return whether the copy, without any set values, starts like the original with `values` set."""
     step = fmu.default_experiment.get("step", 1e-3)
     begin = fmu.default_experiment.get("start", 0.0)
     outputs = [n for n, v in fmu.variables.items() if v.causality == "output" and fmu.slots[n].suffix]
@@ -77,7 +77,7 @@ def takes_effect(fmu: Fmu, values: Mapping[str, float], copy: Path, runner: Runn
 
 
 def as_text(variable: Variable, value: float) -> str:
-    """Return a value as XML writes it."""
+    """Return a value as it is written in XML."""
     if variable.type == "Boolean":
         return "true" if value else "false"
     return repr(float(value)) if variable.type in ("Real", "Float64", "Float32") else str(int(value))
@@ -125,7 +125,7 @@ def _line(fmu: Fmu, name: str, value: float) -> str:
 
 
 def _compiled_starts(source: zipfile.ZipFile) -> dict[int, str]:
-    """Return what an earlier copy wrote, by value reference."""
+    """Return the lines written by an earlier copy, by value reference."""
     if _COMPILED_STARTS not in source.namelist():
         return {}
     lines = source.read(_COMPILED_STARTS).decode().splitlines(keepends=True)

@@ -68,7 +68,7 @@ class DescribedInterface:
 class FmuDescription:
     """A model description; see `read_description`.
 
-    `outputs` gives by name the inputs on which each output depends without delay, None if not stated. `states` are
+    `outputs` maps each output to the inputs on which it depends without delay, None if not stated. `states` are
     the names of the continuous states, if stated, and `n_states` is their number including all elements.
     `default_experiment` contains those of ``start``, ``stop``, ``step`` and ``tolerance`` that are given.
     """
@@ -98,7 +98,7 @@ def read_description(path: Path) -> FmuDescription:
     with ZipFile(path) as archive:
         try:
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-        except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last: an unknown encoding
+        except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: unknown encoding
             raise ValueError(f"modelDescription.xml: {error}") from None
     version = root.get("fmiVersion", "")
     fmi = 2 if version.startswith("2") else 3
@@ -204,7 +204,7 @@ def _interface(element: Element | None, fmi: int) -> DescribedInterface | None:
 
 
 def _declared_types(root: Element, fmi: int) -> dict[str, Element]:
-    """Return the elements that say what a declared type is, by its name."""
+    """Return the elements that define declared types, by their names."""
     if fmi == 2:
         return {t.get("name", ""): t[0] for t in root.findall("TypeDefinitions/SimpleType")}
     return {t.get("name", ""): t for t in root.findall("TypeDefinitions/*")}
@@ -242,7 +242,7 @@ def _variable(element: Element, fmi: int, types: Mapping[str, Element]) -> Descr
 
 
 def _variability(causality: str, tag: str, fmi: int) -> str:
-    """Return the variability that is meant where none is written."""
+    """Return the default variability."""
     if fmi == 3 and causality.lower().endswith("parameter"):
         return "fixed"
     return "continuous" if fmi == 2 or tag in {"Float64", "Float32"} else "discrete"

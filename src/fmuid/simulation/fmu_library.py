@@ -48,12 +48,12 @@ _NAMES_OF_VERSION = {
         "FREE_FMU_STATE": "FreeFMUState",
     },
 }
-_OWN = {  # what FMUs of fmu_build export beside the standard
+_OWN = {  # exported by FMUs of fmu_build in addition to the standard
     "SET_DIRECTIONS": "fmuidSetSensitivityDirections",
     "GET_SENSITIVITIES": "fmuidGetSensitivities",
 }
 _COMMON = ["ENTER_INITIALIZATION", "EXIT_INITIALIZATION"]
-_NEEDED = {  # without RESET an instance is made anew for every run
+_NEEDED = {  # without RESET, a new instance is made for every run
     False: [*_COMMON, "DO_STEP"],
     True: [
         *_COMMON,
@@ -81,7 +81,7 @@ class _Callbacks2(ctypes.Structure):
 
 
 class ProcessSpentError(SimulationError):
-    """The FMU cannot simulate any more in this process, but could in a new process."""
+    """The FMU can no longer simulate in this process, but could in a new one."""
 
 
 class Log:
@@ -149,7 +149,7 @@ class FmuLibrary:
         self.log = Log()
         self._callbacks = _Callbacks2(
             self.log.callback(2),
-            # calloc and free straight from C: an FMU may allocate in every step
+            # calloc and free directly from C, because an FMU may allocate in every step
             _address(ctypes.pythonapi.PyMem_RawCalloc),
             _address(ctypes.pythonapi.PyMem_RawFree),
             None,

@@ -19,8 +19,8 @@ from fmuid.simulation.fmu_variables import Slot
 from fmuid.simulation.simulator import Feedback, Task, Variable
 from fmuid.simulation.stepper import DTYPES, FUNCTIONS, Group, Plan
 
-UNKNOWN_TOLERANCE = 1e-6  # of FMUs that suggest none
-_MAX_PREPARED = 64 * 2**20  # bytes of signals kept laid out
+UNKNOWN_TOLERANCE = 1e-6  # for FMUs that suggest none
+_MAX_PREPARED = 64 * 2**20  # bytes of prepared tasks kept in memory; the oldest is dropped first
 
 
 class PreparedTask:
@@ -55,13 +55,13 @@ class PreparedTask:
         self._slots, self._where = slots, library.where
         self._kept: list[Any] = []  # arrays the plan points into
         n = len(task.time)
-        self.size = 8 * n * (2 * len(task.inputs) + 1)  # bytes, about, with the task's own
+        self.size = 8 * n * (2 * len(task.inputs) + 1)  # approximate bytes, including the task's own
         self._check_time(task.time, even_steps)
         inputs = self._inputs(variables)
         fixed = {k: v for k, v in task.start_values.items() if k not in names}
         back = [name for name in restored if name not in names and name not in fixed and slots[name].has_start]
         self._check_settable([*names, *fixed], variables)
-        # Put back first: an alias among the names that are really set then wins.
+        # Restore first, so that an alias among the names that are really set takes precedence.
         self.starts = np.zeros(len(back) + len(fixed) + len(names))
         self.starts[: len(back)] = [slots[k].starts[slots[k].element] for k in back]
         for i, (name, value) in enumerate(fixed.items()):
@@ -115,7 +115,7 @@ class PreparedTask:
         self.plan.n_times = len(self.task.time) if n_times is None else n_times
         array = np.empty((self.plan.n_outputs * (1 + self.plan.n_directions), self.plan.n_times))
         if array.size:
-            self.plan.outputs = ctypes.addressof(ctypes.c_char.from_buffer(array.data))  # the quickest way there
+            self.plan.outputs = ctypes.addressof(ctypes.c_char.from_buffer(array.data))  # the fastest way
         return array
 
     def _slot(self, name: str) -> Slot:
@@ -247,7 +247,7 @@ class PreparedTask:
                 )
 
     def _integrate(self, described: FmuDescription, n_inputs: int) -> None:
-        """Provide for the integrator of model_exchange.c."""
+        """Set up the integrator of model_exchange.c."""
         plan, exchange = self.plan, described.model_exchange
         suggested = described.default_experiment.get("tolerance")
         plan.tolerance = self.task.tolerance or suggested or UNKNOWN_TOLERANCE
@@ -258,7 +258,7 @@ class PreparedTask:
         plan.pivots = self._pointer(np.zeros(n + 1, dtype=np.int32))
 
     def _feed_back(self, feedback: Feedback) -> None:
-        """Provide for the correction of the states by measured outputs."""
+        """Set up the correction of the states by measured outputs."""
         plan = self.plan
         if not self.library.model_exchange:
             raise FmuError(
@@ -271,7 +271,7 @@ class PreparedTask:
         plan.n_measured = feedback.measured.shape[1]
 
     def _differentiate(self, task: Task) -> None:
-        """Provide for the outputs' derivatives along directions."""
+        """Set up the outputs' derivatives along directions."""
         plan, moved = self.plan, list(dict.fromkeys(name for along in task.along for name in along))
         if self.library.model_exchange or not self.library.functions[FUNCTIONS.index("SET_DIRECTIONS")]:
             raise FmuError(

@@ -87,7 +87,7 @@ def _finite(value: float) -> float | None:
 
 
 def _refusal(variable: DescribedVariable) -> str | None:
-    """Say why a start value cannot be set before initialisation, in FMI's terms."""
+    """Return why a start value cannot be set before initialisation, in FMI's terms; None if it can."""
     causality, variability, initial = variable.causality, variable.variability, variable.initial
     if variability == "constant":
         return "is a constant"
@@ -99,7 +99,7 @@ def _refusal(variable: DescribedVariable) -> str | None:
 
 
 def _elements(shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield the subscripts of an array in FMI's row-major order, counted from one as Modelica counts."""
+    """Yield the subscripts of an array in FMI's row-major order, counted from one as in Modelica."""
     for index in product(*(range(1, n + 1) for n in shape)):
         yield f"[{','.join(map(str, index))}]" if index else ""
 

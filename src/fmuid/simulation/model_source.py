@@ -33,7 +33,7 @@ def flat_model(source: ModelSource) -> FlatModel:
         return flat
     effects = _effects(source.effects)
     ports = {port.name for port in find_ports(flat)}
-    # A campaign's models share a catalogue; each has some of its ports.
+    # A campaign's models share a catalogue, but each has only some of its ports.
     here = [e for e in effects if e[0].port in ports] or effects
     return instrument(flat, [term for term, _ in here], [one for _, added in here for one in added])
 

@@ -1,8 +1,8 @@
 """Output feedback: a model whose states are corrected by its output errors, sample by sample.
 
 The predictor of the prediction-error method (Ljung, System Identification, 2nd ed., section 4.3): with a gain K, x
-moves by K (y_measured - y) at every sample, and the prediction from the preceding samples is compared. The
-prediction for a plant that diverges in open loop thus stays near the measurement.
+is corrected by K (y_measured - y) at every sample, and the measurement is compared with the prediction from the
+preceding samples. The prediction for a plant that diverges in open loop thus stays near the measurement.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from fmuid.simulation.fmu import Fmu, load_fmu
 from fmuid.simulation.segmented import states_of
 from fmuid.simulation.simulator import Feedback, Simulator, Task, Variable
 
-_DISTURBED = 0.1  # share of an input that the first gain takes for unknown
-_LEAST = 1e-3  # sigmas of the outputs that every state is disturbed by, so that no gain is 0
+_DISTURBED = 0.1  # share of an input that the first gain assumes to be unknown
+_LEAST = 1e-3  # disturbance of every state, in sigmas of the outputs, so that no gain is 0
 _STEP = 1e-4
 
 

@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.simulation.runners import Job, Outcome, Runner
 
-_SAMPLES = 4_000_000  # of predictions, 32 MB: enough for the columns of a Jacobian
+_SAMPLES = 4_000_000  # samples of predictions, 32 MB: enough for the columns of a Jacobian
 Key = TypeVar("Key", bound=Hashable)
 
 
@@ -28,7 +28,7 @@ class Predictor(Generic[Key]):
         self._size = 0
 
     def __call__(self, jobs: Mapping[Key, Job], runner: Runner) -> dict[Key, Outcome]:
-        """Return the outcome of every job, by its key: what its prediction depends on."""
+        """Return the outcome of every job by its key, which covers everything that its prediction depends on."""
         found: dict[Key, Outcome] = {key: self._known[key] for key in jobs if key in self._known}
         missing = {key: job for key, job in jobs.items() if key not in found}
         if missing:

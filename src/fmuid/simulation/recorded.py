@@ -19,30 +19,30 @@ from fmuid.simulation.runners import Job, Outcome, Runner
 from fmuid.simulation.simulator import Simulator, Task
 
 _MAGIC = b"fmuid-simulations 1\n"
-_TASKS = 256  # whose digests are remembered
+_TASKS = 256  # number of tasks whose digests are remembered
 Thing = TypeVar("Thing")
 
 
 class RecordedSimulations:
-    """The predictions that were made for one result, each a record of a journal, by what it depends on.
+    """Predictions made for one result, each a record in a journal under a key of everything that it depends on.
 
-    It depends on the model with the files that it is made of, on the task and on the parameters: interrupted work
-    goes on exactly where it stopped, and a change of one of these is never overlooked. A failed simulation is not
-    kept but tried again. Only positions in the file are held in memory.
+    The key covers the model with its files, the task and the parameters, so interrupted work continues exactly
+    where it stopped, and no change of these is overlooked. A failed simulation is not recorded but tried again.
+    Only positions in the file are held in memory.
 
     Parameters
     ----------
     file
         The journal.
     resume
-        Take up what an interrupted run has left there.
+        Whether to continue an interrupted run from the records there.
     complete
-        Whether a result is there already.
+        Whether a result exists already.
 
     Raises
     ------
     JournalError
-        The folder contains an interrupted run and `resume` is not asked for, or a complete one and it is.
+        The folder contains an interrupted run and `resume` is False, or a complete one and `resume` is True.
     """
 
     def __init__(self, file: Path, *, resume: bool, complete: bool) -> None:
@@ -66,7 +66,7 @@ class RecordedSimulations:
             self._journal.close(remove=error is None or not self._places)
 
     def over(self, runner: Runner) -> Runner:
-        """Return a runner that has `runner` simulate what is not recorded."""
+        """Return a runner that uses `runner` for simulations that are not recorded."""
 
         def run(jobs: Sequence[Job]) -> list[Outcome]:
             outcomes = {k: self._recalled(job) for k, job in enumerate(jobs)}
@@ -106,7 +106,7 @@ class RecordedSimulations:
 
 
 class _Digests(Generic[Thing]):
-    """Digests of the things seen last, which are kept so that their ids stay their own."""
+    """Digests of recently used objects, which are kept so that their ids are not reused."""
 
     def __init__(self, digest: Callable[[Thing], bytes], size: int) -> None:
         self._digest, self._size = digest, size
@@ -122,7 +122,7 @@ class _Digests(Generic[Thing]):
 
 
 def _positions(file: Path) -> list[tuple[bytes, int, int]]:
-    """Return the keys of a journal, each with the position of its record and the one after it."""
+    """Return the keys of a journal, each with the positions where its record begins and ends."""
     return [(content[0], begin, end) for content, begin, end in records(file, _MAGIC)]
 
 
@@ -145,7 +145,7 @@ def _of_task(task: Task) -> bytes:
 
 
 def _of_model(simulator: Simulator) -> bytes:
-    """Return a digest of a model and of its files: a copy with other start values has the same token."""
+    """Return a digest of a model and its files, because a copy with other start values has the same token."""
     token = getattr(simulator, "token", type(simulator).__qualname__)
     digest = hashlib.blake2b(repr((token, getattr(simulator, "interface", None))).encode(), digest_size=16)
     inner = getattr(simulator, "simulator", None)

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 _NOTE = "resetting"
-_own: Path | None = None  # the folder of this worker process, in that of its pool
+_own: Path | None = None  # the folder of this worker process, inside that of its pool
 
 
 def keep_notes(folder: Path) -> None:

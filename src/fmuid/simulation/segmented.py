@@ -27,19 +27,19 @@ from fmuid.simulation.simulator import Simulator, Task, Variable, differentiates
 Length = float | Literal["auto"]
 """Length of a segment, s; ``auto`` for the longest over which small errors stay small."""
 
-_STEPS = 30  # of Gauss-Newton in a segment, and trials of each, damped more and more where it fails
+_STEPS = 30  # Gauss-Newton steps per segment, and trials per step, with increasing damping after failures
 _TRIALS = 9
-_DAMPING = 1e-3  # the first, of columns of unit length
-_SETTLED = 1e-7  # of the norm of the residuals: a smaller step of the states is none
+_DAMPING = 1e-3  # initial damping, for columns of unit length
+_SETTLED = 1e-7  # relative to the norm of the residuals: smaller steps of the states are negligible
 _RANK = 1e-8
-_DIFFERENCE = 1e-4  # step of a state's finite difference over its scale
-_ERROR = 0.01  # relative: as exact as actuators, sensors and models are at their best
-_NOISE = 10.0  # times the noise of a sample: less is hardly seen ...
-_PART = 0.005  # ... or this share of what the output moves by in a segment
-_SHARE = 0.9  # of the segments that must stay within it
+_DIFFERENCE = 1e-4  # step of a state's finite difference, relative to its scale
+_ERROR = 0.01  # relative error: the best accuracy of actuators, sensors and models
+_NOISE = 10.0  # times the noise of a sample: a smaller error is hardly visible ...
+_PART = 0.005  # ... as is less than this share of the output's movement within a segment
+_SHARE = 0.9  # share of the segments that must stay within it
 _LARGE = 1e12
-_MOST_PIECES = 200  # that the growth of errors is looked at in
-_KEPT = 6  # layouts of tasks
+_MOST_PIECES = 200  # largest number of pieces for analysing the growth of errors
+_KEPT = 6  # layouts of tasks kept in memory
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Growth:
     length
         Length of segments, s, within which an error of 1 % in an input has hardly any effect.
     duration
-        Of the run, s.
+        Duration of the run, s.
     """
 
     whole: float
@@ -68,11 +68,11 @@ class Growth:
 
     @property
     def runs_away(self) -> bool:
-        """Whether an error of 1 % moves the output by more than half its range in the end."""
+        """Whether an error of 1 % moves the output by more than half its range by the end of the run."""
         return _ERROR * self.whole > 0.5
 
     def __str__(self) -> str:
-        """Return why the run cannot be simulated open loop, in words."""
+        """Return in words why the run cannot be simulated in open loop."""
         factor = _ERROR * self.whole
         size = f"{factor:.2g} times its range" if factor < 1e4 else "beyond all bounds"
         return f"an error of 1 % in {self.cause} moves '{self.output}' by {size} over {self.duration:.3g} s"
@@ -190,7 +190,7 @@ class Segmented:
     def over(self, simulator: Simulator) -> Segmented:
         """Return the same segments of another model, such as this one with an effect.
 
-        States that it has besides begin each segment with their start values.
+        Additional states of that model begin each segment with their start values.
         """
         if id(simulator) not in self._others:
             other = copy.copy(self)
@@ -245,7 +245,7 @@ class Segmented:
             return error
 
         def columns(slopes: FloatArray) -> FloatArray:
-            """(k, rows, N) derivatives -> (m, k) of the weighted errors."""
+            """Convert (k, rows, N) derivatives to the (m, k) derivatives of the weighted errors."""
             return np.stack([(weight * s[:n, :samples])[counted] for s in slopes], axis=1)
 
         run = self._run(task, parameters, states)
@@ -276,7 +276,7 @@ class Segmented:
         errors: Callable[[FloatArray], FloatArray],
         damping: float,
     ) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
-        """Return better states with their run, its errors and the next damping; None where there are none near."""
+        """Return better states with their run, its errors and the next damping; None if none are found nearby."""
         for _ in range(_TRIALS):
             step = -_solved(matrix, error, damping)
             if np.linalg.norm(matrix @ step) <= _SETTLED * np.linalg.norm(error):
@@ -314,7 +314,7 @@ class Segmented:
             slopes.append((self._run(task, parameters, moved) - run) / (moved[i] - states[i]))
         return np.array(slopes)
 
-    # All of them
+    # All segments
 
     def _layout(self) -> _Cut:
         if self._cut is None:
@@ -322,7 +322,7 @@ class Segmented:
         return self._cut
 
     def _tasks(self, task: Task) -> list[Task]:
-        """Return the tasks of the segments; the same again for the same, as simulators prepare them."""
+        """Return the tasks of the segments, the same objects for the same task: simulators prepare them."""
         if id(task) not in self._pieces:
             first = self._layout().first
             made = [self._piece(task, a, b) for a, b in pairwise(first)]
@@ -355,7 +355,7 @@ class Segmented:
         return replace(self._swept(first)[0], growth=growth)
 
     def _swept(self, first: Sequence[int]) -> tuple[_Cut, list[tuple[Task, FloatArray]]]:
-        """Return the states found segment by segment, each from where the last one ended; and the tasks."""
+        """Return the states found segment by segment, each starting where the last one ended, and the tasks."""
         outputs = (*self.task.outputs, *self.states)
         n, scale, guess = len(self.task.outputs), np.zeros(len(self.states)), []
         begin = replace(self.task, time=self.task.time[:2], inputs=_first_two(self.task), outputs=self.states)
@@ -374,7 +374,7 @@ class Segmented:
         return _Cut(tuple(first), read_only(found), read_only(np.ptp(np.vstack([found, state]), axis=0))), pieces
 
     def _growth(self, cut: _Cut, pieces: Sequence[tuple[Task, FloatArray]]) -> Growth:
-        """Return how errors of 1 % grow from piece to piece, along the run as it was measured."""
+        """Return how errors of 1 % grow from piece to piece along the measured run."""
         n, n_x = len(self.task.outputs), len(self.states)
         judged = np.where(self.weight > 0.0, self.target, np.nan)
         shown = np.flatnonzero(_range(judged) > 0.0)
@@ -394,7 +394,7 @@ class Segmented:
                 moved.append((other - run[: n + n_x])[:, -1] / _ERROR)
             by_input.append(np.array(moved).T.reshape(n + n_x, len(driven)))
         count = len(pieces)
-        excess = np.full((count, count), np.nan)  # [k, j]: over k + 1 pieces from the j-th on
+        excess = np.full((count, count), np.nan)  # [k, j]: over k + 1 pieces, starting from piece j
         worst = np.zeros((len(shown), n_x + len(driven)))
         local = [
             np.nanmedian(
@@ -446,7 +446,7 @@ def _noise(values: FloatArray) -> FloatArray:
 
 
 def _size(values: FloatArray) -> float:
-    """Return how much an input moves, or its level where it hardly does."""
+    """Return how much an input varies, or its level if it hardly varies."""
     level = float(np.sqrt(np.mean(np.square(values))))
     spread = float(np.std(values))
     return spread if spread > _ERROR * level else level
@@ -482,7 +482,7 @@ def states_of(simulator: Simulator) -> tuple[str, ...]:
 
 
 def open_loop(simulator: Segmented) -> Growth | None:
-    """Return the growth of errors in a run simulated as a whole; None if the model fails in it."""
+    """Return the growth of errors in a run simulated as a whole; None if the model fails in that simulation."""
     try:
         return simulator.growth
     except SimulationError:
@@ -492,7 +492,7 @@ def open_loop(simulator: Segmented) -> Growth | None:
 def _bounds(time: FloatArray, counts: FloatArray, length: float, least: int) -> Iterator[int]:
     """Yield the first sample of every segment, and the number of samples.
 
-    Segments with fewer than `least` measured samples go with the one before.
+    Segments with fewer than `least` measured samples are merged with the previous one.
     """
     duration = float(time[-1] - time[0])
     pieces = max(1, round(duration / length)) if math.isfinite(length) else 1
@@ -514,7 +514,7 @@ def _first_two(task: Task) -> dict[str, FloatArray]:
 
 
 def _solved(matrix: FloatArray, right: FloatArray, damping: float = 0.0) -> FloatArray:
-    """Return the least-squares solution, damped; what the samples do not show stays as it is."""
+    """Return the damped least-squares solution, zero along directions that the samples do not show."""
     scale = np.linalg.norm(matrix, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     matrix = matrix / scale

@@ -2,11 +2,11 @@
 
 A parameter named ``<signal>.<property>`` disturbs that signal: ``offset``, ``gain`` (neutral 1), ``lag`` (s),
 ``delay`` (s), ``drift`` (per second of a run), ``dead_zone`` (half its width), ``saturation`` (largest absolute
-value over the unit; 0 for none), ``compression`` (one over that value; ``hardness`` says how abruptly it is
-reached), and ``crosstalk[<other>]`` (that share of another signal).
+value in the signal's unit; 0 for none), ``compression`` (the reciprocal of that value; ``hardness`` determines how
+abruptly it is reached), and ``crosstalk[<other>]`` (that share of another signal).
 
-Before its first sample, a signal is taken to have been constant at that sample's value. This holds for delays and
-lags of inputs and outputs.
+Before its first sample, a signal is assumed constant at that sample's value. This holds for delays and lags of
+inputs and outputs.
 
 A delayed signal changes between samples; the simulation gets additional communication points there, so delays and
 lags far below a sample time are simulated exactly. Replacing a late input by its mean over each step instead would
@@ -31,7 +31,7 @@ NEUTRAL = {
     "compression": 0.0, "hardness": 4.0,
 }  # fmt: skip
 _CROSSTALK = re.compile(r"(?P<signal>.+)\.(?P<property>crosstalk\[(?P<other>.+)\])")
-_APART = 1e-6  # of the shortest step: points that are nearer to each other are one
+_APART = 1e-6  # share of the shortest step: points closer to each other are merged
 
 Effects = Mapping[str, Mapping[str, float]]
 """Signal -> property -> value."""
@@ -116,10 +116,10 @@ def disturbed_input(
 
 
 def _behind(course: Course, edges: FloatArray, lag: float) -> Course:
-    """Return the course after a first-order lag, exact at `edges`, with one further point in each interval.
+    """Return the signal after a first-order lag, exact at `edges`, with one further point in each interval.
 
-    Linear, it has the integral of the exact response over each interval; held, its integral and its centre of
-    area, and it never leaves the range of the response.
+    If linear, it has the integral of the exact response over each interval. If held, it has the integral and
+    centre of area of the exact response, and never leaves its range.
     """
     from scipy.special import gammainc
 
@@ -168,7 +168,7 @@ class Disturbed:
             The outputs that will be differentiated; before the first sample they continue their initial trend.
         """
         out = np.array(outcome[:, np.searchsorted(self.time, self._samples)])
-        width = (len(self.time) - 1) // (len(self._breaks) - 1)  # points an interval
+        width = (len(self.time) - 1) // (len(self._breaks) - 1)  # points per interval
         for row, effect in self._late.items():
             begin = self._samples[0]
             slope = (out[row, 1] - out[row, 0]) / (self._samples[1] - begin) if differentiated[row] else 0.0
@@ -246,7 +246,7 @@ def disturbed_readings(
 
 
 def _added(time: FloatArray, effect: Mapping[str, float], others: Mapping[str, FloatArray]) -> FloatArray:
-    """Return what an offset, a drift and shares of other signals add."""
+    """Return the contribution of offset, drift and shares of other signals."""
     added = effect.get("offset", 0.0) + effect.get("drift", 0.0) * (time - time[0])
     for prop, share in effect.items():
         if prop.startswith("crosstalk[") and (other := prop[len("crosstalk[") : -1]) in others:
@@ -265,7 +265,7 @@ def _limited(y: FloatArray, effect: Mapping[str, float]) -> FloatArray:
 
 
 def _joined(time: FloatArray, *others: FloatArray) -> FloatArray:
-    """Return the points of `time` and the others between them; those that all but coincide are one."""
+    """Return the points of `time` and the others between them, merging those that nearly coincide."""
     between = np.unique(np.concatenate([np.zeros(0), *others]))
     between = between[(between > time[0]) & (between < time[-1])]
     apart = _APART * float(np.min(np.diff(time)))
@@ -276,9 +276,9 @@ def _joined(time: FloatArray, *others: FloatArray) -> FloatArray:
 
 
 def _smooth(breaks: FloatArray, y: FloatArray, width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return begin, slope and half the curvature of `y` in each interval, by its last `width` points up to three.
+    """Return begin, slope and half the curvature of `y` in each interval, from up to three of its last points.
 
-    An output may jump where an input does, so that where it begins is extrapolated.
+    An output may jump where an input does, so its value at the beginning is extrapolated.
     """
     h = np.diff(breaks)
     if width == 1:
@@ -297,7 +297,7 @@ def _lagged(
     from scipy.linalg import solve_banded
 
     keep = np.exp(-h / lag)
-    start = begin - lag * slope + 2.0 * lag**2 * bend  # what it follows
+    start = begin - lag * slope + 2.0 * lag**2 * bend  # the response it converges to
     stop = start + (slope + bend * h - 2.0 * lag * bend) * h
     ends = np.append(first, stop - keep * start)
     # x[k+1] - keep[k] x[k] = ends[k+1]

@@ -15,8 +15,8 @@ from fmuid.simulation.signal_effects import NEUTRAL, disturbed_readings, disturb
 from fmuid.simulation.simulator import Simulator, Task, Variable, default_tolerance, takes_any_times
 
 _UNITS = {"gain": "1", "hardness": "1", "lag": "s", "delay": "s"}
-_IN_UNIT = ("offset", "saturation", "dead_zone")  # of the signal
-_COMMUTE = ("gain", "lag", "delay")  # with a differentiation of the signal
+_IN_UNIT = ("offset", "saturation", "dead_zone")  # values in the signal's unit
+_COMMUTE = ("gain", "lag", "delay")  # effects that commute with differentiating the signal
 
 
 class _Filed(Simulator, Protocol):

@@ -12,7 +12,7 @@ from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A scalar variable of a model, in FMI's words.
+    """A scalar variable of a model, in FMI's terms.
 
     Parameters
     ----------
@@ -73,10 +73,9 @@ class Task:
         ``hold``: input sample k acts on [t_k, t_{k+1}); ``linear``: between the samples.
     tolerance
         Relative tolerance passed to the FMU, or None for its default.
-    along
-        Directions to differentiate along, each a weight by parameter. Below the outputs, the prediction then
-        contains their derivatives, direction by direction: (1 + len(along)) * len(outputs) rows. Only for
-        simulators for which `differentiates` is true.
+    Directions along which to differentiate, each a weight by parameter. The prediction then also contains the
+    derivatives of the outputs, direction by direction, below the outputs: (1 + len(along)) * len(outputs) rows.
+    Only for simulators for which `differentiates` is true.
     feedback
         Output feedback, for FMUs with model exchange: outputs are then predictions from the preceding samples.
     """

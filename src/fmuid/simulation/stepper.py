@@ -18,7 +18,7 @@ from fmuid.core.errors import FmuError
 
 T = TypeVar("T")
 _REINSTALL = "install fmuid again, in a clone with `pip install --editable .`"
-_SLICE = 0.1  # s between looks at Ctrl-C
+_SLICE = 0.1  # s between checks for Ctrl-C
 FUNCTIONS = (
     "RESET",
     "SETUP_EXPERIMENT",
@@ -53,7 +53,7 @@ DTYPES = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8")
 
 
 class Outcome(IntEnum):
-    """Why a run ended, as in stepper.c."""
+    """Reasons why a run ended, as in stepper.c."""
 
     DONE = 0
     PAUSED = 1

@@ -63,7 +63,7 @@ def check_connections(where: Path, components: Mapping[str, Fmu], connections: S
     Raises
     ------
     FmuError
-        With what does not fit, named.
+        Something does not fit; the message names it.
     """
     sources: dict[Place, Place] = {}
     for k in connections:
@@ -101,7 +101,7 @@ def check_ports(
     Raises
     ------
     FmuError
-        With what does not fit, named.
+        Something does not fit; the message names it.
     """
     sources: dict[Place, object] = {k.target: k.source for k in connections}
     for port in ports:

@@ -29,8 +29,8 @@ from fmuid.simulation.simulator import Task, Variable
 from fmuid.simulation.stepper import FUNCTIONS, Outcome, library, run_to_end
 
 _FATAL = 4
-_CHECK_BUDGET = 0.5  # s for seeing whether resets are as good as new instances
-_MAX_LAYOUTS = 64 * 2**20  # bytes of signals kept laid out, oldest out first
+_CHECK_BUDGET = 0.5  # s for checking whether resets are equivalent to new instances
+_MAX_LAYOUTS = 64 * 2**20  # bytes of task layouts kept in memory; the oldest is dropped first
 
 
 class CoupledModel:
@@ -104,7 +104,7 @@ class CoupledModel:
         self._view = MappingProxyType(self._variables)
         self._lock = threading.RLock()
         self._layouts: dict[tuple[int, tuple[str, ...]], Layout] = {}
-        self._compared = False  # a reset with a new instance
+        self._compared = False  # whether a reset was compared with a new instance
 
     @property
     def components(self) -> Mapping[str, Fmu]:
@@ -154,7 +154,7 @@ class CoupledModel:
 
     @property
     def default_experiment(self) -> Mapping[str, float]:
-        """Suggestion of the FMUs: longest ``stop``, shortest ``step`` (s) and smallest ``tolerance``."""
+        """The suggestions of the FMUs: longest ``stop``, shortest ``step`` (s) and smallest ``tolerance``."""
         every = [fmu.default_experiment for fmu in self.components.values()]
         choices = {"start": min, "stop": max, "step": min, "tolerance": min}
         found = {k: [e[k] for e in every if k in e] for k in choices}
@@ -338,7 +338,7 @@ class CoupledModel:
             raise FmuError(f"no variable '{name}'", where=self.path, fix=near) from None
 
     def _first(self, layout: Layout, values: Mapping[str, Mapping[str, float]]) -> FloatArray:
-        """Simulate, and see whether a reset brings the FMUs back to where they began."""
+        """Simulate, and check whether a reset restores the FMUs to their initial state."""
         for fmu in self.components.values():
             if resets.deadly(fmu.token):
                 fmu.renew("instantiate")
@@ -389,7 +389,7 @@ class CoupledModel:
             else:
                 error = self._located(fmu.failure(outcome, prepared[system.failed]), failed)
         finally:
-            if not finished:  # also on Ctrl-C: nobody knows what state they are in
+            if not finished:  # also on Ctrl-C, because the state of the FMUs is then unknown
                 for name, other in self.components.items():
                     other.discard(fatal and name == failed)
         if call == "RESET":

@@ -53,7 +53,7 @@ def stepping_order(
     while left:
         waiting = {c for group in left for c in group}
         ready = (g for g in left if not any(needs[c] & (waiting - set(g)) for c in g))
-        group = next(ready, left[0])  # what waits for each other, though by different variables: as given
+        group = next(ready, left[0])  # a cycle through different variables: use the given order
         order.append((group, set(group) in loops))
         left.remove(group)
     return order

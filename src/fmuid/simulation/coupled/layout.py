@@ -235,11 +235,11 @@ class Layout:
         for i, p in enumerate(prepared):
             p.plan.time, p.plan.stop = self.system.window, self._stop
             p.plan.rewinds = _together(self._loops, i, i)
-        self._plans = plans, [p.outputs() for p in prepared]  # which the master does not write to
+        self._plans = plans, [p.outputs() for p in prepared]  # the master does not write to these
         self.system.plans = ctypes.cast(plans, POINTER(POINTER(Plan)))
 
     def outputs(self, n_times: int | None = None) -> FloatArray:
-        """Return a new array for the predictions, of all or `n_times` samples, and point the system at it."""
+        """Return a new array for the predictions of all or `n_times` samples, and point the system at it."""
         self.system.n_times = len(self.task.time) if n_times is None else n_times
         array = np.empty((self.system.n_records, self.system.n_times))
         self.system.outputs = array.__array_interface__["data"][0]
@@ -302,5 +302,5 @@ def _smooth(wiring: Wiring, k: Connection) -> bool:
 
 
 def _together(loops: Iterable[int], a: int, b: int) -> bool:
-    """Whether components a and b are of one iterated loop."""
+    """Return whether components a and b belong to the same iterated loop."""
     return any(first <= a < end and first <= b < end for first, end in enumerate(loops))

@@ -24,7 +24,7 @@ from fmuid.simulation.simulator import Simulator
 SUFFIX = ".ssp"
 _MAX_MODELS = 64
 
-_models: dict[Hashable, CoupledModel] = {}  # in one process always the same object
+_models: dict[Hashable, CoupledModel] = {}  # always the same object within a process
 
 
 def load_model(model: ModelSpec | str | Path) -> Fmu | CoupledModel:
@@ -65,7 +65,7 @@ def load_simulator(model: ModelSpec) -> Simulator:
     return _with_signals(loaded, model.signal_effects, differentiated)
 
 
-@functools.lru_cache(maxsize=_MAX_MODELS)  # in one process always the same object
+@functools.lru_cache(maxsize=_MAX_MODELS)  # always the same object within a process
 def _with_signals(
     model: Fmu | CoupledModel, names: tuple[str, ...], differentiated: frozenset[str]
 ) -> SignalModel:

@@ -28,7 +28,7 @@ _INTERFACES: Mapping[str, Interface | None] = {
     "CoSimulation": "co-simulation",
     "ModelExchange": "model exchange",
 }
-_MAX_DEPTH = 50  # of nested systems
+_MAX_DEPTH = 50  # largest depth of nested systems
 _FROM_SYSTEM = ("input", "parameter")  # kinds that a system hands down to its elements
 _FROM_ELEMENT = ("output", "calculatedParameter")
 
@@ -80,7 +80,7 @@ def read_system(path: Path, folder: Path) -> SystemDescription:
 
 @dataclass(frozen=True, slots=True)
 class _Node:
-    """A connector: of a component (by its name) or of a system (by the prefix of what is in it)."""
+    """A connector of a component (by its name) or of a system (by the prefix of its elements)."""
 
     owner: str
     name: str
@@ -101,7 +101,7 @@ class _Reader:
     bound: list[tuple[str, bool, dict[str, Value]]] = field(default_factory=list)  # lowest priority first
 
     def system(self, element: Element, prefix: str, depth: int) -> None:
-        """Take in a system and what is in it; `prefix` comes before the names of its elements."""
+        """Add a system and its contents; `prefix` precedes the names of its elements."""
         if depth > _MAX_DEPTH:
             raise self._refused(f"systems are nested more than {_MAX_DEPTH} deep", "flatten them")
         for connector in element.iterfind(f"{SSD}Connectors/{SSD}Connector"):
@@ -199,7 +199,7 @@ class _Reader:
         return node
 
     def connections(self) -> Iterator[Connection]:
-        """Yield what leads from one component to another."""
+        """Yield the connections between components."""
         for target in self.inbound:
             if not target.is_system:
                 source, linear = self._traced(target)
@@ -260,7 +260,7 @@ class _Reader:
                 yield Place(component, variable), Linear(), fmu.variables[variable].unit
 
     def _traced(self, target: _Node) -> tuple[_Node, Linear]:
-        """Return where a value comes from in the end, with the transformation on the way."""
+        """Return the original source of a value, and the transformation along the way."""
         source, linear = self.inbound[target]
         while source.is_system and source in self.inbound:
             source, before = self.inbound[source]

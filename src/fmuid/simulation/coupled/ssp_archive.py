@@ -64,7 +64,7 @@ def number(element: Element, attribute: str, path: Path, default: float = 0.0) -
     Raises
     ------
     FmuError
-        It is none.
+        It is not a number.
     """
     text = element.get(attribute)
     try:

@@ -122,7 +122,7 @@ def _mapped(value: Value, entry: Element, path: Path) -> Value:
 def _content(
     element: Element, holder: str | None, tag: str, *, kind: str, path: Path, folder: Path, what: str
 ) -> Element:
-    """Return the root of a file that `element` names, or of what it holds inline."""
+    """Return the root of the file that `element` names, or of its inline content."""
     if (element.get("type") or kind) != kind:
         raise FmuError(f"{what} is of type {element.get('type')}", where=path, fix=f"use {kind}")
     if element.get("sourceBase", "SSD") != "SSD":

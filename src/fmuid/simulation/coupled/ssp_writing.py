@@ -73,7 +73,7 @@ def _described(model: CoupledModel) -> Element:
         ends = {"startElement": k.source.component, "startConnector": k.source.variable}
         ends |= {"endElement": k.target.component, "endConnector": k.target.variable}
         connection = SubElement(connections, f"{SSD}Connection", ends)
-        if k.linear != Linear():  # units are converted in it already
+        if k.linear != Linear():  # it already includes the unit conversion
             connection.set("suppressUnitConversion", "true")
             attributes = {name: repr(float(value)) for name, value in k.linear._asdict().items()}
             SubElement(connection, f"{SSC}LinearTransformation", attributes)

@@ -8,7 +8,7 @@ import struct
 
 import numpy as np
 
-_HEAD = struct.Struct("<QQ")  # bytes of the message, number of buffers that follow
+_HEAD = struct.Struct("<QQ")  # number of bytes in the message, number of buffers that follow
 
 
 class Channel:

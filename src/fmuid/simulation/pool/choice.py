@@ -23,7 +23,7 @@ def runner_on(
     memory_limit: int | None = None,
     heard: Heard | None = None,
 ) -> Iterator[Runner]:
-    """Yield a runner on `executor`, else with `workers` processes (None: one per processor; 0: this process).
+    """Yield a runner on `executor`, or with `workers` processes (None: one per processor; 0: this process).
 
     `time_limit` (s) and `memory_limit` (bytes) default to those of a `WorkerPool`. `heard` is called after every
     simulation.

@@ -25,7 +25,7 @@ class Parcel:
 
 class _Packer(pickle.Pickler):
     def persistent_id(self, thing: Any) -> Any:
-        # An FMU, and what is made of several, is pickled as how to load it from files.
+        # An FMU, and a simulator made of several, is pickled as instructions to load it from files.
         return (thing.name, thing.read_bytes()) if isinstance(thing, Path) and thing.is_file() else None
 
 

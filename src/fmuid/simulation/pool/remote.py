@@ -2,9 +2,9 @@
 
 Jobs are sent in batches that take about a fifth of a second each. A job refers to model and task by their hashes.
 New models and tasks are sent to all workers of a Dask cluster at once, or with the jobs on other executors; a
-worker that lacks one says so and receives it again. Large data thus travels once to each worker, whoever
-distributes the jobs. Each worker simulates in its own supervised processes (`workers`), so an FMU that crashes,
-hangs or allocates without limit costs one evaluation and no worker of the cluster.
+worker that lacks one says so and receives it again. So large data is sent once to each worker, whoever distributes
+the jobs. Each worker simulates in its own supervised processes (`workers`), so an FMU that crashes, hangs or
+allocates without limit costs one evaluation but no worker of the cluster.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from fmuid.simulation.runners import Job, Outcome, Runner, on_threads
 
 _CONNECT_LIMIT = 15  # s
 _REACH_LIMIT = 2.0  # s for the workers to answer this machine
-_TASK = 0.2  # s that a task may take if it is more than one job
-_ROUNDS = 5  # in which a worker has to get hold of what it needs
-_MOST_HELD = 512 * 2**20  # bytes that a worker of the executor holds before it begins anew
+_TASK = 0.2  # target duration of a task of several jobs, s
+_ROUNDS = 5  # attempts of a worker to get what it needs
+_MOST_HELD = 512 * 2**20  # bytes that a worker of the executor keeps before it starts afresh
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class Raised:
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """Outcomes of a batch, None where the worker lacks the model or task, and the seconds that the others took."""
+    """Outcomes of a batch (None where a worker lacks the model or task), and the seconds that the others took."""
 
     outcomes: list[Outcome | None]
     seconds: float
@@ -92,15 +92,15 @@ def on_executor(
 
 
 class _Batches:
-    """A runner on an executor: jobs go to it in tasks long enough that handing them out costs little."""
+    """A runner on an executor: jobs are grouped into tasks long enough to make the overhead small."""
 
     def __init__(self, executor: Executor, limits: Limits) -> None:
         self._executor, self._limits = executor, limits
         self._client: Any = getattr(executor, "_client", None)  # Dask's
-        # By id of the thing, which is kept so that the id stays its own.
+        # By the id of an object, which is kept so that its id is not reused.
         self._parcels: dict[int, tuple[Parcel, Any]] = {}
         self._sent: set[str] = set()  # digests
-        self._seconds = math.inf  # that a job took last
+        self._seconds = math.inf  # duration of the last job
         self._places = 1  # tasks that the executor runs at once
 
     def run(self, jobs: Sequence[Job]) -> list[Outcome]:
@@ -131,20 +131,20 @@ class _Batches:
     def _batches(self, due: Sequence[int]) -> list[Sequence[int]]:
         share = -(-len(due) // self._places)
         number = -(-len(due) // max(1, min(share, int(_TASK / max(self._seconds, 1e-6)))))
-        return [due[i::number] for i in range(number)]  # neighbours take alike long: each batch has some of all
+        return [due[i::number] for i in range(number)]  # neighbours take similar time, so each batch gets a mix
 
     def _ask(self, batches: Sequence[Sequence[Named]], enclosed: Mapping[str, Parcel]) -> list[Answer]:
         futures: list[Future[Answer]] = []
         try:
             if self._client is not None and enclosed:
-                self._client.run(hold, enclosed, on_error="return")  # who failed to will answer so
+                self._client.run(hold, enclosed, on_error="return")  # workers that failed answer so
                 enclosed = {}
             for batch in batches:
                 needed = {d: enclosed[d] for job in batch for d in job[:2] if d in enclosed}
                 futures.append(self._executor.submit(simulate_supervised, batch, needed, self._limits))
             self._places = max(1, _places(self._executor) or sum(map(len, batches)))  # asked while they work
             answers = [future.result() for future in futures]
-        except Exception as error:  # answers raise nothing: it is the executor's
+        except Exception as error:  # answers raise nothing, so the executor failed
             raise FmuidError(
                 f"has lost its workers ({f'{type(error).__name__}: {error}'.removesuffix(': ')})",
                 where="Dask" if self._client is not None else type(self._executor).__name__,
@@ -164,7 +164,7 @@ class _Batches:
 
 
 def _places(executor: Executor) -> int:
-    """Return how many tasks the executor runs at once, 0 if it does not tell."""
+    """Return how many tasks the executor runs at once, 0 if unknown."""
     client = getattr(executor, "_client", None)
     if client is not None:  # Dask's
         return sum(client.nthreads().values())
@@ -184,7 +184,7 @@ def dask_executor(address: str) -> Iterator[Executor]:
         distributed: Any = importlib.import_module("distributed")
     except ImportError:
         raise FmuidError("Dask is not installed", where="--dask", fix="pip install 'fmuid[dask]'") from None
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # our errors say it, in a line
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # our own errors report it, in one line
     try:
         client = distributed.Client(address, timeout=_CONNECT_LIMIT, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -214,7 +214,7 @@ def _of_client(client: Any, address: str) -> Executor:
 
 
 async def _reaches(client: Any, workers: Sequence[str]) -> bool:
-    """Return whether every worker answers: results come from them directly then, else through the scheduler."""
+    """Return whether every worker answers; results then come directly from workers, else through the scheduler."""
     asked = asyncio.gather(*(client.rpc(worker).identity() for worker in workers))
     try:
         await asyncio.wait_for(asked, _REACH_LIMIT)
@@ -228,14 +228,14 @@ async def _reaches(client: Any, workers: Sequence[str]) -> bool:
 
 @dataclass(slots=True)
 class _Held:
-    """What one worker of the executor holds."""
+    """Objects kept by one worker of the executor."""
 
     parcels: dict[str, Parcel] = field(default_factory=dict)
     pools: dict[Limits, WorkerPool] = field(default_factory=dict)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def clear(self, *, at_exit: bool = False) -> None:
-        """Let go of everything; what has begun is finished, but not at the process's exit."""
+        """Release everything; running work is finished, except at the process's exit."""
         self.parcels.clear()
         for pool in self.pools.values():
             pool.shutdown(wait=at_exit, cancel_futures=at_exit)
@@ -244,7 +244,7 @@ class _Held:
     def pool(self, limits: Limits) -> WorkerPool:
         """Return the pool with these limits."""
         if limits not in self.pools:
-            # Dask's workers are daemons, which multiprocessing lets have no children; ours leave with them.
+            # Dask's workers are daemons, which may not have children in multiprocessing; ours exit with them.
             multiprocessing.current_process().daemon = False
             Finalize(None, self.clear, kwargs={"at_exit": True}, exitpriority=10)  # before its own clearing up
             memory = limits[1] if limits[1] is not None else memory_share(available_processors())
@@ -256,7 +256,7 @@ _held = _Held()
 
 
 def _threads() -> int:
-    """Return how many tasks this worker of the executor runs at once: only Dask's run more than one."""
+    """Return how many tasks this worker of the executor runs at once; only Dask's run more than one."""
     distributed: Any = sys.modules.get("distributed")
     try:
         return int(distributed.get_worker().state.nthreads) if distributed else 1

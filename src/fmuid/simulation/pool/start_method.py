@@ -23,8 +23,8 @@ _BELOW = len(f"/{_PREFIX}12345678/pymp-12345678/listener-12345678")  # the last 
 def start_method() -> str:
     """Return "forkserver", or "spawn" where there is no fork server or no folder for its socket.
 
-    `multiprocessing` puts its socket into the folder for temporary files. Here that is a folder that is removed
-    even if this process is killed; it is elsewhere if the path would be too long.
+    `multiprocessing` puts its socket into the folder for temporary files. Here it uses a folder that is removed
+    even if this process is killed, in another place if the path would be too long.
     """
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return "spawn"
@@ -36,7 +36,7 @@ def start_method() -> str:
 
 
 def _folders() -> Iterator[str]:
-    """Yield where temporary files may be, the user's choice first."""
+    """Yield possible folders for temporary files, the user's choice first."""
     yield tempfile.gettempdir()
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime:
@@ -45,7 +45,7 @@ def _folders() -> Iterator[str]:
 
 
 def _sockets_below(parent: str) -> bool:
-    """Have `multiprocessing` put its sockets below `parent`; False if it has a folder already that is too long."""
+    """Make `multiprocessing` put its sockets below `parent`; False if it already has a folder that is too long."""
     scratch = Scratch(_PREFIX, parent)
     usual = tempfile.tempdir
     tempfile.tempdir = str(scratch.path)
@@ -54,7 +54,7 @@ def _sockets_below(parent: str) -> bool:
     finally:
         tempfile.tempdir = usual
     if Path(found).parent == scratch.path:
-        util.Finalize(None, scratch.remove, exitpriority=-101)  # after what is in it
+        util.Finalize(None, scratch.remove, exitpriority=-101)  # after its contents
     else:
         scratch.remove()
     return len(os.fsencode(found)) + len("/listener-12345678") <= _LONGEST

@@ -22,23 +22,23 @@ from fmuid.simulation.pool.channel import Channel
 from fmuid.simulation.pool.parcels import unpacked
 from fmuid.simulation.runners import simulate
 
-_WEIGH_INTERVAL = 0.02  # s between looks at the memory
+_WEIGH_INTERVAL = 0.02  # s between checks of the memory
 HOLD, JOB, CALL = range(3)
-"""Kinds of message: keep an object under a number; simulate with kept ones; call a function."""
+"""Kinds of message: keep an object under a number, simulate with kept objects, call a function."""
 
 
 def resident_memory(pid: int) -> int:
     """Return the resident memory of a process in bytes, 0 where that is unknown."""
     try:
         pages = int(Path(f"/proc/{pid}/statm").read_bytes().split()[1])
-    except (OSError, IndexError):  # no Linux, or the process is gone
+    except (OSError, IndexError):  # not Linux, or the process has ended
         return 0
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def main(connection: Channel, folder: str) -> None:
     """Answer messages until the other end closes; temporary files go to `folder`."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # they are the parent's to handle
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # the parent handles these
         with suppress(AttributeError, ValueError):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     with suppress(ImportError, ValueError, OSError):
@@ -48,14 +48,14 @@ def main(connection: Channel, folder: str) -> None:
     tempfile.tempdir = folder
     resets.keep_notes(Path(folder))
     threading.Thread(target=_leave_with_parent, args=(folder,), daemon=True).start()
-    with suppress(EOFError, OSError):  # the pool has let go of this worker, or is gone
+    with suppress(EOFError, OSError):  # the pool has dismissed this worker, or has ended
         _serve(connection)
     if sys.stdout is not None:  # it may be closed
         sys.stdout.flush()
     parent = multiprocessing.parent_process()
-    if parent is None or not parent.is_alive():  # else it clears up itself
+    if parent is None or not parent.is_alive():  # otherwise the parent cleans up
         _clear(folder)
-    os._exit(0)  # an FMU's own exit handlers have brought down more than one process
+    os._exit(0)  # exit handlers of FMUs have crashed more than one process
 
 
 def _serve(connection: Channel) -> None:
@@ -74,7 +74,7 @@ def _serve(connection: Channel) -> None:
                 simulator, task, parameters = content
                 result: Any = simulate((kept[simulator], kept[task], parameters))
                 if isinstance(result, ProcessSpentError):
-                    os._exit(1)  # the pool tries it again in a fresh worker
+                    os._exit(1)  # the pool tries again in a new worker
             else:
                 function, arguments, keywords = content
                 result = function(*arguments, **keywords)
@@ -101,7 +101,7 @@ def _send(connection: Channel, fine: bool, content: Any, memory: int) -> None:
 
 
 def _leave_with_parent(folder: str) -> None:
-    """End this process when its parent is gone, even in the middle of an FMU's endless loop."""
+    """End this process when its parent has ended, even in an endless loop of an FMU."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -110,7 +110,7 @@ def _leave_with_parent(folder: str) -> None:
 
 
 def _clear(folder: str) -> None:
-    """Remove this worker's folder, and the pool's with the last of them."""
+    """Remove this worker's folder, and the pool's folder with the last of them."""
     shutil.rmtree(folder, ignore_errors=True)
     with suppress(OSError):
         Path(folder).parent.rmdir()

@@ -1,4 +1,4 @@
-"""Sends evaluations to worker processes, supervises them and replaces those that die; used by `workers`."""
+"""Supervision of worker processes: sends them evaluations and replaces those that die; used by `workers`."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from fmuid.simulation.pool.channel import Channel, channels
 from fmuid.simulation.pool.start_method import start_method
 from fmuid.simulation.pool.worker_process import resident_memory
 
-_START_LIMIT = 60.0  # s for a worker to come up
-_MEMORY_INTERVAL = 0.1  # s between looks at the memory of busy workers
-_AHEAD = 2  # evaluations a worker has at hand, so that it never waits for the next
+_START_LIMIT = 60.0  # s for a worker to start
+_MEMORY_INTERVAL = 0.1  # s between checks of the memory of busy workers
+_AHEAD = 2  # evaluations queued at a worker, so that it never waits for the next
 _SMALL = 16_384  # bytes that can be sent to a busy worker without waiting for it
 _MAX_FAILED_STARTS = 3
 
@@ -50,7 +50,7 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLI
 def leave_if_starting() -> None:
     """End this process if it is a starting worker, which imports the main script but must not run its work.
 
-    The script lacks ``if __name__ == "__main__":``, and the process that started the worker then says so.
+    Its script lacks ``if __name__ == "__main__":``, and the process that started the worker reports that.
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         os._exit(1)
@@ -58,7 +58,7 @@ def leave_if_starting() -> None:
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Have processes that start now do linear algebra in one thread: the workers share the processors already."""
+    """Make new processes do linear algebra in one thread, because the workers already share the processors."""
     ours = [name for name in _THREADS if name not in os.environ]
     os.environ.update(dict.fromkeys(ours, "1"))
     try:
@@ -99,19 +99,19 @@ class Worker:
     folder: Path
     started: float = field(default_factory=time.monotonic)
     ready: bool = False
-    begun: float = 0.0  # when the evaluation at the head was taken up
+    begun: float = 0.0  # start time of the evaluation at the head
     calls: deque[Call] = field(default_factory=deque)
     held: set[int] = field(default_factory=set)
     done: int = 0
     first_memory: int = 0
     retiring: bool = False
-    killed: str | None = None  # why, if the pool did it
+    killed: str | None = None  # the reason, if the pool killed it
 
 
 class Supervisor:
     """A group of workers, their queue and the thread that serves them.
 
-    `messages` contains by number the messages that make a worker keep an object; the caller adds one before it
+    `messages` maps numbers to the messages that make a worker keep an object; the caller adds one before it
     enqueues a call that needs the object.
     """
 
@@ -128,7 +128,7 @@ class Supervisor:
         self._pending: deque[Call] = deque()
         self._team: list[Worker] = []
         self._failed_starts = 0
-        self._weighed = 0.0  # when the memory of the workers was looked at
+        self._weighed = 0.0  # time of the last check of the workers' memory
         self._closing = self._abandoning = False
         self._wake_reader, self._wake_writer = self._context.Pipe(duplex=False)
         self._thread: threading.Thread | None = None
@@ -144,7 +144,7 @@ class Supervisor:
             if self._thread is None:
                 self._thread = threading.Thread(target=self._supervise, name="fmuid workers", daemon=True)
                 self._thread.start()
-                atexit.register(self.shutdown, wait=True, abandon=True)  # no thread goes on in a dying interpreter
+                atexit.register(self.shutdown, wait=True, abandon=True)  # no thread outlives the interpreter
         self._wake()
 
     def shutdown(self, wait: bool, abandon: bool) -> None:
@@ -172,7 +172,7 @@ class Supervisor:
                 pass
         except FmuidError as error:
             self._fail_all(error)
-        except BaseException as error:  # never leave anyone waiting
+        except BaseException as error:  # no caller may be left waiting
             self._fail_all(FmuidError(f"its supervision failed ({error!r})", where="worker pool"))
         finally:
             with self._lock:
@@ -184,7 +184,7 @@ class Supervisor:
             atexit.unregister(self.shutdown)
 
     def _turn(self) -> bool:
-        """Hand out work, wait for something to happen, and deal with it; False when all is over."""
+        """Hand out work, wait for an event and handle it; False when everything is finished."""
         with self._lock:
             abandoning, over = self._abandoning, self._closing and not self._pending
         if abandoning or (over and not any(w.calls for w in self._team)):
@@ -207,12 +207,12 @@ class Supervisor:
             fresh = bool(self._pending) and self._pending[0].retried
         if fresh and not any(w.done == 0 and not w.calls for w in self._team):
             idle = next((w for w in self._team if w.ready and not w.calls), None)
-            if idle is not None:  # it makes room for the fresh worker that is wanted
+            if idle is not None:  # replaced by the new worker that is needed
                 self._dismiss(idle)
         busy = sum(bool(w.calls) for w in self._team)
         while len(self._team) < min(self._size, busy + waiting):
             self._recruit()
-        for depth in range(_AHEAD):  # everyone gets a first before anyone gets a second
+        for depth in range(_AHEAD):  # every worker gets a first call before any gets a second
             for worker in list(self._team):
                 if worker.ready and not worker.retiring and len(worker.calls) == depth:
                     call = self._next(worker, depth)
@@ -223,9 +223,9 @@ class Supervisor:
         with self._lock:
             while self._pending:
                 call = self._pending[0]
-                if call.retried and (worker.done or depth):  # wants a fresh worker
+                if call.retried and (worker.done or depth):  # needs a new worker
                     return None
-                # A busy worker does not read: only what fits into the pipe may be sent to it.
+                # A busy worker does not read, so only messages that fit into the pipe may be sent to it.
                 if depth and (len(call.message) > _SMALL or not worker.held.issuperset(call.holds)):
                     return None
                 self._pending.popleft()
@@ -244,7 +244,7 @@ class Supervisor:
                     worker.held.add(number)
             worker.connection.send(call.message)
         except OSError:
-            pass  # it is dead; its connection says so in a moment
+            pass  # it is dead, as its connection will show in a moment
 
     def _receive(self, worker: Worker) -> None:
         try:
@@ -272,13 +272,13 @@ class Supervisor:
             self._dismiss(worker)
 
     def _take_back(self, worker: Worker) -> None:
-        """Replace `worker`; what it has not begun goes back to the head of the queue."""
+        """Replace `worker`; the evaluations that it has not begun return to the head of the queue."""
         with self._lock:
             self._pending.extendleft(reversed(worker.calls))
         worker.calls.clear()
 
     def _bury(self, worker: Worker) -> None:
-        """Settle what a dead worker leaves: its evaluation failed or is tried again, the rest goes elsewhere."""
+        """Handle the calls of a dead worker: its evaluation fails or is repeated, the others go elsewhere."""
         worker.process.join(5.0)
         code = worker.process.exitcode
         if not worker.ready:
@@ -309,7 +309,7 @@ class Supervisor:
         return SimulationError(what + (f" (with {given})" if given else ""), where=call.name)
 
     def _patience(self) -> float | None:
-        """Seconds until somebody has to be looked after, None if nobody has."""
+        """Return the seconds until a worker has to be checked, None if there is none to check."""
         now = time.monotonic()
         waits: list[float] = []
         for w in self._team:
@@ -353,19 +353,19 @@ class Supervisor:
             ours.close()
             lacking = isinstance(error, OSError) and not isinstance(error, ConnectionError)
             hint = _LACKING_HINT if lacking else _START_HINT
-            reason = "" if isinstance(error, EOFError | ConnectionError) else f" ({error})"  # it has left
+            reason = "" if isinstance(error, EOFError | ConnectionError) else f" ({error})"  # it has exited
             raise FmuidError(f"worker processes do not start{reason}", **hint) from None
         finally:
             theirs.close()
         self._team.append(Worker(process, ours, folder))
 
     def _dismiss(self, worker: Worker) -> None:
-        """End a worker: kindly if it is idle, else at once."""
+        """End a worker: gracefully if it is idle, otherwise at once."""
         if worker in self._team:
             self._team.remove(worker)
         if worker.calls or not worker.ready:
             worker.process.kill()
-        worker.connection.close()  # it leaves when it sees this
+        worker.connection.close()  # it exits when it sees this
         worker.process.join(1.0)
         if worker.process.is_alive():
             worker.process.kill()

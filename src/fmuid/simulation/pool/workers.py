@@ -81,7 +81,7 @@ class WorkerPool(Executor):
         )
         self._supervisor = Supervisor(self.workers, limits)
         self._lock = threading.Lock()
-        self._objects: dict[int, tuple[int, Any]] = {}  # id -> number, object (keeps the id its own)
+        self._objects: dict[int, tuple[int, Any]] = {}  # id -> number, object (kept so that the id is not reused)
         self._numbers = itertools.count()
 
     def run(self, jobs: Sequence[Job], heard: Heard | None = None) -> list[Outcome]:
@@ -155,7 +155,7 @@ def outcomes_of(
     """Wait for simulations; the rest are cancelled if one raises an error other than a failed simulation."""
     try:
         if heard is None:
-            wait(futures, return_when=FIRST_EXCEPTION)  # woken once, not by every evaluation
+            wait(futures, return_when=FIRST_EXCEPTION)  # wakes up once, not with every evaluation
         else:
             for future in as_completed(futures):
                 heard(future)
