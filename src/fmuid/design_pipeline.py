@@ -151,7 +151,7 @@ def design_experiment(
     designed = _designed(answer, made.planned, made.excitation)
     if out is not None:
         say("drawing", 0.97)
-        _write(designed, made.planned, predicted, loaded, Path(out), seed)
+        _write(designed, made.planned, predicted, loaded, Path(out), seed=seed)
     return designed
 
 
@@ -305,6 +305,7 @@ def _write(
     predicted: Mapping[str, FloatArray],
     campaign: Campaign,
     out: Path,
+    *,
     seed: int,
 ) -> None:
     from fmuid.report.design_page import PlannedSignal, write_design_page

@@ -58,7 +58,7 @@ def diagnose(
     workers: int | None = 0,
     time_limit: float | None = None,
     memory_limit: int | None = None,
-    say: Say | None = None,
+    say: Say = lambda _, __: None,
     seed: int = 0,
     calibrate: int = 0,
     law: bool = True,
@@ -138,36 +138,20 @@ def diagnose(
     ):
         if recorded is not None:
             runner = recorded.over(runner)
-        if say is not None:
-            say("noise floor", 0.0)
+        say("noise floor", 0.0)
         campaign = with_catalogue(campaign, load_simulator, runner=runner)
         subject = subject_of(campaign, load_simulator, runner=runner, experiments=experiments)
-        telling: dict[str, Any] = {} if say is None else {"say": say}
         key = calibration.key_of(_files(campaign, subject), subject)
-        if calibrate and subject.observed.nuisances:
-            raise CampaignError(
-                "runs are cut into segments, which start from measurements, and simulated plants have none",
-                where="calibrate",
-                fix="omit calibrate",
-            )
-        if calibrate and subject.observed.bounded:
-            raise CampaignError(
-                "runs were not repeated, so there is no measured noise for simulated plants",
-                where="calibrate",
-                fix="omit calibrate, or repeat runs",
-            )
         if calibrate:
-            calibration.keep(key, _calibrated(subject, calibrate, seed, telling))
-        found = diagnose_subject(subject, **telling, seed=seed, calibration=calibration.kept(key))
-        discovery = find_law(found, campaign.models, load_simulator, **telling, seed=seed) if law else None
+            calibration.keep(key, _calibrated(subject, calibrate, seed, say))
+        found = diagnose_subject(subject, say=say, seed=seed, calibration=calibration.kept(key))
+        discovery = find_law(found, campaign.models, load_simulator, say=say, seed=seed) if law else None
         if discovery is not None:
             found = replace(found, diagnosis=replace(found.diagnosis, law_found=discovery.found))
-        if say is not None:
-            say("comparing machines", 0.968)
+        say("comparing machines", 0.968)
         found = replace(found, diagnosis=replace(found.diagnosis, machines=_machines(found)))
         if folder is not None:
-            if say is not None:
-                say("drawing", 0.97)
+            say("drawing", 0.97)
             _write(found, campaign, folder, seed, None if discovery is None else discovery.best)
     # The workers have ended, so any further simulation runs in this process.
     return replace(found, subject=replace(subject, model=replace(subject.model, runner=in_process)))
@@ -208,7 +192,19 @@ def recorded_in(folder: Path, *, resume: bool) -> RecordedSimulations:
     return RecordedSimulations(folder / JOURNAL, resume=resume, complete=(folder / FILE_NAME).exists())
 
 
-def _calibrated(subject: Subject, count: int, seed: int, telling: dict[str, Any]) -> Calibration:
+def _calibrated(subject: Subject, count: int, seed: int, say: Say) -> Calibration:
+    if subject.observed.nuisances:
+        raise CampaignError(
+            "runs are cut into segments, which start from measurements, and simulated plants have none",
+            where="calibrate",
+            fix="omit calibrate",
+        )
+    if subject.observed.bounded:
+        raise CampaignError(
+            "runs were not repeated, so there is no measured noise for simulated plants",
+            where="calibrate",
+            fix="omit calibrate, or repeat runs",
+        )
     unmapped = Calibration()
     first = diagnose_subject(subject, seed=seed, calibration=unmapped)
 
@@ -217,7 +213,7 @@ def _calibrated(subject: Subject, count: int, seed: int, telling: dict[str, Any]
         return found.verdict, {a.effects: a.probability for a in found.answers}
 
     trials = calibration.calibrate(
-        subject, first.nominal.fit, first.paths, weights, count=count, seed=seed, **telling
+        subject, first.nominal.fit, first.paths, weights, count=count, seed=seed, say=say
     )
     return calibration.fit_curves(trials, "of this model, noise and set-up")
 

@@ -217,16 +217,10 @@ def load_campaign(
     MeasurementsError
         The measurement file is missing or violates its format.
     """
-    path = Path(path)
-    file = path / FILE_NAME if path.is_dir() else path
-    if file.is_file() and file.suffix != ".toml":
-        fix = "name a folder with a campaign.toml, or make one with: fmuid init"
-        raise CampaignError("is not a campaign", where=path, fix=fix)
+    file = _file_of(Path(path))
     document = convert(read_toml(file), _Document, str(file))
     head = convert(document.campaign, _CampaignTable, f"{file} [campaign]")
-    if head.name and (head.name in (".", "..") or "/" in head.name or "\\" in head.name):  # runs/NAME is written
-        where = f"{file} [campaign] name"
-        raise CampaignError(f"'{head.name}' is not a valid folder name", where=where, fix="leave out / and ..")
+    _check_names(head, document, file)
     folder = file.parent
     source = folder / head.measurements if measurements is None else Path(measurements)
     make = f"make it with: {head.make}" if head.make and measurements is None else None
@@ -254,10 +248,6 @@ def load_campaign(
     models = {s: _model(s, t, folder, f"{file} [models.{s}]") for s, t in document.models.items()}
     if not planned:
         _check_models(models, recorded, roles=roles, parameters=parameters, settings=settings, file=str(file))
-    for n in document.stages:
-        if n in ("", ".", "..") or "/" in n or not n.isprintable():  # groups and files get this name
-            fix = "use letters, digits, spaces, . - _"
-            raise CampaignError(f"'{n}' is not a valid stage name", where=f"{file} [stages]", fix=fix)
     stages = {
         n: _stage(n, t, measurements=recorded, roles=roles, parameters=parameters, where=f"{file} [stages.{n}]")
         for n, t in document.stages.items()
@@ -496,11 +486,50 @@ def _source(table: _ModelTable, folder: Path, where: str) -> ModelSource | None:
     return ModelSource(file, table.class_ or file.stem, effects)
 
 
+def _file_of(path: Path) -> Path:
+    file = path / FILE_NAME if path.is_dir() else path
+    if file.is_file() and file.suffix != ".toml":
+        fix = "name a folder with a campaign.toml, or make one with: fmuid init"
+        raise CampaignError("is not a campaign", where=path, fix=fix)
+    return file
+
+
+def _check_names(head: _CampaignTable, document: _Document, file: Path) -> None:
+    """Refuse names that cannot be those of folders, files and groups."""
+    if head.name and (head.name in (".", "..") or "/" in head.name or "\\" in head.name):
+        where = f"{file} [campaign] name"
+        raise CampaignError(f"'{head.name}' is not a valid folder name", where=where, fix="leave out / and ..")
+    for n in document.stages:
+        if n in ("", ".", "..") or "/" in n or not n.isprintable():
+            fix = "use letters, digits, spaces, . - _"
+            raise CampaignError(f"'{n}' is not a valid stage name", where=f"{file} [stages]", fix=fix)
+
+
 def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
     if "start" not in raw and any(isinstance(value, dict) for value in raw.values()):
         fix = f'a name with dots needs quotes, as in [parameters."{name}.{next(iter(raw))}"]'
         raise CampaignError("has no 'start'", where=where, fix=fix)
     table = convert(raw, _ParameterTable, where)
+    _check_bounds(table, where)
+    if table.truth is not None:
+        finite("truth", table.truth, where)
+    starts = numbers(table.starts, f"{where} starts")
+    if starts and table.per == "campaign":
+        raise CampaignError(
+            "has starts, but one value", where=where, fix='write per = "machine" or "experiment", or remove starts'
+        )
+    for owner, value in starts.items():
+        if not table.lower <= value <= table.upper:
+            raise CampaignError(
+                f"start {value:g} of '{owner}' is outside [{table.lower:g}, {table.upper:g}]",
+                where=f"{where} starts",
+                fix="move the start or the bounds",
+            )
+    own = {**msgspec.structs.asdict(table), "prior": _prior(table, where), "starts": starts}
+    return ParameterSpec(name=name, **own)
+
+
+def _check_bounds(table: _ParameterTable, where: str) -> None:
     finite("start", table.start, where)
     if math.isnan(table.lower) or math.isnan(table.upper):
         raise CampaignError("a bound is nan", where=where, fix="write a number, or leave the bound out")
@@ -524,22 +553,6 @@ def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
         )
     if table.scale == "log" and not math.isfinite(table.lower):
         raise CampaignError("scale is log without lower", where=where, fix="give lower > 0")
-    if table.truth is not None:
-        finite("truth", table.truth, where)
-    starts = numbers(table.starts, f"{where} starts")
-    if starts and table.per == "campaign":
-        raise CampaignError(
-            "has starts, but one value", where=where, fix='write per = "machine" or "experiment", or remove starts'
-        )
-    for owner, value in starts.items():
-        if not table.lower <= value <= table.upper:
-            raise CampaignError(
-                f"start {value:g} of '{owner}' is outside [{table.lower:g}, {table.upper:g}]",
-                where=f"{where} starts",
-                fix="move the start or the bounds",
-            )
-    own = {**msgspec.structs.asdict(table), "prior": _prior(table, where), "starts": starts}
-    return ParameterSpec(name=name, **own)
 
 
 def _check_owners(parameters: Mapping[str, ParameterSpec], measurements: Measurements, file: str) -> None:

@@ -26,6 +26,7 @@ from fmuid.diagnosis.extended_model import CampaignModel, Prediction
 from fmuid.diagnosis.next_experiment import Rival, distance_matrix, distances, rival_of, separations, with_sensors
 from fmuid.diagnosis.slopes import linear_at, predicted
 from fmuid.diagnosis.subject import Subject
+from fmuid.identification.problem.cases import Case
 
 SETTLED = SAME
 _DRAWS = 3  # draws of every rival's parameters, including the estimate
@@ -266,11 +267,8 @@ def _tried(kind: str, what: str, criterion: Apart, samples: FloatArray) -> list[
         return []
 
 
-def _sensors(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) -> list[Beyond]:
-    """Return the outputs without a sensor, with the noise that the user gives or the noise that would suffice."""
-    planned, rivals = designed.planned, designed.rivals
-    case = planned.driven_case(designed.excitation.samples)
-    read = {c.variable for c in case.channels}
+def _not_read(case: Case, subject: Subject, campaign: Campaign) -> list[Sensor]:
+    """Return the catalogue's sensors and the model's outputs that the case does not read."""
     sensors = [s for s in subject.catalogue.sensors.values() if s.variable in case.simulator.variables]
     known = {s.variable for s in sensors}
     model = campaign.models[case.setup]
@@ -278,7 +276,15 @@ def _sensors(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) ->
     for v in case.simulator.variables.values():
         if v.causality == "output" and v.name not in known:
             sensors.append(Sensor(v.name, v.name, given.get(v.name, 0.0), v.unit or ""))
-    sensors = [s for s in sensors if s.variable not in read]
+    read = {c.variable for c in case.channels}
+    return [s for s in sensors if s.variable not in read]
+
+
+def _sensors(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) -> list[Beyond]:
+    """Return the outputs without a sensor, with the noise that the user gives or the noise that would suffice."""
+    planned, rivals = designed.planned, designed.rivals
+    case = planned.driven_case(designed.excitation.samples)
+    sensors = _not_read(case, subject, campaign)
     if not sensors:
         return []
     further = replace(planned.model, cases=(with_sensors(case, sensors),))

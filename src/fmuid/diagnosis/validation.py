@@ -108,6 +108,15 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
         apart = [[name] for name in verdict["effects"]] if verdict["kind"] == "ambiguous" else []
         verdict |= {"one_of": apart, "effects": [] if apart else verdict["effects"]}
     verdict.setdefault("one_of", [])
+    _check_models(answer, path)
+    recordings = answer.get("experiments", [])
+    if not isinstance(recordings, list) or not all(isinstance(r, dict) and "sha256" in r for r in recordings):
+        raise FmuidError("'experiments' has no hashes of recordings", where=path, fix="diagnose again")
+    return answer
+
+
+def _check_models(answer: Mapping[str, Any], path: Path) -> None:
+    """Refuse a diagnosis whose models lack their values."""
     parts = {part: answer.get(part) for part in ("nominal", "model")}
     law = law_of(answer)
     if law is not None:
@@ -118,10 +127,6 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
         values = model.get("parameters") if isinstance(model, dict) else None
         if not isinstance(values, dict) or not all(type(v) in (int, float) for v in values.values()):
             raise FmuidError(f"no parameter values in '{part}'", where=path, fix="diagnose again")
-    recordings = answer.get("experiments", [])
-    if not isinstance(recordings, list) or not all(isinstance(r, dict) and "sha256" in r for r in recordings):
-        raise FmuidError("'experiments' has no hashes of recordings", where=path, fix="diagnose again")
-    return answer
 
 
 @in_one_thread

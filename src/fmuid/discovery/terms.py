@@ -192,6 +192,11 @@ def _of_one(x: Quantity) -> Iterator[Term]:
         yield from _wide(f"sign_above({p}, width)/{x.size:g}", x, _LIMITS, _SHAPED)
         grown = f"(exp({p}/width) - exp(-{p}/width))/(exp({x.size:g}/width) - exp(-{x.size:g}/width))"
         yield from _wide(grown, x, (0.15, 0.3, 0.6), _SHAPED, 0.05)
+    yield from _periodic(x)
+
+
+def _periodic(x: Quantity) -> Iterator[Term]:
+    p = x.text
     if x.kind == "position" and x.high > x.low:
         for waves in _WAVES:
             pitch = (x.high - x.low) / float(waves)

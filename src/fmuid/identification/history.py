@@ -372,9 +372,9 @@ def _read_stage(name: str, group: Any) -> StageHistory:
         labels["parameters"],
         [*columns.values(), np.column_stack([group["cost"][()], group["seconds"][()]])],
         purposes,
-        group["improved"][()],
-        {k: failure for k, failure in enumerate(failures) if failure},
-        {int(k): tuple(iterates[k][case][()] for case in labels["cases"]) for k in iterates},
+        improved=group["improved"][()],
+        failures={k: failure for k, failure in enumerate(failures) if failure},
+        predictions={int(k): tuple(iterates[k][case][()] for case in labels["cases"]) for k in iterates},
     )
     return StageHistory(
         name,

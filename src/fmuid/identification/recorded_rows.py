@@ -75,6 +75,7 @@ class Rows(Sequence[Row]):
         names: Sequence[str],
         blocks: Sequence[FloatArray],
         purposes: Iterable[str],
+        *,
         improved: NDArray[np.bool_],
         failures: Mapping[int, str],
         predictions: Mapping[int, tuple[FloatArray, ...]],

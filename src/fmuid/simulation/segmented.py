@@ -252,7 +252,9 @@ class Segmented:
         error, damping = errors(run), 0.0
         for _ in range(_STEPS):
             slopes = self._slopes(task, parameters, states, scale, run)
-            found = self._step(task, parameters, states, error, columns(slopes), errors, damping)
+            found = self._step(
+                task, parameters, states, error=error, matrix=columns(slopes), errors=errors, damping=damping
+            )
             if found is None:
                 break
             states, run, error, damping = found
@@ -271,6 +273,7 @@ class Segmented:
         task: Task,
         parameters: Mapping[str, float],
         states: FloatArray,
+        *,
         error: FloatArray,
         matrix: FloatArray,
         errors: Callable[[FloatArray], FloatArray],

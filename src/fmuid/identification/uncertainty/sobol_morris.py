@@ -289,7 +289,7 @@ def global_sensitivity_of(
         size = len(space) + 1
     draws = np.stack([_quantiles(s, u, r) for s, u, r in zip(space.free, unit.T, ranges, strict=True)], axis=1)
     labels, units, scalars_of = _scalars(problem, of, here)
-    found, failure, interrupted = _simulated(problem, space, draws, size, scalars_of, say)
+    found, failure, interrupted = _simulated(problem, space, draws, size, scalars_of, say=say)
     unit, draws = unit[: len(found)], draws[: len(found)]
     failed = ~np.isfinite(found).all(axis=1)
     kept = np.repeat(~failed.reshape(-1, size).any(axis=1), size)
@@ -372,6 +372,7 @@ def _simulated(
     draws: FloatArray,
     size: int,
     scalars_of: Callable[[Evaluation], FloatArray],
+    *,
     say: Callable[[float], None],
 ) -> tuple[FloatArray, str | None, bool]:
     """Return the (n, outputs) scalars of the draws, NaN where one failed, and the first reason.
