@@ -1,1 +1,1 @@
-"""From a campaign to the parameters that fit it best, and how far to trust them."""
+"""From a campaign to the parameters that fit it best, with their uncertainty."""

@@ -23,7 +23,7 @@ from fmuid.identification.uncertainty.posterior import Posterior, posterior_of
 from fmuid.identification.uncertainty.profiles import Profile, profile_of
 from fmuid.identification.uncertainty.propagation import CriterionSpread, criteria_spread
 
-_EVALUATIONS = 40  # a parameter, for one point of a front
+_EVALUATIONS = 40  # evaluations per parameter for one point of a front
 
 Record = Callable[[Evaluation, str, bool], None]
 """Called with every evaluation, its purpose, and whether a resumed run will need its residuals."""
@@ -91,7 +91,7 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | Non
 def _profile(
     found: Findings, estimate: Uncertainty, spec: AnalysisSpec, search: Search, evaluate: EvaluateMany
 ) -> None:
-    """Add the profiles of what is determined and not at a bound: the warnings name the rest."""
+    """Add the profiles of parameters that are determined and not at a bound; warnings name the others."""
     if not spec.profiles:
         return
     for name in [n for n, e in zip(estimate.names, estimate.standard_errors, strict=True) if e is not None]:
@@ -117,7 +117,7 @@ def _spread(
     search: Search,
     joint: tuple[Held | None, EvaluateMany],
 ) -> None:
-    """Add the criteria's spread over the uncertainty, `joint` with what the search held of earlier stages."""
+    """Add the criteria's spread over the uncertainty, `joint` with that of values fixed at earlier estimates."""
     if not spec.monte_carlo or estimate.degrees_of_freedom == 0.0:
         return
     held, evaluate = joint
@@ -141,7 +141,7 @@ def _noted(found: Findings, what: str) -> Iterator[None]:
 
 
 def _front(search: Search, spec: ParetoSpec, best: Evaluation, record: Record) -> Front:
-    """Trace the front in a search of its own; the stage's stop rules hold for it once more."""
+    """Trace the front in a separate search, to which the stage's stop rules apply anew."""
     own = Search(
         search.problem,
         search.stop,

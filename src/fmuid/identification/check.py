@@ -23,8 +23,8 @@ from fmuid.simulation.simulator import Simulator, Variable
 
 Level = Literal["error", "warning", "note"]
 _SETTABLE = ("parameter", "input", "structuralParameter")
-_STEP_ERROR = 0.3  # sigmas: of a communication step that is too long
-_GAP = 5.0  # a step this much longer than the median one is a gap in the recording
+_STEP_ERROR = 0.3  # sigmas: a larger change means that the communication step is too long
+_GAP = 5.0  # a step longer than this many median steps is a gap in the recording
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +200,7 @@ def check_effects(
         where = f"[stages.{stage.name}]"
         try:
             problem = Problem.of_stage(campaign, stage, simulators, runner=runner)
-            # First where a worker would say that a model crashes: growth is looked at in this process.
+            # First where a worker would report that a model crashes, because growth is examined in this process.
             found = sensitivity_of(problem)
             if stage.segments is None and not stage.observer:
                 longest = {case.setup: case for case in sorted(problem.cases, key=lambda case: np.ptp(case.time))}
@@ -268,7 +268,7 @@ def _runs_away(where: str, growth: Growth) -> Finding:
 
 
 def _first_runs(campaign: Campaign) -> Iterator[Experiment]:
-    """Yield the experiments with a role, repeats left out: they have the same inputs."""
+    """Yield the experiments with a role, without repeats, which have the same inputs."""
     used = set(campaign.identification + campaign.validation)
     origins = {campaign.measurements[i].origin for i in used}
     yield from (e for e in campaign.measurements if e.id in origins)
@@ -380,7 +380,7 @@ def _variable(name: str, model: ModelSpec, variables: Mapping[str, Variable], wh
 
 def _settable(name: str, model: ModelSpec, variables: Mapping[str, Variable], where: str) -> Variable:
     variable = _variable(name, model, variables, where)
-    # An output or a local variable that has a start value is a state, or a guess.
+    # An output or local variable with a start value is a state or a guess.
     calculated = variable.causality in ("output", "local") and variable.start is None
     if (
         calculated

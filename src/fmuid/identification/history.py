@@ -1,24 +1,24 @@
 """Every evaluation of an identification, recorded on disk and safe against a kill at any moment.
 
-While a run goes on, each evaluation is one record at the end of ``history.journal`` (`fmuid.core.journal`). When
-the run ends (Ctrl-C included) its result becomes the journal's last record, the content is written to
-``history.h5`` in one atomic step, ``result.json`` follows, and if the run is complete the journal goes last. As
-long as there is a journal, it is what counts: whatever moment a run was killed at, its result can be read. An
-interrupted run is resumed by running it again: solvers are deterministic, and what the journal knows is not
-simulated a second time, so the run goes on exactly where it stopped.
+During a run, each evaluation is one record at the end of ``history.journal`` (`fmuid.core.journal`). When the run
+ends (Ctrl-C included), its result becomes the journal's last record, the content is written to ``history.h5`` in
+one atomic step, ``result.json`` follows, and if the run is complete the journal is removed last. While there is a
+journal, it takes precedence, so the result can be read whenever a run was killed. An interrupted run is resumed by
+running it again: solvers are deterministic, and recorded evaluations are not simulated again, so the run continues
+exactly where it stopped.
 
 ``history.h5``, version 1: root attributes ``format = "fmuid-history"``, ``version``, and a dataset ``result``, the
 bytes of ``result.json``. For each stage a group ``/stages/<name>`` with attributes ``parameters`` (names of the
-columns), ``criteria`` (labels), ``cases``, ``signals`` and datasets with one row an evaluation:
+columns), ``criteria`` (labels), ``cases``, ``signals`` and datasets with one row per evaluation:
 
 ================  ==================  ===================================================================
 ``parameters``    (n, n_parameters)   model space
 ``search``        (n, n_free)         search space
-``criteria``      (n, n_criteria)     over their demands; NaN if failed
+``criteria``      (n, n_criteria)     divided by their demands; NaN if failed
 ``constraints``   (n, n_constraints)
 ``cost``          (n,)                NaN if failed
 ``failure``       (n,)                text, empty if it did not fail
-``purpose``       (n,)                search, derivative, uncertainty (which moves what is held, too) or pareto
+``purpose``       (n,)                search, derivative, uncertainty (also moves fixed parameters) or pareto
 ``seconds``       (n,)                wall time
 ``improved``      (n,)                whether it was the best so far
 ================  ==================  ===================================================================
@@ -69,7 +69,7 @@ class StageHistory:
     rows: Rows = field(default_factory=Rows)
     begun: bytes | None = None  # its result, as JSON, before the first evaluation
     result: bytes | None = None
-    asked: str = ""  # what was to be found about the result
+    asked: str = ""  # the analyses requested for the result
 
     @property
     def costs(self) -> FloatArray:
@@ -94,7 +94,7 @@ class RecordedRun:
 
     def take(self, kind: str, content: Mapping[str, Any]) -> None:
         """Add one record of a journal."""
-        self.result = None  # what was reached before it went on
+        self.result = None  # replaced by what follows, as the run continued
         match kind:
             case "run":
                 self.begun = content["begun"]
@@ -159,7 +159,7 @@ class History:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with suppress(FmuidError) if error is not None else nullcontext():  # the journal has it all
+        with suppress(FmuidError) if error is not None else nullcontext():  # the journal has everything
             self.close(complete=False)
 
     @property
@@ -234,7 +234,7 @@ class History:
         record = {"stage": stage, "result": result, "asked": asked}
         self._append("result", record)
         self._run.take("result", record)
-        self.stages[stage].rows.forget_residuals()  # nobody asks for them again
+        self.stages[stage].rows.forget_residuals()  # no longer needed
 
     def conclude(self, result: bytes) -> None:
         """Record the final result of the run as JSON, and write ``history.h5``."""
@@ -297,7 +297,7 @@ def _read(file: Path) -> RecordedRun:
 
 
 def _read_journal(path: Path) -> tuple[RecordedRun, int]:
-    """Return what the whole records of a journal say, and the position after them."""
+    """Return the contents of the complete records of a journal, and the position after them."""
     run, end = RecordedRun(), len(_MAGIC)
     for (kind, content), _, end in records(path, _MAGIC):  # noqa: B007 - the last end counts
         run.take(kind, content)
@@ -327,7 +327,7 @@ def _unpacked(content: Mapping[str, Any]) -> Row:
         content["parameters"],
         np.frombuffer(content["criteria"]),
         np.frombuffer(content["constraints"]),
-        # msgpack keeps NaN, and turns no float into an integer.
+        # msgpack keeps NaN, and converts no float to an integer.
         content["cost"],
         content["failure"],
         content["purpose"],

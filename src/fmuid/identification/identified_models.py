@@ -131,7 +131,7 @@ def write_models(
                 f"{target.name}: {model.tool} exports an FMU that ignores the start values in its description; "
                 "set the values of parameters.ssv"
             )
-    parameters = folder / PARAMETERS  # the last: it says that all is there
+    parameters = folder / PARAMETERS  # written last: it shows that everything is there
     write_atomically(parameters, parameter_set(name, values, models))
     return Identified(written, parameters, tuple(warnings))
 

@@ -42,7 +42,7 @@ _LIBRARIES = ("fmuid", "numpy", "scipy", "nlopt")
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """What the stages of one identification share."""
+    """State shared by the stages of one identification."""
 
     history: History
     observer: Observer
@@ -107,7 +107,7 @@ def identify(
         Seconds and resident bytes that one simulation may take in a worker process; by default those of a
         `WorkerPool`.
     observer
-        Told of progress.
+        Receives progress reports.
     simulators
         Models by setup; the campaign's FMUs by default.
     seed
@@ -154,7 +154,7 @@ def identify(
             analyses=replace(wanted, uncertainty=wanted.uncertainty and with_uncertainty),
         )
 
-    for step in plan:  # what cannot be posed or solved is said before anything is written
+    for step in plan:  # ill-posed or unsolvable stages are reported before anything is written
         _check(posed(step, {}, None))
     results: list[StageResult] = []
     best: dict[str, float] = {}
@@ -185,7 +185,7 @@ def identify(
             if result.status is Status.INTERRUPTED:
                 break
         summary = replace(summary, stages=tuple(results), parameters=best, seconds=clock.perf_counter() - begin)
-        # A kill between any two of these leaves what the result can be read from.
+        # A kill between any two of these steps leaves enough to read the result from.
         history.conclude(summary.encoded(folder))
         if folder is not None:
             summary.to_json(folder / FILE)
@@ -216,7 +216,7 @@ def _check(asked: _Posed) -> None:
 
 
 def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
-    """Run one stage, or take its result from the history; `known` is what earlier stages are sure of."""
+    """Run one stage, or take its result from the history; `known` are the errors of earlier estimates."""
     problem, stop = asked.problem, asked.stop
     solver, why = make(asked.solver, asked.options, problem)
     seed = int(asked.options.get("seed", run.seed))
@@ -292,7 +292,7 @@ def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
 
 
 def _findings(run: _Run, asked: _Posed, known: Known, search: Search) -> Findings:
-    """Return what the stage asks about its estimate; the runs for it are recorded too."""
+    """Return the analyses of the stage's estimate; the runs for them are recorded too."""
     problem = asked.problem
     found = analyse(
         search,
@@ -308,7 +308,7 @@ def _findings(run: _Run, asked: _Posed, known: Known, search: Search) -> Finding
 
 
 def _begun(run: _Run, problem: Problem, solver: Solver, why: str) -> StageResult:
-    """Return the result of a stage without an evaluation; its criteria are there to be filled in."""
+    """Return the result of a stage without an evaluation; its criteria are to be filled in."""
     nothing = Search(problem)
     begun = _result(
         run,
@@ -417,7 +417,7 @@ def _misfit(
 
 
 def _machines(estimates: Sequence[Estimate], free: Sequence[ParameterSpec]) -> tuple[MachineSpread, ...]:
-    """Return what the machines' own parameters say of all machines."""
+    """Return, for each parameter with one value per machine, its spread over the machines."""
     groups: dict[str, dict[str, Estimate]] = {}
     by_name = {e.name: e for e in estimates}
     for spec in free:
@@ -436,7 +436,7 @@ def _warnings(search: Search, estimates: Sequence[Estimate], found: Uncertainty 
     warnings = []
     if found is not None and not found.identifiability.complete:
         warnings.append(str(found.identifiability))
-    if found is not None and not found.constraints:  # which join parameters that the experiments tell apart
+    if found is not None and not found.constraints:  # constraints join parameters that the experiments distinguish
         for i, a in enumerate(found.names):
             for k, b in enumerate(found.names[:i]):
                 r = found.correlation[i][k]
@@ -457,7 +457,7 @@ def _posed(
     best: Mapping[str, float],
     runner: Runner | None,
 ) -> _Posed:
-    """Return a stage, ready to be solved; without a runner nothing is simulated for that."""
+    """Return a stage, ready to be solved; without a runner, nothing is simulated for that."""
     if isinstance(step, Problem):
         if runner is not None and runner is not in_process:
             step.runner = runner

@@ -1,4 +1,4 @@
-"""Comparison of a fit's residual with the noise; if it is large, a look for a wrong sign, scale or unit."""
+"""Comparison of a fit's residual with the noise; if it is large, a search for a wrong sign, scale or unit."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from fmuid.core.units import convertible
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 
-_TIMES_NOISE = 2.0  # then three quarters of the residual's energy are not noise
-_UNEXPLAINED = 0.1  # share of the signal's energy that a fit leaves before its sign and unit are doubted
-_ALIKE = 0.8  # correlation: scaled by one number, the prediction explains two thirds of the signal
-_SCALED = 2.5  # factor between measurement and prediction that a start value is not likely to be off by
-_NEAR = math.log(1.5)  # from the factor between two units: start values are off as well
-# Factor between two units, and the quantities that are measured in them; none: any quantity.
+_TIMES_NOISE = 2.0  # at this ratio, three quarters of the residual's energy are not noise
+_UNEXPLAINED = 0.1  # share of the signal's energy in the residual above which sign and unit are doubted
+_ALIKE = 0.8  # correlation: scaled by one number, the prediction then explains two thirds of the signal
+_SCALED = 2.5  # ratio of measurement to prediction that is unlikely to come from a start value alone
+_NEAR = math.log(1.5)  # distance from the factor between two units, since start values are wrong as well
+# Factor between two units, and the quantities that are measured in them; empty: any quantity.
 _FACTORS: Mapping[str, tuple[float, tuple[str, ...]]] = {
     "degrees and radians": (180.0 / math.pi, ("rad", "rad/s", "rad/s2")),
     "turns and radians, or Hz and rad/s": (2.0 * math.pi, ("rad", "rad/s", "rad/s2")),
@@ -33,17 +33,17 @@ _FACTORS: Mapping[str, tuple[float, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """One signal, measured and predicted, each without its mean in every case: samples of all cases."""
+    """One signal, measured and predicted, each with its mean removed in every case: samples of all cases."""
 
     correlation: float
-    gain: float  # measured = gain * predicted, in the least squares sense
-    unexplained: float  # residual energy over the signal's
+    gain: float  # measured = gain * predicted, by least squares
+    unexplained: float  # residual energy divided by the signal's
 
 
 def misfit(problem: Problem, first: Evaluation | None, best: Evaluation) -> tuple[str, ...]:
     """Return advice to the user as sentences; none if the fit is as good as the noise allows.
 
-    A signal with a large residual is compared with its prediction, at the start or else at the end. A wrong sign
+    A signal with a large residual is compared with its prediction at the start, then at the estimate. A wrong sign
     or unit keeps the shape, so prediction and measurement are proportional, and the factor shows what is wrong.
 
     Parameters
@@ -53,7 +53,7 @@ def misfit(problem: Problem, first: Evaluation | None, best: Evaluation) -> tupl
     first, best
         Its evaluations at the start, if it could be simulated, and at the estimate.
     """
-    # A resumed run does not remember the predictions of every point.
+    # A resumed run does not store the predictions of every point.
     best = best if best.predictions else problem.evaluate(best.x)
     if first is not None and not first.predictions:
         first = problem.evaluate(first.x)
@@ -65,7 +65,7 @@ def misfit(problem: Problem, first: Evaluation | None, best: Evaluation) -> tupl
         views = [(_seen(problem, e, signal), where) for e, where in ((first, "start"), (best, "end")) if e]
         known = [(seen, where) for seen, where in views if seen is not None]
         if known and known[-1][0].unexplained > _UNEXPLAINED:
-            # At the start first: a fit has bent the shape towards what it cannot reach.
+            # The start comes first, because a fit distorts the shape towards what it cannot reach.
             units = _units(problem, signal)
             found += next((d for d in (_doubt(signal, units, *one) for one in known) if d), [])
     if times and (worst := max(times, key=lambda name: times[name])) and times[worst] > _TIMES_NOISE:
@@ -77,7 +77,7 @@ def misfit(problem: Problem, first: Evaluation | None, best: Evaluation) -> tupl
 
 
 def _times_noise(problem: Problem, best: Evaluation) -> dict[str, float]:
-    """Return the RMS of residuals over the noise of one sample, by signal: of what is judged sample by sample."""
+    """Return, by signal, the RMS of residuals relative to the noise of one sample, for criteria over samples."""
     energy: dict[str, list[FloatArray]] = {}
     for case, prediction in zip(problem.cases, best.predictions, strict=False):
         for criterion in case.criteria:
@@ -109,7 +109,7 @@ def _seen(problem: Problem, evaluation: Evaluation, signal: str) -> _Seen | None
 
 
 def _units(problem: Problem, signal: str) -> tuple[str | None, ...]:
-    """Return the units of a signal and of the inputs it answers to: one of them is the wrong one."""
+    """Return the units of a signal and of the inputs it depends on; one of them may be wrong."""
     seen = [(case, c) for case in problem.cases for c in case.channels if c.signal == signal]
     own = [c.unit or case.simulator.variables[c.variable].unit for case, c in seen]
     variables = [case.simulator.variables.get(n) for case, _ in seen for n in case.task.inputs]

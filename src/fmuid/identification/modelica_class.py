@@ -52,7 +52,7 @@ def _modifiers(tree: Mapping[str, Any], depth: int = 1) -> str:
 
 
 def _scalars_and_arrays(values: Mapping[str, float], starts: Mapping[str, float]) -> dict[str, str | None]:
-    """Return the text of each value; of an array whose elements are not all known None."""
+    """Return the text of each value; None for an array whose elements are not all known."""
     found: dict[str, str | None] = {}
     for variable, value in values.items():
         element = _ELEMENT.fullmatch(variable)

@@ -71,7 +71,7 @@ def parameter_set(
 
 
 def _home(model: Fmu | CoupledModel, variable: str) -> tuple[Fmu, str, str]:
-    """Return the FMU that a variable is of, its name there, and in a parameter set."""
+    """Return the FMU that a variable belongs to, its name there, and its name in a parameter set."""
     if isinstance(model, Fmu):
         return model, variable, variable
     place = model.home(variable)

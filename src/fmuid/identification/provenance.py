@@ -33,7 +33,7 @@ def fingerprint(problem: Problem, solver: Solver, options: Mapping[str, Any], se
         means = {channel.signal: np.nan_to_num(channel.mean) for channel in case.channels}
         for criterion in case.criteria:
             digest.update(repr((criterion.kind, criterion.demand, criterion.weight)).encode())
-            # Its options show in what it makes of some prediction; a user's function may have no value there.
+            # Its options show in its result for some prediction; a user's function may be undefined there.
             with np.errstate(all="ignore"), suppress(SimulationError):
                 digest.update(criterion.residuals(1.1 * means[criterion.signal]).tobytes())
     return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""Recorded evaluations in columns: some hundred bytes an evaluation, however many there are."""
+"""Recorded evaluations in columns: about a hundred bytes per evaluation, however many there are."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.evaluation import Evaluation
 
 SEARCHED = ("search", "derivative")
-"""Purposes of what a search evaluated; the others were asked about its result."""
+"""Purposes of the evaluations of a search; other purposes belong to analyses of its result."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,15 +51,15 @@ class Row:
 
 
 class Rows(Sequence[Row]):
-    """The evaluations of one stage: numbers in one array, the rest by number of the row where there is any.
+    """The evaluations of one stage: numbers in one array, other contents by row number where there are any.
 
-    All have the parameters of the first, and as many of everything else. A search point may have further
-    coordinates (those of parameters that a stage holds), which are kept beside the array.
+    All rows have the same parameters as the first, and the same number of everything else. A search point may have
+    further coordinates (those of fixed parameters), which are kept outside the array.
     """
 
     def __init__(self) -> None:
         self._names: tuple[str, ...] = ()
-        # Of search, criteria, constraints, parameters, cost and seconds in a line.
+        # Search, criteria, constraints, parameters, cost and seconds in one row.
         self._ends: tuple[int, ...] = ()
         self._numbers = array("d")
         self._further: dict[int, FloatArray] = {}
@@ -97,7 +97,7 @@ class Rows(Sequence[Row]):
         Raises
         ------
         ValueError
-            It has other parameters than the first, or another number of anything.
+            Its parameters differ from those of the first, or the number of anything else does.
         """
         number = len(self)
         if not number:
@@ -165,7 +165,7 @@ class Rows(Sequence[Row]):
 
     @property
     def numbers(self) -> dict[bytes, int]:
-        """Whole search point, as bytes -> the number of its last row."""
+        """Complete search point, as bytes -> the number of its last row."""
         return {self._point(k, x).tobytes(): k for k, x in enumerate(self.search)}
 
     @property
@@ -189,12 +189,12 @@ class Rows(Sequence[Row]):
 
     @property
     def seconds(self) -> FloatArray:
-        """(n,) times that they took."""
+        """(n,) durations."""
         return self._block(4)[:, 1] if len(self) else np.zeros(0)
 
     @property
     def searched(self) -> NDArray[np.bool_]:
-        """(n,) whether the search evaluated it, not what was asked about its result."""
+        """(n,) whether the evaluation belongs to the search, not to an analysis of its result."""
         return np.array([purpose in SEARCHED for purpose in self._purposes], dtype=bool)
 
     @property
@@ -211,20 +211,20 @@ class Rows(Sequence[Row]):
 
     @property
     def failures(self) -> list[str]:
-        """Why they failed, empty if they did not."""
+        """Reasons of failures, empty for successful evaluations."""
         return [self._failures.get(k, "") for k in range(len(self))]
 
     @property
     def purposes(self) -> Sequence[str]:
-        """What they were made for."""
+        """Purposes of the evaluations."""
         return self._purposes
 
     def forget_residuals(self) -> None:
-        """Drop the residuals, which only a solver that resumes asks for."""
+        """Drop the residuals, which are only needed by a solver that resumes."""
         self._residuals.clear()
 
     def _point(self, number: int, search: FloatArray) -> FloatArray:
-        """Return the whole search point of a row, whose part in the array is `search`."""
+        """Return the complete search point of a row, whose part in the array is `search`."""
         return np.append(search, self._further[number]) if number in self._further else search
 
     def _block(self, part: int) -> FloatArray:
@@ -232,4 +232,4 @@ class Rows(Sequence[Row]):
             return np.zeros((0, 0))
         begin = self._ends[part - 1] if part else 0
         lines = np.frombuffer(self._numbers).reshape(len(self), self._ends[-1])
-        return lines[:, begin : self._ends[part]].copy()  # the array cannot grow while it is looked at
+        return lines[:, begin : self._ends[part]].copy()  # the array cannot grow while a view of it exists

@@ -1,7 +1,7 @@
 """Results of an identification: estimates, outcomes of the stages, and uncertainty.
 
-Run folder: ``result.json`` (`Result.to_json`), ``history.h5`` (`history`), and what reports add to it. The result
-of a run that was killed is made from what its history recorded.
+A run folder contains ``result.json`` (`Result.to_json`), ``history.h5`` (`history`), and the output of reports.
+The result of a killed run is reconstructed from its history.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from fmuid.core.frames import Library
 
 FILE = "result.json"
-LEAST_SHOWN = 0.005  # share of a variance that is worth a column
+LEAST_SHOWN = 0.005  # share of a variance from which on a column is shown
 
 
 class ResultError(FmuidError):
@@ -114,7 +114,7 @@ class StageResult:
         return _find(self.estimates, name)
 
     def __str__(self) -> str:
-        """Return the stage as text: one line on how it went, a table, warnings."""
+        """Return the stage as text: one line on its outcome, a table, and warnings."""
         further = [*map(str, self.machines), *([] if self.front is None else [str(self.front)])]
         return "\n".join(
             [
@@ -227,19 +227,19 @@ class Result:
     def encoded(self, folder: Path | None) -> bytes:
         """Return the result as JSON for a file in `folder`; the campaign is named relative to it.
 
-        So a run is found from everywhere, and moves together with its campaign.
+        The run can then be found from everywhere, and can be moved together with its campaign.
         """
         near = self.source if folder is None else _relative(self.source, folder)
         return msgspec.json.encode(replace(self, source=near))
 
     @classmethod
     def from_json(cls, path: str | Path) -> Result:
-        """Read a result from a file or a run folder; for a killed run, the best values it had reached.
+        """Read a result from a file or a run folder; for a killed run, the best values reached.
 
         Raises
         ------
         ResultError
-            There is none, or it is damaged.
+            The result is missing or damaged.
         """
         path = Path(path)
         file = path / FILE if path.is_dir() else path
@@ -265,7 +265,7 @@ def _decoded(text: bytes, folder: Path) -> Result:
 
 
 def _recorded(folder: Path) -> Result | None:
-    """Return the result that the history in a run folder tells, None if there is no history."""
+    """Return the result recorded in the history of a run folder, None if there is no history."""
     if not ((folder / JOURNAL).exists() or (folder / HISTORY).exists()):
         return None
     run = read_run(folder)

@@ -10,7 +10,7 @@ from fmuid.core.campaign import RobotSpec
 from fmuid.core.errors import CampaignError
 from fmuid.core.formulas import parse
 
-# What a joint's quantities are called: element below the joint (itself if there is none) and attribute.
+# Names of a joint's quantities: element below the joint (itself if there is none) and attribute.
 _NAMES: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "robot": {"friction": ("dynamics", "friction"), "damping": ("dynamics", "damping")},
     "mujoco": {"friction": ("", "frictionloss"), "damping": ("", "damping"), "armature": ("", "armature")},

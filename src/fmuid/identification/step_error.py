@@ -19,8 +19,8 @@ def step_error(
 ) -> dict[str, float]:
     """Return the change by criterion when the communication step is halved; empty without a coupled model.
 
-    That is the root mean square change of a criterion's residuals (in sigmas) at the stage's start. The whole
-    error is up to twice as large, since it is proportional to the step or to its square.
+    The change is the root mean square change of a criterion's residuals (in sigmas) at the stage's start. The
+    total error is up to twice as large, since it is proportional to the step or to its square.
     """
     problem = Problem.of_stage(campaign, stage, simulators, runner=runner)
     interval = min(float(np.diff(case.task.time).min()) for case in problem.cases)

@@ -44,7 +44,7 @@ class TerminalProgress(MovingLine, Observer):
         """See `Observer.evaluated`."""
         if self._task is None:
             return
-        # The share of the budget that is nearest to its end.
+        # The share of the budget that is closest to exhaustion.
         stop, shares = progress.stop, [0.0]
         if stop.evaluations:
             shares.append(progress.evaluations / stop.evaluations)
@@ -70,7 +70,7 @@ class TerminalProgress(MovingLine, Observer):
 
 
 class _TimeLeft(ProgressColumn):
-    """Time spent, and the most that the budget leaves; converging ends a stage earlier."""
+    """Elapsed time, and the most that the budget leaves; a stage that converges ends earlier."""
 
     def render(self, task: Task) -> Text:
         """Return the column."""

@@ -35,9 +35,9 @@ class RunScore:
     rmse
         Root mean square error, in `unit`.
     nrmse
-        `rmse` over the standard deviation of the measurement; 0 is perfect, 1 no better than its mean.
+        `rmse` divided by the standard deviation of the measurement; 0 is perfect, 1 as bad as its mean.
     relative_error
-        Norm of the error over the norm of the measurement, without removing the mean.
+        Norm of the error divided by the norm of the measurement, without removing the mean.
     noise_floor
         Root mean square of the sensor noise, in `unit`: no model can be expected to be better. None if unknown.
     """
@@ -178,7 +178,7 @@ def _cases(
     simulators: Mapping[str, Simulator],
     values: Mapping[str, float],
 ) -> tuple[Case, ...]:
-    """Return the cases of runs, in segments or with an observer as the last stage of their setup says."""
+    """Return the cases of runs, in segments or with an observer as in the last stage of their setup."""
     stages = last_stages(campaign)
     cases: list[Case] = []
     for setup, stage in stages.items():

@@ -114,7 +114,7 @@ class Case:
         return self.task.time[self.lead :]
 
     def values(self, values: Mapping[str, _T]) -> dict[str, _T]:
-        """Return the parameters for this case, with ``name@case`` under its plain name."""
+        """Return the parameters for this case; ``name@case`` becomes the plain name."""
         shared = {n: v for n, v in values.items() if SEPARATOR not in n}
         if len(shared) == len(values):
             return shared
@@ -322,7 +322,7 @@ def _case(
         specs = [CriterionSpec(n) for n in first.outputs if n in model.map or n in variables]
     if not specs:
         raise ProblemError("no criterion applies to its measured outputs", where=where, fix="add a criterion")
-    # Where no criteria are given, a sensor is what the stages say of it, the last one first.
+    # Without criteria, a sensor is as the stages define it, the last stage first.
     told = specs if criteria else [s for stage in campaign.stages.values() for s in stage.criteria]
     sensors = _sensors([s for s in told if s.signal in first.outputs], campaign.parameters, where)
     specs = [_without_sensor(spec) for spec in specs]

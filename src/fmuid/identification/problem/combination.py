@@ -55,7 +55,7 @@ class Combination:
                 if largest == 0.0:
                     return 0.0
                 return float(largest * np.sum((scaled / largest) ** self.p) ** (1.0 / self.p))
-        return float(np.sum(np.square(residuals)))  # a BLAS dot product starts threads for this
+        return float(np.sum(np.square(residuals)))  # a BLAS dot product would start threads
 
 
 @dataclass(frozen=True, slots=True)

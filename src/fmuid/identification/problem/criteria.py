@@ -5,7 +5,7 @@ mean square, so at most 1 means "satisfied". Which one to use when:
 
 ========================  ============================================================================
 `least_squares`           the default: (prediction - measurement) / sigma, efficient for white noise; with the
-                          option `whiten = "repeats"` whitened by the colour of what repeated runs differ by,
+                          option `whiten = "repeats"` whitened by the spectrum of differences between repeats,
                           efficient for coloured noise
 `error_vector`            the plain error, in the signal's unit, sample by sample
 `maximum`                 the largest error; with `combine = "min_max"` a guaranteed bound
@@ -177,7 +177,7 @@ def value(residuals: FloatArray) -> float:
 
 def _residuals(kind: str, target: Target, rows: Rows, options: dict[str, Any], where: str) -> Residuals:
     time, measured = target.time[rows], target.mean[rows]
-    # Where no sample is left out between the first and the last one, no copy is needed.
+    # If no sample is left out between the first and the last one, no copy is needed.
     chosen = slice(rows[0], rows[-1] + 1) if len(rows) == rows[-1] + 1 - rows[0] else rows
     match kind:
         case "least_squares":
@@ -232,7 +232,7 @@ def whitened(spec: CriterionSpec) -> bool:
 def _whitened(target: Target, rows: Rows, where: str) -> Residuals:
     """Return the errors as independent residuals of unit variance under the noise between repeats."""
     count = np.max(target.count[rows])
-    # Of a sample that some repeats lack, the mean has another variance: it counts as missing.
+    # If some repeats lack a sample, its mean has another variance, so it counts as missing.
     known = np.flatnonzero(target.count[rows] == count)
     try:
         colour = estimate_colour(target.repeated, count=count)
@@ -274,7 +274,7 @@ def _spectral(kind: str, target: Target, rows: Rows, options: dict[str, Any], wh
 
 
 def _called(user: User, where: str, *arguments: FloatArray) -> FloatArray:
-    """Return what a user's function makes of a prediction, as (m,); the point has failed if there is nothing."""
+    """Return the result of a user's function as (m,) residuals; an invalid result fails the point."""
     try:
         found = np.atleast_1d(np.asarray(user(*arguments), dtype=np.float64))
     except Exception as error:

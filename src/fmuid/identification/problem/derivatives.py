@@ -21,9 +21,9 @@ from fmuid.identification.problem.evaluation import Evaluation
 
 EvaluateMany = Callable[[Sequence[FloatArray]], list[Evaluation]]
 
-_SPACING = 1e-4  # of the points of the noise estimate, in search units
+_SPACING = 1e-4  # spacing of the points for the noise estimate, in search units
 _WEIGHTS = np.array([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0])  # sixth difference
-_GAIN = math.sqrt(math.factorial(6) ** 2 / math.factorial(12))  # from its root mean square to the noise
+_GAIN = math.sqrt(math.factorial(6) ** 2 / math.factorial(12))  # factor from its root mean square to the noise
 _MARGIN = 100.0  # a difference must be this many times the noise
 _LARGEST_STEP = 0.1
 _SMALLEST_STEP = 1e-7
@@ -73,11 +73,11 @@ def noise_floor(problem: Problem, x: FloatArray, *, evaluate: EvaluateMany | Non
     """
     evaluate = evaluate or problem.evaluate_many
     lower, upper = problem.space.lower, problem.space.upper
-    # Every parameter moves, alternating in sign, and towards the inside of its bounds.
+    # Every parameter moves, with alternating sign, and towards the inside of its bounds.
     signs = np.where(np.arange(len(x)) % 2 == 0, 1.0, -1.0)
     reach = 6.0 * _SPACING
     signs = np.where(x + reach * signs > upper, -1.0, np.where(x + reach * signs < lower, 1.0, signs))
-    # Uneven digits: a parameter must not land on the same rounded value twice.
+    # Uneven digits, so that no parameter takes the same rounded value twice.
     points = evaluate([x + k * _SPACING * signs * 1.0123456789 for k in range(7)])
     for point in points:
         if point.failure is not None:
@@ -112,7 +112,7 @@ class Differences:
 
     def __init__(self, problem: Problem, floor: NoiseFloor, *, central: bool) -> None:
         self.floor, self.central = floor, central
-        self.exact = False  # whether the last one was
+        self.exact = False  # whether the last Jacobian was exact
         self._exact = problem.exact
         self._lower, self._upper = problem.space.lower, problem.space.upper
         self.steps = [floor.central_step if central else floor.forward_step] * len(problem.space)
@@ -180,7 +180,7 @@ class Differences:
         return np.column_stack([columns[i] for i in range(first, len(here.x))])
 
     def _moved(self, x: FloatArray, i: int, step: float, both: bool) -> list[FloatArray]:
-        """Return the points to evaluate for parameter `i`, all inside the bounds."""
+        """Return the points to evaluate for parameter `i`, all within the bounds."""
         lower, upper = self._lower[i], self._upper[i]
         inside = [end for end in (x[i] + step, x[i] - step) if lower <= end <= upper]
         if not inside:  # bounds closer than the step

@@ -26,7 +26,7 @@ from fmuid.simulation.predictor import Predictor
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
-_REMEMBERED = 1_500_000  # samples of predictions, 12 MB: enough for the columns of a Jacobian
+_REMEMBERED = 1_500_000  # samples of cached predictions, 12 MB: enough for the columns of a Jacobian
 
 
 class Problem:
@@ -71,7 +71,7 @@ class Problem:
         self.constraints = tuple(constraints)
         self.runner = runner
         self.name = name
-        self.findings: tuple[str, ...] = ()  # what a user should know of how it is posed
+        self.findings: tuple[str, ...] = ()  # messages for the user about how the problem is posed
         self.criteria = tuple((case, criterion) for case in self.cases for criterion in case.criteria)
         self.labels = tuple(f"{case.id}: {criterion.label}" for case, criterion in self.criteria)
         self.root_weights = np.sqrt([criterion.weight for _, criterion in self.criteria])
@@ -110,7 +110,7 @@ class Problem:
         )
         here, nowhere = space.tried(space.start)
         accuracy = SolverAccuracy()
-        # Segments and observers keep predictions close to what was measured.
+        # Segments and observers keep predictions close to the measurements.
         if settled and nowhere is None and stage.segments is None and not stage.observer:
             accuracy = solver_accuracy(cases, here, [case.start_values(here) for case in cases], runner)
         if accuracy.until:
@@ -147,7 +147,7 @@ class Problem:
         slices, begin = [], 0
         for case, criterion in self.criteria:
             channel = next(c for c in case.channels if c.signal == criterion.signal)
-            # A residual function tells its length on any prediction; the measurement itself is at hand.
+            # The length of a residual function is the same for any prediction, so the measurement itself is used.
             n = criterion.length(np.nan_to_num(channel.mean))
             slices.append(slice(begin, begin + n))
             begin += n

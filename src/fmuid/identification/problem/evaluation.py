@@ -1,4 +1,4 @@
-"""What came out for one candidate."""
+"""The evaluation of one candidate."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fmuid.core.immutable import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """What came out for one candidate.
+    """The evaluation of one candidate.
 
     Parameters
     ----------

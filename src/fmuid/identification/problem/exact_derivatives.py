@@ -23,7 +23,7 @@ from fmuid.identification.problem.search_space import Move, SearchSpace
 from fmuid.simulation.runners import Job, Runner
 from fmuid.simulation.simulator import Task, differentiates
 
-_KEPT = 4_000_000  # numbers of Jacobians, 32 MB
+_KEPT = 4_000_000  # numbers in cached Jacobians, 32 MB
 
 
 class Posed(Protocol):
@@ -44,9 +44,9 @@ class ExactDerivatives:
 
     def __init__(self, problem: Posed) -> None:
         self._problem = problem
-        self._slopes: list[Mapping[str, float]] = []  # what the tasks are for
+        self._slopes: list[Mapping[str, float]] = []  # the slopes that the tasks are for
         self._tasks: list[Task] | None = None
-        self._found: OrderedDict[tuple[bytes, int], FloatArray | None] = OrderedDict()  # None: it was refused
+        self._found: OrderedDict[tuple[bytes, int], FloatArray | None] = OrderedDict()  # None: refused
 
     def jacobian(self, here: Evaluation, first: int = 0) -> FloatArray | None:
         """Return d residuals / d search point, (m, n), at `here`; None if a model has no derivatives.
@@ -76,7 +76,7 @@ class ExactDerivatives:
         predictions: dict[tuple[int, tuple[float, ...]], FloatArray] = {}
         try:
             moves = [problem.space.moves(x, values)[first:] for x, values in points]
-        except ProblemError:  # a tie has no derivative at one of them
+        except ProblemError:  # a tie has no derivative at one of the points
             return {}
         for (_, values), there in zip(points, moves, strict=True):
             tasks = self._differentiated([move.slopes for move in there], tuple(values))
@@ -110,7 +110,7 @@ class ExactDerivatives:
             return None
         try:
             blocks = [block for case, task, run in runs for block in _blocks(case, task, run, moves, values)]
-        except (ProblemError, SimulationError):  # a sensor or a user's criterion has no value beside it
+        except (ProblemError, SimulationError):  # a sensor or a user's criterion has no value nearby
             return None
         slope = problem.space.slope(x)[first:, None]
         count = problem.slices[-1].stop
@@ -123,7 +123,7 @@ class ExactDerivatives:
         return jacobian
 
     def _differentiated(self, slopes: list[Mapping[str, float]], names: tuple[str, ...]) -> list[Task] | None:
-        """Return every case's task with its directions, the same again for the same; None where one has none."""
+        """Return every case's task with its directions, the same objects each time; None if a case has none."""
         if slopes != self._slopes:
             self._slopes, self._tasks = slopes, []
             for case in self._problem.cases:
@@ -142,7 +142,7 @@ class ExactDerivatives:
 
 
 def _direction(case: Case, slopes: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
-    """Return how the case's model moves with one of the parameters `names`, by variable; empty if it does not."""
+    """Return how the case's model moves with the parameters `names`, by variable; empty if it does not."""
     return {variable: unit.factor * slopes[n] for variable, n, unit in case.reached(names) if slopes.get(n)}
 
 
@@ -152,7 +152,7 @@ def _blocks(
     """Return for every criterion of a case the (n, m) derivatives of its residuals by the free parameters."""
     time, n = case.time, len(task.outputs)
     base, tangents = run[:n, case.lead :], run[n:, case.lead :].reshape(-1, n, len(time))
-    if len(tangents) < len(moves):  # some do not reach this model
+    if len(tangents) < len(moves):  # some parameters do not affect this model
         rows = [k for k, move in enumerate(moves) if _direction(case, move.slopes, tuple(values))]
         tangents, found = np.zeros((len(moves), n, len(time))), tangents
         tangents[rows] = found

@@ -81,7 +81,7 @@ def excited_frequencies(time: FloatArray, u: FloatArray, count: int = 10) -> Flo
 
 
 def _crossing(time: FloatArray, progress: FloatArray, level: float) -> float:
-    """Return when `progress`, which begins at 0 and reaches 1, first gets to `level`."""
+    """Return the time when `progress`, which goes from 0 to 1, first reaches `level`."""
     k = int(np.argmax(progress >= level))
     share = (level - progress[k - 1]) / (progress[k] - progress[k - 1])
     return float(time[k - 1] + share * (time[k] - time[k - 1]))

@@ -15,7 +15,7 @@ from fmuid.core.errors import ProblemError
 from fmuid.core.formulas import Expression, parse
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 
-_STEP = 1e-6  # of differences of expressions, in search units
+_STEP = 1e-6  # step of differences of expressions, in search units
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +48,8 @@ class Move:
 class SearchSpace:
     """Free, fixed and tied parameters of a problem.
 
-    A linear parameter is searched in units of its start (or of its bounds' range where the start is 0), a
-    logarithmic one as ln(value): all search coordinates are of order one.
+    A linear parameter is searched in units of its start (or of its bounds' range if the start is 0), a logarithmic
+    one as ln(value), so that all search coordinates are of order one.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def expanded(
             raise ProblemError(f"unknown parameter '{name}'", fix=f"the campaign has: {', '.join(by_name)}")
     free_specs: list[ParameterSpec] = []
     fixed: dict[str, float] = {}
-    least: dict[str, float] = {}  # a stage may have left a parameter at next to nothing
+    least: dict[str, float] = {}  # a stage may have left a parameter close to 0
     for spec in by_name.values():
         own = spec.of_each(owners[spec.per])
         if spec.name in ties:
@@ -244,7 +244,7 @@ def expanded(
     parsed = {name: parse(text, where=f"tie of '{name}'") for name, text in ties.items()}
     parsed |= _of_owners(by_name, parsed, owners)
     for leader in {n for e in parsed.values() for n in e.names} - parsed.keys() - {s.name for s in free_specs}:
-        if SEPARATOR in leader:  # held, and so far the same in every run
+        if SEPARATOR in leader:  # fixed, and so far the same in every run
             fixed.setdefault(leader, fixed[leader.split(SEPARATOR)[0]])
     order = {name: i for i, name in enumerate(free)}
     free_specs.sort(key=lambda s: order[s.name.split(SEPARATOR)[0]])
@@ -254,7 +254,7 @@ def expanded(
 def _of_owners(
     specs: Mapping[str, ParameterSpec], ties: Mapping[str, Expression], owners: Mapping[str, tuple[str, ...]]
 ) -> dict[str, Expression]:
-    """Return the ties of followers that each run, or each machine, has its own of."""
+    """Return the ties of followers that have one value per run or per machine."""
     found: dict[str, Expression] = {}
     for name, expression in ties.items():
         per = specs[name].per

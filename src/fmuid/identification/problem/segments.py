@@ -73,8 +73,8 @@ def in_segments(
 ) -> tuple[Case, ...]:
     """Return the cases of runs with all outputs, cut into segments as the last stage of their setup says.
 
-    Runs of a stage with an observer are cut into segments whose length is chosen; those of a model that cannot be
-    started anew stay whole (`why_whole`).
+    Runs of a stage with an observer are cut into segments of automatic length; those of a model that cannot be
+    restarted stay whole (`why_whole`).
     """
     stages, cases = last_stages(campaign), list[Case]()
     for setup in dict.fromkeys(run.setup for run in runs):
@@ -90,7 +90,7 @@ def in_segments(
 
 
 def why_whole(stage: StageSpec, simulator: Simulator) -> str | None:
-    """Return why runs cannot be cut into the segments that a stage asks for, such as a state of an effect."""
+    """Return why runs cannot be cut into the segments of a stage, for example because of an effect's state."""
     if stage.segments is not None or stage.observer:
         try:
             states_of(simulator)
@@ -111,7 +111,7 @@ def observed(
     observer
         The gains, or True for those of a Kalman filter at the start of the first run of each setup.
     values
-        Of all parameters, in model space.
+        Values of all parameters in model space.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def growth_of(case: Case, values: Mapping[str, float]) -> Growth | None:
     case
         The case, in one piece.
     values
-        Of all parameters, in model space.
+        Values of all parameters in model space.
     """
     try:
         simulator = segmented(case, "auto", values).simulator
@@ -174,7 +174,7 @@ def growth_of(case: Case, values: Mapping[str, float]) -> Growth | None:
 
 
 def _judged(case: Case) -> tuple[FloatArray, FloatArray]:
-    """Return what a case's outputs are compared with, and the weights of the errors in its cost; (outputs, N)."""
+    """Return the target of a case's outputs and the weights of their errors in its cost; (outputs, N)."""
     n = len(case.time)
     squares = np.zeros((len(case.channels), n))
     rows = {channel.signal: k for k, channel in enumerate(case.channels)}
@@ -182,7 +182,7 @@ def _judged(case: Case) -> tuple[FloatArray, FloatArray]:
         if criterion.affine and criterion.rows is not None:
             unit = criterion.residuals(np.ones(n)) - criterion.residuals(np.zeros(n))
             squares[rows[criterion.signal], criterion.rows] += criterion.weight * unit**2
-    if not np.any(squares):  # judged by features or colour: as the sensors' noise says
+    if not np.any(squares):  # judged by features or whitened residuals: weights from the sensors' noise
         squares = np.array(
             [np.where(np.isfinite(c.mean), 1.0 / c.noise.of_mean(c.count) ** 2, 0.0) for c in case.channels]
         )

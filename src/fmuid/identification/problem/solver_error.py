@@ -22,7 +22,7 @@ from fmuid.simulation.simulator import default_tolerance
 
 UNSEEN = 0.2
 _TIGHTEST = 1e-10
-_SHRINKING = 0.25  # a tolerance of a tenth should leave a smaller share than this of what the one before changed
+_SHRINKING = 0.25  # a tenth of the tolerance should leave less than this share of the previous change
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class SolverAccuracy:
     tolerances
         Tolerances by case; other cases use their model's default tolerance.
     until
-        By case: the time (s) from which its prediction does not converge.
+        By case, the time (s) from which its prediction does not converge.
     """
 
     tolerances: Mapping[str, float] = field(default_factory=dict)
@@ -102,7 +102,7 @@ def solver_accuracy(
             case, ladder = cases[k], pending[k]
             ended = level == len(ladder) - 1
             if looser is not None and not isinstance(looser, SimulationError):
-                if isinstance(outcome, SimulationError):  # nothing tighter can be had
+                if isinstance(outcome, SimulationError):  # no tighter tolerance is possible
                     chosen, ended = ladder[level - 1], True
                 else:
                     moved = _moved(case, looser, outcome, values, None if sigma is None else sigma[k])
@@ -123,7 +123,7 @@ def solver_accuracy(
 def _moved(
     case: Case, a: FloatArray, b: FloatArray, values: Mapping[str, float], sigma: FloatArray | None
 ) -> FloatArray:
-    """Return (N,) by how many standard deviations two predictions differ up to each sample."""
+    """Return (N,) the number of standard deviations by which two predictions differ up to each sample."""
     difference = case.sensed(np.asarray(a), values) - case.sensed(np.asarray(b), values)
     total = np.zeros(len(case.time))
     for k, (channel, row) in enumerate(zip(case.channels, difference, strict=True)):

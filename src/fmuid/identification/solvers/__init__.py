@@ -67,7 +67,7 @@ def make(name: str, options: Mapping[str, Any], problem: Problem) -> tuple[Solve
     if len(links) == 1:
         solver = _single(links[0], options)
     else:
-        # In a chain, options = { crs2 = { evaluations = 500 }, ... } belong to a link each.
+        # In a chain, options = { crs2 = { evaluations = 500 }, ... } hold the options of each link.
         solver = Chain(tuple(_single(link, _of_link(link, options.pop(link, {}))) for link in links))
         if options:
             raise ProblemError(

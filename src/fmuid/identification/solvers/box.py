@@ -28,8 +28,8 @@ def around_failures(
 ) -> Outcome:
     """Run a solver; whenever a candidate fails, restart it from the best point in a smaller box.
 
-    The box is cut half-way to the failed candidate, across the coordinate that differs most. An optimum on a
-    cut moves the cut.
+    The box is cut half-way to the failed candidate, across the coordinate that differs most. A cut is moved if the
+    optimum lies on it.
 
     Parameters
     ----------

@@ -62,7 +62,7 @@ class Chain:
 class MultiStart:
     """The same solver from several starts: the given start, and a scrambled Sobol sequence within the bounds.
 
-    The starts depend on the seed only; the searches run side by side (`parallel_searches`). The outcome of each
+    The starts depend on the seed only, and the searches run in parallel (`parallel_searches`). The outcome of each
     start is kept for the waterfall plot.
     """
 
@@ -93,7 +93,7 @@ class MultiStart:
         from scipy.stats import qmc
 
         sobol = qmc.Sobol(len(search), rng=np.random.default_rng(search.seed))
-        # Sobol sequences are balanced at powers of two only; draw one and use its beginning.
+        # Sobol sequences are balanced only at powers of two, so one is drawn and its beginning used.
         unit = sobol.random_base2(max(1, int(np.ceil(np.log2(max(self.starts - 1, 1))))))
         width = search.upper - search.lower
         return [start, *(search.lower + u * width for u in unit[: self.starts - 1])]
@@ -122,7 +122,7 @@ class Lexicographic:
     """Minimises the criteria of priority 1, then those of priority 2 without making the first worse, and so on."""
 
     solver: Solver
-    slack: float = field(default=1e-3)  # relative: without it later levels could not move
+    slack: float = field(default=1e-3)  # relative: without it, later levels could not move
 
     @property
     def name(self) -> str:
@@ -159,7 +159,7 @@ class Lexicographic:
             if search.best is None:
                 break
             start = search.best.x
-            # A criterion that is satisfied (at most 1) may give way up to its demand.
+            # A criterion that is satisfied (at most 1) may grow up to its demand.
             best = search.best.criteria
             held += [(int(i), max(1.0, float(best[i]) * (1.0 + self.slack))) for i in mine]
         return outcome

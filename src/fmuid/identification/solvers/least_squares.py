@@ -21,15 +21,15 @@ from fmuid.identification.solvers.box import CandidateFailedError, around_failur
 from fmuid.identification.solvers.search import Outcome, Search, Status, StopSearch, number_of
 from fmuid.identification.solvers.trust_region import SettledError, trust_region
 
-_FLAT = 3.0  # times the noise of the cost: a smaller change is none
+_FLAT = 3.0  # times the noise of the cost: a smaller change is meaningless
 _FLAT_TRIALS = 2
-_LEVEL = 1e-4  # relative change of the cost at which settling is near
+_LEVEL = 1e-4  # relative change of the cost below which the search is about to settle
 _MEASUREMENTS = 2
-_EXACT = 1e-11  # relative noise of a simulator that does little more than round
-_NEAR = 1e-3  # relative: a last step is smaller
+_EXACT = 1e-11  # relative noise of a simulator with hardly more than rounding errors
+_NEAR = 1e-3  # relative size that a last step must not exceed
 _STILL = 1e-9
 _LAST_STEPS = 20
-_SMALLEST_RADIUS = 1e-8  # of DFO-LS: search coordinates are of order one
+_SMALLEST_RADIUS = 1e-8  # for DFO-LS: search coordinates are of order one
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +85,8 @@ class TrustRegion:
 def _polish(search: Search, floor: NoiseFloor) -> None:
     """Take the last Gauss-Newton steps with central differences.
 
-    One-sided ones leave a minimum some thousandths of a standard error off, which noise hides but where a
-    simulator only rounds: the cost is flat to its last digits there, so steps count, not gains.
+    One-sided differences leave a minimum some thousandths of a standard error off. Noise hides that, but not in a
+    simulator with rounding errors only; there the cost is flat to its last digits, so steps count, not gains.
     """
     derivative = partial(search.evaluate_many, purpose="derivative")
     differences = Differences(search.problem, floor, central=True)
@@ -108,18 +108,18 @@ def _polish(search: Search, floor: NoiseFloor) -> None:
 
 
 class _Trials:
-    """The residual function with its Jacobian, and the judgement whether the search has settled.
+    """The residual function with its Jacobian, which also judges whether the search has settled.
 
-    Near a minimum a solver that believes in a smooth cost goes on and on: what it predicts to gain is less than
-    the simulator's noise, so it finds every step bad and shrinks its region. Exact derivatives need no noise
-    floor: with them it is measured when the cost no longer falls by much. Up to then most trials are accepted, so
-    they find their Jacobians in the same runs.
+    Near a minimum, a solver that assumes a smooth cost continues for long: the gain it predicts is less than the
+    simulator's noise, so it rejects every step and shrinks its region. Exact derivatives need no noise floor; with
+    them, the noise is measured once the cost no longer falls by much. Until then, most trials are accepted, so
+    their Jacobians are computed in the same runs.
     """
 
     def __init__(self, search: Search, first: Evaluation) -> None:
         self.search, self.first = search, first
         self.flat = self.level = self.measured = 0
-        self.floor: NoiseFloor | None = None  # as it was first measured
+        self.floor: NoiseFloor | None = None  # as first measured
         self._differences: Differences | None = None
         self.exact = search.problem.exact.jacobian(first) is not None  # the last Jacobian
         if not self.exact:
@@ -133,7 +133,7 @@ class _Trials:
         return exact if exact is not None else self.differences(here.x).jacobian(self._evaluate, here)
 
     def differences(self, x: FloatArray) -> Differences:
-        """Return what takes differences; the noise floor they need is measured at `x` if it is not known."""
+        """Return the difference quotients; the noise floor they need is measured at `x` if it is unknown."""
         if self._differences is None:
             self.floor = self.search.noise_floor = noise_floor(self.search.problem, x, evaluate=self._evaluate)
             self._differences = Differences(self.search.problem, self.floor, central=False)
@@ -151,11 +151,11 @@ class _Trials:
         return evaluation.residuals
 
     def _judge(self, evaluation: Evaluation, best: Evaluation) -> None:
-        """Count the trials in a row that tell next to nothing."""
+        """Count consecutive trials without significant change."""
         if self._differences is None:
             if evaluation.cost < (1.0 - _LEVEL) * best.cost:
                 return
-            self.measured = _MEASUREMENTS  # here, where it matters
+            self.measured = _MEASUREMENTS  # near the solution, where it matters
         try:
             floor = self.differences(best.x).floor
         except SimulationError:
@@ -173,7 +173,7 @@ class _Trials:
         return self.search.evaluate_many(points, purpose="derivative")
 
     def _measure(self, x: FloatArray) -> None:
-        """Measure the noise again, where the search is about to settle: it may be another than at the start."""
+        """Measure the noise again where the search is about to settle: it may differ from that at the start."""
         self.measured += 1
         differences = self.differences(x)
         with suppress(SimulationError):
@@ -184,10 +184,10 @@ class _Trials:
 
 
 def _meaningless(best: Evaluation, floor: NoiseFloor) -> float:
-    """Return the change of the cost that is none."""
-    # Scatter of the cost: its gradient in the residuals, 2 r, times theirs.
+    """Return the largest change of the cost that is meaningless."""
+    # Scatter of the cost: its gradient by the residuals, 2 r, times their scatter.
     noise = _FLAT * 2.0 * float(np.linalg.norm(best.residuals)) * floor.residual
-    # A hundredth of a standard error is worth an exact simulator's few steps, not a noisy one's many.
+    # A hundredth of a standard error justifies a few steps of an exact simulator, but not many of a noisy one.
     return max(noise, 1e-4 * best.cost / len(best.residuals)) if floor.relative > _EXACT else noise
 
 

@@ -23,7 +23,7 @@ class _Algorithm:
     finite_bounds: bool = False
     constraints: bool = False
     gradient: bool = False
-    model: bool = False  # fits a model to the costs: a failed candidate would poison it
+    model: bool = False  # fits a model to the costs, which a failed candidate would spoil
     subsidiary: bool = False
 
 
@@ -36,7 +36,7 @@ ALGORITHMS: Mapping[str, _Algorithm] = {
     "praxis": _Algorithm("LN_PRAXIS", model=True),
     "crs2": _Algorithm("GN_CRS2_LM", finite_bounds=True),
     "isres": _Algorithm("GN_ISRES", finite_bounds=True, constraints=True),
-    # The original DIRECT codes know hidden constraints, that is candidates that fail.
+    # The original DIRECT codes handle hidden constraints, that is candidates that fail.
     "direct": _Algorithm("GN_ORIG_DIRECT", finite_bounds=True),
     "direct_l": _Algorithm("GN_ORIG_DIRECT_L", finite_bounds=True),
     "esch": _Algorithm("GN_ESCH", finite_bounds=True),
@@ -46,8 +46,8 @@ ALGORITHMS: Mapping[str, _Algorithm] = {
     "slsqp": _Algorithm("LD_SLSQP", constraints=True, gradient=True, model=True),
 }
 _ALIASES = {"neldermead": "nelder_mead", "newuoa": "newuoa_bound", "direct-l": "direct_l", "sqp": "slsqp"}
-_LOCAL = tuple(name for name, a in ALGORITHMS.items() if not (a.finite_bounds or a.gradient))  # of MLSL
-_OPTIONS: Mapping[str, float] = {  # the default, or what a value is like; of `local` the name counts
+_LOCAL = tuple(name for name, a in ALGORITHMS.items() if not (a.finite_bounds or a.gradient))  # for MLSL
+_OPTIONS: Mapping[str, float] = {  # defaults or typical values; `local` is a name
     "initial_step": 0.1,
     "tolerance": 1e-7,
     "cost_tolerance": 1e-12,
@@ -55,11 +55,11 @@ _OPTIONS: Mapping[str, float] = {  # the default, or what a value is like; of `l
     "local": 0,
     "evaluations": 1000,
 }
-_LOWEST_LEVEL = 1e-6  # to which the largest goal is taken: its step follows from it
-_GLOBAL_EVALUATIONS = 200  # a parameter, for global solvers without any stop rule: they never converge
-_RESTARTS, _SHORTER, _GAIN = 4, 0.3, 1e-3  # of COBYLA: how often, with which share of the step, for which gain
-_IDLE = 300  # times that a solver may ask for what it knows, one after the other
-_PENALTY_EVALUATIONS = 500  # a parameter: where constraints cannot be kept, an augmented Lagrangian has no end
+_LOWEST_LEVEL = 1e-6  # lower bound of the largest goal, which determines its step
+_GLOBAL_EVALUATIONS = 200  # per parameter, for global solvers without any stop rule, which never converge
+_RESTARTS, _SHORTER, _GAIN = 4, 0.3, 1e-3  # restarts of COBYLA: number, factor on the step, least gain
+_IDLE = 300  # consecutive requests for known points
+_PENALTY_EVALUATIONS = 500  # per parameter: an augmented Lagrangian does not end if constraints cannot be met
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +72,8 @@ class NloptSolver:
         A key of `ALGORITHMS`.
     options
         ``initial_step`` (search units, 0.1), ``tolerance`` (relative, of the point, 1e-7), ``cost_tolerance``
-        (relative, 1e-12), ``population``, ``local`` (subsidiary of MLSL, ``sbplx``), ``evaluations`` (of
-        this solver alone, as a link of a chain).
+        (relative, 1e-12), ``population``, ``local`` (subsidiary of MLSL, ``sbplx``), ``evaluations`` (for this
+        solver alone, as a link of a chain).
     """
 
     name: str
@@ -124,7 +124,7 @@ class NloptSolver:
 
         outcome = run(start, own)
         if self.name == "cobyla" and "evaluations" not in self.options:
-            # It may stop short of a minimum where goals meet in a narrow valley: go on with smaller steps.
+            # It may stop short of a minimum where goals meet in a narrow valley, so continue with smaller steps.
             for k in range(1, _RESTARTS + 1):
                 before = search.reached
                 if outcome.status is not Status.CONVERGED or before is None:
@@ -166,7 +166,8 @@ class NloptSolver:
             level = max(search.cost_of(evaluation), _LOWEST_LEVEL) if evaluation.ok else 1.0
             lower, upper = np.append(lower, 0.0), np.append(upper, 10.0 * level)
             here, step = np.append(x, level), np.append(step, 0.1 * level + 1e-12)
-        # Also local ones draw, as PRAXIS where it is ill-conditioned. 0 would mean: by the clock.
+        # Local solvers draw random numbers too, such as PRAXIS in ill-conditioned problems. A seed of 0 would mean
+        # the clock.
         nlopt.srand(search.seed + 1)
         for each in {id(opt): opt, id(inner): inner}.values():
             each.set_lower_bounds(lower)
@@ -196,7 +197,7 @@ class NloptSolver:
         opt.set_ftol_rel(self._number("cost_tolerance"))
 
     def _set_parts(self, opt: Any, inner: Any, algorithm: _Algorithm) -> None:
-        """Give a global algorithm its local one and its population, and what stands around it the algorithm."""
+        """Give a global algorithm its local one and its population, and an enclosing one the algorithm inside."""
         import nlopt
 
         if algorithm.subsidiary:
@@ -272,20 +273,20 @@ class _Functions:
 
     def __init__(self, search: Search, opt: Any, algorithm: _Algorithm, epigraph: bool, first: Evaluation) -> None:
         self.search, self.opt, self.algorithm, self.epigraph = search, opt, algorithm, epigraph
-        # SLSQP and COBYLA stumble over costs that are not of order one.
+        # SLSQP and COBYLA fail for costs that are not of order one.
         scale = search.cost_of(first) if first.ok else 1.0
         self.scale = 1.0 / scale if scale > 0.0 else 1.0
         self.raised: BaseException | None = None
         self.seen = self.idle = 0
 
     def reraise(self) -> None:
-        """Raise what a callback raised."""
+        """Raise the exception of a callback."""
         if self.raised is not None:
             raise self.raised
 
     @property
     def stuck(self) -> bool:
-        """Whether the solver asks for what it knows, again and again; COBYLA may where no constraint is kept."""
+        """Whether the solver keeps asking for known points, as COBYLA may if no constraint can be met."""
         return self.idle >= _IDLE
 
     def count(self, evaluation: Evaluation, *, equality: bool) -> int:
@@ -309,7 +310,7 @@ class _Functions:
         return self._guarded(cost, float("inf"))
 
     def inequalities(self, result: FloatArray, x: FloatArray, gradient: FloatArray) -> None:
-        """Fill in the inequality constraints, at most 0 when kept."""
+        """Fill in the inequality constraints, which are satisfied if at most 0."""
         self._constraints(result, x, gradient, False)
 
     def equalities(self, result: FloatArray, x: FloatArray, gradient: FloatArray) -> None:
@@ -372,7 +373,7 @@ class _Functions:
             return otherwise
         try:
             return function()
-        except BaseException as error:  # Ctrl-C too: NLopt's C code must end first
+        except BaseException as error:  # Ctrl-C too, because NLopt's C code must end first
             self.raised = error
             self.opt.force_stop()
             return otherwise

@@ -1,4 +1,4 @@
-"""Searches side by side: their next points are simulated together.
+"""Parallel searches: their next points are simulated together.
 
 Every search runs in its own thread up to its next evaluations and waits there; only one thread runs at a time.
 When all of them wait, their points are evaluated as one batch, in the order of the searches. The evaluations and
@@ -16,7 +16,7 @@ from fmuid.core.errors import SimulationError
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.solvers.search import Outcome, Search, Simulate, Status, StopSearch, Wish
 
-_REMEMBERED = 8  # evaluations that one of many searches may ask for again
+_REMEMBERED = 8  # evaluations that one of many searches may request again
 
 
 class Branch(Search):
@@ -37,7 +37,7 @@ class Branch(Search):
 
 
 class _Strand:
-    """A search in a thread, run from one wish to the next."""
+    """A search in a thread, run from one request to the next."""
 
     def __init__(self, trunk: Search, number: int, run: Callable[[Search], Outcome]) -> None:
         self.branch = Branch(trunk, number, self._ask)
@@ -49,7 +49,7 @@ class _Strand:
         self._thread = threading.Thread(target=self._work, daemon=True)
 
     def advance(self, answer: list[Evaluation] | BaseException | None = None) -> Sequence[Wish] | None:
-        """Go on with an answer, or an exception in its place, to the next wish; None at the end."""
+        """Continue with an answer, or an exception in its place, to the next request; None at the end."""
         if answer is None:
             self._thread.start()
         else:
@@ -72,7 +72,7 @@ class _Strand:
     def _work(self) -> None:
         try:
             self.outcome = self._run(self.branch)
-        except SimulationError as error:  # this search is lost, not the others
+        except SimulationError as error:  # ends this search, not the others
             self.outcome = Outcome(Status.FAILED, error.what)
         except StopSearch as stop:
             self.outcome = stop.outcome
@@ -82,7 +82,7 @@ class _Strand:
 
 
 class Abreast:
-    """Searches side by side that share the evaluations of `trunk`.
+    """Parallel searches that share the evaluations of `trunk`.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class Abreast:
             A stop rule of the trunk applies.
         """
         wishes: dict[int, Sequence[Wish]] = {}
-        with warnings.catch_warnings():  # solvers change the filters, and end in any order
+        with warnings.catch_warnings():  # solvers change the filters and end in any order
             try:
                 for k, strand in enumerate(self._strands):
                     self._note(wishes, k, strand.advance())

@@ -18,8 +18,8 @@ from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.solvers.search import Goals, Search, Solver, StopSearch
 
-_EQUAL = 1e-6  # of an objective's range over the front: nearer is the same
-_GIVES = 1e-3  # of its range that the end of the front may give way, so that the others show
+_EQUAL = 1e-6  # share of an objective's range over the front: closer points are the same
+_GIVES = 1e-3  # share of its range by which the end of a front may be worse, so that the other objectives count
 _SMALLEST_WEIGHT = 0.02
 
 
@@ -108,7 +108,7 @@ def trace(search: Search, spec: ParetoSpec, solver: Solver, best: Evaluation) ->
     """Find points of the Pareto front.
 
     Each objective alone gives an end of the front. Between the ends lie rays, spread evenly as by Das and Dennis
-    (1998), from the ideal point (the best of every objective) into the front; along each the largest of the
+    (1998), from the ideal point (the best of every objective) into the front. Along each ray the largest of the
     scaled distances from the ideal is minimised (Wierzbicki, 1980), which reaches concave parts as well.
 
     Parameters
@@ -145,7 +145,7 @@ def _trace(
     best: Evaluation,
     found: list[Evaluation],
 ) -> None:
-    """Add to `found`, so that what a budget leaves is there."""
+    """Add points to `found`, so that those found within the budget remain available."""
 
     def solve(start: Evaluation, goals: Goals, limits: Goals | None = None) -> Evaluation:
         search.aim(goals, limits)
@@ -162,7 +162,7 @@ def _trace(
     def distances(e: Evaluation) -> FloatArray:
         return np.asarray((objectives(e) - ideal) / reach)
 
-    for i, end in enumerate(alone):  # an end may leave the others anywhere that costs it nothing
+    for i, end in enumerate(alone):  # at an end, the other objectives may be anywhere at no cost
         others = np.arange(k) != i
         found.append(
             solve(
@@ -191,7 +191,7 @@ def _between(k: int, points: int) -> list[FloatArray]:
 
 
 def _undominated(found: Sequence[Evaluation], objectives: Objectives) -> list[Evaluation]:
-    """Return what no other beats, once each, sorted by the first objective."""
+    """Return the points that no other dominates, without duplicates, sorted by the first objective."""
     values = np.array([objectives(e) for e in found]).reshape(len(found), len(objectives.names))
     scaled = values / np.maximum(np.ptp(values, axis=0), np.finfo(float).tiny) if len(found) else values
     kept: list[int] = []

@@ -18,12 +18,12 @@ from fmuid.identification.problem.derivatives import NoiseFloor
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 
-FEASIBLE = 1e-6  # a constraint broken by less counts as kept
-_REMEMBERED = 64  # evaluations a solver may ask for again
+FEASIBLE = 1e-6  # a constraint violated by less counts as satisfied
+_REMEMBERED = 64  # evaluations that a solver may request again
 
 
 class Status(enum.StrEnum):
-    """How a search ended: a flag with a readable text."""
+    """Outcome of a search, as readable text."""
 
     CONVERGED = "converged"
     BUDGET = "budget spent"
@@ -41,7 +41,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class StopRules:
-    """When to stop a search: number of evaluations, seconds of evaluation, or a sufficient cost."""
+    """Limits of a search: number of evaluations, seconds of evaluation, or a sufficient cost."""
 
     evaluations: int | None = None
     seconds: float | None = None
@@ -49,7 +49,7 @@ class StopRules:
 
 
 class StopSearch(Exception):  # noqa: N818 - not an error: control flow out of a solver's depths
-    """A stop rule holds."""
+    """A stop rule applies."""
 
     def __init__(self, outcome: Outcome) -> None:
         super().__init__(outcome.message)
@@ -116,11 +116,11 @@ class Search:
         self.starts: list[Start] = []
         self.cost_of: Callable[[Evaluation], float] = lambda evaluation: evaluation.cost
         self.limits_of: Goals = lambda _: np.zeros(0)
-        # What the cost is the largest of, if it is: solvers that take constraints then have a smooth problem.
+        # Goals whose largest value is the cost, if any: solvers that take constraints then have a smooth problem.
         self.goals_of: Goals | None = None
         if problem.combination.kind == "min_max":
             self.goals_of = lambda evaluation: problem.root_weights**2 * evaluation.criteria
-        self.noise_floor: NoiseFloor | None = None  # a solver that measured it leaves it here
+        self.noise_floor: NoiseFloor | None = None  # left here by a solver that measured it
         self._equality = np.array([c.is_equality for c in problem.constraints], dtype=bool)
         self._record, self.recall = record, recall
         self._simulate: Simulate = lambda wanted: problem.evaluate_many(
@@ -154,7 +154,7 @@ class Search:
         Raises
         ------
         StopSearch
-            A stop rule holds.
+            A stop rule applies.
         """
         return self.evaluate_all([Wish(x, purpose) for x in points])
 
@@ -235,7 +235,7 @@ class Search:
             self._record(evaluation, purpose, improved)
 
     def _compare(self, evaluation: Evaluation) -> bool:
-        """Take `evaluation` as the best if it is; return whether it is."""
+        """Keep `evaluation` as the best if it is; return whether it is."""
         if not evaluation.ok:
             return False
         if self.reached is None or self._better(evaluation, self.reached):
@@ -292,7 +292,7 @@ class Solver(Protocol):
         Raises
         ------
         StopSearch
-            A stop rule holds.
+            A stop rule applies.
         """
         ...
 

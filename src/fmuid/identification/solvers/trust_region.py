@@ -43,7 +43,7 @@ def trust_region(
     from scipy.optimize import least_squares
 
     bounds: tuple[Any, Any] = (-np.inf, np.inf) if method == "lm" else (lower, upper)
-    if method == "trf":  # an interior method: it wants a start off the bounds, by next to nothing
+    if method == "trf":  # an interior method needs a start slightly off the bounds
         start = np.clip(start, np.nextafter(lower, np.inf), np.nextafter(upper, -np.inf))
     with np.errstate(all="ignore"):  # SciPy divides by zero where a parameter has no effect
         result = least_squares(

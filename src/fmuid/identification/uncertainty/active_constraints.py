@@ -12,7 +12,7 @@ from fmuid.identification.problem.derivatives import EvaluateMany
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 
-_NEAR = 0.01  # of the way that the estimate would go beyond a constraint
+_NEAR = 0.01  # relative to the distance by which the estimate would exceed a constraint
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,8 +36,8 @@ def active_constraints(
 ) -> Active:
     """Return the constraints that are active at the estimate.
 
-    Equalities always are. An inequality is if the estimate is at its limit and the (n,) step `descent`, to the
-    minimum of the cost without constraints, violates it.
+    Equalities always are. An inequality is active if the estimate is at its limit and the (n,) step `descent`, to
+    the minimum of the cost without constraints, violates it.
 
     Parameters
     ----------

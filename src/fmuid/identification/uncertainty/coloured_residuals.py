@@ -74,7 +74,7 @@ def score_covariance(
         record.residuals[criterion.rows], record.jacobian[criterion.rows] = r, jr
         record.there[criterion.rows] = 1.0
         by_case.setdefault(case.id, []).append(record)
-    prior = j[len(j) - len(problem.space.priors) :]  # of unit variance by what they are
+    prior = j[len(j) - len(problem.space.priors) :]  # of unit variance by definition
     meat, whiteness = coloured_covariance(by_case, n)
     return features + prior.T @ prior + meat, whiteness
 
@@ -82,11 +82,11 @@ def score_covariance(
 def coloured_covariance(
     by_case: Mapping[str, Sequence[Record]], n: int
 ) -> tuple[FloatArray, tuple[Whiteness, ...]]:
-    """Return J' W J, (n, n), of cases' records of all channels, and the residuals' statistics."""
+    """Return J' W J, (n, n), for the cases' records of all channels, and the residuals' statistics."""
     meat = np.zeros((n, n))
     whiteness: list[Whiteness] = []
     for case_id, records in by_case.items():
-        # One filter for all channels of a case, so that their cross-covariances stay defined.
+        # One filter for all channels of a case, which keeps their cross-covariances defined.
         colour = float(np.mean([_colour(r.residuals, r.count) for r in records]))
         white = [_prewhitened(r, colour) for r in records]
         lag = max(_memory(w.residuals, w.count) for w in white)
@@ -98,12 +98,13 @@ def coloured_covariance(
 
 
 def _colour(r: FloatArray, count: float) -> float:
-    """Return the coefficient of a first-order autoregression of (N,) residuals; 0 if it is within scatter."""
+    """Return the coefficient of a first-order autoregression of (N,) residuals; 0 if within its scatter."""
     rho = float(_correlations(r)[1]) if len(r) > 1 else 0.0
     if abs(rho) < 2.0 / np.sqrt(max(count, 1.0)):
         return 0.0
-    # Kendall (1954): the estimate is low by (1 + 3 rho) / N, a little more where parameters were fitted.
-    # Andrews and Monahan's bound; at a higher rate, more samples are as long ago: up to half the record.
+    # Kendall (1954): the estimate is low by (1 + 3 rho) / N, or slightly more if parameters were fitted.
+    # Bound by Andrews and Monahan; at a higher sampling rate the same time spans more samples: up to half the
+    # record.
     most = max(0.97, 1.0 - 2.0 / max(count, 1.0))
     return float(np.clip(rho + (1.0 + 4.0 * rho) / max(count, 1.0), -most, most))
 
@@ -111,8 +112,7 @@ def _colour(r: FloatArray, count: float) -> float:
 def _prewhitened(record: Record, colour: float) -> Record:
     """Return ``L r`` and ``L^-T J`` for the autoregressive filter L, so that J' W J keeps its value.
 
-    Andrews and Monahan (1992): what is left of the correlation is short, and the kernel estimate of it is
-    hardly biased.
+    Andrews and Monahan (1992): the remaining correlation is short, so its kernel estimate is hardly biased.
     """
     if colour == 0.0:
         return record
@@ -138,7 +138,7 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _memory(r: FloatArray, count: float) -> int:
-    """Return the lag beyond which autocorrelation is scatter: the first of five lags in a row within it."""
+    """Return the lag beyond which autocorrelation is scatter: the first of five consecutive lags within it."""
     inside = np.abs(_correlations(r)[1:]) < 2.0 / np.sqrt(max(count, 1.0))
     run = 5
     for lag in range(len(inside) - run):
@@ -153,12 +153,12 @@ def _taper(n: int, lag: int) -> FloatArray:
 
 
 def _quadratic(a: Record, b: Record, lag: int) -> FloatArray:
-    """Return sum_kl ja_k gamma_(l-k) jb_l with gamma the tapered covariance of channels a and b."""
+    """Return sum_kl ja_k gamma_(l-k) jb_l, where gamma is the tapered covariance of channels a and b."""
     n = len(a.residuals)
     decay = _taper(n, lag)
     taper = np.concatenate([decay, [0.0], decay[1:][::-1]])
     gamma = _cross(a.residuals, b.residuals) / np.sqrt(a.count * b.count) * taper
-    # gamma belongs to l - k, so (W jb)_k = sum_l gamma_(l-k) jb_l is a correlation.
+    # gamma depends on l - k, so (W jb)_k = sum_l gamma_(l-k) jb_l is a correlation.
     spectrum = np.conj(np.fft.rfft(gamma))
     moved = np.fft.irfft(spectrum[:, None] * np.fft.rfft(b.jacobian, 2 * n, axis=0), 2 * n, axis=0)[:n]
     return np.asarray(a.jacobian.T @ moved)
@@ -172,7 +172,7 @@ def _whiteness(case: str, record: Record, white: Record, colour: float, lag: int
     lags = min(20, max(count // 5, 1), len(rho) - 1)
     terms = rho[1 : lags + 1] ** 2 / (count - np.arange(1, lags + 1))
     ljung_box = count * (count + 2) * float(np.sum(terms))
-    # Long-run variance over variance: what a sample is worth.
+    # Ratio of long-run variance to variance: the information in a sample.
     rest = 1.0 + 2.0 * float(np.sum((_taper(len(r), lag) * _correlations(white.residuals))[1:]))
     energy = float(np.sum(white.residuals**2)) / max(float(np.sum(r**2)), np.finfo(float).tiny)
     inflation = max(energy * rest / (1.0 - colour) ** 2, 1.0)

@@ -21,10 +21,10 @@ from fmuid.identification.uncertainty.inherited import Held, effective_degrees
 
 Matrix = tuple[tuple[float, ...], ...]
 LEVEL = 0.95
-_DOUBTED = 0.01  # how unlikely residuals must be under the sigma that was given to be believed instead
-_COLLINEAR = 1000.0  # ratio of eigenvalues of the correlation from which a direction is walked
+_DOUBTED = 0.01  # significance at which residuals contradict a given sigma
+_COLLINEAR = 1000.0  # ratio of the correlation's eigenvalues above which a direction is explored by steps
 _FARTHEST = 64.0
-_FOLLOWING = 4  # evaluations for the others to follow a parameter that is moved
+_FOLLOWING = 4  # evaluations for refitting the others to a moved parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ def uncertainty_of(
 
     The covariance is the sandwich ``(J'J)^-1 J' W J (J'J)^-1`` in search space. If sigma was given for every
     residual, W is that noise, taken as exactly known. If the residuals contradict it (by their energy or colour,
-    at 1 %), or if sigma was not given, W contains each case's residual auto- and cross-covariances, tapered
+    if sigma was not given, W contains each case's residual auto- and cross-covariances, tapered
     (Bartlett) beyond the lag where they vanish in their own scatter, so coloured residuals (model error, friction)
     give a wider covariance than white ones. With only as many residuals as parameters, the noise is unknown, and
     without a sigma there are no standard errors. At active constraints, the covariance is restricted to directions
@@ -113,7 +113,7 @@ def uncertainty_of(
 
     evaluate = evaluate or problem.evaluate_many
     floor = floor or noise_floor(problem, best.x, evaluate=evaluate)
-    # A resumed run does not remember everything of an evaluation.
+    # A resumed run does not store all of an evaluation.
     here = best if best.predictions and best.residuals.size else evaluate([best.x])[0]
     differences = Differences(problem, floor, central=True)
     j, tolerance = differences.jacobian(evaluate, here), differences.tolerance
@@ -149,9 +149,9 @@ def uncertainty_of(
     variance = np.diag(covariance)
     spread = np.sqrt(np.maximum(variance, 0.0))
     low, high = (problem.space.to_model(best.x + sign * t * spread) for sign in (-1.0, 1.0))
-    # A kernel estimate can come out indefinite: a variance below zero is none.
+    # A kernel estimate can be indefinite, and a negative variance is invalid.
     sound = (variance >= -1e-9 * np.max(np.abs(variance))) & (scatter.degrees > 0.0)
-    fixed = np.diag(bread) < 1e-9 * np.diag(free)  # nothing along the constraints moves it
+    fixed = np.diag(bread) < 1e-9 * np.diag(free)  # does not move along the constraints
     names = problem.space.names
     known = [n not in found.undetermined and bool(s) for n, s in zip(names, sound & ~fixed, strict=True)]
     spare = max(scatter.residuals - scatter.parameters, 1)
@@ -183,7 +183,7 @@ def uncertainty_of(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scatter:
-    """How estimates scatter with the noise: covariance (n, n) and its degrees of freedom, 0 if it is unknown."""
+    """Scatter of estimates from noise: covariance (n, n) and its degrees of freedom, 0 if the noise is unknown."""
 
     covariance: FloatArray
     degrees: float
@@ -212,26 +212,26 @@ def _scatter(problem: Problem, here: Evaluation, j: FloatArray, bread: FloatArra
         if min(doubts) * len(doubts) >= _DOUBTED:
             return by(of_noise, degrees)
     covariance = m / (m - parameters) * bread @ meat @ bread
-    if math.isinf(degrees):  # there may be more than the noise that was given, but not less
+    if math.isinf(degrees):  # the scatter may exceed the given noise, but not fall below it
         covariance = _not_below(covariance, of_noise)
-    # Residuals that are no samples (whitened ones, features) count one by one.
+    # Residuals that are not samples (whitened ones, features) count individually.
     others = sum(
         r.stop - r.start for (_, c), r in zip(problem.criteria, problem.slices, strict=True) if c.rows is None
     )
     effective = sum(w.effective for w in whiteness) + others - parameters
-    # Segments begin anew: they are that many independent samples (Cameron and Miller 2015: t with clusters - 1).
+    # Segments restart, so they are as many independent samples (Cameron and Miller 2015: t with clusters - 1).
     return by(covariance, max(effective, problem.segments - (parameters - problem.nuisances), 1.0))
 
 
 def _not_below(covariance: FloatArray, least: FloatArray) -> FloatArray:
-    """Return the (n, n) covariance with no variance below those of another one: correlations stay as they are."""
+    """Return the (n, n) covariance with its variances raised to those of another one, with its correlations."""
     variance = np.diag(covariance)
     wider = np.sqrt(np.maximum(np.diag(least) / np.where(variance > 0.0, variance, np.inf), 1.0))
     return np.asarray(covariance * np.outer(wider, wider))
 
 
 def _noise(problem: Problem) -> tuple[FloatArray, float]:
-    """Return the (m,) standard deviations of the residuals by what is known of the noise, and how well it is."""
+    """Return the (m,) standard deviations of the residuals from the noise, and their degrees of freedom."""
     parts, degrees = [], math.inf
     rows = zip(problem.criteria, problem.slices, problem.root_weights, strict=True)
     for (_, criterion), where, weight in rows:
@@ -240,7 +240,7 @@ def _noise(problem: Problem) -> tuple[FloatArray, float]:
             degrees = min(degrees, criterion.degrees if criterion.scatter is not None else 0.0)
             part = part if criterion.scatter is None else weight * criterion.scatter
         parts.append(part)
-    parts.append(np.ones(len(problem.space.priors)))  # of unit variance by what they are
+    parts.append(np.ones(len(problem.space.priors)))  # of unit variance by definition
     return np.concatenate(parts), degrees
 
 
@@ -273,12 +273,12 @@ def _limited(degrees: float) -> float | None:
 def _widened(
     problem: Problem, evaluate: EvaluateMany, best: Evaluation, j: FloatArray, covariance: FloatArray
 ) -> FloatArray:
-    """Return the covariance, widened where parameters compensate each other better than it says.
+    """Return the covariance, widened where parameters compensate each other better than it predicts.
 
-    Nearly collinear columns of a Jacobian differ by its own errors (kinks, noise), which look like information.
-    So in the weakest directions the leading parameter is moved by two standard errors and the others follow by
-    Gauss-Newton steps: where the cost grows by less than a quarter of what is expected, the parameter is moved
-    on until it does, and the way it went is its spread.
+    Nearly collinear columns of a Jacobian differ by its own errors (kinks, noise), which look like information. So
+    in the weakest directions the leading parameter is moved by two standard errors, and the others follow by
+    Gauss-Newton steps. If the cost grows by less than a quarter of the expected amount, the parameter is moved
+    further until it does, and that distance is its spread.
     """
     spread = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(covariance / np.outer(spread, spread))
@@ -307,7 +307,7 @@ def _widened(
 def _followed(
     problem: Problem, evaluate: EvaluateMany, best: Evaluation, *, j: FloatArray, x: FloatArray, i: int
 ) -> Evaluation | None:
-    """Return the evaluation at `x` after all parameters but `i` have followed, or None where it fails."""
+    """Return the evaluation at `x` after all parameters except `i` were refitted, or None if that fails."""
     others = np.arange(len(x)) != i
     solve = np.linalg.pinv(j[:, others])
     for _ in range(_FOLLOWING):

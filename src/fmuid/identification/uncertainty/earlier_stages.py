@@ -13,7 +13,7 @@ from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.uncertainty.confidence import Uncertainty
 from fmuid.identification.uncertainty.inherited import Held
 
-_STEP = 1e-3  # standard errors, of the differences of ties
+_STEP = 1e-3  # step of the differences of ties, in standard errors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +42,7 @@ class Known:
         if not names:
             return None
         free = []
-        for name in names:  # a tied one may have left its own bounds
+        for name in names:  # a tied parameter may be outside its own bounds
             spec, value = specs[name.split(SEPARATOR)[0]], space.fixed[name]
             low, high = min(spec.lower, value), max(spec.upper, value)
             free.append(replace(spec, name=name, start=value, lower=low, upper=high, scale="linear", prior=None))
@@ -82,7 +82,7 @@ class Known:
 def _tied(
     problem: Problem, rows: Mapping[str, FloatArray], values: Mapping[str, float], sources: int
 ) -> dict[str, FloatArray]:
-    """Return the rows of what is tied to parameters with `rows`, by differences."""
+    """Return the rows of parameters that are tied to those in `rows`, by differences."""
     ties = problem.space.ties
     found = {name: np.zeros(sources) for name in ties}
     for k in range(sources):

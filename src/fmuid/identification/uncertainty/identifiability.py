@@ -13,7 +13,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.estimation_problem import Problem
 
 _PIVOT = 0.05  # smaller entries of a reduced basis count as zero
-_SNAP = 0.02  # an exponent this near to a small fraction is that fraction
+_SNAP = 0.02  # an exponent this close to a small fraction is that fraction
 _LARGEST_DENOMINATOR = 4
 
 
@@ -78,7 +78,7 @@ def identifiability(
     """
     names = problem.space.names
     relative = _relative_scale(problem, x)
-    triangle = np.linalg.qr(jacobian / scale, mode="r")  # with the same singular values and axes
+    triangle = np.linalg.qr(jacobian / scale, mode="r")  # has the same singular values and axes
     _, singular, axes = np.linalg.svd(triangle, full_matrices=len(triangle) < len(x))
     singular = np.pad(singular, (0, len(x) - len(singular)))
     undetermined_axes = axes[singular <= tolerance * math.sqrt(len(x))] / scale
@@ -91,7 +91,7 @@ def identifiability(
     rank = len(x) - len(undetermined_axes)
     if rank == len(x):
         return Identifiability(rank, values)
-    # Orthonormal in relative changes: first what is not determined, then the row space.
+    # Orthonormal in relative changes: first the undetermined directions, then the row space.
     moves = undetermined_axes / relative
     moves /= np.linalg.norm(moves, axis=1, keepdims=True)
     directions = np.linalg.qr(moves.T, mode="complete")[0].T
@@ -109,7 +109,7 @@ def identifiability(
 
 
 def _relative_scale(problem: Problem, x: FloatArray) -> FloatArray:
-    """Return d x / d ln(p), (n,); a linear parameter near 0 is taken in its search unit."""
+    """Return d x / d ln(p), (n,); a linear parameter near 0 is scaled by its search unit."""
     logarithmic = np.array([spec.scale == "log" for spec in problem.space.free])
     return np.where(logarithmic | (np.abs(x) < 0.02), 1.0, x)
 

@@ -2,7 +2,7 @@
 
 A stage that fixes parameters at an earlier stage's estimates inherits their errors. To first order its own
 estimate moves by S dh with ``S = -(J'J)^-1 J' J_h``, so its covariance is that of its own noise plus ``S C_h S'``.
-The noise of different stages is taken as independent; if two stages fit the same runs, their noise is counted
+The noise of different stages is assumed independent; if two stages fit the same runs, their noise is counted
 twice.
 """
 

@@ -13,7 +13,7 @@ from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.uncertainty.confidence import Uncertainty
 
 _LEVELS = (0.025, 0.16, 0.5, 0.84, 0.975)
-_LENGTHS = 30.0  # autocorrelation times that a chain is to be longer than
+_LENGTHS = 30.0  # least length of a chain, in autocorrelation times
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ def posterior_of(
                 split = len(e.residuals) - count
                 likely, prior = e.residuals[:split], e.residuals[split:]
                 found[k] = -0.5 * (float(likely @ likely) / temperature + float(prior @ prior))
-        # A flat prior of the value is exp(x) over a logarithmic coordinate.
+        # A flat prior of the value is exp(x) in a logarithmic coordinate.
         logarithmic = [s.scale == "log" for s in problem.space.free]
         return np.asarray(found + points[:, logarithmic].sum(axis=1))
 

@@ -13,10 +13,10 @@ from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.uncertainty.confidence import LEVEL, Uncertainty
 
-_STRIDE = 0.5  # of the linear interval's half-width, from one point of a curve to the next
-_STRIDES = 8  # of this length; then each is twice the one before
-_FARTHEST = 64.0  # half-widths
-_STILL = 0.02  # a step of less (of the rise that is allowed) ends the others' refit
+_STRIDE = 0.5  # distance between points of a curve, in half-widths of the linear interval
+_STRIDES = 8  # number of such strides; after them, each is twice the previous one
+_FARTHEST = 64.0  # half-widths at most
+_STILL = 0.02  # a smaller step (relative to the allowed rise) ends the others' refit
 _REFITS = 12
 
 
@@ -89,7 +89,7 @@ def profile_of(
     j = differences.jacobian(evaluate, best)
     spread = float(np.sqrt(estimate.covariance[i][i]))
     t = float(stdtrit(estimate.freedom[i], 0.5 + 0.5 * level))
-    # What the others cannot follow is the parameter's own share of the residuals.
+    # The part that the others cannot follow is the parameter's own share of the residuals.
     allowed = float((t * spread) ** 2 / np.linalg.pinv(j.T @ j, hermitian=True)[i, i])
     found = {float(x[i]): 0.0}
     ends: list[float | None] = []
@@ -107,7 +107,7 @@ def profile_of(
 
 
 class _Walk:
-    """Moves parameter `i` outwards; the others are fitted again at every step, each time from the last fit."""
+    """Moves parameter `i` outwards; the others are refitted at every step, each time from the last fit."""
 
     def __init__(
         self, problem: Problem, evaluate: EvaluateMany, j: FloatArray, *, best: Evaluation, i: int, allowed: float
@@ -134,7 +134,7 @@ class _Walk:
         return limit
 
     def rise(self, sign: float, distance: float) -> float:
-        """Return the growth of the cost at `distance` over what is allowed, and note it."""
+        """Return the rise of the cost at `distance`, relative to the allowed one, and record it."""
         value = float(self.best.x[self.i] + sign * distance)
         if distance == 0.0:
             return 0.0
@@ -143,7 +143,7 @@ class _Walk:
         return self.found[value]
 
     def _refit(self, value: float) -> float:
-        """Return the least cost with the parameter at `value`, by Gauss-Newton steps that never go uphill."""
+        """Return the least cost with the parameter at `value`, by Gauss-Newton steps that never raise the cost."""
         lower, upper = self.problem.space.lower, self.problem.space.upper
         x = self.x.copy()
         x[self.i] = value

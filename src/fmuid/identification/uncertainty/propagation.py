@@ -40,7 +40,7 @@ class CriterionSpread:
     Parameters
     ----------
     value
-        At the estimate.
+        Value at the estimate.
     median, high
         Median and 95 % quantile of the draws.
     worst
@@ -203,7 +203,7 @@ def _farthest(m: FloatArray, r: FloatArray, radius: float) -> FloatArray:
         return float(np.linalg.norm(slope / (top + shift - curvature)) - radius)
 
     low, high = 1e-12 * (top + size / radius), 2.0 * size / radius
-    if excess(low) <= 0.0:  # the slope has no part along the steepest axis: what is missing goes there
+    if excess(low) <= 0.0:  # the slope has no part along the steepest axis, so the remainder goes there
         u = np.where(curvature < top, slope / np.where(curvature < top, top + low - curvature, 1.0), 0.0)
         u[-1] = np.sqrt(max(radius**2 - float(u @ u), 0.0))
     else:

@@ -14,8 +14,8 @@ from fmuid.identification.problem.derivatives import Differences, NoiseFloor, no
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.uncertainty.identifiability import Identifiability, identifiability
 
-_STANDSTILL = 0.02  # of the largest speed: slower counts as standing
-_LOADED = 0.1  # of the largest load: less counts as unloaded
+_STANDSTILL = 0.02  # share of the largest speed below which a sample counts as standstill
+_LOADED = 0.1  # share of the largest load below which a sample counts as unloaded
 _SPEEDS = ("rad/s", "m/s", "rpm", "deg/s", "1/min")
 _LOADS = ("N.m", "Nm", "N", "A")
 

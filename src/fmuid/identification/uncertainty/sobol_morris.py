@@ -1,4 +1,4 @@
-"""Global sensitivity over the parameters' ranges: Sobol' indices and Morris screening; only it imports SALib."""
+"""Global sensitivity over the parameters' ranges: Sobol' indices and Morris screening, the only user of SALib."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from fmuid.identification.problem.search_space import SearchSpace
 Method = Literal["sobol", "morris"]
 Quantity = Literal["change", "criterion", "mean", "final", "minimum", "maximum"]
 STRONGEST = {"sobol": "total", "morris": "mu_star"}
-"""The index of each method that says how much a parameter matters with everything it does together with others."""
+"""The index of each method that measures how much a parameter matters, including all its interactions."""
 SAMPLES = {"sobol": 256, "morris": 20}
-_WIDE = 0.1  # half width of an interval of a total index: where more samples are advised
-NEGLIGIBLE = 0.01  # share of an output: a parameter below it can be fixed anywhere, and 99 % of the variance stay
+_WIDE = 0.1  # half width of a total index's interval above which more samples are advised
+NEGLIGIBLE = 0.01  # of an output: fixing a parameter with a smaller share keeps 99 % of the variance
 _LEVEL = 0.95
-_RESAMPLES = 300  # of the bootstrap
-_LEVELS = 4  # of the grid of a Morris trajectory
-_CUT = 3.0  # standard deviations: where a prior ends
+_RESAMPLES = 300  # number of bootstrap samples
+_LEVELS = 4  # levels of the grid of a Morris trajectory
+_CUT = 3.0  # standard deviations at which a prior is cut
 _BLOCK = 64  # points simulated at once
-_FEWEST = 8  # base samples that indices are computed from
+_FEWEST = 8  # smallest number of base samples for computing indices
 
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """An index, and the half width of its 95 % interval by bootstrap; None where the method has none."""
+    """An index, and the half width of its 95 % interval by bootstrap; None if the method has none."""
 
     value: float
     half_width: float | None = None
@@ -64,7 +64,7 @@ class OutputSensitivity:
     indices: Mapping[str, tuple[Index, ...]]
 
     def strengths(self, method: Method) -> FloatArray:
-        """(P,) how much each parameter matters: total index, or share of the largest mean effect; NaN without."""
+        """(P,) importance of each parameter: total index, or share of the largest mean effect; NaN without one."""
         return self._shares(method, [i.value for i in self.indices.get(STRONGEST[method], ())])
 
     def ends(self, method: Method, sign: float) -> FloatArray:
@@ -90,13 +90,13 @@ class GlobalSensitivity:
     names
         Names of the P parameters.
     ranges
-        Ends of the range that each is drawn from, in its unit.
+        Ends of the range from which each parameter is drawn, in its unit.
     draws
-        (draws, P) their values.
+        (draws, P) drawn values.
     outputs
         The sensitivity of each output.
     samples
-        Base samples (Sobol') or trajectories (Morris) that the indices rest on.
+        Base samples (Sobol') or trajectories (Morris) from which the indices are computed.
     failed, failure
         Number of draws that could not be simulated, and the first reason. Base samples or trajectories with such a
         draw are left out.
@@ -132,7 +132,7 @@ class GlobalSensitivity:
         return tuple(o.label for o in self.outputs if not o.indices)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as a JSON value, format ``fmuid-sensitivity``; the draws are left out."""
+        """Return the result as a JSON value, format ``fmuid-sensitivity``, without the draws."""
         outputs = []
         for output in self.outputs:
             known = output.scalars[np.isfinite(output.scalars)]
@@ -168,7 +168,7 @@ class GlobalSensitivity:
         }
 
     def remarks(self) -> list[str]:
-        """Return what the indices mean, in sentences."""
+        """Return the meaning of the indices, in sentences."""
         found = []
         if self.negligible:
             below = "of the largest effect" if self.method == "morris" else "of the variance"
@@ -231,15 +231,15 @@ def global_sensitivity_of(
 ) -> GlobalSensitivity:
     """Return the global sensitivity of a problem's outputs to its free parameters.
 
-    Parameters are drawn independently, uniformly between their bounds (in their logarithm with ``scale = "log"``);
-    one with a prior from that, cut at three standard deviations and at the bounds. First-order and total indices
-    are the estimators of Saltelli and others (2010) on a scrambled Sobol' sequence; elementary effects those of
-    Morris (1991) with the mean size of Campolongo and others (2007). Both by SALib.
+    Parameters are drawn independently: uniformly between their bounds (in their logarithm with ``scale = "log"``),
+    or from their prior, cut at three standard deviations and at the bounds. First-order and total indices are
+    estimated as by Saltelli and others (2010) on a scrambled Sobol' sequence; elementary effects as by Morris
+    (1991), with the mean size of Campolongo and others (2007). Both use SALib.
 
     Parameters
     ----------
     problem
-        The problem; its measurements matter to `of` = ``criterion`` only.
+        The problem; its measurements only matter if `of` is ``criterion``.
     method
         ``sobol``, which takes ``samples * (P + 2)`` simulations of every case for P parameters, or ``morris``,
         which takes ``samples * (P + 1)``.
@@ -252,7 +252,7 @@ def global_sensitivity_of(
     seed
         Seed of the draws and of the bootstrap.
     say
-        Called with the share that is done.
+        Called with the fraction done (0 to 1).
 
     Returns
     -------
@@ -278,7 +278,7 @@ def global_sensitivity_of(
     (here,) = problem.evaluate_many([space.start])
     if here.failure is not None:
         raise SimulationError(here.failure, where="start values", fix="choose others")
-    # SALib takes a seed of 0 for none.
+    # For SALib, a seed of 0 means none.
     seeds = [int(s) for s in np.random.default_rng(seed).integers(1, 2**31, size=2)]
     cube = {"num_vars": len(space), "names": list(space.names), "bounds": [[0.0, 1.0]] * len(space)}
     if method == "sobol":
@@ -337,7 +337,7 @@ def drawn_between(spec: ParameterSpec) -> tuple[float, float]:
     Raises
     ------
     ProblemError
-        It has no bounds and no prior, or they leave nothing.
+        It has neither bounds nor prior, or they do not overlap.
     """
     where = f"parameter '{spec.name}'"
     low, high = spec.lower, spec.upper
@@ -377,7 +377,7 @@ def _simulated(
 ) -> tuple[FloatArray, str | None, bool]:
     """Return the (n, outputs) scalars of the draws, NaN where one failed, and the first reason.
 
-    And whether it was interrupted: then n is what whole groups of `size` were simulated.
+    Also return whether it was interrupted; n then covers the complete groups of `size` that were simulated.
     """
     points = [space.to_search(dict(zip(space.names, row, strict=True))) for row in draws.tolist()]
     rows: list[FloatArray] = []
@@ -399,7 +399,7 @@ def _simulated(
 def _scalars(
     problem: Problem, of: Quantity, here: Evaluation
 ) -> tuple[tuple[str, ...], tuple[str, ...], Callable[[Evaluation], FloatArray]]:
-    """Return labels and units of the scalars, and what makes them of an evaluation."""
+    """Return labels and units of the scalars, and the function that computes them from an evaluation."""
     if of == "criterion":
         return problem.labels, ("1",) * len(problem.labels), lambda e: e.criteria
     channels = [(case, channel) for case in problem.cases for channel in case.channels]
@@ -424,7 +424,7 @@ def _scalars(
 
 
 def _own_noise(problem: Problem, of: Quantity, here: Evaluation) -> list[float]:
-    """Return by how much each scalar varies for the simulator's own noise; 0 if that cannot be told."""
+    """Return how much each scalar varies with the simulator's own noise; 0 if that is unknown."""
     try:
         floor = noise_floor(problem, here.x)
     except SimulationError:
