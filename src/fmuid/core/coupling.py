@@ -108,7 +108,7 @@ class Master:
 
 @dataclass(frozen=True, slots=True)
 class Coupling:
-    """What a campaign says about a coupled model.
+    """The coupling of FMUs that a campaign specifies.
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ def check_folder(folder: Path) -> None:
 def remove_unfinished(folder: Path, *, but_below: str) -> None:
     """Remove partly written files that a killed process left in a folder or below it.
 
-    Folders below it that have a file of the name `but_below` belong to somebody else.
+    Folders below it that contain a file named `but_below` belong to other runs.
     """
     for path in folder.rglob(f".*{_UNFINISHED}"):
         if not any((above / but_below).exists() for above in path.parents if folder in above.parents):
@@ -81,7 +81,7 @@ def write_atomically(path: Path, content: bytes | str) -> None:
             os.fsync(file.fileno())
         umask = os.umask(0)
         os.umask(umask)
-        temporary.chmod(0o666 & ~umask)  # mkstemp makes private files
+        temporary.chmod(0o666 & ~umask)  # mkstemp creates private files
         temporary.replace(path)
     except OSError as error:
         raise FmuidError(

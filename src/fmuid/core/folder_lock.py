@@ -84,7 +84,7 @@ def _locked(folder: Path) -> int:
         except OSError:  # a file system without locks
             break
         os.close(descriptor)
-    with suppress(OSError):  # a full disk: then it is not said who holds it
+    with suppress(OSError):  # on a full disk the holder is not recorded
         os.ftruncate(descriptor, 0)
         os.pwrite(descriptor, _holder().encode(), 0)
     return descriptor

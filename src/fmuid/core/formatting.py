@@ -46,7 +46,7 @@ def html_lines(lines: Sequence[str]) -> str:
 
 
 def range_text(low: float, high: float, span: float | None = None) -> str:
-    """Return "low … high" to three digits; an end negligible beside `span` (high - low) becomes zero."""
+    """Return "low … high" to three digits; an end negligible compared with `span` (high - low) becomes zero."""
     span = high - low if span is None else span
     ends = [0.0 if abs(end) < 1e-3 * span < math.inf else float(f"{end:.3g}") for end in (low, high)]
     return " … ".join(f"{end:g}".replace("-", "−") for end in ends)
@@ -59,7 +59,7 @@ def interval_text(low: float, high: float) -> str:
 
 
 def interval_digits(low: float, high: float) -> int:
-    """Return how many significant digits tell the ends of an interval apart, to two digits of its width."""
+    """Return the number of significant digits that shows the ends of an interval to two digits of its width."""
     width, size = high - low, max(abs(low), abs(high))
     if not (0.0 < width < math.inf and size > 0.0):
         return 5

@@ -45,9 +45,9 @@ _FUNCTIONS: Mapping[str, Callable[..., float]] = {
     "tan": math.tan,
     "tanh": math.tanh,
 }
-_REMEMBERED = 10_000  # formulas: a library of terms is evaluated again and again
-_OTHERWISE = {"max": "maximum", "min": "minimum"}  # NumPy's names of functions
-# All that a compiled formula can call.
+_REMEMBERED = 10_000  # number of formulas: a library of terms is evaluated many times
+_OTHERWISE = {"max": "maximum", "min": "minimum"}  # NumPy's function names
+# All functions that a compiled formula can call.
 _OF_ARRAYS: dict[str, Any] = {"__builtins__": {}, **{n: getattr(np, _OTHERWISE.get(n, n)) for n in _FUNCTIONS}}
 _SLOPES: Mapping[str, Callable[[float], float]] = {
     "abs": lambda x: math.copysign(1.0, x),
@@ -90,7 +90,7 @@ class Expression:
     def of_samples(self, columns: Mapping[str, FloatArray]) -> FloatArray:
         """Return the value at every sample of (N,) `columns`; NaN or infinite where it is undefined."""
         with np.errstate(all="ignore"):
-            # Nothing but arithmetic, names and these functions is in a tree that `parse` has let through.
+            # A tree accepted by `parse` contains only arithmetic, names and these functions.
             found = eval(_compiled(self), _OF_ARRAYS, {n: columns[n] for n in self.names})
         return np.asarray(found, dtype=np.float64)
 
@@ -151,14 +151,14 @@ def _compiled(expression: Expression) -> CodeType:
 
 
 def _checked(node: ast.expr, names: set[str]) -> ast.expr:
-    """Return the tree with each parameter as one name, whatever it is spelt by; collects the names."""
+    """Return the tree with each parameter as a single name, however it is spelt; collects the names."""
     name = _name(node)
     if name is not None:
         names.add(name)
         return ast.Name(id=name)
     match node:
         case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
-            node.value = float(value)  # no integer powers without end
+            node.value = float(value)  # no unlimited integer powers
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
             node.left, node.right = _checked(left, names), _checked(right, names)
         case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
@@ -215,11 +215,11 @@ def _value(node: ast.expr, values: Mapping[str, float]) -> float:
             return -value if isinstance(op, ast.USub) else value
         case ast.Call(func=ast.Name(id=function), args=arguments):
             return _FUNCTIONS[function](*(_value(a, values) for a in arguments))
-    raise ValueError(ast.dump(node))  # `_checked` lets nothing else through
+    raise ValueError(ast.dump(node))  # `_checked` accepts nothing else
 
 
 def _dual(node: ast.expr, values: Mapping[str, float], slopes: Mapping[str, float]) -> tuple[float, float]:
-    """Return the value and the derivative, by forward differentiation; at a kink, that of one side."""
+    """Return the value and the derivative, by forward differentiation; at a kink, a one-sided one."""
     match node:
         case ast.Name(id=name):
             return values[name], slopes.get(name, 0.0)

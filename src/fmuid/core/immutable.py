@@ -25,5 +25,5 @@ def frozen_mapping(mapping: Mapping[str, Any]) -> MappingProxyType[str, Any]:
     return MappingProxyType(dict(mapping))
 
 
-# Tasks travel to other processes, and the standard library cannot pickle read-only mappings by itself.
+# Tasks are sent to other processes, and the standard library cannot pickle read-only mappings by itself.
 copyreg.pickle(MappingProxyType, lambda mapping: (frozen_mapping, (dict(mapping),)))

@@ -65,10 +65,10 @@ class Journal:
         """
         data = msgspec.msgpack.encode(content)
         begin = self._end
-        # Unbuffered: what the kernel has taken survives the death of the process.
+        # Unbuffered, because data accepted by the kernel survives the death of the process.
         record = memoryview(_HEAD.pack(len(data), zlib.crc32(data)) + data)
         try:
-            while record:  # a disk that gets full takes a part
+            while record:  # a disk that becomes full takes only a part
                 record = record[os.write(self._file.fileno(), record) :]
             if lasting:
                 os.fsync(self._file.fileno())
@@ -121,14 +121,14 @@ def records(path: Path, magic: bytes) -> Iterator[tuple[Any, int, int]]:
             length, checksum = _HEAD.unpack(head)
             data = file.read(length) if length < _LARGEST else b""
             if not data or len(data) != length or zlib.crc32(data) != checksum:
-                return  # cut short by a kill, or zeros that a machine left which lost its power
+                return  # cut short by a kill, or followed by zeros after a power failure
             end = file.tell()
             yield msgspec.msgpack.decode(data), begin, end
             begin = end
 
 
 def check_resumable(folder: Path, resume: bool, *, interrupted: bool, complete: bool) -> None:
-    """Refuse to replace an interrupted run unasked, and to resume a complete one.
+    """Refuse to replace an interrupted run without being asked to, or to resume a complete one.
 
     Raises
     ------

@@ -12,7 +12,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-_YOUNG = 600.0  # s in which a folder may not be locked yet
+_YOUNG = 600.0  # s for which a new folder may not yet be locked
 
 
 class Scratch:
@@ -21,7 +21,7 @@ class Scratch:
     Parameters
     ----------
     prefix
-        Prefix of its name. Folders with the same prefix whose owner is gone are removed.
+        Prefix of its name. Folders with the same prefix are removed if their owner has ended.
     where
         Parent folder; the system's folder for temporary files by default.
     """
@@ -47,14 +47,14 @@ def of_process() -> Path:
 
 @functools.cache
 def _of_process(process: int, where: str) -> Scratch:
-    """Make it once for each process and folder for temporary files."""
+    """Make the folder once per process and folder for temporary files."""
     scratch = Scratch("fmuid-unpacked-", where)
     atexit.register(lambda: scratch.remove() if os.getpid() == process else None)  # not in a fork
     return scratch
 
 
 def _locked(folder: Path) -> int | None:
-    """Return an open descriptor that holds the folder's lock; None if another has it, or nothing tells."""
+    """Return an open descriptor that holds the folder's lock; None if another has it, or that is unknown."""
     if sys.platform == "win32":
         return None
     import fcntl

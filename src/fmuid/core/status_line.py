@@ -15,7 +15,7 @@ class MovingLine:
     """An updating status line, removed at the end; shown on a terminal only. Use it as a context manager."""
 
     def __init__(self, console: Console | None, *columns: ProgressColumn) -> None:
-        # Under NO_COLOR rich would go on with bold and dim text; with no system of colours there is neither.
+        # Under NO_COLOR, rich would still use bold and dim text; without a colour system there is neither.
         plain = bool(os.environ.get("NO_COLOR"))
         self.console = console or Console(stderr=True, color_system=None if plain else "auto")
         self._bar = Progress(
@@ -46,12 +46,12 @@ class Waiting(MovingLine):
         self._task = self._bar.add_task(what, total=None)
 
     def __call__(self, share: float, what: str | None = None) -> None:
-        """Show the share of the work that is behind, and what is being done now."""
+        """Show the share of the work that is done, and the current task."""
         self._bar.update(self._task, description=what, completed=share, total=1.0)
 
 
 class _TimeLeft(ProgressColumn):
-    """Time spent, and what the share that is behind lets expect of the rest."""
+    """Elapsed time, and the estimated time left."""
 
     def render(self, task: Task) -> Text:
         """Return the column."""

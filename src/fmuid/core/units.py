@@ -1,8 +1,8 @@
 """Conversion between the units of measurements and of FMUs; only this module imports pint.
 
-Units are written as Modelica and FMI write them (``N.m``, ``kg.m2``, ``N.m.s/rad``, ``1``, ``degC``);
-``^``, ``*`` and a few everyday spellings (``Nm``, ``Ohm``, ``%``) are understood too. Angles are
-dimensionless, as in SI and FMI, so ``N.m.s`` is ``N.m.s/rad``; hertz and rad/s are kept apart.
+Units are written as in Modelica and FMI (``N.m``, ``kg.m2``, ``N.m.s/rad``, ``1``, ``degC``); ``^``, ``*`` and a
+few everyday spellings (``Nm``, ``Ohm``, ``%``) are also accepted. Angles are dimensionless, as in SI and FMI, so
+``N.m.s`` is ``N.m.s/rad``; hertz and rad/s are distinct.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ _SPELLINGS = {
     "rev": "revolution",
     "U": "revolution",
 }
-_TORQUE = re.compile(r"([mkMµu]?N)m")  # pint takes Nm for a textile unit
+_TORQUE = re.compile(r"([mkMµu]?N)m")  # pint reads Nm as a textile unit
 _ANGLES = {"rad", "deg", "revolution", "rpm", "degree", "radian", "turn"}
 _RESISTANCE = re.compile(r"([mkMµu]?)(?:Ohm|Ω)")
 _CYCLES = re.compile(r"[mkMG]?Hz")
-_PER_MINUTE = {(("min", -1),), (("minute", -1),)}  # what loggers write for rpm
+_PER_MINUTE = {(("min", -1),), (("minute", -1),)}  # written by loggers for rpm
 _OFFSET_UNITS = {"degC": "delta_degC", "degF": "delta_degF"}
 
 # A unit as (symbol, exponent) pairs.
@@ -103,7 +103,7 @@ def conversion(source: str, target: str | None) -> Conversion:
 
 
 def convertible(unit: str, other: str) -> bool:
-    """Return whether two units are of the same quantity."""
+    """Return whether two units measure the same quantity."""
     try:
         conversion(unit, other)
     except UnitError:
@@ -117,7 +117,7 @@ def convert_factor(source: str, target: str | None, *, where: object = None) -> 
     Raises
     ------
     UnitError
-        As `conversion`, with `where` in its line; or the two units differ by an offset, as degC and K do.
+        As for `conversion`, with `where` in its message; or the two units differ by an offset, like degC and K.
     """
     try:
         found = conversion(source, target)
@@ -139,7 +139,7 @@ def check_unit(unit: str) -> None:
 
 @lru_cache(maxsize=1)
 def _registry() -> Any:
-    import pint  # half a second: only when two units really differ
+    import pint  # takes half a second, so only when two units really differ
 
     return pint.UnitRegistry()
 
@@ -186,7 +186,7 @@ def _plain(factors: _Factors) -> _Factors:
 
 
 def _counts_cycles(cycles: _Factors, angle: _Factors) -> bool:
-    """Whether one unit has hertz and the other an angle in its place: pint would take 1 Hz for 1 rad/s."""
+    """Return whether one unit has hertz and the other an angle in its place: pint would take 1 Hz for 1 rad/s."""
     return any(_CYCLES.fullmatch(s) for s, _ in cycles) and (
         any(s in _ANGLES for s, _ in angle) and not any(_CYCLES.fullmatch(s) for s, _ in angle)
     )
@@ -201,6 +201,6 @@ def _pint_unit(unit: str, factors: _Factors, *, difference: bool = False) -> Any
             # In a product (W/degC) only the temperature difference makes sense.
             name = symbol if absolute else _OFFSET_UNITS.get(symbol, symbol)
             result = result * registry.Unit(name) ** power
-    except Exception:  # pint's parser raises its own, tokenizer's and syntax errors alike
+    except Exception:  # pint's parser raises its own errors, tokenizer's and syntax errors alike
         raise UnitError(f"unit '{unit}' is unknown", fix="write it as in 'N.m' or 'kg.m2/s'") from None
     return result

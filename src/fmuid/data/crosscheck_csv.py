@@ -1,4 +1,4 @@
-"""CSV files: written as in the FMI Cross-Check (comma, quoted header, `time` first); logger formats are read too.
+"""CSV files: written as in the FMI Cross-Check (comma, quoted header, `time` first), and read in logger formats.
 
 A logger's file may separate cells by semicolons or tabs and then use decimal commas; it may state units in the
 header or in a separate row, and time in a unit other than s. The table's notes list what was detected.
@@ -26,10 +26,10 @@ from fmuid.core.units import check_unit, conversion
 MAX_BYTES = 2_000_000_000
 MAX_COLUMNS = 10_000
 TIMES = ("time", "t", "timestamp", "timestamps", "datetime", "zeit")
-"""Names of a time axis, upper or lower case."""
+"""Names of a time axis, in upper or lower case."""
 _DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab"}
 _PER_MINUTE = ("1/min", "min-1", "min^-1", "/min")
-_PREAMBLE = 100  # lines that a header is looked for in
+_PREAMBLE = 100  # lines searched for a header
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 # "tau [N.m]", "tau[N.m]", "tau (N.m)": a name and its unit; but lossTable[1,2] and der(v) are names.
 _QUOTIENT = re.compile(r"(?P<name>.*\S)\s(?:/|in)\s(?P<unit>\S+)")  # "Drehmoment / N.m", as in ISO 80000
@@ -52,7 +52,7 @@ class Table:
     units
         Name -> unit, for names whose header states a unit, as in ``"tau [N.m]"``.
     notes
-        What the reader detected, one line each.
+        Observations of the reader, one line each.
     """
 
     time: FloatArray
@@ -178,14 +178,14 @@ def _read_text(path: Path) -> tuple[str, str]:
     for encoding, name in encodings:
         with suppress(UnicodeDecodeError):
             text = content.decode(encoding).replace("\r\n", "\n")
-            # Text has no control characters: other files are no text in any encoding.
+            # Text has no control characters, so a file with them is not text in any encoding.
             if not name or not _CONTROL.search(text[:10_000]):
                 return text, name
     raise MeasurementsError("is not text", where=path, fix="save it as CSV in UTF-8")
 
 
 def _without_row_numbers(text: str) -> tuple[str, bool]:
-    """Return the text less a column without a name before the time (pandas writes one), and whether it had it."""
+    """Return the text without an unnamed column before the time (as written by pandas), and whether it had one."""
     first = _first_line(text)
     for delimiter in _DELIMITERS:
         name, _, rest = first.partition(delimiter)
@@ -195,7 +195,7 @@ def _without_row_numbers(text: str) -> tuple[str, bool]:
 
 
 def _without_preamble(text: str) -> tuple[str, int]:
-    """Return the text with empty lines in place of those before the header, and how many these are."""
+    """Return the text with the lines before the header emptied, and the number of these."""
     lines = text.split("\n", _PREAMBLE)
     for k, line in enumerate(lines[:_PREAMBLE]):
         if any(_names_time(line, delimiter) for delimiter in _DELIMITERS):
@@ -214,7 +214,7 @@ def _names_time(line: str, delimiter: str) -> bool:
 
 
 def _delimiter_of(text: str, columns: Sequence[str], path: Path) -> str:
-    """Return what separates the cells of a file without a header."""
+    """Return the delimiter of cells in a file without a header."""
     first = _first_line(text)
     counts = {d: len(first.split(d)) for d in (";", "\t", ",")}
     for delimiter, count in counts.items():
@@ -263,7 +263,7 @@ def _read_header(header: list[str], path: Path) -> tuple[list[str], dict[str, st
 
 
 def _units_row(text: str, skip: int, names: list[str], delimiter: str) -> list[str]:
-    """Return the units that the line after the header holds; none if a cell of it is a number or no unit."""
+    """Return the units in the line after the header; none if one of its cells is a number or not a unit."""
     line = text.split("\n", skip + 1)[skip] if text.count("\n") >= skip else ""
     cells = [cell.strip().strip('"[]() ') for cell in line.split(delimiter)]
     if len(cells) != len(names) or not cells[0].isalpha() or not any(cells[1:]):
@@ -276,7 +276,7 @@ def _units_row(text: str, skip: int, names: list[str], delimiter: str) -> list[s
 
 
 def _dates_as_seconds(text: str, skip: int, delimiter: str) -> tuple[str, bool]:
-    """Return the text with times that are dates (ISO 8601) in s from the first one, and whether they are dates."""
+    """Return the text with ISO 8601 dates as seconds from the first one, and whether its times are dates."""
     lines = text.split("\n", skip + 1)
     first = lines[skip].partition(delimiter)[0].strip(' "\r') if len(lines) > skip else ""
     if "-" not in first or ":" not in first:
@@ -288,7 +288,7 @@ def _dates_as_seconds(text: str, skip: int, delimiter: str) -> tuple[str, bool]:
     try:
         start = datetime.fromisoformat(first)
         seconds = [repr((datetime.fromisoformat(c) - start).total_seconds()) if c else "" for c, _ in rows]
-    except (ValueError, TypeError):  # not all are dates, or some without a time zone
+    except (ValueError, TypeError):  # some are not dates, or some have no time zone
         return text, False
     if delimiter != "," and not any("." in rest for _, rest in rows):
         seconds = [s.replace(".", ",") for s in seconds]
@@ -322,8 +322,8 @@ def _read_numbers(text: str, skip: int, names: list[str], path: Path, delimiter:
     body = text.split("\n", skip)[skip] if text.count("\n") >= skip else ""
     decimal_comma = delimiter != "," and "." not in body and "," in body
     plain = body.replace(",", ".") if decimal_comma else body
-    try:  # NumPy's reader is fast but takes no empty cells and names no column
-        with warnings.catch_warnings(action="error"):  # it warns of a file without rows
+    try:  # NumPy's reader is fast, but accepts no empty cells and names no column
+        with warnings.catch_warnings(action="error"):  # it warns about a file without rows
             values = np.loadtxt(io.StringIO(plain), delimiter=delimiter, ndmin=2, quotechar='"', comments=None)
         if values.shape[1] == n:
             return values, decimal_comma

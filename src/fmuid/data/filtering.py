@@ -11,8 +11,8 @@ import numpy as np
 from fmuid.core.errors import MeasurementsError
 from fmuid.core.immutable import FloatArray
 
-ORDER = 4  # of the Butterworth filter, which runs forward and backward
-_UNEVEN = 0.2  # of the median step
+ORDER = 4  # order of the Butterworth filter, which runs forward and backward
+_UNEVEN = 0.2  # share of the median step
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +33,9 @@ class LowPass:
         Parameters
         ----------
         time
-            (N,) s, even but for jitter.
+            (N,) s, even except for jitter.
         values
-            Missing samples are bridged by straight lines for what lies around them.
+            (..., N); for filtering the other samples, missing ones are interpolated linearly.
 
         Raises
         ------
@@ -81,7 +81,7 @@ class LowPass:
 
 def first_order(values: FloatArray, keep: float, before: float = 0.0) -> FloatArray:
     """Return y, (N, ...), with ``y[k] = keep * y[k-1] + values[k]``, where y[-1] is `before`."""
-    from scipy.linalg import solve_banded  # scipy.signal, which has such filters, takes a second to import
+    from scipy.linalg import solve_banded  # scipy.signal has such filters, but takes a second to import
 
     right = np.array(values)
     right[0] += keep * before
@@ -99,7 +99,7 @@ def derivative(time: FloatArray, values: FloatArray, order: int = 1) -> FloatArr
 def _butterworth(cutoff: float, rate: float) -> Any:
     from scipy.signal import butter
 
-    # Forward and backward the amplitude at the design frequency is squared, 1/2.
+    # Forward and backward filtering squares the amplitude at the design frequency to 1/2.
     return butter(ORDER, cutoff, fs=rate, output="sos")
 
 

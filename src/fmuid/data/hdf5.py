@@ -24,10 +24,10 @@ Group = h5py.Group
 File = h5py.File
 Error = type[FmuidError]
 
-MAX_DEPTH = 8  # of groups in each other: a hard link can lead back up
-MAX_SAMPLES = 50_000_000  # of one dataset: 400 MB; a damaged or hostile header can claim any size
+MAX_DEPTH = 8  # largest depth of groups: a hard link can lead back up
+MAX_SAMPLES = 50_000_000  # samples in one dataset: 400 MB; a damaged or hostile header can claim any size
 
-# What h5py raises on damaged files, by experience and by fuzzing.
+# Exceptions of h5py on damaged files, known from experience and fuzzing.
 _H5PY_ERRORS = (
     OSError,
     RuntimeError,
@@ -58,7 +58,7 @@ def reading(path: Path, error: Error = MeasurementsError, *, fix: str | None = N
 def write_file(path: Path, fill: Callable[[Any], None]) -> None:
     """Write an HDF5 file atomically: `fill` receives an empty `h5py.File`; `path` changes once it is complete."""
     memory = io.BytesIO()
-    # Of the format of 2008: before it, the names of some thousand runs were more than an attribute holds.
+    # The format of 2008: earlier, the names of some thousand runs exceed the size of an attribute.
     with h5py.File(memory, "w", libver="v108") as file:
         fill(file)
     write_atomically(path, memory.getvalue())

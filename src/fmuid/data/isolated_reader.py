@@ -23,17 +23,17 @@ from typing import Any, TypeVar
 from fmuid.core.errors import MeasurementsError
 
 _T = TypeVar("_T")
-TIME_LIMIT = 60.0  # s of processor time, and a second more for every 5 MB
-_WAITING = 30.0  # times that, on a machine that is busy with other things
+TIME_LIMIT = 60.0  # s of processor time, plus a second for every 5 MB
+_WAITING = 30.0  # times that limit, on a busy machine
 _BYTES_PER_SECOND = 5e6
 
 
 class _Reader:
-    """The process and the end of the line to it."""
+    """The process and the connection to it."""
 
     def __init__(self) -> None:
         ours, theirs = socket.socketpair()
-        # -P: the folder that the user is in may hold a module of any name.
+        # -P: the current folder may contain a module of any name.
         command = [
             sys.executable,
             "-P",
@@ -82,14 +82,14 @@ def read_apart(read: Callable[[Path], _T], path: Path, *, limit: float | None = 
                 raise _too_slow(path, limit)
             fine, result = pickle.loads(_reader.connection.recv_bytes())
         except (EOFError, OSError):
-            ended = _reader.process.wait()  # its end of the line is closed: it is gone
+            ended = _reader.process.wait()  # its end of the connection is closed, so it has exited
             _end()
             if ended == -getattr(signal, "SIGXCPU", 0):
                 raise _too_slow(path, limit) from None
             raise MeasurementsError(
                 "crashes the library that reads it", where=path, fix="write it again: it may be damaged"
             ) from None
-        except BaseException:  # Ctrl-C: an answer that nobody waits for must not be taken for the next one
+        except BaseException:  # Ctrl-C: an unread answer must not be taken for the next one
             _end()
             raise
     if not fine:
@@ -116,7 +116,7 @@ atexit.register(_end)
 
 def serve() -> None:
     """Answer requests until the other end closes."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # they are the parent's to handle
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # the parent handles these
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     connection = Connection(int(sys.argv[1]))
@@ -126,18 +126,18 @@ def serve() -> None:
         except (EOFError, OSError):
             return
         try:
-            os.chdir(folder)  # that the path is relative to
+            os.chdir(folder)  # the path is relative to this folder
             _limit_processor_time(limit)
             answer: tuple[bool, Any] = (True, read(path))
         except Exception as error:
-            # What it came from stays here: libraries raise errors that no other process can rebuild.
+            # The cause of an error is not sent: libraries raise errors that no other process can rebuild.
             error.__cause__ = error.__context__ = None
             answer = (False, error)
         connection.send_bytes(pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL))
 
 
 def _limit_processor_time(seconds: float) -> None:
-    """Have the system end this process once it has computed for so long from now."""
+    """Make the system end this process after this much further processor time."""
     with suppress(ImportError):  # Windows
         import resource
 

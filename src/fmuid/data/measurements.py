@@ -45,7 +45,7 @@ def read_measurements(path: str | Path, *, fix_missing: str | None = None) -> Me
     found = read_apart(_read, path)
     for experiment in found:
         for values in (experiment.time, *(s.values for s in experiment.signals.values())):
-            values.flags.writeable = False  # which pickle does not keep
+            values.flags.writeable = False  # not preserved by pickle
     return found
 
 
@@ -275,7 +275,7 @@ def _read_settings(group: Any, where: str) -> tuple[Mapping[str, float], Mapping
                 )
             units[of] = hdf5.text(holder, name, _Error, where)
         else:
-            values[name] = cast(float, hdf5.number(holder, name, _Error, where))  # it is there
+            values[name] = cast(float, hdf5.number(holder, name, _Error, where))  # it exists
     return values, units
 
 

@@ -48,7 +48,7 @@ class Colour:
         white = self._innovations(r)
         ones = self._innovations(np.ones(len(r)))
         energy = float(np.sum(ones**2))
-        # The shift adds a term of rank one to the covariance: its inverse root takes as much off.
+        # The shift adds a rank-one term to the covariance, and a matching one to its inverse root.
         taken = (1.0 - 1.0 / np.sqrt(1.0 + self.shift * energy)) / energy
         return np.asarray(white - taken * float(np.sum(ones * white)) * ones)
 
@@ -101,7 +101,7 @@ def estimate_colour(runs: Sequence[RepeatedRuns], *, count: float = 1.0) -> Colo
     predictors, errors = _levinson(covariance)
     order = int(np.argmin(samples * np.log(errors) + 2.0 * np.arange(len(errors))))
     kept = tuple(predictors[: order + 1])
-    # Variance of the mean of a run of the longest length, as the autoregression has it.
+    # Variance of the mean of a run of the greatest length, according to the autoregression.
     n = max(len(r.time) for r in repeated)
     of_mean = errors[order] / (1.0 - float(np.sum(kept[-1]))) ** 2 / n
     return Colour(kept, np.sqrt(errors[: order + 1]), max(float(noise.mean_variance[0]) - of_mean, 0.0))
@@ -114,12 +114,12 @@ def _sums(rows: FloatArray, highest: int) -> FloatArray:
 
 
 def _levinson(covariance: FloatArray) -> tuple[list[FloatArray], FloatArray]:
-    """Return the best predictors of order 0 to the highest, and the variance that each leaves."""
+    """Return the best predictors of order 0 to the highest, and the variance of their errors."""
     predictors, errors = [np.zeros(0)], [float(covariance[0])]
     for k in range(1, len(covariance)):
         before = predictors[-1]
         reflection = (covariance[k] - before @ covariance[1:k][::-1]) / errors[-1]
-        if not abs(reflection) < 1.0:  # an autocovariance that no process has, within its scatter
+        if not abs(reflection) < 1.0:  # an estimated autocovariance that no process can have
             break
         predictors.append(np.append(before - reflection * before[::-1], reflection))
         errors.append(errors[-1] * (1.0 - reflection**2))

@@ -130,7 +130,7 @@ def noise_level(repeats: FloatArray, given: Sequence[float | None]) -> NoiseLeve
 
 
 def _differing(repeats: FloatArray) -> tuple[float, float]:
-    """Return the variance of what (R, N) repeats differ by, exactly 0 where they do not, and its degrees."""
+    """Return the variance of the differences between (R, N) repeats, exactly 0 if they agree, and its degrees."""
     there = np.isfinite(repeats)
     count = there.sum(axis=0)
     degrees = float(np.sum(np.maximum(count - 1, 0)))

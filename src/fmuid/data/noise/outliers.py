@@ -19,14 +19,14 @@ from fmuid.data.noise.resolution import quantum
 
 Mask = NDArray[np.bool_]
 
-_LONGEST = 3  # samples of a spike
-_WINDOW = 51  # samples that tell how much a signal usually moves from one to the next
-_AT_ONCE = 50_000  # windows: 20 MB
-_SPIKE = 10.0  # times that usual move; normal noise has such a spike once in 1e20 samples
-_RELEASE = 5.0  # times the moves after it: a held value is left by a jump, a signal at rest by what it then does
-_SHORTEST = 3  # samples of a held value
-_BY_CHANCE = 1e-3  # expected number of stretches of equal values that is taken for chance
-_MOST = 0.05  # share of the samples: more of them are the signal
+_LONGEST = 3  # samples in the longest spike
+_WINDOW = 51  # samples from which a signal's usual step is taken
+_AT_ONCE = 50_000  # windows processed together: 20 MB
+_SPIKE = 10.0  # relative to that step; normal noise has such a spike once in 1e20 samples
+_RELEASE = 5.0  # relative to the steps after it: a jump ends a held value, but not a signal at rest
+_SHORTEST = 3  # samples in the shortest held value
+_BY_CHANCE = 1e-3  # expected number of stretches of equal values below which they are not chance
+_MOST = 0.05  # share of the samples above which they belong to the signal
 _MAD = 1.4826  # from a normal's median absolute value to its standard deviation
 
 
@@ -81,7 +81,7 @@ def outliers(values: FloatArray, stirred: Mask) -> tuple[Mask, Mask]:
 
 
 def _spikes_or_all(run: FloatArray, others: FloatArray, step: float) -> Mask:
-    """Of two runs that differ in a sample, either may have the spike: the one that it sticks out of, too."""
+    """Return spikes; if two runs differ in a sample, either may have the spike: the one it sticks out of, too."""
     return _spikes(run, step, factor=0.5 * _SPIKE) if len(others) == 1 else np.ones(len(run), dtype=bool)
 
 
@@ -103,13 +103,13 @@ def _spikes(values: FloatArray, step: float, factor: float = _SPIKE) -> Mask:
 
 
 def _medians(windows: FloatArray, places: NDArray[np.intp]) -> FloatArray:
-    """Return the medians of some windows, not so many at once that memory runs short."""
+    """Return the medians of some windows, in batches that fit into memory."""
     some = np.array_split(places, len(places) // _AT_ONCE + 1)
     return np.concatenate([np.median(windows[chosen], axis=1) for chosen in some])
 
 
 def _sticks_out(y: FloatArray, width: int) -> FloatArray:
-    """Return by how much the least of every block of `width` samples inside is beyond both its neighbours."""
+    """Return by how much the smallest of every block of `width` inner samples exceeds both its neighbours."""
     n = len(y)
     count = n - width - 1
     if count < 1:
@@ -122,7 +122,7 @@ def _sticks_out(y: FloatArray, width: int) -> FloatArray:
 
 
 def _held(values: FloatArray, step: float) -> Mask:
-    """Return the samples that repeat the one before while the signal moved on: a jump ends them."""
+    """Return the samples that repeat the previous one while the signal moved on: a jump ends them."""
     found = np.zeros(len(values), dtype=bool)
     moves = np.abs(np.diff(values))
     equal = moves == 0.0
@@ -130,11 +130,11 @@ def _held(values: FloatArray, step: float) -> Mask:
     if chance in (0.0, 1.0):
         return found
     ends = np.flatnonzero(np.diff(np.concatenate([[False], equal, [False]]).astype(int)))
-    for begin, end in ends.reshape(-1, 2):  # moves begin..end-1 are zero: samples begin..end are equal
+    for begin, end in ends.reshape(-1, 2):  # steps begin..end-1 are zero, so samples begin..end are equal
         length = end - begin
         outside = (equal.sum() - length) / max(len(equal) - length, 1)
         after = moves[end + 1 : end + 1 + 20]
-        expected = len(values) * outside**length  # such stretches, if equal values were chance
+        expected = len(values) * outside**length  # expected number of such stretches, if equal values were chance
         if length + 1 < _SHORTEST or end >= len(moves) - 5 or expected > _BY_CHANCE:
             continue
         if moves[end] > max(_RELEASE * _MAD * float(np.nanmedian(after)), 3.0 * step):
@@ -148,7 +148,7 @@ def _median(others: FloatArray) -> FloatArray:
 
 
 def _moved_inputs(experiment: Experiment) -> Mask:
-    """Return (N,) whether an input has just moved by far more than it usually does."""
+    """Return the (N,) mask of samples where an input has just moved far more than it usually does."""
     stirred = np.zeros(len(experiment.time), dtype=bool)
     for signal in experiment.inputs.values():
         moves = np.abs(np.diff(signal.values, prepend=signal.values[0]))

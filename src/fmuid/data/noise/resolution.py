@@ -22,7 +22,7 @@ _REPEATING = (
     6.0 / np.pi**2 * np.sum(np.exp(-((2.0 * np.pi * _ORDERS * _RATIOS[:, None]) ** 2)) / _ORDERS**2, axis=1)
 ) / 12.0
 _REPEATING[0] = 1.0 / 12.0
-# What runs differ by: the noise in front of the counter, and the rounding errors that they do not share.
+# The differences between runs are the noise in front of the counter, and the rounding errors not shared.
 _DIFFERING = _RATIOS**2 + 1.0 / 12.0 - _REPEATING
 
 
@@ -70,12 +70,12 @@ def rounding_errors(values: FloatArray, step: float, *, draws: int = _DRAWS, see
     rng = np.random.default_rng(seed)
     n = len(values)
     counts = np.round(np.nan_to_num(values) / step)
-    first = np.flatnonzero(np.diff(counts, prepend=np.nan) != 0.0)  # of every stretch at one level
+    first = np.flatnonzero(np.diff(counts, prepend=np.nan) != 0.0)  # start of every stretch at one level
     length = np.diff(np.append(first, n))
     entered = np.sign(np.diff(counts[first], prepend=counts[0]))
     left = np.append(entered[1:], 0.0)
     at = np.repeat(np.arange(len(first)), length)
-    late = rng.random((draws, len(first) + 1))  # how long before its first sample a level was entered, in samples
+    late = rng.random((draws, len(first) + 1))  # time from entering a level to its first sample, in samples
     span = length + late[:, :-1] - late[:, 1:]
     into = (np.arange(n) - first[at] + late[:, at]) / span[:, at]
     beside = 0.5 * (np.append(length[0], length[:-1]) + np.append(length[1:], length[-1]))

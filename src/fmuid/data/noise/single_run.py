@@ -16,10 +16,10 @@ import numpy as np
 from fmuid.core.immutable import FloatArray
 
 _ORDERS = range(2, 8)
-_MAD = 1.4826  # from a normal's median absolute value to its standard deviation
-_EFFICIENCY = 0.18  # of the median (0.37), and of neighbouring differences, which share samples
+_MAD = 1.4826  # factor from a normal's median absolute value to its standard deviation
+_EFFICIENCY = 0.18  # efficiency of the median (0.37), reduced as neighbouring differences share samples
 _ONE_SIDED = 1.645  # standard deviations of a normal's 95 % quantile
-_FINEST = 1e-6  # of a signal's spread: 120 dB, 20 bits, is finer than sensors are
+_FINEST = 1e-6  # share of a signal's spread: 120 dB or 20 bits, finer than any sensor
 
 
 def single_run_variance(runs: Sequence[FloatArray], step: float) -> float:

@@ -27,8 +27,8 @@ from fmuid.data.noise.transform import coefficient_frequencies, real_spectrum
 
 _BANDS_PER_OCTAVE = 1
 _MIN_BIN_COUNT = 3
-_FEWEST = 16  # periods of a record, of the narrowest bandwidth
-_TWICE = 2.0  # power over that of the noise where signal and noise are equal
+_FEWEST = 16  # narrowest bandwidth, in periods of the record
+_TWICE = 2.0  # ratio of power to that of the noise at which signal and noise are equal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +83,7 @@ class SetupNoise:
 class Whitener:
     """Transforms a residual of one experiment into components of unit variance under the noise of a single run.
 
-    A factor, (C, C), is of the components of its band.
+    Each factor, (C, C), applies to the components of its band.
     """
 
     mask: FloatArray
@@ -125,7 +125,7 @@ class PiecewiseWhitener:
         return sum(w.size for _, _, w in self.pieces)
 
     def __call__(self, residual: FloatArray) -> FloatArray:
-        """Whiten (..., C, N) residuals to (..., C, N), the pieces one after the other."""
+        """Whiten (..., C, N) residuals to (..., C, N), with the pieces concatenated."""
         return np.concatenate([w(residual[..., a:b]) for a, b, w in self.pieces], axis=-1)
 
     @property
@@ -189,10 +189,10 @@ def estimate_noise(runs: Sequence[RepeatedRuns]) -> SetupNoise:
         mean_dof += run.n_repeats - 1
     variance = np.diag(total.sum(axis=0)) / dof.sum()
     repeating = repeating_variance(variance, step)
-    # Where repeats agree exactly, what the user gave is all that is known.
+    # Where repeats agree exactly, only the user's values are known.
     silent = variance == 0.0
     variance = np.where(silent & np.isfinite(given), np.nan_to_num(given) ** 2, variance)
-    prior = 4.0  # bands with few differences lean on the mean spectrum, as if it were four more of them
+    prior = 4.0  # bands with few differences are shrunk towards the mean spectrum, as if it were four more of them
     covariance = (total + prior * np.diag(variance)) / (dof + prior)[:, None, None]
     covariance += np.diag(np.where(silent, variance, 0.0)) * (dof / (dof + prior))[:, None, None]
     if np.any(variance + repeating <= 0.0):
@@ -232,7 +232,7 @@ def _without_repeats(runs: Sequence[RepeatedRuns], given: FloatArray, step: Floa
         edges=np.array([0.0, np.inf]),
         covariance=np.diag(variance)[None],
         variance=variance,
-        # Sensors shift from run to run; by how much was not measured, so a shift as large as the noise is allowed.
+        # Sensors shift from run to run by an unknown amount, so a shift as large as the noise is allowed for.
         mean_variance=np.where(known, 0.0, variance),
         degrees_of_freedom=np.array([np.inf]),
         step=step,
@@ -247,7 +247,7 @@ def _steps(runs: Sequence[RepeatedRuns]) -> FloatArray:
 
 
 def _given(runs: Sequence[RepeatedRuns]) -> FloatArray:
-    """(C,) root mean square of what the user gave for every run; NaN where there is a run without."""
+    """Return the (C,) root mean square of the user's values for all runs; NaN if a run has none."""
     return np.asarray(np.sqrt(np.mean(np.square([r.given for r in runs]), axis=0)))
 
 
@@ -260,7 +260,7 @@ def whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener:
     n = len(run.time)
     band_of = _bands_of(n, noise.dt, noise.edges)
     known = np.isfinite(run.given)
-    # What the user gave is the whole error of a sample, but a counted signal is no better than its counts.
+    # The user's value is the total error of a sample, but a counted signal is no better than its counts.
     wanted = np.where(known, np.nan_to_num(run.given) ** 2 - noise.repeating, noise.variance)
     scale = np.sqrt(np.divide(np.maximum(wanted, 0.0), noise.variance, where=noise.variance > 0.0, out=wanted * 0))
     rounding = run.n_repeats * _rounding_spectrum(run, noise)
@@ -316,7 +316,7 @@ def rounding_draws(run: RepeatedRuns, noise: SetupNoise, *, draws: int = 16, see
 
 
 def _rounding_spectrum(run: RepeatedRuns, noise: SetupNoise) -> FloatArray:
-    """(C, N) mean square of each coefficient of the rounding errors that repeat."""
+    """Return the (C, N) mean square of each coefficient of the rounding errors that repeat."""
     if not np.any(noise.repeating):
         return np.zeros((len(run.channels), len(run.time)))
     return np.asarray(np.mean(real_spectrum(rounding_draws(run, noise) * run.mask) ** 2, axis=0))

@@ -8,7 +8,7 @@ from fmuid.core.immutable import FloatArray
 
 
 def real_spectrum(values: FloatArray) -> FloatArray:
-    """Orthonormal real Fourier coefficients over the last axis: DC, then cosine and sine of each bin.
+    """Return orthonormal real Fourier coefficients over the last axis: DC, then cosine and sine of each bin.
 
     Shape (..., N) to (..., N); keeps the sum of squares (Parseval).
     """
@@ -38,5 +38,5 @@ def from_real_spectrum(coefficients: FloatArray) -> FloatArray:
 
 
 def coefficient_frequencies(n: int, dt: float) -> FloatArray:
-    """Frequency in Hz of every coefficient that `real_spectrum` returns for N samples."""
+    """Return the frequency in Hz of every coefficient that `real_spectrum` returns for N samples."""
     return np.asarray(np.ceil(np.arange(n) / 2.0) / (n * dt))

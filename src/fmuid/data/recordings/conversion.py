@@ -41,7 +41,7 @@ def read_run(
     Raises
     ------
     MeasurementsError
-        As `fmuid.data.recordings.read_recording` and `fmuid.data.recordings.resampling.one_time_base` do.
+        As for `fmuid.data.recordings.read_recording` and `fmuid.data.recordings.resampling.one_time_base`.
     """
     path = log if isinstance(log, Path) else Path(name)
     if log is path:

@@ -47,7 +47,7 @@ def from_frame(frame: Any, run: str) -> Recording:
 
 
 def _numbers(column: nw.Series[Any]) -> FloatArray | None:
-    """Return a column as float64 (N,), dates and durations in s from the first; None if it is no such."""
+    """Return a column as float64 (N,), dates and durations in s from the first; None if it has another type."""
     if column.dtype.is_temporal():
         since = (column - column[0]).dt.total_nanoseconds()
         return np.asarray(since.cast(nw.Float64).to_numpy(), dtype=np.float64) * 1e-9

@@ -48,14 +48,14 @@ class Edits:
         table
             The run.
         outputs
-            The signals that masks are for.
+            The signals to which masks apply.
         where
-            For errors.
+            Place for error messages.
 
         Raises
         ------
         MeasurementsError
-            A signal or a condition is none, or fewer than two samples are left.
+            A signal or a condition is invalid, or fewer than two samples remain.
         """
         time, columns = table.time, dict(table.columns)
         for name, seconds in self.shifts.items():

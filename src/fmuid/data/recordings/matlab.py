@@ -45,7 +45,7 @@ def _variables(path: Path) -> dict[str, Any] | None:
         found = loadmat(path, squeeze_me=True)
     except NotImplementedError:
         return None
-    except Exception:  # damaged files make its parser raise anything
+    except Exception:  # the parser may raise anything on damaged files
         raise MeasurementsError(
             "is not a readable MATLAB file", where=path, fix="save it with: save -v7"
         ) from None

@@ -46,13 +46,13 @@ def _parsed(path: Path, others: list[str]) -> tuple[list[Vector], str]:
     try:
         with asammdf.MDF(path) as file:
             return list(_vectors(file, others)), ""
-    except Exception as error:  # damaged files make its parser raise anything
+    except Exception as error:  # the parser may raise anything on damaged files
         return [], (str(error).splitlines() or [""])[0] or type(error).__name__
 
 
 @contextmanager
 def _quiet_ends() -> Iterator[None]:
-    """Say nothing of the objects that asammdf leaves half-made, and that fail again when they end."""
+    """Suppress messages about objects that asammdf leaves half-made, and that fail again when they are deleted."""
     hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
     try:
         yield
@@ -72,7 +72,7 @@ def _vectors(file: Any, others: list[str]) -> Iterator[Vector]:
     for g, c, channel_name in places:
         name = channel_name if times[channel_name] == 1 else f"{channel_name}#{g}"
         signal = file.get(group=g, index=c, ignore_invalidation_bits=True)
-        if not is_numeric(signal.samples):  # texts of a conversion: the numbers behind them
+        if not is_numeric(signal.samples):  # texts of a conversion: use the numbers behind them
             signal = file.get(group=g, index=c, ignore_invalidation_bits=True, raw=True)
         if not is_numeric(signal.samples) or signal.samples.ndim != 1:
             others.append(name)

@@ -60,13 +60,13 @@ def read(path: Path) -> Recording:
 
 
 def _numbers(column: Any) -> Any:
-    """Return a column as float64 (N,), dates and durations in s from the first; None if it is no such."""
+    """Return a column as float64 (N,), dates and durations in s from the first; None if it has another type."""
     kind = column.type
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
         ticks = column.cast(pa.int64())
         per_second = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[kind.unit]
         first = ticks[0].as_py() if len(ticks) else None
-        # Subtracted as integers: nanoseconds since 1970 do not fit into a double.
+        # Subtracted as integers, because nanoseconds since 1970 do not fit into a double.
         return None if first is None else _array(pc.subtract(ticks, first)) / per_second
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
         return None

@@ -18,7 +18,7 @@ from fmuid.data.crosscheck_csv import Table
 from fmuid.data.recordings import Recording
 
 Method = Literal["linear", "hold", "mean"]
-_GAP = 10.0  # median sampling steps: a longer pause is bridged by `hold` only
+_GAP = 10.0  # median sampling steps: only `hold` bridges a longer pause
 _MAX_SAMPLES = 50_000_000
 
 
@@ -124,7 +124,7 @@ def _times(recording: Recording, base: TimeBase, where: object) -> FloatArray:
             fix="choose other signals with --signal",
         )
     assert base.rate is not None
-    # A rate that fits the duration up to rounding keeps its last sample.
+    # A rate that fits the duration except for rounding keeps its last sample.
     steps = int((end - begin) * base.rate * (1.0 + 1e-9))
     if not 1 <= steps < _MAX_SAMPLES:
         raise MeasurementsError(
@@ -165,7 +165,7 @@ _METHODS: dict[Method, Callable[[FloatArray, FloatArray, FloatArray], FloatArray
 
 
 def _described(time: FloatArray) -> str:
-    """Return a time base in words: its rate if that is even, how many samples, from when to when."""
+    """Return a time base in words: its rate if that is even, the number of samples, and begin and end."""
     steps = np.diff(time)
     step = float(np.median(steps))
     even = step > 0 and bool(np.all(np.abs(steps - step) < 0.01 * step))

@@ -32,7 +32,7 @@ try:
 except ImportError:
     mcap = None
 
-_LONGEST = 64  # elements of an array that become signals
+_LONGEST = 64  # largest number of array elements that become signals
 _SKIPPED = ("header", "__msgtype__")
 
 
@@ -57,7 +57,7 @@ def read(path: Path) -> Recording:
             found = topics.setdefault(topic, _Topic())
             found.times.append(_header_time(message, stamp))
             found.rows.append(dict(_numbers(message)))
-    except Exception as error:  # damaged files make the parsers raise anything
+    except Exception as error:  # the parsers may raise anything on damaged files
         what = (str(error).splitlines() or [""])[0] or type(error).__name__
         raise MeasurementsError(f"cannot be read ({what})", where=path, fix="record it again") from None
     silent = [topic for topic, found in topics.items() if not any(found.rows)]
