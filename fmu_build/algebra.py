@@ -75,7 +75,7 @@ def fold(value: SX) -> Scalar:
 
 
 def kind(value: Value) -> str:
-    """Word for messages."""
+    """Word or words for a value in messages."""
     if isinstance(value, Array):
         return f"an array of size {list(value.shape)}"
     names: dict[type, str] = {str: "a String", dict: "a record", tuple: "several results", type(None): "nothing"}
@@ -96,18 +96,18 @@ def scalars(value: Value) -> tuple[Scalar, ...]:
 
 
 class UnknownSizeError(Exception):
-    """What must be known at translation (a size, a range, which String) depends on symbols."""
+    """A value that must be known at translation (a size, a range, which String) depends on symbols."""
 
     def __init__(
         self, value: SX, what: str = "a size, a range or a choice that is not known at translation"
     ) -> None:
         super().__init__(what)
         self.value = value
-        self.span: Any = None  # where, once known
+        self.span: Any = None  # its place, once known
 
 
 def whole(value: Value) -> int:
-    """Integer that decides a size, a range or a subscript at translation."""
+    """Integer that determines a size, a range or a subscript at translation."""
     (number,) = scalars(value)
     if isinstance(number, SX):
         raise UnknownSizeError(number)
@@ -115,7 +115,7 @@ def whole(value: Value) -> int:
 
 
 def elementwise(function: Callable[..., Scalar], *values: Value) -> Value:
-    """Apply a scalar function element by element; scalars go with every element."""
+    """Apply a scalar function element by element; scalars are combined with every element."""
     shapes = {v.shape for v in values if isinstance(v, Array)}
     if not shapes:
         for v in values:
@@ -164,7 +164,7 @@ def matrix_product(a: Array, b: Array) -> Value:
 
 
 def choose(condition: Scalar, then: Value, otherwise: Value) -> Value:
-    """``if condition then .. else ..`` on whole values; a value missing on one side is taken from the other."""
+    """``if condition then .. else ..`` on whole values; an entry missing on one side is taken from the other."""
     if not isinstance(condition, SX):
         return then if condition else otherwise
     if then is None or otherwise is None:
@@ -185,7 +185,7 @@ def choose(condition: Scalar, then: Value, otherwise: Value) -> Value:
 
 
 def numeric_or_symbolic(on_numbers: Callable[..., Number], on_sx: Callable[..., SX]) -> Callable[..., Scalar]:
-    """Scalar function that folds numbers and builds SX otherwise."""
+    """Scalar function that evaluates numbers directly and builds SX otherwise."""
 
     def function(*arguments: Scalar) -> Scalar:
         if any(isinstance(a, SX) for a in arguments):
@@ -228,7 +228,7 @@ FUNCTIONS: dict[str, Callable[..., Scalar]] = {
 }
 MIN = numeric_or_symbolic(min, ca.fmin)
 MAX = numeric_or_symbolic(max, ca.fmax)
-# Step functions, by the floor of an argument; outside noEvent the evaluator makes them events.
+# Step functions, as the floor of an argument; outside noEvent the evaluator makes them events.
 FLOOR = numeric_or_symbolic(math.floor, ca.floor)
 CEIL = numeric_or_symbolic(math.ceil, ca.ceil)
 NOT = numeric_or_symbolic(operator.not_, ca.logic_not)

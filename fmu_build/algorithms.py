@@ -1,4 +1,4 @@
-"""Algorithm sections of a model by symbolic execution: what each of their variables is at the end."""
+"""Algorithm sections of a model by symbolic execution: the final value of each of their variables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fmu_build.syntax import Assign, AssignMany, Reinit, Terminate, walk
 
 
 class _Section:
-    """Scope of a section: the section's own variables as assigned so far, everything else as in equations."""
+    """Scope of a section: its own variables as assigned so far, everything else as in equations."""
 
     def __init__(self, scope: ModelScope) -> None:
         self.name = "algorithm"
@@ -35,7 +35,7 @@ class _Section:
 
     @contextmanager
     def outside(self) -> Iterator[None]:
-        """Look at variables as equations see them."""
+        """Look up variables as equations see them."""
         before, self._outside = self._outside, True
         try:
             yield
@@ -68,7 +68,7 @@ class _Section:
 
 
 def run(scope: ModelScope, section: Algorithm, initial: bool) -> list[Equation]:
-    """Execute a section; one equation for each scalar that it assigns.
+    """Execute a section; return one equation for each scalar that it assigns.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def _whole(scope: ModelScope, name: str) -> Value:
 
 
 def _before(scope: ModelScope, name: str, initial: bool) -> Value:
-    """Value of a variable when its section starts: pre(v) if discrete, else its start value."""
+    """Value of a variable when its section starts: pre(v) if discrete, otherwise its start value."""
     if name not in scope.flat.variables and not any(n.startswith(f"{name}.") for n in scope.flat.variables):
         raise ValueError(f"'{name}' cannot be assigned")
 

@@ -15,13 +15,13 @@ _SELECT = {"never": 0, "avoid": 1, "default": 3, "prefer": 4, "always": 5}
 
 
 def preference(declared: Declared) -> tuple[int, bool, bool]:
-    """How much a variable wants to be a state: StateSelect, then fixed, then an explicit start value."""
+    """Preference of a variable as a state: StateSelect, then fixed, then an explicit start value."""
     return (_SELECT[declared.variable.state_select], bool(declared.fixed), declared.has_start)
 
 
 @dataclass
 class Group:
-    """Variables that are one: value of a member = sign * value of the representative."""
+    """Variables that are equal except for sign: value of a member = sign * value of the representative."""
 
     representative: Declared
     members: list[tuple[Declared, int]] = field(default_factory=list)
@@ -34,13 +34,13 @@ class Aliases:
     Attributes
     ----------
     groups
-        By the representative's symbol key, for every continuous variable and input.
+        Groups by the representative's symbol key, for every continuous variable and input.
     of
         Member name -> (representative, sign).
     substitute
         Rewrites expressions to representatives (and their derivatives).
     equations
-        What is left, rewritten.
+        The remaining equations, rewritten.
     """
 
     groups: dict[int, Group]
@@ -59,7 +59,7 @@ class Start:
 
 
 def start_of(scope: ModelScope, aliases: Aliases, symbol: SX) -> Start:
-    """Start value of a continuous symbol: of its alias group's fixed member, or else of the first with a start."""
+    """Start value of a continuous symbol: that of its alias group's fixed member, or of the first with a start."""
     group = aliases.groups.get(key(symbol))
     if group is None:
         return Start(SX(0.0), False, False)
@@ -73,7 +73,7 @@ def start_of(scope: ModelScope, aliases: Aliases, symbol: SX) -> Start:
 
 
 def eliminate(scope: ModelScope, equations: list[Equation]) -> Aliases:
-    """Find and use up the equations ``a = b`` and ``a = -b`` between continuous variables and inputs.
+    """Find and remove the equations ``a = b`` and ``a = -b`` between continuous variables and inputs.
 
     Variables that equal the same derivative (speeds of rigidly coupled parts) are aliases too.
     """
@@ -120,7 +120,7 @@ class _Union:
         return k, sign
 
     def join(self, a: int, b: int, sign: int) -> bool:
-        """Note that a = sign * b; False if that says nothing new or joins two inputs."""
+        """Record that a = sign * b; False if that is known already or joins two inputs."""
         (root_a, sign_a), (root_b, sign_b) = self.find(a), self.find(b)
         if root_a == root_b or self._candidates[root_a].kind == self._candidates[root_b].kind == "input":
             return False
@@ -130,7 +130,7 @@ class _Union:
         return True
 
     def _rank(self, k: int) -> tuple[object, ...]:
-        """Return what decides which of two stays; of equals the first declared."""
+        """Return the criterion for which of two remains; among equals, the first declared."""
         declared = self._candidates[k]
         return (declared.kind == "input", *preference(declared), -declared.name.count("."), self._order[k])
 
@@ -138,9 +138,9 @@ class _Union:
 def _merge(
     scope: ModelScope, equations: list[Equation], candidates: dict[int, Declared], union: _Union
 ) -> list[Equation]:
-    """One pass: joins what it finds and returns the equations that are left."""
+    """One pass: joins the aliases it finds and returns the remaining equations."""
     rest = []
-    variable_of: dict[int, tuple[int, int]] = {}  # derivative -> (variable, sign) that equals it
+    variable_of: dict[int, tuple[int, int]] = {}  # derivative -> (variable, sign) equal to it
     both = candidates.keys() | scope.integral.keys()
     for equation in equations:
         pair = _alias(scope.graph, equation.residual, both)
@@ -157,7 +157,7 @@ def _merge(
                         continue
                 else:
                     variable_of[derivative] = (variable, sign)
-        # what says nothing new over- or underdetermines the model: the matching finds and reports it
+        # a redundant equation over- or underdetermines the model, which the matching finds and reports
         rest.append(equation)
     return rest
 

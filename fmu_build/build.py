@@ -32,8 +32,8 @@ def build(
 ) -> Path:
     """Build the FMU of a Modelica class.
 
-    An FMU that is already there is kept if nothing it depends on has changed: the Modelica files that were read
-    and the names of those beside them, this package, the version of CasADi, and the options.
+    An existing FMU is kept if nothing it depends on has changed: the Modelica files that were read and the names
+    of those beside them, this package, the version of CasADi, and the options.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def build(
     fmi
         Version of FMI, "2" or "3".
     compiler
-        "own" (the built-in way) or "omc" (OpenModelica, if it is on the PATH).
+        "own" (built in) or "omc" (OpenModelica, if it is on the PATH).
     roots
         Directories of further Modelica libraries.
 
@@ -60,7 +60,7 @@ def build(
     ModelicaError
         The source is wrong or outside the supported subset.
     BuildError
-        A wrong option, or a compiler is missing or fails.
+        An option is invalid, or a compiler is missing or fails.
     """
     file, out, folders = Path(file), Path(out), [Path(r) for r in roots]
     if fmi not in ("2", "3"):
@@ -109,7 +109,7 @@ _TOOLS = ("casadi", "fmpy")
 
 
 def check_tools() -> None:
-    """Raise a `BuildError` that says what to install, unless all that the export needs is there."""
+    """Raise a `BuildError` that names the packages to install if some that the export needs are missing."""
     missing = [name for name in _TOOLS if find_spec(name) is None]
     if missing:
         raise BuildError(f"the Modelica export needs {', '.join(missing)}", fix="pip install 'fmuid[build]'")
@@ -120,7 +120,7 @@ def _digest(path: Path) -> str:
 
 
 def _options(class_name: str, fmi: str, compiler: str, file: Path, roots: Sequence[Path]) -> str:
-    """Digest of what the FMU depends on beside the Modelica sources."""
+    """Digest of everything that the FMU depends on in addition to the Modelica sources."""
     own = Path(__file__).parent
     tools = sorted(p for p in own.rglob("*") if p.suffix in (".py", ".c", ".h", ".mo"))
     from importlib import metadata  # slow to import, and every command imports this module
@@ -133,7 +133,7 @@ def _options(class_name: str, fmi: str, compiler: str, file: Path, roots: Sequen
 
 
 def _is_current(stamp: Path, target: Path, options: str) -> bool:
-    """Whether the FMU is the one that was made, and from what is there now."""
+    """Whether the FMU exists as it was made, and its sources have not changed since."""
     if not (target.is_file() and stamp.is_file()):
         return False
     try:
@@ -150,7 +150,7 @@ def _is_current(stamp: Path, target: Path, options: str) -> bool:
 
 
 def _beside(files: Iterable[str], roots: Sequence[Path]) -> dict[str, list[str]]:
-    """List sources and packages in the folders that were looked into: a new one may be what a name means."""
+    """List sources and packages in the searched folders, because a name may refer to a new one."""
     folders = {*(Path(p).parent for p in files), *(r.resolve() for r in roots)}
     return {str(folder): _names(folder) for folder in sorted(folders)}
 

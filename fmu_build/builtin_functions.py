@@ -12,7 +12,7 @@ from fmu_build.graph import SX
 
 
 class History(Protocol):
-    """What the operators on model variables mean."""
+    """Meaning of the operators on model variables."""
 
     def derivative(self, value: Scalar) -> Scalar:
         """Return ``der(value)``."""
@@ -185,7 +185,7 @@ UNSUPPORTED = frozenset(
      "hold", "backSample", "subSample", "superSample", "shiftSample", "noClock", "interval", "firstTick", "Clock",
      "loadResource")
 )  # fmt: skip
-# Names of the arguments of built-in functions that are called by name.
+# Names of the arguments of built-in functions that may be called with named arguments.
 NAMED: dict[str, list[str]] = {
     "homotopy": ["actual", "simplified"],
     "smooth": ["p", "expr"],

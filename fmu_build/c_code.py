@@ -18,16 +18,16 @@ import casadi as ca
 
 from fmu_build.idle import without_branches
 
-_LARGEST_TREE = 40  # operations of a statement
-_LARGEST_CONDITION = 8  # operations of a condition that is evaluated wherever it spares something ...
-_MOST_CONDITIONS = 12  # ... and so many of them for one value
-_LARGEST_PIECE = 400  # operations of a piece of straight code
-_TINY = 150  # up to so many operations a function stays one piece of straight code ...
-_SHORT = 1000  # ... and up to so many if loops would not make it much shorter
-_MOST_RESULTS = 3  # in the statement of a value; more are copies of it
-_FEWEST = 6  # statements that become a loop
+_LARGEST_TREE = 40  # operations in a statement
+_LARGEST_CONDITION = 8  # operations in a condition that is evaluated wherever it saves some ...
+_MOST_CONDITIONS = 12  # ... and number of such conditions for one value
+_LARGEST_PIECE = 400  # operations in a piece of straight code
+_TINY = 150  # a function with up to this many operations stays one piece of straight code ...
+_SHORT = 1000  # ... as does one with up to this many if loops would not make it much shorter
+_MOST_RESULTS = 3  # in the statement of a value; further ones are copies of it
+_FEWEST = 6  # statements that make up a loop
 
-_CALL = re.compile(r"[a-z]\(")  # of a function, which takes as long as many operations
+_CALL = re.compile(r"[a-z]\(")  # a function call, which takes as long as many operations
 
 _FIRST_IDLE = """\
   double on;
@@ -56,7 +56,8 @@ _TEMPLATES: dict[int, str] = {
     ca.OP_HYPOT: "hypot({}, {})", ca.OP_ERF: "erf({})", ca.OP_ASSIGN: "{}",
 }  # fmt: skip
 
-# An exponent is mostly a parameter, and mostly one of these; libm's pow takes longer than the rest of an equation.
+# An exponent is usually a parameter, and usually one of these; libm's pow takes longer than the rest of an
+# equation.
 # libm's fmin and fmax are calls that compilers may not inline.
 _HELPERS = {
     "power": """static inline double power(double x, double y) {
@@ -84,11 +85,11 @@ def c_code(functions: Mapping[str, ca.Function], prefix: str = "model_", paramet
     Parameters
     ----------
     functions
-        SX functions by name. Of a sparse result only the nonzeros are computed, column by column.
+        SX functions by name. Only the nonzeros of a sparse result are computed, column by column.
     parameters
-        Which argument of functions that have so many does not change over a simulation. Where several branches
-        hang on it alone, such as laws that are off at zero, there is a second version with none of them, and it is
-        called where all are off.
+        Index of the argument that does not change over a simulation, in functions with at least so many arguments.
+        If several branches depend on it alone, such as laws that are off at zero, there is a second version
+        without them, which is called when all of them are off.
 
     Returns
     -------
@@ -118,7 +119,7 @@ def c_code(functions: Mapping[str, ca.Function], prefix: str = "model_", paramet
 
 
 class _Tables:
-    """Integer tables, each content once."""
+    """Integer tables, each distinct content once."""
 
     def __init__(self) -> None:
         self._names: dict[tuple[int, ...], str] = {}
@@ -134,14 +135,14 @@ class _Tables:
 
 
 def wrapped(items: Iterable[str], most: int = 20) -> str:
-    """Comma-separated items in lines of a bounded number of them."""
+    """Comma-separated items in lines of at most `most` of them."""
     given = list(items)
     return ",\n".join(", ".join(given[i : i + most]) for i in range(0, len(given), most))
 
 
 @dataclass
 class _Statement:
-    """One value: its tree of operations with holes for the leaves, and where the value goes."""
+    """One value: its tree of operations with holes for the leaves, and its destinations."""
 
     node: Node
     shape: str
@@ -163,9 +164,10 @@ _Tree = tuple[str, list[Leaf], int]
 def _guards(
     operations: Sequence[tuple[int, tuple[Node, ...]]], leaf: Mapping[Node, Leaf | str], results: Container[Node]
 ) -> dict[Node, _Tree]:
-    """Return the conditions without which values are of no use: those of the only branches that use them.
+    """Return the conditions under which values are needed: those of the only branches that use them.
 
-    Conditions are few, short, and of arguments alone, such as whether a parameter is zero.
+    There are few such conditions, and they are short and depend on arguments alone, such as whether a parameter is
+    zero.
     """
     always: frozenset[Node] = frozenset([-1])
     needed = {node: always for node in range(len(operations)) if node in results}
@@ -206,7 +208,7 @@ def _short(
 
 
 def _guarded(condition: _Tree | None, shape: str, leaves: list[Leaf], size: int) -> _Tree:
-    """Return a tree that is evaluated only where its value is of use, if that spares more than it takes."""
+    """Return a tree that is evaluated only where its value is needed, if that saves more than it costs."""
     if condition is None or (size <= condition[2] and not _CALL.search(shape)):
         return shape, leaves, size
     return f"(({condition[0]})?{shape}:0)", [*condition[1], *leaves], size + condition[2]
@@ -243,7 +245,7 @@ class _Trees:
             elif op == ca.OP_CONST:
                 self._leaf[node] = _constant(function.instruction_constant(k))
             else:
-                # CasADi names the one operand of a unary operation twice
+                # CasADi names the single operand of a unary operation twice
                 operands = function.instruction_input(k)[: _TEMPLATES[op].count("{}")]
                 given = tuple(register[i] for i in operands)
             self._operations.append((op, given))
@@ -279,7 +281,7 @@ class _Trees:
     def _operation(self, node: Node, op: int, given: tuple[Node, ...]) -> None:
         below = [self._tree(n) for n in given]
         size = 1 + sum(b[2] for b in below)
-        if size > _LARGEST_TREE:  # the largest operand becomes a statement of its own
+        if size > _LARGEST_TREE:  # the largest operand becomes a separate statement
             largest = max(range(len(below)), key=lambda i: below[i][2])
             shape, leaves, count = below[largest]
             self._statements.append(
@@ -311,7 +313,7 @@ class _Writer:
         self._used = {node for s in self._statements for argument, node in s.leaves if argument == -1}
 
     def write(self, head: str = "", first: str = "") -> str:
-        """Return the C function; `head` comes before it, `first` is what it does before anything else."""
+        """Return the C function; `head` precedes it, `first` is executed before everything else."""
         self._head, self._first = head, first
         statements = self._statements
         total = sum(map(_cost, statements))
@@ -338,13 +340,14 @@ class _Writer:
                     if argument == -1 and (node not in nodes or isinstance(piece, tuple)):
                         self._of[node].kept = True
         for piece in pieces:
-            all_kept = isinstance(piece, tuple) and any(s.kept for s in piece)  # then their places make a row
+            all_kept = isinstance(piece, tuple) and any(s.kept for s in piece)  # then their places are contiguous
             for s in piece:
                 s.kept |= all_kept
                 if s.kept:
                     self._slot[s.node] = self.slots
                     self.slots += 1
-        # Pieces are joined to functions of bounded size; called by a table, they are not inlined all into one.
+        # Pieces are joined into functions of bounded size; called through a table, they are not all inlined into
+        # one.
         bodies: list[list[str]] = [[]]
         size = 0
         for nodes, piece in zip(inside, pieces, strict=True):
@@ -367,7 +370,7 @@ class _Writer:
         return "".join(parts) + table + self._signature(call)
 
     def _pieces(self, statements: list[_Statement]) -> list[list[_Statement] | tuple[_Statement, ...]]:
-        """Straight pieces (lists) and loops (tuples), each after what it uses."""
+        """Straight pieces (lists) and loops (tuples), each after those it uses."""
         for s in statements:
             below = (self._of[node].level for argument, node in s.leaves if argument == -1)
             s.level = 1 + max(below, default=0)
@@ -384,7 +387,7 @@ class _Writer:
                 loops.setdefault(level, []).append(tuple(group))
             else:
                 straight.setdefault(level, []).extend(group)
-        if not loops:  # as it came, which keeps values close to where they are used
+        if not loops:  # in the original order, which keeps values close to their uses
             return list(self._cut(statements))
         pieces: list[list[_Statement] | tuple[_Statement, ...]] = []
         waiting: list[_Statement] = []

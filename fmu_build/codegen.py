@@ -13,7 +13,7 @@ from fmu_build.elimination import plan
 from fmu_build.graph import SX, Gradient, Graph, Substitution, key
 
 Functions = dict[str, ca.Function]
-PARAMETERS = 3  # number of p among the arguments that most functions share
+PARAMETERS = 3  # position of p among the arguments that most functions share
 Slope = tuple[int, int, SX]
 """Row, column and expression of an entry of a sparse matrix."""
 
@@ -71,7 +71,7 @@ def column(items: Sequence[SX]) -> SX:
 
 
 def sparse(rows: Sequence[Gradient], symbols: Sequence[SX], diagonal: int = 0) -> SX:
-    """Jacobian with the given gradients as rows: what may differ from zero, and the first of the diagonal."""
+    """Jacobian with the given gradients as rows: entries that may be nonzero, and the first `diagonal` ones."""
     place = {key(symbol): j for j, symbol in enumerate(symbols)}
     entries = {(place[k], i): slope for i, row in enumerate(rows) for k, slope in row.items() if k in place}
     for i in range(diagonal):
@@ -82,7 +82,7 @@ def sparse(rows: Sequence[Gradient], symbols: Sequence[SX], diagonal: int = 0) -
 
 
 def parameter_slopes(graph: Graph, ports: Ports, e: Expressions) -> tuple[list[Slope], list[Slope]]:
-    """Partial derivatives of [dx; r] by [p; d; z = pz], where not zero: by scalars, and by elements of tables."""
+    """Nonzero partial derivatives of [dx; r] by [p; d; z = pz]: by scalars, and by elements of tables."""
     scalars: list[Slope] = []
     elements: list[Slope] = []
     parameters = [*ports.p, *ports.d]
@@ -105,13 +105,13 @@ def parameter_slopes(graph: Graph, ports: Ports, e: Expressions) -> tuple[list[S
 def slope_places(
     graph: Graph, ports: Ports, e: Expressions
 ) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-    """Row and column of what `parameter_slopes` lists."""
+    """Rows and columns of the entries that `parameter_slopes` lists."""
     scalars, elements = parameter_slopes(graph, ports, e)
     return [(i, j) for i, j, _ in scalars], [(i, j) for i, j, _ in elements]
 
 
 def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
-    """Build the functions of the interface, common subexpressions shared."""
+    """Build the functions of the interface, with common subexpressions shared."""
     environment = ports.environment()
     out: Functions = {}
 
@@ -174,22 +174,22 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
 
 @dataclass(frozen=True)
 class Header:
-    """What ``model.h`` says beside the functions.
+    """Contents of ``model.h`` in addition to the functions.
 
     Attributes
     ----------
     sizes
-        Lengths of the vectors and flags, by what follows ``MODEL_``.
+        Lengths of the vectors and flags, by the name that follows ``MODEL_``.
     inclusive, groups
-        Of each relation; those of one group depend on each other.
+        Flag and group of each relation; relations of one group depend on each other.
     asserts
-        Text and whether it is only a warning.
+        Text of each assertion, and whether it is only a warning.
     shown
-        Where the values in the text of each assertion begin, and how many there are in all.
+        Where the values in the text of each assertion begin, and their total number.
     slopes
-        Row and column of the entries by scalars and by elements (see `parameter_slopes`).
+        Rows and columns of the entries by scalars and by elements (see `parameter_slopes`).
     outputs
-        Which of v are outputs.
+        Which entries of v are outputs.
     """
 
     sizes: Mapping[str, int]
@@ -203,8 +203,8 @@ class Header:
     outputs: Sequence[bool]
 
 
-# What a simulation calls at its start and at events at most, or where somebody asks for hidden derivatives: the
-# compiler need not spend much time on it.
+# Functions that a simulation calls only at its start and at events, or for hidden derivatives: the compiler need
+# not spend much time on them.
 RARE = frozenset(
     {
         "dependent",
@@ -218,7 +218,7 @@ RARE = frozenset(
     }
     | {"start_partials", "initial_partials", "indicator_partials", "update_partials", "element_slopes"}
 )
-# The same where there are no algebraic loops, whose solutions sensitivities take along.
+# The same without algebraic loops, whose solutions sensitivities include.
 WITHOUT_LOOPS = frozenset({"partials", "loop_partials"})
 
 
@@ -277,7 +277,8 @@ def _pattern(name: str, sparsity: ca.Sparsity) -> tuple[list[str], list[str]]:
     start, rows = list(sparsity.colind()), list(sparsity.row())
     n = sparsity.size2()
     order = plan([rows[start[j] : start[j + 1]] for j in range(n)])
-    # Multiplications of a step with nine solutions; a dense one has no tables to look into, which counts half.
+    # Multiplications of a step with nine solutions; a dense matrix needs no table look-ups, so its steps count
+    # half.
     work = order.multiplications + 9 * len(order.rows)
     dense = 2 * work > n * n * n / 3 + 9 * n * n
     macros = {

@@ -41,7 +41,7 @@ def compile_modelica(file: Path, class_name: str, roots: Sequence[Path] = ()) ->
     Raises
     ------
     ModelicaError
-        For source that is wrong or outside the supported subset, with file and line.
+        The source is wrong or outside the supported subset; the message names file and line.
     """
     return compile_flat(load(Path(file), class_name, roots))
 
@@ -60,14 +60,14 @@ def compile_flat(flat: FlatModel) -> CompiledModel:
         except SwitchedLoopError:
             events_in_smooth = "all" if events_in_smooth else "some"
         except _Unsolved as error:
-            # Parameters that the initial equations determine along with the states become constant states.
+            # Parameters that the initial equations determine together with the states become constant states.
             if not error.names - promoted:
                 raise
             promoted |= error.names
             for name in sorted(error.names):
                 flat = _with_followers(_as_state(flat, name), name)
         except algebra.UnknownSizeError as error:
-            # Parameters that turn out to decide a size become constants of the translation.
+            # Parameters that turn out to determine a size become constants of the translation.
             names = _deciding(scope, structural, error.value)
             if not names:
                 raise flat.error(str(error), error.span) from None
@@ -75,7 +75,7 @@ def compile_flat(flat: FlatModel) -> CompiledModel:
 
 
 def _deciding(scope: ModelScope, constants: set[str], value: SX) -> set[str]:
-    """Return the parameters that decide a value beside `constants`; none if something else decides it, too."""
+    """Return the parameters, other than `constants`, that determine a value; none if others determine it too."""
     found = [scope.declarations.by_symbol.get(k) for k in scope.graph.symbols(value)]
     parameters = [d.variable.name for d in found if d is not None and d.kind == "parameter"]
     return set(parameters) - constants if len(parameters) == len(found) else set()
@@ -98,7 +98,7 @@ def _translate(flat: FlatModel, scope: ModelScope) -> CompiledModel:
 
 
 class _Unsolved(Exception):  # noqa: N818  (not an error)
-    """Parameters with fixed = false that no initial equation gives a value from parameters alone."""
+    """Parameters with fixed = false that no initial equation determines from parameters alone."""
 
     def __init__(self, names: set[str]) -> None:
         super().__init__(names)
@@ -108,7 +108,7 @@ class _Unsolved(Exception):  # noqa: N818  (not an error)
 def _as_state(flat: FlatModel, name: str) -> FlatModel:
     """Return the model with a parameter as a variable that does not change.
 
-    What time and parameters decide is a discrete variable, which keeps its value from the start.
+    If time and parameters determine it, it is a discrete variable, which keeps its value from the start.
     """
     for equation in flat.initial_equations:
         given = (
@@ -134,7 +134,7 @@ def _as_state(flat: FlatModel, name: str) -> FlatModel:
 
 
 def _with_followers(flat: FlatModel, name: str) -> FlatModel:
-    """Return the model with the parameters that a variable decides as variables of its kind."""
+    """Return the model in which the parameters that a variable determines are variables of its kind."""
     variables, variability = dict(flat.variables), flat.variables[name].variability
     found = [name]
     while found:
@@ -154,7 +154,7 @@ def _is_known(flat: FlatModel, reference: Reference) -> bool:
 
 
 def _initial_parameters(scope: ModelScope, equations: Equations) -> start.Explicit:
-    """Use up the initial equations of parameters with fixed=false and of discrete variables."""
+    """Apply and remove the initial equations of parameters with fixed=false and of discrete variables."""
     explicit = start.split_initial(scope, equations.initial)
     equations.initial = explicit.rest
     open_ = [d for d in scope.parameters.from_initial if key(algebra.sx(d.symbol)) not in explicit.parameters]
@@ -176,7 +176,7 @@ def _initial_parameters(scope: ModelScope, equations: Equations) -> start.Explic
 
 
 def _in_order(scope: ModelScope) -> list[tuple[Declared, SX]]:
-    """Return the dependent parameters, each after those that it depends on."""
+    """Return the dependent parameters, each after those on which it depends."""
     pairs = {key(algebra.sx(declared.symbol)): (declared, value) for declared, value in scope.parameters.dependent}
     place = {k: number for number, k in enumerate(pairs)}
     done: dict[int, tuple[Declared, SX]] = {}

@@ -1,8 +1,8 @@
-"""Order of elimination of a sparse matrix, and where its factors L and U are not zero.
+"""Order of elimination of a sparse matrix, and the nonzero pattern of its factors L and U.
 
-The pivots are chosen before there are numbers: by a matching where the diagonal may be empty, then by minimum
-degree [A. George, J. W. H. Liu, The evolution of the minimum degree ordering algorithm, SIAM Rev. 31, 1989].
-Whether they do for the numbers of the moment is the C runtime's to watch (``linear.c``).
+The pivots are chosen before any numbers are known: by a matching where the diagonal may be empty, then by minimum
+degree [A. George, J. W. H. Liu, The evolution of the minimum degree ordering algorithm, SIAM Rev. 31, 1989]. The C
+runtime checks whether they suit the current numbers (``linear.c``).
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ class Elimination:
     columns
         Column eliminated in each step.
     places
-        For each row the step in which it is the pivot row.
+        For each row, the step in which it is the pivot row.
     start, diagonal, rows
-        The factors column by column, in steps: column k has the rows ``rows[start[k]:start[k + 1]]``, ascending,
-        and its pivot at ``diagonal[k]``.
+        The factors by column, in steps: column k has the rows ``rows[start[k]:start[k + 1]]``, ascending, and its
+        pivot at ``diagonal[k]``.
     multiplications
-        Of one factorisation.
+        Number of multiplications in one factorisation.
     """
 
     columns: tuple[int, ...]
@@ -44,7 +44,7 @@ def plan(columns: Sequence[Sequence[int]]) -> Elimination:
     Parameters
     ----------
     columns
-        Rows of each column where the matrix may differ from zero.
+        Rows of each column in which the matrix may be nonzero.
     """
     n = len(columns)
     row_of: dict[int, int] = {}
@@ -53,14 +53,14 @@ def plan(columns: Sequence[Sequence[int]]) -> Elimination:
         for row in rows:
             incidence[row].append(column)
     rest = []
-    for row, own in enumerate(incidence):  # the diagonal where there is one
+    for row, own in enumerate(incidence):  # the diagonal where present
         if row in own:
             row_of[row] = row
         else:
             rest.append(row)
     for row in rest:
         augment(row, incidence.__getitem__, row_of, set())
-    # What is structurally singular is so in numbers: any rows do for the columns that are left.
+    # A structurally singular matrix is also numerically singular, so the remaining columns may get any rows.
     left = sorted(set(range(n)) - set(row_of.values()))
     for column in range(n):
         if column not in row_of:
@@ -71,7 +71,7 @@ def plan(columns: Sequence[Sequence[int]]) -> Elimination:
 
 
 def _minimum_degree(columns: Sequence[Sequence[int]], row_of: dict[int, int]) -> list[int]:
-    """Columns by the degree that they have when it is their turn, in the graph of the matrix and its transpose."""
+    """Columns by their degree at the time of elimination, in the graph of the matrix and its transpose."""
     column_of = {row: column for column, row in row_of.items()}
     near: list[set[int]] = [set() for _ in columns]
     for column, rows in enumerate(columns):
@@ -101,7 +101,7 @@ def _minimum_degree(columns: Sequence[Sequence[int]], row_of: dict[int, int]) ->
 
 
 def _symbolic(columns: list[list[int]], order: list[int], step_of_row: dict[int, int]) -> Elimination:
-    """Fill in: column k of the factors has what the columns of its entries above the diagonal bring."""
+    """Fill-in: column k of the factors also has the rows of the columns of its entries above the diagonal."""
     n = len(columns)
     lower: list[list[int]] = []
     start, diagonal, rows, multiplications = [0], [], [], 0

@@ -31,8 +31,8 @@ from fmu_build.syntax import (
 class Equation:
     """``residual = 0``; `sides` are kept for equations between discrete variables.
 
-    An if-equation whose branches are of different form has the residual of each in `branches`, and in `choice`
-    what equations of one if-equation share. What an algorithm assigns is in `target`.
+    An if-equation whose branches have different forms has the residuals of its branches in `branches`; `choice` is
+    the same for all equations of one if-equation. `target` is the variable that an algorithm assigns.
     """
 
     residual: SX
@@ -45,7 +45,7 @@ class Equation:
 
 @dataclass(frozen=True)
 class Branch:
-    """One branch of a when-clause: its conditions (any may fire) and what it does."""
+    """One branch of a when-clause: its conditions (any may fire) and its actions."""
 
     conditions: tuple[SX, ...]
     assign: tuple[tuple[SX, SX], ...]  # discrete variable, value
@@ -57,7 +57,7 @@ class Branch:
 
 @dataclass(frozen=True)
 class Assertion:
-    """``assert(condition, message)``; a warning goes on."""
+    """``assert(condition, message)``; after a warning the simulation continues."""
 
     condition: SX
     message: Message
@@ -76,7 +76,7 @@ class Equations:
     asserts: list[Assertion] = field(default_factory=list)
 
     def add(self, scope: ModelScope, equations: list[Equation]) -> None:
-        """Add equations; one with a discrete variable alone on a side defines a discrete variable."""
+        """Add equations; one with a discrete variable alone on a side defines that variable."""
         for equation in equations:
             (self.discrete if definable(scope, equation) else self.continuous).append(equation)
 
@@ -87,7 +87,7 @@ def collect(scope: ModelScope) -> Equations:
     Raises
     ------
     ModelicaError
-        For whatever cannot be translated, with its source line.
+        A construct cannot be translated; the message names its source line.
     """
     flat, out = scope.flat, Equations()
     for name in flat.variables:
@@ -132,7 +132,7 @@ def _spread(value: Value, like: Value) -> tuple[Scalar, ...]:
 
 
 def definable(scope: ModelScope, equation: Equation) -> list[SX]:
-    """Discrete variables that an equation may define: sides that no when-clause and no algorithm assigns."""
+    """Discrete variables that an equation may define: sides that no when-clause or algorithm assigns."""
     found = []
     for side in equation.sides or ():
         declared = scope.declared(side) if side.is_symbolic() else None
@@ -182,7 +182,7 @@ def _if_equations(scope: ModelScope, node: If) -> list[Equation]:
 
 
 def _leaves(scope: ModelScope, node: Expression) -> tuple[tuple[int, ...], list[Expression]]:
-    """Conditions and residuals of an if-equation, nested ones included, without what is never chosen."""
+    """Conditions and residuals of an if-equation and those nested in it, without those never chosen."""
     if isinstance(node, Binary) and isinstance(node.left, If) and node.operator == "-":
         return _leaves(scope, node.left) if _is_zero(node.right) else ((), [node])
     if not isinstance(node, If):

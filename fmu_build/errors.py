@@ -11,7 +11,7 @@ class UserError(Exception):
     what
         What is wrong, in the user's words.
     where
-        File, table, experiment or variable it is wrong in.
+        The file, table, experiment or variable concerned.
     fix
         What the user can do about it.
     """
@@ -26,7 +26,7 @@ class UserError(Exception):
         super().__init__(" ".join(line.split()))
 
     def __reduce__(self) -> tuple[object, ...]:
-        # Errors cross process borders; keyword arguments need this to be pickled.
+        # Errors are sent between processes; keyword arguments need this to be pickled.
         return (_rebuild, (type(self), self.what, self.where, self.fix))
 
 
@@ -39,7 +39,7 @@ class ModelicaError(UserError):
 
 
 class IndexOutsideError(ModelicaError):
-    """A subscript that is outside its array."""
+    """A subscript outside its array."""
 
 
 class BuildError(UserError):

@@ -1,4 +1,4 @@
-"""Discrete-time variables: definitions, when-clauses and what an event does, as expressions."""
+"""Discrete-time variables: definitions, when-clauses and the actions at an event, as expressions."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def collect(system: System, equations: Equations, explicit: Explicit) -> Events:
     Parameters
     ----------
     explicit
-        What initial equations give to discrete variables.
+        Values that initial equations give to discrete variables.
     """
     scope = system.scope
     values = _definitions(scope, equations.discrete)
@@ -82,7 +82,7 @@ def collect(system: System, equations: Equations, explicit: Explicit) -> Events:
 
 
 class _Clauses:
-    """What the when-clauses met so far do to states and to the simulation."""
+    """Effects on states and on the simulation of the when-clauses met so far."""
 
     def __init__(self, system: System, equations: Equations) -> None:
         self._system = system
@@ -118,7 +118,7 @@ class _Clauses:
         return out
 
     def _act(self, branch: Branch, fires: SX) -> None:
-        for one in branch.asserts:  # what is violated at an event is known from then on
+        for one in branch.asserts:  # a violation at an event is known from then on
             held = self._scope.hold(f"assertion {len(self._scope.held) + 1}", SX(0.0), SX(0.0))
             violated = if_else(fires, ca.logic_not(one.condition), held.previous)
             self._scope.held[-1] = replace(held, value=violated)
@@ -140,7 +140,7 @@ class _Clauses:
 
 
 def relation_groups(system: System, happenings: Events) -> list[int]:
-    """Give each relation a number that it shares with those on which it depends and which depend on it."""
+    """Give each relation a number shared with those on which it depends and those that depend on it."""
     graph, relations = system.scope.graph, system.scope.relations
     nodes = [r.symbol for r in relations] + [d.symbol for d in happenings.discrete] + system.solution.iterates
     place = {key(symbol): i for i, symbol in enumerate(nodes)}
@@ -153,7 +153,7 @@ def relation_groups(system: System, happenings: Events) -> list[int]:
 
 
 def _definitions(scope: ModelScope, equations: list[Equation]) -> dict[int, SX]:
-    """Match each equation between discrete variables with the one it defines."""
+    """Match each equation between discrete variables with the variable it defines."""
     sides = [definable(scope, equation) for equation in equations]
     column: dict[int, int] = {}
     for row in sides:
@@ -163,7 +163,7 @@ def _definitions(scope: ModelScope, equations: list[Equation]) -> dict[int, SX]:
     row_of: dict[int, int] = {}
     for number, equation in enumerate(equations):
         if not augment(number, incidence.__getitem__, row_of, set()):
-            raise scope.flat.error("this equation defines no discrete variable that is still open", equation.at)
+            raise scope.flat.error("no discrete variable is left for this equation to define", equation.at)
     out = {}
     for k, c in column.items():
         if c in row_of:
@@ -188,7 +188,7 @@ def _entries(scope: ModelScope, values: dict[int, SX], starts: dict[int, SX]) ->
 
 
 def _in_order(scope: ModelScope, discrete: list[Discrete], rewrite: Callable[[SX], SX]) -> list[Discrete]:
-    """Let each new value use the new values it depends on; a circle is left to the event iteration."""
+    """Let each new value use the new values it depends on; a cycle is left to the event iteration."""
     values = [rewrite(d.value) for d in discrete]
     place = {key(d.symbol): i for i, d in enumerate(discrete)}
     needs = [sorted(place[k] for k in scope.graph.symbols(v) if k in place) for v in values]

@@ -64,14 +64,14 @@ def _arithmetic(op: str, a: Value, b: Value) -> Value:
 
 
 class Context(Protocol):
-    """What an evaluator needs of the model: how to make an error."""
+    """The part of the model that an evaluator needs: how to make an error."""
 
     def error(self, what: str, at: Place | None, fix: str | None = None) -> ModelicaError:
         """Make the error for a construct at a place."""
 
 
 class Scope(Protocol):
-    """Where names and the operators on model variables get their meaning."""
+    """Source of the meaning of names and of the operators on model variables."""
 
     def lookup(self, name: str) -> Value:
         """Return the value of a variable; KeyError if there is none."""
@@ -95,7 +95,7 @@ class Scope(Protocol):
         """Truth of ``initial()``."""
 
     def starting(self) -> SX:
-        """Truth of: the simplified model holds, before the initialisation."""
+        """Truth of: the simplified model applies, before the initialisation."""
 
 
 class Evaluator:
@@ -106,7 +106,7 @@ class Evaluator:
     context
         Makes the errors.
     scope
-        Meaning of names.
+        Gives names their meaning.
     call
         Evaluates a function by its name with positional arguments (``functions.Functions``).
 
@@ -128,7 +128,7 @@ class Evaluator:
         self._guards: list[SX] = getattr(call, "guards", [])
         self._no_event = 0
         self._iterators: dict[str, Scalar] = {}
-        self._last: list[tuple[Array, int]] = []  # what ``end`` means
+        self._last: list[tuple[Array, int]] = []  # the meaning of ``end``
         self._handlers: dict[type, Callable[[Any], Value]] = {
             Literal: lambda n: n.value,
             Reference: self._reference,
@@ -152,7 +152,7 @@ class Evaluator:
         Raises
         ------
         ModelicaError
-            With the source line, for a construct outside the subset or values that do not fit.
+            A construct is outside the subset, or values do not fit; the message names the source line.
         """
         handler = self._handlers.get(type(node))
         if handler is None:
@@ -205,7 +205,7 @@ class Evaluator:
 
     @contextmanager
     def guard(self, condition: Scalar) -> Iterator[None]:
-        """Evaluate what only matters where a condition holds."""
+        """Evaluate an expression that matters only where a condition holds."""
         if not isinstance(condition, SX):
             yield
             return
@@ -306,7 +306,7 @@ class Evaluator:
         return _arithmetic(op, a, b)
 
     def _logical(self, both: bool, node: Binary) -> Value:
-        """``and`` (`both`) or ``or``; what is decided by one side alone does not look at the other."""
+        """``and`` (`both`) or ``or``; if one side decides, the other is not evaluated."""
         a = self(node.left)
         if isinstance(a, bool | int | float) and bool(a) != both:
             return not both
@@ -404,7 +404,7 @@ class Evaluator:
         return BUILTIN[name](self, *arguments)
 
     def _special(self, name: str, given: list[Expression]) -> Value:
-        """Evaluate what is more than a function of the values of its arguments."""
+        """Evaluate functions that depend on more than the values of their arguments."""
         if name in ("pre", "edge", "change"):
             return self._with_previous(name, given[0])
         if name == "size":
@@ -440,7 +440,7 @@ class Evaluator:
             self._inside_smooth = before
 
     def _with_previous(self, name: str, node: Expression) -> Value:
-        """``pre``, ``edge`` and ``change``: an algorithm's own variable counts as it is outside."""
+        """``pre``, ``edge`` and ``change``: an algorithm's own variable has its value outside the algorithm."""
         outside = getattr(self.scope, "outside", None)
         if outside is None:
             declared = self(node)

@@ -1,8 +1,8 @@
 """A flat Modelica model as one immutable value.
 
-This is all that the translation sees of a model. `fmu_build.load` makes it from source; `with_variable`,
-`with_parameter`, `with_input`, `with_equation` and `with_term` make a changed one, which
-`fmu_build.compile_flat` translates like any other.
+This is all that the translation knows of a model. `fmu_build.load` makes it from source; `with_variable`,
+`with_parameter`, `with_input`, `with_equation` and `with_term` make a changed copy, which `fmu_build.compile_flat`
+translates like any other.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Variable:
     fixed
         One truth value for each element; None where the source gives none.
     final, evaluate, protected
-        Whether nobody may change it, the translation uses up its value, or it is declared protected.
+        Whether it cannot be changed, its value is used up by the translation, or it is declared protected.
     """
 
     name: str
@@ -89,7 +89,7 @@ class Variable:
 
 @dataclass(frozen=True)
 class Origin:
-    """Where an equation comes from.
+    """Source of an equation.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class Origin:
     component, class_name
         Component whose class has the equation or the connection, and the name of that class.
     connectors
-        Paths of the connectors that a flow balance or an equality is between.
+        Paths of the connectors that a flow balance or an equality connects.
     """
 
     kind: OriginKind
@@ -152,7 +152,7 @@ class Connector:
 
 @dataclass(frozen=True)
 class Component:
-    """A component that is no variable: part of the instance tree.
+    """A component that is not a variable: part of the instance tree.
 
     Attributes
     ----------
@@ -196,7 +196,7 @@ class Function:
     external
         Name and arguments of the external function that does the work, and the output that takes its value.
     constructor
-        Whether it makes a record of its inputs and locals.
+        Whether it constructs a record from its inputs and locals.
     """
 
     name: str
@@ -221,13 +221,13 @@ class FlatModel:
     Attributes
     ----------
     variables
-        By flat name, in the order of their declaration.
+        Variables by flat name, in the order of declaration.
     components, connectors
-        Instance tree by path; "" is the model itself.
+        The instance tree by path; "" is the model itself.
     files
-        Source files that took part.
+        Source files that were used.
     structural
-        Names of parameters whose value the flattening has used up (sizes, conditions of components, branches).
+        Names of parameters whose value was used up by flattening (sizes, conditions of components, branches).
     """
 
     class_name: str
@@ -252,10 +252,10 @@ class FlatModel:
         whole = self.components[""].at if "" in self.components else self.class_name
         return ModelicaError(what, where=at or whole, fix=fix)
 
-    # ---- looking
+    # ---- queries
 
     def flow_balances(self) -> Iterator[tuple[int, Equation]]:
-        """Yield number and equation of each flow balance, also of flows that nothing is connected to."""
+        """Yield number and equation of each flow balance, including those of unconnected flows."""
         return ((i, e) for i, e in enumerate(self.equations) if e.origin.kind in ("flow", "unconnected"))
 
     def equalities(self) -> Iterator[tuple[int, Equation]]:
@@ -263,7 +263,7 @@ class FlatModel:
         return ((i, e) for i, e in enumerate(self.equations) if e.origin.kind == "potential")
 
     def equations_of(self, component: str) -> Iterator[tuple[int, Equation]]:
-        """Yield number and equation of what the class of a component says itself."""
+        """Yield number and equation of each equation in the class of a component itself."""
         own = ("class", "binding")
         return (
             (i, e)
@@ -271,7 +271,7 @@ class FlatModel:
             if e.origin.component == component and e.origin.kind in own
         )
 
-    # ---- changing
+    # ---- changes
 
     def with_variable(self, variable: Variable) -> FlatModel:
         """Add a variable, a parameter or an input.
@@ -279,10 +279,10 @@ class FlatModel:
         Raises
         ------
         ModelicaError
-            If there is one of that name.
+            There is already one of that name.
         """
         if variable.name in self.variables:
-            raise self.error(f"there is a variable '{variable.name}' already", variable.at)
+            raise self.error(f"there is already a variable '{variable.name}'", variable.at)
         return replace(self, variables=MappingProxyType({**self.variables, variable.name: variable}))
 
     def with_equation(self, left: Expression, right: Expression) -> FlatModel:
@@ -307,7 +307,7 @@ class FlatModel:
         return replace(self, equations=(*self.equations[:number], new, *self.equations[number + 1 :]))
 
     def with_equations(self, equations: Mapping[int, tuple[Equation, ...]]) -> FlatModel:
-        """Replace equations, by their numbers, by none or several others."""
+        """Replace equations, by number, by none or several others."""
         new = [e for i, old in enumerate(self.equations) for e in equations.get(i, (old,))]
         return replace(self, equations=tuple(new))
 

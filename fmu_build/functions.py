@@ -1,8 +1,8 @@
 # ruff: noqa: ARG002  (a function's scope refuses what a model's scope offers)
 """Modelica functions by symbolic execution of their algorithms.
 
-What depends on a condition that is only known at run time is executed on both branches and merged; a ``return`` or
-``break`` under such a condition is a flag that the statements after it look at.
+If a condition is only known at run time, both branches are executed and merged; a ``return`` or ``break`` under
+such a condition is a flag that later statements check.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ from fmu_build.syntax import (
 
 _EXTERNAL = tables.EXTERNAL | random_numbers.EXTERNAL
 _MAX_ROUNDS = 100_000  # of a while loop with a condition known at translation
-_MAX_UNKNOWN_ROUNDS = 100  # of one whose condition is not
-_MOST_UNKNOWN_ROUNDS = 3000  # of all of them, since loops in loops multiply
+_MAX_UNKNOWN_ROUNDS = 100  # of one whose condition is unknown
+_MOST_UNKNOWN_ROUNDS = 3000  # of all of them, because nested loops multiply
 _DONE, _LEFT = "(returned)", "(left the loop)"
 
 
 class Library(Protocol):
-    """What has the functions of a model and makes its errors."""
+    """Source of a model's functions and of its errors."""
 
     @property
     def functions(self) -> Mapping[str, Function]:
@@ -73,10 +73,10 @@ class _Frame:
         return value
 
     def derivative(self, value: Scalar) -> Scalar:
-        raise ValueError("der() in a function")
+        raise ValueError("der() is not allowed in a function")
 
     def previous(self, value: Scalar) -> Scalar:
-        raise ValueError("pre() in a function")
+        raise ValueError("pre() is not allowed in a function")
 
     def relation(self, difference: SX, inclusive: bool) -> SX:
         raise AssertionError("functions are evaluated without events")
@@ -85,13 +85,13 @@ class _Frame:
         raise AssertionError("functions are evaluated without events")
 
     def sample(self, start: Scalar, interval: Scalar) -> SX:
-        raise ValueError("sample() in a function")
+        raise ValueError("sample() is not allowed in a function")
 
     def initial(self) -> SX:
-        raise ValueError("initial() in a function")
+        raise ValueError("initial() is not allowed in a function")
 
     def starting(self) -> SX:
-        raise ValueError("homotopy() in a function")
+        raise ValueError("homotopy() is not allowed in a function")
 
 
 class Functions:
@@ -100,15 +100,15 @@ class Functions:
     Attributes
     ----------
     asserts
-        What assertions in functions want at run time: condition, message, whether it is a warning, place.
+        Assertions of functions at run time: condition, message, whether it is a warning, place.
     guards
         Conditions under which the current evaluation matters.
     by_parameters
-        The parameters that decide a condition if they alone do, as they can become constants of the translation. A
-        loop of unknown length that other variables decide is followed so many rounds, and its end asserted at run
-        time.
+        Returns the parameters that determine a condition, if nothing else does, because they can become constants
+        of the translation. A loop of unknown length that depends on other variables is followed for a number of
+        rounds, and its end is asserted at run time.
     unknown_rounds
-        How many rounds of such loops there are.
+        Number of rounds of such loops so far.
     possible
         Which numbers expressions can be.
     """
@@ -128,7 +128,7 @@ class Functions:
         if function is None:
             raise ValueError(f"function '{name}' is not supported")
         if not function.pure and not (function.external and function.external[0] in _EXTERNAL):
-            for guard in self.guards:  # if parameters alone decide whether it is called, they become constants
+            for guard in self.guards:  # if only parameters decide on the call, they become constants
                 raise algebra.UnknownSizeError(guard, f"impure function '{function.name}' is not supported")
             raise ValueError(f"impure function '{function.name}' is not supported")
         return self._vectorised(function, list(arguments))
@@ -155,7 +155,7 @@ class Functions:
                     )
                 return Array(actual.shape, tuple(algebra.scalars(p)[0] for p in parts))
         if self._depth > 50:
-            raise ValueError(f"function '{function.name}' calls itself without end")
+            raise ValueError(f"function '{function.name}' calls itself endlessly")
         self._depth += 1
         try:
             return self._run(function, arguments)
@@ -192,7 +192,7 @@ class Functions:
 
     @staticmethod
     def _external(function: Function, evaluator: Evaluator) -> Value:
-        """Call what stands for a C function; those of its arguments that are outputs take its results in order."""
+        """Call the substitute of a C function; arguments of it that are outputs take its results in order."""
         assert function.external is not None
         name, arguments, _ = function.external
         if name not in _EXTERNAL:
@@ -211,7 +211,7 @@ class Functions:
         if formal.default is not None:
             return evaluator(formal.default)
         if any(size is None for size in formal.shape):
-            return None  # its size is that of what is assigned
+            return None  # it gets the size of its first value
         shape = [whole(evaluator(size)) for size in formal.shape if size is not None]
         if formal.fields is not None:
             record: dict[str, Value] = {}
@@ -225,7 +225,7 @@ class Functions:
             return record
         if not shape:
             return None
-        # Entries are assigned one by one; one that never is stays NaN and shows.
+        # Entries are assigned one by one; one that never is stays NaN, so that it shows.
         return Array.fill(shape, float("nan"))
 
 
@@ -349,7 +349,7 @@ class Body:
                 self._loop(rest, statements)
 
     def _while(self, statement: WhileStatement) -> None:
-        """Follow the path on which the loop goes on, and merge the states at which it may have ended.
+        """Follow the path on which the loop continues, and merge the states in which it may have ended.
 
         On that path a counter keeps its number, so that a bound on it ends the loop.
         """
@@ -358,7 +358,7 @@ class Body:
         ends: list[tuple[SX, dict[str, Value]]] = []
         changed = {a.target.parts[0].name for a in walk(statement.body) if isinstance(a, Assign)}
         counters = changed & {r.parts[0].name for r in references(statement.condition)}
-        lost = False  # count of the rounds
+        lost = False  # whether the rounds are no longer counted
         with ExitStack() as path:
             for _ in range(_MAX_ROUNDS):
                 stopped = self._stopped()
@@ -386,7 +386,7 @@ class Body:
         self._frame.variables[_LEFT] = outer
 
     def _condition(self, statement: WhileStatement, ends: Sequence[Any]) -> Scalar:
-        """Evaluate the condition of a loop; where an index leaves its array, the loop must have ended before."""
+        """Evaluate the condition of a loop; where an index leaves its array, the loop must have ended earlier."""
         try:
             return self._evaluate.scalar(statement.condition)
         except IndexOutsideError as error:
@@ -396,9 +396,10 @@ class Body:
             return False
 
     def _narrow(self, statement: WhileStatement, counters: Collection[str]) -> bool:
-        """Give variables the numbers that they must have where a loop goes on.
+        """Give variables the numbers that they must have where a loop continues.
 
-        `counters` are what the loop changes and its condition reads; returns whether none of them is a number.
+        `counters` are the variables that the loop changes and its condition reads; returns whether none is a
+        number.
         """
         variables, possible = self._frame.variables, self._functions.possible
         facts: dict[int, bool] = {}
@@ -426,7 +427,7 @@ class Body:
         return isinstance(condition, SX) or bool(condition)
 
     def _bound(self, goes_on: SX, at: Place) -> None:
-        """Give up following a loop; if it goes on, the simulation ends."""
+        """Stop following a loop; if it continues, the simulation ends."""
         functions = self._functions
         functions.unknown_rounds += _MAX_UNKNOWN_ROUNDS
         if functions.by_parameters(goes_on):
@@ -448,7 +449,7 @@ class Body:
     def _when(self, statement: WhenStatement) -> None:
         fires = getattr(self._frame, "fires", None)
         if fires is None:
-            raise self._library.error("when in a function", statement.at)
+            raise self._library.error("when is not allowed in a function", statement.at)
         branches: list[tuple[SX, tuple[Any, ...]]] = []
         earlier = SX(0.0)
         for test, statements in statement.branches:

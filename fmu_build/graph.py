@@ -29,7 +29,7 @@ def is_number(node: SX) -> bool:
 
 
 def if_else_zero(condition: SX, value: SX) -> SX:
-    """``condition ? value : 0``, never touched by a NaN of `value` where the condition is false."""
+    """``condition ? value : 0``, not affected by a NaN of `value` where the condition is false."""
     if is_number(condition):
         return value if float(condition) != 0.0 else SX(0.0)
     if is_number(value) and float(value) == 0.0:
@@ -89,7 +89,7 @@ _STEPS_BINARY = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR}
 
 
 class Graph:
-    """Memory of what has been found out about the nodes of one model's expressions."""
+    """Cache of the properties of the nodes in one model's expressions."""
 
     def __init__(self) -> None:
         self._symbols: dict[int, tuple[SX, frozenset[int]]] = {}
@@ -127,7 +127,7 @@ class Graph:
         return fold(node, self._stepped, visit)
 
     def same(self, node: SX) -> int:
-        """Give a number that two expressions of the same structure share."""
+        """Return a number that two expressions of the same structure share."""
 
         def visit(n: SX, parts: list[int]) -> int:
             what: tuple[object, ...]
@@ -154,9 +154,9 @@ class Graph:
         return fold(node, self._gradients, visit)
 
     def directional(self, node: SX, seeds: Mapping[int, SX]) -> SX:
-        """Exact derivative of a scalar expression along seeds of its symbols; others are held.
+        """Exact derivative of a scalar expression along seeds of its symbols, with the others fixed.
 
-        One memory is kept for each seeds object, which must not change for symbols already met.
+        One cache is kept per seeds object, which must not change for symbols already met.
         """
         memory = self._directions.setdefault(id(seeds), (seeds, {}))[1]
 
@@ -242,7 +242,7 @@ class Substitution:
         self._done: dict[int, tuple[SX, SX]] = {}
 
     def define(self, symbol: SX, expression: SX) -> None:
-        """Replace `symbol` by `expression` (taken as it is) from now on."""
+        """Replace `symbol` by `expression` (not rewritten itself) from now on."""
         self._mapping[key(symbol)] = expression
 
     def __call__(self, expression: SX) -> SX:

@@ -1,7 +1,7 @@
-"""A function without the branches that hang on parameters alone: what a model costs whose laws are all off.
+"""A function without the branches that depend on parameters alone: the cost of a model whose laws are all off.
 
 Added laws are ``noEvent(if abs(size) > 0 then ... else 0)``. A few dozen of them would cost a small model more
-than it costs itself. So its functions have a second version, called where every such condition is false.
+than its own equations. So its functions have a second version, called if every such condition is false.
 """
 
 from __future__ import annotations
@@ -10,23 +10,23 @@ from typing import Any
 
 import casadi as ca
 
-_FEWEST = 3  # branches that are worth a second version
+_FEWEST = 3  # branches that justify a second version
 
 
 def without_branches(function: Any, parameters: int | None) -> tuple[Any, Any] | None:
-    """Return whether any branch is on, and the function where none is.
+    """Return a function for whether any branch is on, and the function without the branches.
 
     Parameters
     ----------
     function
         An SX function.
     parameters
-        Which of its arguments does not change over a simulation.
+        Index of the argument that does not change over a simulation.
 
     Returns
     -------
     tuple or None
-        Two functions of the same arguments; None where too few branches hang on that argument alone.
+        Two functions of the same arguments; None if too few branches depend on that argument alone.
     """
     if parameters is None or function.n_in() <= parameters:
         return None
@@ -56,7 +56,7 @@ def without_branches(function: Any, parameters: int | None) -> tuple[Any, Any] |
             moved = any(moves[i] for i in inputs)
             value, other = (_applied(op, [known[i] for i in inputs]) for known in (as_it_is, idle))
             condition = as_it_is[inputs[0]]
-            # What is taken unless a condition holds has the negated one.
+            # A value taken unless a condition holds has the negated condition.
             if op == ca.OP_IF_ELSE_ZERO and not moves[inputs[0]] and condition.op() != ca.OP_NOT:
                 conditions.setdefault(condition.element_hash(), condition)
                 other = ca.SX(0.0)
@@ -97,5 +97,5 @@ _BINARY = {
 
 
 def _applied(op: Any, operands: list[Any]) -> Any:
-    # CasADi names the one operand of a unary operation twice.
+    # CasADi names the single operand of a unary operation twice.
     return ca.SX.binary(op, *operands) if op in _BINARY else ca.SX.unary(op, operands[0])

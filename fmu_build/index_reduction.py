@@ -4,8 +4,8 @@ C. Pantelides, SIAM J. Sci. Stat. Comput. 9 (1988) 213-231: which equations to d
 S. E. Mattsson, G. Söderlind, SIAM J. Sci. Comput. 14 (1993) 677-692: which derivatives become algebraic.
 U. M. Ascher, H. Chin, S. Reich, Numer. Math. 67 (1994) 131-149: constraints that remain as invariants.
 
-Where no choice of states would do for all positions (a pendulum in Cartesian coordinates), all of the variables
-that a constraint ties together stay states, and the constraint is an invariant of their motion, which it attracts.
+If no choice of states suits all positions (a pendulum in Cartesian coordinates), all variables that a constraint
+ties together remain states. The constraint is then an invariant of their motion, and attracts it.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from fmu_build.graph import SX, key
 from fmu_build.matching import augment
 from fmu_build.scope import ModelScope
 
-_UNNAMED = (2, False, False)  # preference of a derivative that the model has no name for
+_UNNAMED = (2, False, False)  # preference of a derivative without a name in the model
 _DEFAULT, _ALWAYS = 3, 5
 _MOST = 8  # differentiations of one equation; more means that the system is singular
 
 
 @dataclass(frozen=True)
 class State:
-    """A state, the symbol of its derivative, and the symbols of declared variable and order it comes from."""
+    """A state, the symbol of its derivative, and the declared variable and order from which it comes."""
 
     symbol: SX
     derivative: SX
@@ -45,7 +45,7 @@ class Reduced:
     Attributes
     ----------
     invariants
-        Equations between states that hold at the start, and then stay true because their derivatives do.
+        Equations between states that hold at the start and remain true because their derivatives do.
     """
 
     equations: list[Equation]
@@ -59,7 +59,7 @@ class _System:
         self.scope = scope
         self.graph = scope.graph
         self.equations = list(aliases.equations)
-        self.origin = list(range(len(self.equations)))  # leaf -> its undifferentiated equation
+        self.origin = list(range(len(self.equations)))  # equation -> its undifferentiated equation
         self.next: dict[int, int] = {}  # equation -> its derivative
         self.chains: list[list[SX]] = []  # each variable and its derivatives in use
         self.place: dict[int, tuple[int, int]] = {}  # symbol -> (variable, order)
@@ -89,7 +89,7 @@ class _System:
                 self.extend(self.place[symbol][0], order)
 
     def highest(self, equation: int) -> list[int]:
-        """Return the variables whose highest derivative is in an equation, fixed order."""
+        """Return the variables whose highest derivative is in an equation, in a fixed order."""
         found = []
         for k in self.graph.symbols(self.equations[equation].residual):
             place = self.place.get(k)
@@ -131,7 +131,7 @@ def reduce(scope: ModelScope, aliases: Aliases, point: Callable[[list[SX]], np.n
     Raises
     ------
     ModelicaError
-        If the model is structurally singular or needs derivatives of inputs.
+        The model is structurally singular, or needs derivatives of inputs.
     """
     system = _System(scope, aliases)
     _check_structure(system)
@@ -150,7 +150,7 @@ def reduce(scope: ModelScope, aliases: Aliases, point: Callable[[list[SX]], np.n
 
 
 def _match(system: _System, original: int, equation_of: dict[int, int]) -> None:
-    """Match one equation with a highest derivative, differentiating the minimal set where that is impossible."""
+    """Match one equation with a highest derivative, differentiating the minimal set if that is impossible."""
     row = system.leaf(original)
     while True:
         seen: set[int] = set()
@@ -172,7 +172,7 @@ def _times(system: _System, equation: int) -> int:
 
 
 def _check_structure(system: _System) -> None:
-    """Every variable needs an equation of its own, whatever the order of its derivatives."""
+    """Check that every variable has an equation, whatever the order of its derivatives."""
     rows = [
         sorted({system.place[k][0] for k in system.graph.symbols(e.residual) if k in system.place})
         for e in system.equations
@@ -205,7 +205,7 @@ def _some(names: list[str], most: int = 6) -> str:
 
 
 def _check_branches(system: _System, equations: list[Equation], unknowns: list[SX]) -> None:
-    """Refuse an if-equation with a branch that leaves an unknown without an equation: its index is another one."""
+    """Refuse an if-equation with a branch that leaves an unknown without an equation: its index differs."""
     column = {key(s): i for i, s in enumerate(unknowns)}
 
     def incidence(residual: SX) -> list[int]:
@@ -227,7 +227,7 @@ def _check_branches(system: _System, equations: list[Equation], unknowns: list[S
 def _select(
     system: _System, n: int, point: Callable[[list[SX]], np.ndarray[Any, Any]]
 ) -> tuple[list[State], set[int]]:
-    """Choose the states; second, the equations that become invariants."""
+    """Choose the states; also return the equations that become invariants."""
     chains = system.chains
     depth = [system.depth(e) for e in range(n)]
     leaves = [system.leaf(e) for e in range(n)]
@@ -267,7 +267,7 @@ def _select(
 
 
 def _names(system: _System) -> dict[int, tuple[int, bool, bool]]:
-    """Preference of variables that are no states of their own, by the derivative they equal (``w = der(phi)``)."""
+    """Preference of variables that are not states, by the derivative they equal (``w = der(phi)``)."""
     found: dict[int, tuple[int, bool, bool]] = {}
     for equation in system.equations:
         pair = system.graph.symbols(equation.residual)
@@ -288,7 +288,7 @@ def _names(system: _System) -> dict[int, tuple[int, bool, bool]]:
 def _preference(
     system: _System, names: dict[int, tuple[int, bool, bool]], variable: int, level: int
 ) -> tuple[int, bool, bool]:
-    """Preference as a state of the symbol that a dummy derivative at this level would take away."""
+    """Preference as a state of the symbol that a dummy derivative at this level would replace."""
     symbol = system.chains[variable][len(system.chains[variable]) - 1 - level]
     declared = system.scope.declared(symbol)
     return names.get(key(symbol), _UNNAMED) if declared is None else preference(declared)
@@ -328,13 +328,13 @@ def _independent(
     fixed, rest = _eliminate(system, entries, chosen)
     kept = {v for row in rest.values() for v in row if v not in chosen}
     if not rest or (kept and all(preferences[v][0] > _DEFAULT for v in kept)):
-        return _Choice(chosen, [])  # by itself, or because the modeller says so
+        return _Choice(chosen, [])  # independent anyway, or chosen by the modeller
     fixed, rest = _eliminate(system, entries, [v for v in columns if preferences[v][0] < _ALWAYS])
     return _Choice(fixed, sorted(rest))
 
 
 def _ranked(entries: Entries, columns: list[int], point: Callable[[list[SX]], np.ndarray[Any, Any]]) -> list[int]:
-    """First columns that add to the rank."""
+    """First columns that increase the rank."""
     place = {v: j for j, v in enumerate(columns)}
     cells = [(i, place[v], entry) for i, row in entries.items() for v, entry in row.items()]
     matrix = np.zeros((len(entries), len(columns)))
@@ -353,7 +353,7 @@ def _ranked(entries: Entries, columns: list[int], point: Callable[[list[SX]], np
 
 
 def _eliminate(system: _System, entries: Entries, columns: list[int]) -> tuple[list[int], Entries]:
-    """Eliminate by pivots in some columns that cannot vary: the columns, and what is left of the other rows."""
+    """Eliminate with constant pivots in some columns; return these columns and the rest of the other rows."""
     rows = {i: dict(row) for i, row in entries.items()}
     holders: dict[int, set[int]] = {}
     for i, row in rows.items():

@@ -1,4 +1,4 @@
-"""Terms added to a flat model at its ports, all off at the neutral values of their parameters."""
+"""Terms added to a flat model at its ports, all of them off at the neutral values of their parameters."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Acts = Choice["flow", "potential", "signal", "cut"]
 
 @dataclass(frozen=True)
 class State:
-    """A state of a term's own: its derivative and its value at the start, as Modelica expressions."""
+    """A state of a term: its derivative and its start value, as Modelica expressions."""
 
     name: str
     derivative: str
@@ -37,16 +37,16 @@ class Term:
     port
         Name of the port.
     acts
-        ``flow``: a flow out of a node, or from a branch's second node through it to the first; ``potential``: a
-        drop of the potential at a branch's first connector; ``signal``: takes the signal's place; ``cut``: parts
-        the first connector from its node, and flows between the two, against their difference ``p``.
+        ``flow``: a flow out of a node, or out of a branch's second node and into its first; ``potential``: a drop
+        of the potential at a branch's first connector; ``signal``: replaces the signal; ``cut``: separates the
+        first connector from its node, and is a flow between the two, driven by their difference ``p``.
     expression
-        Of the port's quantities, `states`, parameters, ``time`` and any variable of the model by its full name.
+        An expression of the port's quantities, `states`, parameters, ``time`` and any variable by its full name.
     where
-        What an error names.
+        Place for error messages.
     states
-        States of its own. They take part in the choice of steps, so that a model with such a term gives the plain
-        model's results within the tolerance only.
+        Its own states. They affect the choice of steps, so a model with such a term gives the plain model's
+        results only within the tolerance.
     """
 
     port: str
@@ -71,12 +71,12 @@ def instrument(flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -
     """Return the model with terms at its ports and the parameters and inputs that they use.
 
     Where every term is zero (or the signal itself) and has no states, results are bit for bit those of the plain
-    model. A ``cut`` makes another model: a rigid connection is none of its special cases.
+    model. A ``cut`` always changes the model: it does not include a rigid connection as a special case.
 
     Raises
     ------
     ModelicaError
-        A term names a port or a variable that is not there, or is no Modelica expression.
+        A term names a port or a variable that does not exist, or is not a Modelica expression.
     """
     ports = {port.name: port for port in find_ports(flat)}
     for one in added:
@@ -97,7 +97,7 @@ def instrument(flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -
                 f"the model has no port '{term.port}'", where=term.where, fix=suggestion(term.port, ports)
             )
         at[term.port, term.acts].append(term)
-    # Equations keep their numbers: those of a connection are replaced one by one.
+    # Equations keep their numbers, so those of a connection are replaced one by one.
     for (name, acts), own in at.items():
         port = ports[name]
         if acts == "flow":
@@ -131,7 +131,7 @@ def _total(flat: FlatModel, terms: Sequence[Term], quantities: Mapping[str, Expr
 
 
 def _expression(flat: FlatModel, term: Term, quantities: Mapping[str, Expression]) -> Expression:
-    """Parse a term and put in what its names stand for."""
+    """Parse a term and substitute the meaning of its names."""
 
     def resolve(node: Expression) -> Expression:
         if not isinstance(node, Reference):
@@ -164,9 +164,9 @@ def _with_flow(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
 
 
 def _with_drop(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
-    """Part the first connector of a branch from its node, and connect the two by a drop of the potential."""
+    """Separate the first connector of a branch from its node, and connect the two by a drop of the potential."""
     if port.kind != "branch":
-        raise ModelicaError(f"'{port.name}' is no branch, so no potential drops there", where=terms[0].where)
+        raise ModelicaError(f"'{port.name}' is not a branch, so it has no potential drop", where=terms[0].where)
     inner, other = (flat.connectors[c].potentials[0] for c in port.connectors)
     node, changed = _parted(flat, port.connectors[0], terms[0].where)
     quantities = {**port.quantities, "p": Binary(ADDED, "-", variable(other), node), "position": node}
@@ -177,7 +177,7 @@ def _with_drop(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
 
 
 def _with_cut(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
-    """Part a connector from its node, and let a flow pass between the two."""
+    """Separate a connector from its node, and let a flow pass between the two."""
     connector = port.connectors[0]
     if port.kind == "signal":
         raise ModelicaError(f"'{port.name}' is a signal and cannot be cut", where=terms[0].where)
@@ -209,9 +209,10 @@ def _with_cut(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
 
 
 def _parted(flat: FlatModel, connector: str, where: str) -> tuple[Expression, dict[int, tuple[Equation, ...]]]:
-    """Return the potential of the node that a connector is parted from, and the equalities that this changes.
+    """Return the potential of the node from which a connector is separated, and the equalities that this changes.
 
-    The first of them bound the two; the others held others to the connector, and now hold them to the node.
+    The first of them connected the two; the others tied other connectors to this one, and now tie them to the
+    node.
     """
     inner = flat.connectors[connector].potentials[0]
     mine = [(i, e) for i, e in flat.equalities() if inner in [flat_name(r) for r in references((e.left, e.right))]]
@@ -232,13 +233,13 @@ def _parted(flat: FlatModel, connector: str, where: str) -> tuple[Expression, di
 
 
 def _ends(equation: Equation) -> list[str]:
-    """Return the potentials that an equality joins, also with a drop between them."""
+    """Return the potentials that an equality connects, possibly with a drop between them."""
     right = equation.right.left if isinstance(equation.right, Binary) else equation.right
     return [flat_name(side) for side in (equation.left, right) if isinstance(side, Reference)]
 
 
 def _partner(equation: Equation, inner: str) -> Expression:
-    """Return what an equality, also one with a drop at its other end, says the potential `inner` is."""
+    """Return the other side of an equality of the potential `inner`, possibly with a drop at its other end."""
     left, right = equation.left, equation.right
     if isinstance(left, Reference) and flat_name(left) == inner:
         return right
@@ -248,7 +249,7 @@ def _partner(equation: Equation, inner: str) -> Expression:
 
 
 def _with_signal(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
-    """Put laws into a causal connection, each after the one before."""
+    """Insert laws into a causal connection, one after the other."""
     (name,) = port.connectors
     i, equation = next(
         (i, e)

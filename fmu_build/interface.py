@@ -98,7 +98,7 @@ class _Describer:
             "type": declared.type,
             "description": variable.description,
             "unit": variable.unit,
-            # FMI wants a display unit that the unit itself is not
+            # FMI requires that a display unit differ from the unit
             "display_unit": variable.display_unit if variable.display_unit != variable.unit else None,
             "quantity": variable.quantity,
             "min": number(declared, "min"),
@@ -187,7 +187,7 @@ class _Describer:
         return "calculated", None
 
     def _state_name(self, i: int, variables: list[Variable]) -> str:
-        """Name of a state. A derivative is called as a variable that equals it, or else becomes a variable."""
+        """Name of a state. A derivative has the name of a variable equal to it, or else becomes a variable."""
         state, place = self.states[i], Location("x", i)
         if self.scope.declared(state.symbol) is not None:
             return state.symbol.name()
@@ -220,7 +220,7 @@ class _Describer:
         return self._dependencies(self.solution.expression(algebra.sx(representative.symbol)))
 
     def _dependencies(self, expression: SX) -> dict[str, Any]:
-        """States and inputs that an expression depends on, and how; nothing said if events have a say."""
+        """States and inputs that an expression depends on, and how; nothing if events matter."""
         graph = self.scope.graph
         symbols, loops = graph.symbols(expression), False
         if symbols & {key(y) for y in self.solution.iterates}:

@@ -1,7 +1,7 @@
-"""Constraints between states: how the derivatives attract them, so that integration errors do not add up.
+"""Constraints between states: attraction by the derivatives, so that integration errors do not accumulate.
 
-For the constraints h(x) = 0 with the Jacobian H, ``x' = f(x) - g H' (H H')^-1 h(x)`` has the solutions of
-``x' = f(x)`` that fulfil them, and others approach these like exp(-g t) [U. M. Ascher, H. Chin, S. Reich,
+For constraints h(x) = 0 with the Jacobian H, ``x' = f(x) - g H' (H H')^-1 h(x)`` has the same solutions as ``x' =
+f(x)`` among those that fulfil them, and others approach these like exp(-g t) [U. M. Ascher, H. Chin, S. Reich,
 Stabilization of DAEs and invariant manifolds, Numer. Math. 67:131-149, 1994].
 """
 
@@ -14,7 +14,7 @@ from fmu_build.scope import ModelScope
 from fmu_build.sorting import MOST_SYMBOLIC, linear_solution
 from fmu_build.system import System
 
-_ATTRACTION = 10.0  # 1/s; stiff where a model is slow, which the integrator does not mind
+_ATTRACTION = 10.0  # 1/s; stiff in a slow model, which the integrator can handle
 
 
 def state_derivatives(system: System) -> list[SX]:
@@ -23,7 +23,7 @@ def state_derivatives(system: System) -> list[SX]:
     Raises
     ------
     ModelicaError
-        For an invariant that is no function of states, time and parameters alone.
+        An invariant does not depend on states, time and parameters alone.
     """
     scope, invariants = system.scope, system.reduced.invariants
     out = {key(s.symbol): system.rewrite(s.derivative) for s in system.reduced.states}
@@ -56,7 +56,7 @@ def _unsupported(scope: ModelScope, invariant: Equation) -> Exception:
 
 
 def _groups(sets: list[set[int]]) -> list[list[int]]:
-    """Numbers of the sets that overlap, directly or by others."""
+    """Numbers of the sets that overlap, directly or through others."""
     groups: list[tuple[list[int], set[int]]] = []
     for number, own in enumerate(sets):
         joined = [g for g in groups if g[1] & own]

@@ -1,8 +1,8 @@
-"""Algebraic loops with limiters: one solution, several of which the history chooses one, or refused.
+"""Algebraic loops with limiters: a unique solution, several between which the history decides, or an error.
 
-A piecewise linear system has one solution for whatever it is driven by if the determinants of its pieces have one
-sign. Where they have not (a limiter with positive feedback, as in a Schmitt trigger), it may have several: then
-its pieces have to be modes that events change, so that a solution stays as long as it exists.
+A piecewise linear system has a unique solution for every input if the determinants of its pieces have the same
+sign. Otherwise (a limiter with positive feedback, as in a Schmitt trigger) it may have several. Then its pieces
+must be modes that change at events, so that a solution persists as long as it exists.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fmu_build.point import Point
 from fmu_build.scope import ModelScope
 from fmu_build.syntax import Place
 
-_MOST = 256  # combinations of switches that are tried
+_MOST = 256  # combinations of switches to try
 
 
 @dataclass(frozen=True)
@@ -36,14 +36,14 @@ class SwitchedLoopError(Exception):
 
 
 def check(scope: ModelScope, loop: Loop, point: Point) -> None:
-    """Refuse a loop of which nothing would say which of several solutions holds.
+    """Refuse a loop with several solutions if nothing determines which one applies.
 
     Raises
     ------
     SwitchedLoopError
-        If it may have conditions that may become (more) events.
+        It may have conditions that may become (more) events.
     ModelicaError
-        If they may not.
+        It may have none that may.
     """
     inside = {key(y) for y in loop.iterates}
     evaluate = scope.evaluate
@@ -65,7 +65,7 @@ def check(scope: ModelScope, loop: Loop, point: Point) -> None:
 def signs(
     graph: Graph, residuals: Sequence[SX], unknowns: Sequence[SX], switches: list[SX], point: Point
 ) -> set[float]:
-    """Signs that the determinant of a piecewise linear system has at the default parameters; none if not linear.
+    """Signs of the determinant of a piecewise linear system at the default parameters; none if not linear.
 
     Parameters
     ----------
@@ -88,14 +88,14 @@ def signs(
 
 
 class _Switches:
-    """Replaces what chooses between pieces by symbols that are 0 or 1."""
+    """Replaces choices between pieces by symbols that are 0 or 1."""
 
     def __init__(self, graph: Graph, inside: set[int]) -> None:
         self._graph = graph
         self._inside = inside
         self._of: dict[int, SX] = {}
         self._done: dict[int, tuple[SX, SX]] = {}
-        self.odd = False  # there is a step in it
+        self.odd = False  # whether it contains a step
 
     @property
     def symbols(self) -> list[SX]:

@@ -39,7 +39,7 @@ def augment(row: int, incidence: Callable[[int], Sequence[int]], row_of: dict[in
 
 
 def components(successors: Sequence[Sequence[int]]) -> list[list[int]]:
-    """Strongly connected components, each after all it leads to (Tarjan's order), without recursion."""
+    """Strongly connected components, each after all that it leads to (Tarjan's order), without recursion."""
     search = _Tarjan(successors)
     for root in range(len(successors)):
         if root not in search.index:

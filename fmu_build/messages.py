@@ -1,4 +1,4 @@
-"""Texts of assertions: what they say of values that are only known when they are violated."""
+"""Texts of assertions, with values that are only known when they are violated."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def message(evaluate: Evaluator, node: Expression, declared: Declarations | None
     Parameters
     ----------
     declared
-        Tells which symbols are Booleans, Integers or of an enumeration.
+        Provides which symbols are Booleans, Integers or enumerations.
     """
     if isinstance(node, Binary) and node.operator == "+":
         return (*message(evaluate, node.left, declared), *message(evaluate, node.right, declared))
@@ -109,5 +109,5 @@ def text(parts: Message) -> str:
 
 
 def values(parts: Message) -> list[SX]:
-    """Return the values that a text shows, in turn."""
+    """Return the values that a text shows, in order."""
     return [p.value for p in parts if isinstance(p, Shown)]

@@ -42,14 +42,14 @@ def model_description(model: CompiledModel, guid: str, sources: Sequence[str], f
 
 
 def states(model: CompiledModel) -> list[Variable]:
-    """Return the variable that stands for each continuous state, in the order of the state vector."""
+    """Return the variable that represents each continuous state, in the order of the state vector."""
     by_name = {v.name: v for v in model.variables}
     found = [by_name[v.derivative_of] for v in derivatives(model) if v.derivative_of]
     return sorted(found, key=lambda v: v.location.index)
 
 
 def derivatives(model: CompiledModel) -> list[Variable]:
-    """Return the variable that stands for each state derivative, in the order of the state vector."""
+    """Return the variable that represents each state derivative, in the order of the state vector."""
     index = {v.name: v.location.index for v in model.variables if v.location.vector == "x"}
     found: dict[int, Variable] = {}
     for v in model.variables:
@@ -73,7 +73,7 @@ def initial_unknowns(model: CompiledModel) -> list[Variable]:
 
 
 def _role(v: Variable, reference: int) -> dict[str, object]:
-    """Return what a variable is called and what it is for, as attributes of both versions of FMI."""
+    """Return the name and role of a variable, as attributes of both versions of FMI."""
     return {
         "name": v.name,
         "valueReference": reference,
@@ -85,7 +85,7 @@ def _role(v: Variable, reference: int) -> dict[str, object]:
 
 
 def _values(v: Variable, types: Mapping[tuple[str, ...], str], places: Mapping[str, int]) -> dict[str, object]:
-    """Return what values a variable may have, as attributes of both versions of FMI."""
+    """Return the possible values of a variable, as attributes of both versions of FMI."""
     real, number = v.type == "Real", v.type != "Boolean"
     return {
         "declaredType": types.get(v.enumeration),
@@ -105,7 +105,7 @@ def _number(value: float) -> str:
 
 
 def _element(parent: ElementTree.Element, tag: str, **attributes: object) -> ElementTree.Element:
-    """Child with the attributes that are not None; numbers and truth values as XML writes them."""
+    """Child with the attributes that are not None; numbers and truth values as written in XML."""
     text: dict[str, str] = {}
     for key, value in attributes.items():
         if value is None or value == "":
@@ -141,7 +141,7 @@ def _units(root: ElementTree.Element, units: Sequence[Unit]) -> None:
 
 
 def _dependencies(element: ElementTree.Element, v: Variable, number: Mapping[str, int]) -> None:
-    """Say what an unknown depends on, and how; nothing said means: on everything."""
+    """Write what an unknown depends on, and how; without an entry it depends on everything."""
     if v.depends_on is None:
         return
     kinds = v.dependency_kinds or ("dependent",) * len(v.depends_on)
@@ -245,7 +245,7 @@ def _fmi2(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
 
 
 def _unknowns(model: CompiledModel) -> dict[str, list[Variable]]:
-    """Variables of the model structure, by what they are."""
+    """Variables of the model structure, by role."""
     return {
         "Output": [v for v in model.variables if v.causality == "output"],
         "Derivative": derivatives(model),

@@ -1,9 +1,9 @@
-"""Where something may be missing in a model: nodes, branches, internal signals and parameters of a flat model.
+"""Places where something may be missing in a model: nodes, branches, internal signals and parameters.
 
-A physical connector has one potential and one flow, whose units tell the domain. A *node* is what shares one
+A physical connector has one potential and one flow, whose units determine the domain. A *node* shares one
 potential: a flow can be added to its balance. A *branch* is a component between two nodes: a flow can be taken
 from one and given to the other, or a difference added to the potential at its first connector. A *joint* is a
-rigid connection between what stores: it may be parted. A *signal* is a causal connection inside the model.
+rigid connection between stores: it may be separated. A *signal* is a causal connection inside the model.
 """
 
 from __future__ import annotations
@@ -38,23 +38,23 @@ class Port:
     Attributes
     ----------
     name
-        The user's component, or the connector where that says more.
+        The user's component, or the connector where that is more specific.
     kind, domain
-        What it is, and of which physics.
+        Kind of the port, and its domain of physics.
     connectors
-        A node: the connector whose flow balance is added to. A branch: its two connectors. A joint: the connector
-        that is parted from its node. A signal: the connector that receives it.
+        For a node: the connector whose flow balance is extended. For a branch: its two connectors. For a joint:
+        the connector that is separated from its node. For a signal: the connector that receives it.
     units
-        Of the potential (or signal) and of the flow.
+        Units of the potential (or signal) and of the flow.
     quantities
-        What laws may use, by name: ``p`` (potential; of a branch its difference, second less first connector),
+        Quantities for laws, by name: ``p`` (potential; for a branch its difference, second minus first connector),
         ``rate`` (its derivative), ``acceleration``, ``through`` (flow into a branch's first connector), ``load``
-        (flow through a compliant neighbour). What would have to be differentiated anew is not there.
+        (flow through a compliant neighbour). Quantities that would need a new differentiation are not included.
     probes
-        Variables whose course in a nominal simulation tells sizes: those of potential, rate, acceleration and
+        Variables whose time series in a nominal simulation give sizes: those of potential, rate, acceleration and
         flows, where the model has them.
     compliant, rigid
-        A branch that leaves its two potentials free of each other; one that binds them, with stores at both ends.
+        Whether a branch leaves its two potentials independent; whether it binds them, with stores at both ends.
     same
         Other names of the same place: connectors of the same rigid node.
     """
@@ -77,9 +77,9 @@ def find_ports(flat: FlatModel) -> tuple[Port, ...]:
 
 
 def held_parameters(flat: FlatModel) -> tuple[Variable, ...]:
-    """Return the real scalar parameters that a rig may have otherwise than the model says, with a plain number.
+    """Return the real scalar parameters that may differ between rig and model, and have a plain number.
 
-    Those that shape the model (final, evaluated, sizes and conditions) are left out.
+    Those that determine the structure (final, evaluated, sizes and conditions) are left out.
     """
     return tuple(
         v
@@ -91,7 +91,7 @@ def held_parameters(flat: FlatModel) -> tuple[Variable, ...]:
 
 
 def constant(e: Expression | None) -> float | None:
-    """Return the value of a literal, also with a sign; None of anything else."""
+    """Return the value of a literal, possibly with a sign; None for anything else."""
     if isinstance(e, Literal) and isinstance(e.value, int | float) and not isinstance(e.value, bool):
         return float(e.value)
     operator, operand = getattr(e, "operator", None), getattr(e, "operand", None)
@@ -100,7 +100,7 @@ def constant(e: Expression | None) -> float | None:
 
 
 def domain_of(potential: str | None, flow: str | None) -> Domain | None:
-    """Return the domain that a potential and a flow of these units belong to, None if none does."""
+    """Return the domain of a potential and a flow with these units, None if there is none."""
     p, f = _dimension(potential), _dimension(flow)
     for domain, one, others in _DOMAINS:
         if p is not None and p == _dimension(one) and f in [_dimension(other) for other in others]:
@@ -114,7 +114,7 @@ def _dimension(unit: str | None) -> tuple[int, ...] | None:
 
 
 def flat_name(reference: Reference) -> str:
-    """Return the name of the flat variable, or of the element of one, that a reference stands for."""
+    """Return the name of the flat variable, or of its element, that a reference denotes."""
     parts = []
     for part in reference.parts:
         inside = [str(s.value) if isinstance(s, Literal) else "?" for s in part.subscripts]
@@ -164,7 +164,7 @@ class _Finder:
                 self.balances.setdefault(path, i)
 
     def _join_equals(self) -> list[str]:
-        """Put variables that equal each other into one class; return those that equal a constant."""
+        """Merge variables that are equal into one class; return those that equal a constant."""
         fixed: list[str] = []
         for left, right in self._equalities():
             if isinstance(left, Reference) and isinstance(right, Reference):
@@ -208,7 +208,7 @@ class _Finder:
         return (*self._nodes(branches), *branches, *self._joints(branches), *self._signals())
 
     def _rates(self, potential: str) -> dict[str, Expression]:
-        """Return rate and acceleration of a potential, where the model differentiates it anyway."""
+        """Return rate and acceleration of a potential, where the model computes them anyway."""
         own = self.classes.find(potential)
         if own not in self.derived:
             return {}
@@ -227,7 +227,7 @@ class _Finder:
                 groups.setdefault(self.classes.find(potential), []).append(path)
         shown = {self.classes.find(v.name) for v in self.flat.variables.values() if v.causality == "output"}
         for group in groups.values():
-            # A flow that is read somewhere in a rigid node tells its ends apart.
+            # A flow that is read somewhere in a rigid node distinguishes its ends.
             read = any(self.classes.find(self.physical[path][2]) in shown for path in group)
             first = dict.fromkeys(self.balances[path] for path in group)
             parts = [[p for p in group if self.balances[p] == b] for b in first] if read else [group]
@@ -251,7 +251,7 @@ class _Finder:
         )  # fmt: skip
 
     def _compliant_neighbour(self, group: list[str], branches: list[Port]) -> Port | None:
-        """Return the compliant branch next to a node, or behind rigid branches (its flow off by their ratio)."""
+        """Return the compliant branch next to a node, or behind rigid branches (its flow differs by a ratio)."""
         joined = set(group)
         while True:
             for branch in branches:
@@ -275,7 +275,7 @@ class _Finder:
         return probes | ({"rate": (speed,)} if speed else {})
 
     def _stores(self, path: str) -> bool:
-        """Return whether the component of a connector differentiates something of its potential itself."""
+        """Return whether the component of a connector differentiates a function of its potential itself."""
         component = self.flat.connectors[path].component
         own = self.classes.find(self.physical[path][1])
         near = {own, self.classes.find(self.derived.get(own) or own)}
@@ -328,7 +328,7 @@ class _Finder:
             )  # fmt: skip
 
     def _joints(self, branches: list[Port]) -> Iterator[Port]:
-        """Yield the rigid connections with stores on both sides; a rigid branch stands for those at its ends."""
+        """Yield the rigid connections with stores on both sides; a rigid branch includes those at its ends."""
         rigid = {b.name for b in branches if b.rigid}
         for paths in self._sets().values():
             inside = {path: self.flat.connectors[path].component for path in paths}
@@ -339,7 +339,7 @@ class _Finder:
                 if self._stores(path) and any(self._reaches_store(p, inward=True) for p in others):
                     domain, potential, flow = self.physical[path]
                     probes = self._probes(potential, (flow,))
-                    # All of the quantities but the difference and its rate are of no use at a joint.
+                    # Only the difference and its rate are useful quantities at a joint.
                     quantities = {"p": variable(potential), **self._rates(potential)}
                     yield Port(path, "joint", domain, (path,), self._units(path), quantities, probes)
                     break
@@ -367,7 +367,7 @@ class _Finder:
         return found
 
     def _reaches_store(self, path: str, *, inward: bool = False) -> bool:
-        """Return whether what is rigidly connected to a connector stores: outside its component, or `inward`."""
+        """Return whether a store is rigidly connected to a connector: outside its component, or `inward`."""
         sets, waiting, seen = self._sets(), [(path, inward)], set()
         while waiting:
             here, within = waiting.pop()
@@ -385,7 +385,7 @@ class _Finder:
         return False
 
     def _relative_rate(self, component: str, a: str, b: str) -> Expression | None:
-        """Return the derivative of a component's own difference of potentials, where it takes one."""
+        """Return the derivative of a component's own difference of potentials, if it computes one."""
         for left, right in self._equalities():
             if not (isinstance(left, Reference) and isinstance(right, Binary) and right.operator == "-"):
                 continue

@@ -1,6 +1,6 @@
-"""A flat model as Modelica source: one class that stands alone, for any tool.
+"""A flat model as Modelica source: one self-contained class, for any tool.
 
-What had a path has a quoted name (``'load.w'``); connections are the equations that they made.
+A variable with a path gets a quoted name (``'load.w'``); connections are written as their equations.
 """
 
 from __future__ import annotations
@@ -55,7 +55,8 @@ def modelica_text(flat: FlatModel, name: str, comment: Sequence[str] = ()) -> st
     Raises
     ------
     ModelicaError
-        The model has what only its own source can say: external functions and objects, records of functions.
+        The model has elements that only its own source can declare: external functions and objects, records of
+        functions.
     """
     lines = [f"// {line}".rstrip() for line in comment]
     lines.append(f"model {name}{_description(flat.description)}")
@@ -193,7 +194,7 @@ def _statement(one: Statement, sign: str) -> list[str]:
 
 
 def _compound(one: IfStatement | WhenStatement | ForStatement | WhileStatement, sign: str) -> list[str]:
-    """Write a statement that has statements in it."""
+    """Write a statement that contains statements."""
     if isinstance(one, IfStatement | WhenStatement):
         return _branches("if" if isinstance(one, IfStatement) else "when", one.branches, sign)
     if isinstance(one, ForStatement):
@@ -229,7 +230,7 @@ def _inside(e: Expression, least: int) -> str:
 
 
 def _bound(e: Expression) -> tuple[str, int]:
-    """Return an expression as text, and how strongly it holds together."""
+    """Return an expression as text, and its binding strength."""
     match e:
         case Literal(value=value):
             return _literal(value)

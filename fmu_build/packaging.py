@@ -1,6 +1,6 @@
 """From a compiled model to an FMU: configuration header, C compiler, zip archive.
 
-The archive holds the binary for this platform, every C source and header that it was made from, and the model
+The archive contains the binary for this platform, every C source and header from which it was made, and the model
 description. The same model and runtime give the same bytes.
 """
 
@@ -25,11 +25,11 @@ from fmu_build.model_description import FmiVersion, model_description, states
 from fmu_build.switches import switches_code
 
 DEFAULT_TOLERANCE = 1e-6
-# Contraction into fused operations would make results depend on the processor the compiler had in mind.
-# Loops over a handful of states: unrolling is worth a fifth of the time, vectors of two cost more than they save.
-# Processors order instructions themselves: to schedule them takes an eighth of the compiler's time for nothing.
+# Contraction into fused operations would make results depend on the processor that the compiler targets. Loops are
+# over a handful of states: unrolling saves a fifth of the time, vectors of two cost more than they save.
+# Processors reorder instructions themselves: scheduling them would take an eighth of the compiler's time for nothing.
 C_FLAGS = ("-std=c99", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
-# What a simulation seldom calls, or what only hands on a call, is not worth the compiler's time. Equations, which
+# Functions that a simulation seldom calls, or that only pass on a call, are not worth optimising. Equations, which
 # are straight code, gain hardly anything from the second level, which takes twice the time.
 _FAST = ("-O2", "-funroll-loops", "-fno-tree-vectorize", "-fno-schedule-insns2")
 _STRAIGHT = ("-O1", "-fgcse", "-fexpensive-optimizations")
@@ -132,7 +132,7 @@ def _runtime(fmi: FmiVersion) -> dict[str, str]:
 
 
 def _sources(model: CompiledModel, fmi: FmiVersion) -> dict[str, str]:
-    """Everything the C compiler needs, by file name; C files first."""
+    """All files that the C compiler needs, by name; C files first."""
     headers = _fmi_headers()
     files = {"model.c": model.c_source, "model_rare.c": model.c_rare, **_runtime(fmi), "model.h": model.c_header}
     files |= switches_code(model.functions.get("derivatives"))
@@ -142,7 +142,7 @@ def _sources(model: CompiledModel, fmi: FmiVersion) -> dict[str, str]:
 
 
 def _fmi_headers() -> Path:
-    """Folder of FMPy with the headers of FMI; to import FMPy takes a fifth of a build."""
+    """Folder of FMPy with the headers of FMI; importing FMPy would take a fifth of a build."""
     found = find_spec("fmpy")
     if found is None or not found.submodule_search_locations:
         raise BuildError("the Modelica export needs fmpy", fix="pip install 'fmuid[build]'")
@@ -168,7 +168,7 @@ def _settable(v: Variable) -> str:
 
 
 def configuration(model: CompiledModel, guid: str) -> str:
-    """Text of ``model_config.h``: what of the model description the C runtime has to know."""
+    """Text of ``model_config.h``: the parts of the model description that the C runtime needs."""
 
     def initialiser(items: list[str]) -> str:
         return "{" + ", ".join(items or ["0"]) + "}"
@@ -183,7 +183,7 @@ def configuration(model: CompiledModel, guid: str) -> str:
         vector, settable = f"VECTOR_{v.location.vector.upper()}", _settable(v)
         kind = f"TYPE_{v.type.upper()}"
         entries.append(f"{{{vector}, {index}, {v.location.sign}, {kind}, {settable}, {_text(v.name)}}}")
-    # FMI 3.0 reads event indicators as variables, too: they follow the model's own.
+    # FMI 3.0 reads event indicators as variables too: they follow the model's own.
     for i in range(model.n_m):
         entries.append(f'{{VECTOR_G, {i}, 1, TYPE_REAL, SETTABLE_NO, "event indicator {i + 1}"}}')
 
@@ -246,7 +246,7 @@ def _compiler() -> tuple[str, ...]:
 
 
 def _wanted_flags() -> tuple[str, ...]:
-    """Return the flags of the user, which come last and so prevail."""
+    """Return the flags of the user, which come last and so take precedence."""
     return tuple(os.environ.get("FMU_BUILD_CFLAGS", "").split())
 
 
@@ -269,11 +269,11 @@ def _compile(model: CompiledModel, files: dict[str, str], compiler: tuple[str, .
         by_level: dict[tuple[str, ...], list[str]] = {}
         for file in sources:
             by_level.setdefault(_level(file, files["model.h"]), []).append(file)
-        for flags in (_FAST, _PLAIN, _SELDOM):  # as one source: the headers are read once
+        for flags in (_FAST, _PLAIN, _SELDOM):  # as one source, so that the headers are read once
             one = f"together{flags[0]}.c"
             (folder / one).write_text("".join(f'#include "{file}"\n' for file in by_level[flags]))
             by_level[flags] = [one]
-        # Relative names only: nothing of this machine enters the binary.
+        # Relative names only, so that nothing of this machine enters the binary.
         commands = [[*compiler, *C_FLAGS, *flags, *_wanted_flags(), "-c", *own] for flags, own in by_level.items()]
         _run_together(folder, model.class_name, *commands)
         objects = [file.removesuffix(".c") + ".o" for own in by_level.values() for file in own]
@@ -284,7 +284,7 @@ def _compile(model: CompiledModel, files: dict[str, str], compiler: tuple[str, .
 
 
 def _level(file: str, header: str) -> tuple[str, ...]:
-    """Optimisation for a source file; sparse matrices alone make the solver of linear systems worth any."""
+    """Optimisation for a source file; the solver of linear systems only needs any for sparse matrices."""
     if file == "linear.c" and any(
         f"MODEL_{m}_DENSE 0\n" in header and f"MODEL_{m}_N 0\n" not in header for m in "JR"
     ):
@@ -293,7 +293,7 @@ def _level(file: str, header: str) -> tuple[str, ...]:
 
 
 def _run_together(folder: Path, class_name: str, *commands: list[str]) -> None:
-    """Run compiler commands side by side; the first one that fails is reported."""
+    """Run compiler commands in parallel; the first one that fails is reported."""
     running = [
         subprocess.Popen(c, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         for c in commands

@@ -13,7 +13,7 @@ from fmu_build import algebra
 from fmu_build.graph import SX, key
 from fmu_build.scope import ModelScope
 
-_OFF = 1e-2  # a generic point lies this far from the start values
+_OFF = 1e-2  # relative distance of a generic point from the start values
 
 
 class Point:
@@ -34,7 +34,7 @@ class Point:
         for declared, expression in scope.parameters.dependent:
             self._number[key(algebra.sx(declared.symbol))] = self.number(expression)
 
-        # what depends on time alone is as it is at the start
+        # variables that depend on time alone have their values at the start
         for relation in scope.relations:
             symbols = scope.graph.symbols(relation.difference)
             if all(k == key(scope.time) or scope.is_parameter(k) for k in symbols):
@@ -46,7 +46,7 @@ class Point:
         return float(self.at_start([expression], {})[0])
 
     def generic(self, expressions: list[SX]) -> np.ndarray[Any, Any]:
-        """Return values a little off the start, where no coefficient vanishes by chance."""
+        """Return values slightly off the start, where no coefficient vanishes by chance."""
         return self._evaluate(expressions, {}, _OFF)
 
     def pieces(self, expressions: list[SX], switches: list[SX], values: Any) -> np.ndarray[Any, Any]:

@@ -1,4 +1,4 @@
-"""Which numbers an expression can be, where conditions choose among numbers."""
+"""The numbers that an expression can be, where conditions choose among numbers."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import casadi as ca
 from fmu_build.graph import SX, fold, is_number, key
 
 Facts = Mapping[int, bool]
-"""Which conditions hold, by their keys."""
-_MOST = 100  # numbers of one expression
+"""Conditions that hold or do not, by their keys."""
+_MOST = 100  # largest number of values of one expression
 _ARITHMETIC = {ca.OP_ADD: operator.add, ca.OP_SUB: operator.sub, ca.OP_MUL: operator.mul}
 
 
@@ -24,7 +24,7 @@ class Possible(NamedTuple):
 
 
 class Possibilities:
-    """What expressions can be; each expression is looked at once."""
+    """The possible values of expressions; each expression is examined once."""
 
     def __init__(self) -> None:
         self._memory: dict[int, tuple[SX, list[Possible]]] = {}
@@ -34,7 +34,7 @@ class Possibilities:
         return fold(node, self._memory, _visit)
 
     def settled(self, node: SX, facts: Facts) -> float | None:
-        """Return the number that an expression is where conditions hold; None if it may be several."""
+        """Return the number that an expression has where conditions hold; None if there may be several."""
         values = {p.value for p in self(node) if _agree(p.facts, facts)}
         return values.pop() if len(values) == 1 else None
 
@@ -63,7 +63,7 @@ def _visit(node: SX, parts: list[list[Possible]]) -> list[Possible]:
 
 
 def _plain(condition: SX) -> tuple[bool, int]:
-    """Return whether a condition is one, or the opposite of one, and the key of that one."""
+    """Return whether a condition is not negated, and the key of the condition without negation."""
     truth = True
     while condition.n_dep() and condition.op() == ca.OP_NOT:
         condition, truth = condition.dep(0), not truth

@@ -1,8 +1,9 @@
 """The Standard Library's random numbers: the generators xorshift64*, xorshift128+ and xorshift1024*, and its hash.
 
-The library has them in C, on unsigned integers of 64 bits (S. Vigna, "An experimental exploration of Marsaglia's
-xorshift generators, scrambled", 2014). Here they are expressions: a word is its 64 bits, lowest first, and doubles
-hold the sums and products exactly. So seeds may be parameters, and a simulation may be repeated or restored.
+The library implements them in C, on unsigned 64-bit integers (S. Vigna, "An experimental exploration of
+Marsaglia's xorshift generators, scrambled", 2014). Here they are expressions: a word is its 64 bits, lowest first,
+and doubles hold the sums and products exactly. So seeds may be parameters, and a simulation may be repeated or
+restored.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def _number(bits: Sequence[Scalar]) -> Scalar:
 
 
 def _split(x: Scalar, unit: int) -> tuple[Scalar, Scalar]:
-    """Whole multiples of a unit, and the rest."""
+    """Whole multiples of a unit, and the remainder."""
     high = algebra.FLOOR(x * (1 / unit)) if isinstance(x, SX) else int(x) // unit
     return high, x - high * unit
 
@@ -150,11 +151,11 @@ def _hash(text: Value) -> Value:
 
 
 def _nothing(*_: Value) -> Value:
-    """Prepare the hidden generator, which nothing can read: drawing from it is refused."""
+    """Prepare the hidden generator, which nothing can read, because drawing from it is refused."""
     return ()
 
 
-# By the names of the C functions. Several results are in the order of the C function's arguments.
+# By the names of the C functions, with several results in the order of the C function's arguments.
 EXTERNAL: dict[str, Callable[..., Value]] = {
     "ModelicaRandom_xorshift64star": _xorshift64,
     "ModelicaRandom_xorshift128plus": _xorshift128,

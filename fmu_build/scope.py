@@ -38,12 +38,12 @@ class Held:
 
 
 class ModelScope:
-    """Scope of equations; collects what the expressions ask for (derivatives, relations, held values)."""
+    """Scope of equations; collects what the expressions need (derivatives, relations, held values)."""
 
     def __init__(self, flat: FlatModel, graph: Graph, structural: set[str]) -> None:
         self.flat = flat
         self.graph = graph
-        self.assigned = when_targets(flat.whens)  # names of what when-equations assign
+        self.assigned = when_targets(flat.whens)  # variables that when-equations assign
         self.in_algorithms = targets(s for a in flat.algorithms for s in a.statements)
         held = self.assigned | when_targets(s for a in flat.algorithms for s in a.statements)
         self.declarations = Declarations(flat, held, structural)
@@ -60,7 +60,7 @@ class ModelScope:
         self._step_of: dict[int, SX] = {}
         self._starting: SX | None = None
         self._derivative: dict[int, SX] = {}
-        self.integral: dict[int, SX] = {}  # derivative symbol -> what it is the derivative of
+        self.integral: dict[int, SX] = {}  # derivative symbol -> the symbol it is the derivative of
         self._previous: dict[int, SX] = {}
         self._current: dict[int, SX] = {}
         self._discrete: set[int] = {key(self.init)}
@@ -114,11 +114,11 @@ class ModelScope:
         return found
 
     def has_derivative(self, symbol: SX) -> bool:
-        """Whether the derivative of a symbol has been asked for."""
+        """Whether the derivative of a symbol has been used."""
         return key(symbol) in self._derivative
 
     def has_input_derivative(self, symbol: SX) -> bool:
-        """Whether a symbol is an input, whose derivative nobody knows."""
+        """Whether a symbol is an input, whose derivative is unknown."""
         declared = self.declared(symbol)
         return declared is not None and declared.kind == "input"
 
@@ -144,7 +144,7 @@ class ModelScope:
                 raise self.flat.error(
                     f"the derivative of input '{declared.name}' is needed",
                     declared.at,
-                    "let a filter or an integrator stand between the input and what differentiates it",
+                    "put a filter or an integrator between the input and its differentiation",
                 )
             if declared.kind != "continuous":
                 return None
@@ -223,7 +223,7 @@ class ModelScope:
         before = self.previous_symbol(count)
         self._discrete.add(key(count))
         due = SX.binary(ca.OP_LE, first + before * distance, self.time)
-        # At initialisation, count the instants that lie before the start of the simulation.
+        # At initialisation, count the instants before the start of the simulation.
         passed = ca.fmax(0.0, ca.ceil((self.time - first) / distance - 1e-9))
         value = ca.if_else(self.init, passed, before + due)
         self.held.append(Held(count, before, value, SX(0.0)))
@@ -235,7 +235,7 @@ class ModelScope:
         fires = SX(0.0)
         for whole in conditions:
             condition = whole
-            if key(self.init) in self.graph.symbols(whole):  # initial() in it: may fire at initialisation
+            if key(self.init) in self.graph.symbols(whole):  # contains initial(): may fire at initialisation
                 fires = ca.logic_or(fires, ca.logic_and(self.init, whole))
                 condition = Substitution({key(self.init): SX(0.0)})(whole)
                 if condition.is_constant():
@@ -250,13 +250,13 @@ class ModelScope:
         return self.init
 
     def starting(self) -> SX:
-        """Truth of: start values and simplified equations hold, which the initialisation begins with."""
+        """Truth of: start values and simplified equations apply, with which the initialisation begins."""
         if self._starting is None:
             self._starting = self.hold("starting", SX(0.0), SX(1.0)).symbol
         return self._starting
 
     def is_switched(self, expression: SX) -> bool:
-        """Whether events change an expression: relations or discrete variables are in it."""
+        """Whether an expression changes at events because it contains relations or discrete variables."""
         relations = {key(r.symbol) for r in self.relations}
         found = self.graph.symbols(expression)
         declared = (self.declarations.by_symbol.get(k) for k in found)

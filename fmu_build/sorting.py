@@ -29,7 +29,7 @@ class Solution:
     expression
         Rewrites any expression so that only those are left.
     loops
-        What is left to Newton's method.
+        Loops left to Newton's method.
     """
 
     expression: Substitution
@@ -58,10 +58,10 @@ def solve(
     Parameters
     ----------
     start
-        Start value of an unknown that the model gives one: where events choose between several solutions of a
-        loop, the initialisation begins with it.
+        Returns the start value of an unknown if the model gives one. If events choose between several solutions of
+        a loop, the initialisation begins with it.
     substitute
-        Rewrites expressions to the variables that the unknowns are.
+        Rewrites expressions to the variables that represent the unknowns.
     """
     graph = scope.graph
     column = {key(s): i for i, s in enumerate(reduced.unknowns)}
@@ -96,12 +96,12 @@ def _relays(
     watched: Mapping[int, Sequence[int]],
     successors: Sequence[Sequence[int]],
 ) -> set[int]:
-    """Equations of a circle that relations close: what they determine decides their own mode, as in a relay.
+    """Equations of a cycle that is closed by relations: the result decides its own mode, as in a relay.
 
     Parameters
     ----------
     watched
-        Equations that determine what a relation looks at, by the relation's symbol.
+        Equations that determine what a relation depends on, by the relation's symbol.
     """
     switched = [
         {row for k in scope.graph.symbols(e.residual) & watched.keys() for row in watched[k]}
@@ -129,13 +129,13 @@ def _chosen(
     switches = [r.symbol for r in scope.relations if key(r.symbol) in symbols]
     if len(signs(scope.graph, residuals, unknowns, switches, point) - {0.0}) < 2:
         return {}
-    if scope.is_starting(symbols):  # homotopy says what the initialisation begins with
+    if scope.is_starting(symbols):  # homotopy determines where the initialisation begins
         return {}
     given = _given(unknowns, start)
     if not given:
         names = ", ".join(s.name() for s in unknowns)
         scope.parameters.warnings.append(
-            f"{equations[0].at}: the loop of {names} may have several solutions; a start value says which is first"
+            f"{equations[0].at}: the loop of {names} may have several solutions; a start value selects the first"
         )
     return given
 
@@ -172,7 +172,7 @@ def _started(scope: ModelScope, given: Mapping[int, SX], symbol: SX, value: SX) 
 
 
 def _pivot(graph: Graph, residuals: list[SX], left: list[SX]) -> tuple[int, SX, SX] | None:
-    """Cheapest (equation, unknown) whose coefficient is a number: the fewest other terms meet (Markowitz)."""
+    """Cheapest (equation, unknown) whose coefficient is a number: with the fewest other terms (Markowitz)."""
     keys = {key(s): s for s in left}
     meets = dict.fromkeys(keys, 0)
     found: list[list[int]] = []
@@ -200,7 +200,7 @@ def _pivot(graph: Graph, residuals: list[SX], left: list[SX]) -> tuple[int, SX, 
 def _solve_rest(
     scope: ModelScope, solution: Solution, residuals: list[SX], left: list[SX], places: list[Place]
 ) -> list[tuple[SX, SX]]:
-    """Return what is left of a block, solved; none if that is for Newton's method."""
+    """Return the rest of a block, solved; nothing if it is left to Newton's method."""
     graph = scope.graph
     keys = [key(s) for s in left]
     zero = Substitution(dict.fromkeys(keys, SX(0.0)))
@@ -232,8 +232,8 @@ def _linear(a: list[list[SX]], b: list[SX], *, refined: bool = False) -> tuple[S
     Parameters
     ----------
     refined
-        Solve once more for what the solution leaves of the right-hand side: in some modes coefficients differ by
-        ten powers of ten (ideal diodes), and no scaling suits all modes.
+        Solve once more for the remaining error of the right-hand side: in some modes coefficients differ by ten
+        orders of magnitude (ideal diodes), and no scaling suits all modes.
     """
     n = len(b)
     if n > _MOST_CRAMER:

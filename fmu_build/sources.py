@@ -1,4 +1,4 @@
-"""Which Modelica files belong to a class."""
+"""The Modelica files that belong to a class."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def source_root(file: Path) -> Path | None:
-    """Directory that a library path must name so that `file`'s package is found; None for a file of its own."""
+    """Directory that a library path must contain for `file`'s package to be found; None for a separate file."""
     folder = file.resolve().parent
     if not (folder / "package.mo").exists():
         return None
@@ -17,7 +17,7 @@ def source_root(file: Path) -> Path | None:
 
 
 def source_files(file: Path, roots: Sequence[Path]) -> tuple[Path, ...]:
-    """All sources that can take part, in a fixed order: `file`, its package, and every ``.mo`` below the roots."""
+    """All sources that may be used, in a fixed order: `file`, its package, and every ``.mo`` below the roots."""
     files = {file.resolve()}
     root = source_root(file)
     if root is not None:

@@ -26,9 +26,9 @@ class InitialConditions:
     Attributes
     ----------
     starts
-        One for each state.
+        Start value of each state.
     residuals
-        One for each state, in its order; a state whose start value is its initial condition has the residual
+        One residual per state, in order; if the start value of a state is its initial condition, its residual is
         ``x - xs``.
     explicit
         Whether all residuals are of that form.
@@ -41,10 +41,10 @@ class InitialConditions:
 
 
 def initial_conditions(system: System, equations: list[Equation], start_symbols: list[SX]) -> InitialConditions:
-    """Decide what determines each state at the start.
+    """Determine the initial condition of each state.
 
-    A fixed start value and every initial equation is a condition; states that no condition reaches keep their
-    start value (with a warning). Conditions that repeat others are checked and left out.
+    A fixed start value and every initial equation is a condition; states that no condition determines keep their
+    start value (with a warning). Redundant conditions are checked and left out.
 
     Parameters
     ----------
@@ -87,21 +87,21 @@ def initial_conditions(system: System, equations: list[Equation], start_symbols:
 def _independent(
     system: System, conditions: list[SX], columns: list[int], at_start: dict[int, SX]
 ) -> tuple[set[int], set[int]]:
-    """States that conditions determine, and the conditions that do so, by the rank near the start."""
+    """States that conditions determine, and the conditions that determine them, by the rank near the start."""
     if not conditions or not columns:
         return set(), set()
     solution, n, m = system.solution, len(conditions), len(columns)
     symbols = [*(system.reduced.states[c].symbol for c in columns), *solution.iterates]
     gradients = [system.scope.graph.gradient(e) for e in (*conditions, *solution.residuals)]
     wanted = [(i, j, g[key(s)]) for i, g in enumerate(gradients) for j, s in enumerate(symbols) if key(s) in g]
-    # A little off the start, where a coefficient may vanish by chance.
+    # Slightly off the start, because a coefficient may vanish there by chance.
     near = {k: v + 1e-5 * math.sin(1.0 + i) for i, (k, v) in enumerate(at_start.items())}
     whole = np.zeros((len(gradients), len(symbols)))
     for (i, j, _), value in zip(wanted, system.point.at_start([e for _, _, e in wanted], near), strict=True):
         whole[i, j] = value
     if not np.isfinite(whole).all():
         whole = np.nan_to_num(whole, posinf=0.0, neginf=0.0)
-    # what the loops determine follows the states
+    # the unknowns of loops follow the states
     matrix = whole[:n, :m] - whole[:n, m:] @ np.linalg.pinv(whole[n:, m:]) @ whole[n:, :m]
     scale = np.abs(matrix).max(axis=1)
     matrix = matrix / np.where(scale > 0.0, scale, 1.0)[:, None]
@@ -125,18 +125,18 @@ def _greedy(matrix: np.ndarray[Any, Any]) -> list[int]:
 
 @dataclass
 class Explicit:
-    """Initial equations that give one variable its value, by that variable's symbol.
+    """Initial equations that give a value to a single variable, by that variable's symbol.
 
     Attributes
     ----------
     starts
-        Of ``pre(v)`` of discrete variables (from parameters).
+        ``pre(v)`` of discrete variables (from parameters).
     previous
         ``pre(v)`` at initialisation where it depends on time.
     values
-        Of discrete variables at initialisation.
+        Discrete variables at initialisation.
     parameters
-        Of parameters with fixed=false.
+        Parameters with fixed=false.
     rest
         The other equations.
     """
@@ -170,7 +170,7 @@ def _explicit(scope: ModelScope, equation: Equation, out: Explicit) -> bool:
 
 @dataclass(frozen=True)
 class _Given:
-    """A side of an initial equation that is a variable alone, or the pre-value of one, and the other side."""
+    """A side of an initial equation that is a variable alone, or its pre-value, and the other side."""
 
     declared: Declared
     side: SX
@@ -179,7 +179,7 @@ class _Given:
 
 
 def _use(scope: ModelScope, out: Explicit, given: _Given, equation: Equation) -> bool:
-    """Note what an initial equation gives a variable; False if that is for the other equations to decide."""
+    """Record the value given by an initial equation; False if the other equations are to determine it."""
     one, other, symbol = given.side, given.value, scope.current_of(given.side)
     symbols = scope.graph.symbols(other)
     known = all(map(scope.is_parameter, symbols))

@@ -1,4 +1,4 @@
-"""'Did you mean ...?' for names that are not known."""
+"""Suggestions for unknown names: 'did you mean ...?'."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Iterable
 def did_you_mean(name: str, known: Iterable[str]) -> str | None:
     """Return ``did you mean 'x'?`` for the known name nearest to `name`, or None if none is near.
 
-    Nearest by difflib's ratio (Ratcliff and Obershelp), upper and lower case alike.
+    The nearest name has the largest difflib ratio (Ratcliff and Obershelp), ignoring case.
     """
     by_folded = {k.casefold(): k for k in known}
     near = difflib.get_close_matches(name.casefold(), by_folded, n=1, cutoff=0.6)

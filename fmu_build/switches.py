@@ -1,8 +1,8 @@
-"""Where an event-free right-hand side has its kinks.
+"""The kinks of an event-free right-hand side.
 
 ``abs``, ``min``, ``max`` and ``noEvent`` conditions make f only piecewise smooth. An integrator that knows their
-switching functions ends a step at the kink instead of feeling for it with ever smaller steps. They change nothing
-but the choice of the steps: f is evaluated as it stands.
+switching functions ends a step at the kink instead of approaching it with ever smaller steps. They only affect the
+choice of steps: f is evaluated as it is.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from fmu_build.c_code import c_code, lengths
 
 _CONSTANT = (3, 4)  # arguments that are parameters, which have no kinks over time
 _SIGNATURE = "int model_switches(const double **arg, double **res, long long int *iw, double *w, int mem)"
-# Never called, but only an optimiser knows that.
+# Never called; only an optimiser could know that.
 _NONE = f"""{_SIGNATURE};
 {_SIGNATURE} {{
     (void)arg, (void)res, (void)iw, (void)w, (void)mem;
     return 1;
 }}
 """
-_MOST = 200  # more kinks than that are not worth looking at
+_MOST = 200  # with more kinks than this, they are ignored
 _DIFFERENCE = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_LT, ca.OP_LE)
 _ARGUMENT = (ca.OP_FABS, ca.OP_SIGN)
 
@@ -63,7 +63,7 @@ def switching_functions(derivatives: Any) -> Any:
 
 
 def switches_code(derivatives: Any | None) -> dict[str, str]:
-    """Generate ``switches.c`` and ``switches.h``; without a function there are no switches in them."""
+    """Generate ``switches.c`` and ``switches.h``; without a function there are no switches."""
     length, sizes, source = 0, {"ARG": 1, "RES": 1, "W": 1}, ""
     if derivatives is not None and derivatives.is_a("SXFunction"):
         function = switching_functions(derivatives)

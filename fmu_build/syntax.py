@@ -1,9 +1,9 @@
 """Modelica expressions and statements as immutable trees, before and after flattening.
 
-In source, a `Reference` has the parts that are written (``a[2].b.c``). In a flat model it has one part, whose name
-is that of a flat variable (``a[2].b.c``) and whose subscripts select inside that variable; inside a function the
-parts stay as they are written. Function names are source names before flattening, and afterwards keys of
-`FlatModel.functions` or names of built-in functions.
+In source, a `Reference` has its parts as written (``a[2].b.c``). In a flat model it has one part, whose name is
+that of a flat variable (``a[2].b.c``) and whose subscripts select inside that variable; inside a function it keeps
+its parts. Function names are source names before flattening, and afterwards keys of `FlatModel.functions` or names
+of built-in functions.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 
 class Place(NamedTuple):
-    """Where something is written."""
+    """Place in the source."""
 
     file: str
     line: int
@@ -65,7 +65,7 @@ class Reference(Node):
 
 @dataclass(frozen=True, slots=True)
 class Call(Node):
-    """A function call; in a flat model an argument that is left out is None, and there are no named ones."""
+    """A function call; in a flat model, an omitted argument is None, and there are no named ones."""
 
     function: str
     arguments: tuple[Expression | None, ...]
@@ -83,7 +83,7 @@ class Unary(Node):
 
 @dataclass(frozen=True, slots=True)
 class Binary(Node):
-    """An operator between two operands, as it is written."""
+    """An operator between two operands, as written."""
 
     operator: str
     left: Expression
@@ -123,14 +123,14 @@ class Range(Node):
 
 @dataclass(frozen=True, slots=True)
 class TupleOf(Node):
-    """``(a, , b)``: several results; None where one is left out."""
+    """``(a, , b)``: several results; None for an omitted one."""
 
     items: tuple[Expression | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Comprehension(Node):
-    """``e for i in r, j in s``; a range that is left out is None."""
+    """``e for i in r, j in s``; an omitted range is None."""
 
     element: Expression
     iterators: tuple[tuple[str, Expression | None], ...]
@@ -187,7 +187,7 @@ class Assign(Node):
 
 @dataclass(frozen=True, slots=True)
 class AssignMany(Node):
-    """``(a, , b) := f(...)``; a call of its own has no targets."""
+    """``(a, , b) := f(...)``; a call on its own has no targets."""
 
     targets: tuple[Reference | None, ...]
     call: Call
@@ -281,7 +281,7 @@ class Connect(Node):
     b: Reference
 
 
-# ---- working on trees
+# ---- functions on trees
 
 
 def transform(tree: Any, change: Callable[[Any], Any]) -> Any:

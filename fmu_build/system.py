@@ -1,4 +1,4 @@
-"""A model whose equations are sorted and solved: what the steps after that look at."""
+"""A model whose equations are sorted and solved: the input of the later steps."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class System:
     point: Point
 
     def rewrite(self, expression: SX) -> SX:
-        """Rewrite an expression to what is known when derivatives are computed: t, x, u, p, d, z, pz, m and y."""
+        """Rewrite an expression to values known when derivatives are computed: t, x, u, p, d, z, pz, m and y."""
         return self.solution.expression(self.aliases.substitute(expression))
 
     def representative(self, variable: SX) -> tuple[SX, int]:
-        """Symbol that a variable's alias group is kept as, and the sign it has there."""
+        """Symbol that represents a variable's alias group, and the variable's sign relative to it."""
         kept = self.aliases.substitute(variable)
         return (kept, 1) if kept.is_symbolic() else (-kept, -1)
 
@@ -50,7 +50,7 @@ def solved(scope: ModelScope, equations: Equations) -> System:
     Raises
     ------
     SwitchedLoopError
-        For an algebraic loop with conditions that are no events, although ``smooth(0, ...)`` allows them to be.
+        An algebraic loop has conditions that are not events, although ``smooth(0, ...)`` allows that.
     """
     aliases = eliminate(scope, equations.continuous)
     point = Point(scope)

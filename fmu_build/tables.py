@@ -1,7 +1,7 @@
 """External functions of the Standard Library: tables in one variable (``ModelicaStandardTables``) and Strings.
 
-The library interpolates in C behind external objects. Here such an object is the record of what it was made with,
-and reading it is an expression, whose derivatives by the abscissa and by the table's entries are exact.
+The library interpolates in C behind external objects. Here such an object is the record of its arguments, and
+reading it is an expression, whose derivatives by the abscissa and by the table's entries are exact.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def _value(this: Value, column: Value, u: Value) -> Value:
         return out
     if whole(this["extrapolation"]) == _HOLD:
         at = algebra.MAX(x[0], algebra.MIN(x[-1], at))
-    # a line, and what each row adds to its slope: no search, and continuous in everything
+    # a line, plus the change of slope at each row: no search, and continuous in everything
     slopes = [algebra.divide(b - a, q - p) for (a, b), (p, q) in zip(pairwise(y), pairwise(x), strict=True)]
     out = y[0] if not slopes else y[0] + slopes[0] * (at - x[0])
     for start, (before, after) in zip(x[1:], pairwise(slopes), strict=False):
@@ -58,9 +58,9 @@ def _value(this: Value, column: Value, u: Value) -> Value:
 
 
 class _TimeTable:
-    """A table over time (CombiTimeTable): an event at each of its instants, and the segment that ends at the next.
+    """A table over time (CombiTimeTable): an event at each instant, and the segment that ends at the next one.
 
-    Between two events the value is that of one segment, so that a step of the table lies between two steps of the
+    Between two events the value is that of one segment, so that a jump of the table falls between two steps of the
     integrator.
     """
 
@@ -80,7 +80,7 @@ class _TimeTable:
         return not isinstance(a, SX) and not isinstance(b, SX) and a == b
 
     def _slack(self) -> Scalar:
-        """Less than this apart, two instants are one."""
+        """Instants closer than this count as one."""
         return algebra.FUNCTIONS["abs"](self._period) * 1e-10 + 1e-12
 
     def _turns(self, t: Scalar) -> Scalar:
@@ -187,7 +187,7 @@ def _skip_blanks(text: Value, first: Value = 1) -> Value:
     return position
 
 
-# By the names of the C functions; init2 is that of versions before 4.1 of the library.
+# By the names of the C functions; init2 is for versions of the library before 4.1.
 EXTERNAL: dict[str, Callable[..., Value]] = {
     "ModelicaStrings_length": lambda text: len(str(text)),
     "ModelicaStrings_substring": _substring,

@@ -1,8 +1,8 @@
-"""Are the units of a flat class consistent? Dimensional analysis of its equations, bindings and attributes.
+"""Consistency of the units of a flat class: dimensional analysis of its equations, bindings and attributes.
 
-A variable without a unit, ``time`` (in ``sin(10*time)`` the literal has the unit), a literal that is no whole
-number, and what a function returns fit everything; a whole number counts as a pure number in products and fits
-everything in sums. An angle in rad is a pure number.
+A variable without a unit, ``time`` (in ``sin(10*time)`` the literal has the unit), a non-integer literal, and the
+result of a function fit everything. An integer literal counts as a pure number in products and fits everything in
+sums. An angle in rad is a pure number.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ _RELATIONS = {"<", "<=", ">", ">=", "==", "<>"}
 
 @dataclass(frozen=True)
 class Dimension:
-    """Exponents of the base units, the factor to them, and how to name it."""
+    """Exponents of the base units, the factor to them, and the name."""
 
     exponents: tuple[Fraction, ...]
     factor: float
     name: str
 
     def fits(self, other: Dimension) -> bool:
-        """Whether the two are one unit."""
+        """Whether the two are the same unit."""
         return self.exponents == other.exponents and isclose(self.factor, other.factor, rel_tol=1e-9)
 
 
@@ -59,7 +59,7 @@ _SECOND = Dimension(tuple(Fraction(b == "s") for b in BASE_UNITS), 1.0, "s")
 
 
 def check(flat: FlatModel) -> list[str]:
-    """Return one line for each place where two known units meet that differ."""
+    """Return one line for each place where two known but different units meet."""
     return list(dict.fromkeys(_Checker(flat).run()))
 
 
@@ -99,7 +99,7 @@ class _Checker:
         return a or b
 
     def _unit(self, node: Any) -> Dimension | None:
-        """Return the unit of an expression tree, None if unknown; notes what does not fit inside it."""
+        """Return the unit of an expression tree, None if unknown; records inconsistencies inside it."""
         match node:
             case Reference():
                 variable = self._flat.variables.get(node.name)

@@ -42,7 +42,7 @@ class Declared:
 
     @property
     def at(self) -> Place:
-        """Where it is declared."""
+        """Place of its declaration."""
         return self.variable.at
 
     @property
@@ -92,9 +92,9 @@ class Declarations:
         kind = self._kind(variable, discrete)
         if variable.type == "String" or variable.type == "ExternalObject":
             if kind not in ("parameter", "constant") and variable.type == "String":
-                what = f"'{variable.name}': Strings that are no parameters are not supported"
+                what = f"'{variable.name}': Strings that are not parameters are not supported"
                 raise self.flat.error(what, variable.at)
-            return  # a String or an external object matters only where an expression uses it
+            return  # a String or an external object only matters where an expression uses it
         items: list[Scalar] = []
         for position, scalar in enumerate(names(variable.name, variable.shape)):
             symbol = SX.sym(scalar)
@@ -131,7 +131,7 @@ class Declarations:
 def _structural_parameters(flat: FlatModel, more: set[str]) -> set[str]:
     """Parameters whose value is used up: array sizes, loop ranges, branches, conditional parts.
 
-    What such a parameter's value is made of is used up with it.
+    The parameters on which such a parameter depends are used up with it.
     """
     out: set[str] = set()
     evaluated = (v.name for v in flat.variables.values() if v.evaluate and v.variability == "parameter")
@@ -148,7 +148,7 @@ def _structural_parameters(flat: FlatModel, more: set[str]) -> set[str]:
 class Parameters:
     """Values of constants and parameters: numbers, independent symbols ``p``, dependent expressions ``d``.
 
-    The first look at a parameter evaluates its binding, so bindings are met in the order of their dependence.
+    The first look-up of a parameter evaluates its binding, so bindings are met in the order of their dependence.
     """
 
     def __init__(self, declarations: Declarations) -> None:
@@ -183,7 +183,7 @@ class Parameters:
             return self._declarations.values[name]
         source = variable.binding if variable.binding is not None else variable.start
         if variable.binding is None and 0 not in variable.shape:
-            self.warnings.append(f"parameter '{name}' has no value, its start value is taken")
+            self.warnings.append(f"parameter '{name}' has no value, so its start value is used")
         defaults: dict[str, Value] = {"String": "", "Boolean": False, "Real": 0.0}
         bound: Value = evaluate(source) if source is not None else defaults.get(variable.type, 0)
         if variable.type in ("String", "ExternalObject") or isinstance(bound, str | dict):
@@ -207,11 +207,11 @@ class Parameters:
             for symbol in ca.symvar(value):
                 source = self._declarations.by_symbol.get(key(symbol))
                 if source is None or source.kind != "parameter":
-                    what = f"parameter '{declared.name}' depends on '{symbol.name()}', which is no parameter"
+                    what = f"parameter '{declared.name}' depends on '{symbol.name()}', which is not a parameter"
                     uses = {r.name: r.at for r in references(declared.variable.binding)}
                     raise self._flat.error(what, uses.get(symbol.name(), declared.at))
             if declared.kind == "constant":
-                what = f"'{declared.name}' decides the structure and must not depend on settable parameters"
+                what = f"'{declared.name}' determines the structure and must not depend on settable parameters"
                 raise self._flat.error(what, declared.at)
             if value.is_symbolic():
                 self.aliases[declared.name] = value
@@ -219,7 +219,7 @@ class Parameters:
             self.dependent.append((declared, value))
             return declared.symbol
         if math.isnan(value):
-            raise self._flat.error(f"'{declared.name}' has no number for a value", declared.at)
+            raise self._flat.error(f"the value of '{declared.name}' is not a number", declared.at)
         if declared.type == "Real":
             value = float(value)
         if declared.kind == "constant" or final:

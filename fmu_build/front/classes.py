@@ -1,4 +1,4 @@
-"""Classes as they are written: elements, modifications, sections."""
+"""Classes as written: elements, modifications, sections."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Redeclaration:
 
     @property
     def name(self) -> str:
-        """Name of what is redeclared."""
+        """Name of the redeclared element."""
         return self.element.name
 
 
@@ -130,9 +130,9 @@ _BODY = frozenset(("description", "annotation", "elements", "imports", "sections
 
 @dataclass(slots=True, eq=False)
 class ClassDef:
-    """A class as it is written. Filled by the parser, not changed afterwards (but for files of a package).
+    """A class as written. Filled by the parser and not changed afterwards (except for files of a package).
 
-    What is between its name and its end may be parsed only when somebody asks for it (see `postpone`).
+    Its body may be parsed only on first use (see `postpone`).
     """
 
     at: Place
@@ -159,17 +159,17 @@ class ClassDef:
     external: External | None = None
     outside: ClassDef | None = None  # the class it is written in
     path: str = ""  # qualified name
-    loader: Any = None  # finds members of a package that lie in files of their own
-    _parse: Callable[[ClassDef], None] | None = None  # what is still to be done
+    loader: Any = None  # finds members of a package that have their own files
+    _parse: Callable[[ClassDef], None] | None = None  # the remaining parsing
 
     def postpone(self, parse: Callable[[ClassDef], None]) -> None:
-        """Leave the body to a function that fills it in when one of its parts is asked for first."""
+        """Leave the body to a function that fills it in when one of its parts is first requested."""
         for name in _BODY:
             delattr(self, name)
         self._parse = parse
 
     def __getattr__(self, name: str) -> Any:
-        """Fill in the body: its parts are no attributes before that."""
+        """Fill in the body, whose parts are not attributes before."""
         if name not in _BODY or self._parse is None:
             raise AttributeError(name)
         parse, self._parse = self._parse, None
@@ -182,7 +182,7 @@ class ClassDef:
         return getattr(self, name)
 
     def settle(self, outside: ClassDef | None, prefix: str) -> None:
-        """Tell a class and those inside it where they are."""
+        """Set the place of a class and of those inside it."""
         self.outside = outside
         self.path = f"{prefix}.{self.name}" if prefix else self.name
         if self._parse is None:
@@ -191,7 +191,7 @@ class ClassDef:
                     element.settle(self, self.path)
 
     def member(self, name: str) -> ClassDef | ComponentDef | None:
-        """Own element of that name, from a file of its own if need be."""
+        """Own element of that name, from its own file if necessary."""
         for element in self.elements:
             if not isinstance(element, Extends) and element.name == name:
                 return element
@@ -202,7 +202,7 @@ class ClassDef:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A piece of source that is parsed when somebody wants it (annotations)."""
+    """A piece of source that is parsed on request (annotations)."""
 
     file: str
     text: str

@@ -1,4 +1,4 @@
-"""Connections: expandable connectors filled, equalities of potentials, balances of flows (specification 9)."""
+"""Connections: expanding of connectors, equalities of potentials, balances of flows (specification 9)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Element = tuple[str, tuple[int, ...]]  # variable and index
 
 @dataclass(frozen=True)
 class Leaf:
-    """One side of one connection: a connector or an element of a variable, seen from the inside or the outside."""
+    """One side of a connection: a connector or an element of a variable, seen from inside or outside."""
 
     item: Instance | Var
     index: tuple[int, ...]
@@ -55,7 +55,7 @@ class Connections:
         self.touched: set[str] = set()  # names of connected variables
 
     def run(self, connects: list[Written]) -> None:
-        """Work on all connect equations of the model."""
+        """Process all connect equations of the model."""
         pairs = self._fill_buses(connects)
         for written, left, right in pairs:
             at = written.connect.at
@@ -70,7 +70,7 @@ class Connections:
     # ---- resolving
 
     def leaves(self, e: Reference, scope: Instance, env: Env) -> list[Leaf] | None:
-        """Connectors that a reference stands for; None if one is a conditional component that is not there."""
+        """Connectors that a reference denotes; None if one is a conditional component that does not exist."""
         found = self._resolver.world.find(scope, e.parts[0].name, e.rooted)
         if not isinstance(found, Slot) or not isinstance(found.element, ComponentDef):
             raise ModelicaError(f"there is no connector '{e.name}'", where=e.at,
@@ -111,14 +111,14 @@ class Connections:
         return [done[k] for k in sorted(done)]
 
     def _side(self, e: Reference, written: Written) -> list[Leaf] | NotInBusError | None:
-        """Connectors of one side of a connection, or what a bus lacks for that."""
+        """Connectors of one side of a connection, or the missing member of a bus."""
         try:
             return self.leaves(e, written.scope, written.env)
         except NotInBusError as missing:
             return missing
 
     def _grow(self, missing: NotInBusError, like: list[Leaf], written: Written) -> None:
-        """Add to a bus what is connected to a name that it does not have."""
+        """Add a member to a bus, like the one that is connected to its name."""
         e = (
             written.connect.a
             if any(p.name == missing.name for p in written.connect.a.parts[1:])
@@ -238,7 +238,7 @@ class Connections:
                 self.asserts.append(Assert(at, condition, message, False))
             return
         if self._union_potential(left, right):
-            # what has an output is written first: it says what the other one is
+            # the side with an output is written first, as it determines the other
             self.equations.append(Equation(_reference(left, at), _reference(right, at), origin, at))
 
     def _elements(self, item: Item, outside: bool) -> list[Leaf]:
@@ -275,7 +275,7 @@ class Connections:
     # ---- equations
 
     def balances(self, flows: list[Var]) -> list[Equation]:
-        """One balance for each set of connected flows, and zero for each flow that nothing is connected to."""
+        """One balance for each set of connected flows, and zero for each unconnected flow."""
         sets: dict[tuple[Element, bool], list[tuple[Element, bool]]] = {}
         for x in self._flow_parent:
             sets.setdefault(self._find_flow(x), []).append(x)
@@ -305,7 +305,7 @@ class Connections:
 
 
 class _Path:
-    """Follows the parts of a reference in a connection to the connectors that it stands for."""
+    """Follows the parts of a reference in a connection to the connectors that it denotes."""
 
     def __init__(self, resolver: Resolver, e: Reference, scope: Instance, env: Env, outside: bool) -> None:
         self._resolver = resolver
@@ -316,12 +316,12 @@ class _Path:
         self.found: list[Leaf] = []
 
     def walk(self, item: Item, position: int, element: bool = False) -> bool:
-        """Go on from the item that a part names; False if it is a conditional component that is not there.
+        """Continue from the item that a part names; False if it is a conditional component that does not exist.
 
         Parameters
         ----------
         element
-            Whether the part's subscripts are used up: the item is an element of an array.
+            Whether the part's subscripts are used up, so that the item is an element of an array.
         """
         part = self._e.parts[position]
         if isinstance(item, Absent):
@@ -331,7 +331,7 @@ class _Path:
             return all(there)
         if isinstance(item, Instance):
             if part.subscripts and not element:
-                raise ModelicaError(f"'{part.name}' is no array", where=self._e.at)
+                raise ModelicaError(f"'{part.name}' is not an array", where=self._e.at)
             return self._instance(item, position)
         if position + 1 < len(self._e.parts) or (item.connector is None and not _is_connector(item.owner)):
             raise self._no_connector()
@@ -357,7 +357,7 @@ class _Path:
         return self.walk(self._resolver.item(item, name), position + 1)
 
     def _no_connector(self) -> ModelicaError:
-        return ModelicaError(f"'{self._e.name}' is no connector", where=self._e.at)
+        return ModelicaError(f"'{self._e.name}' is not a connector", where=self._e.at)
 
     def _indices(self, dims: tuple[int, ...], part: Part) -> Iterator[tuple[int, ...]]:
         e = self._e

@@ -59,7 +59,7 @@ def load(file: Path, class_name: str, roots: Sequence[Path] = ()) -> FlatModel:
     Raises
     ------
     ModelicaError
-        If a file is missing, or the source is wrong or outside the supported subset, with file and line.
+        A file is missing, or the source is wrong or outside the supported subset; the message names file and line.
     """
     file = Path(file)
     if file.is_dir():
@@ -99,7 +99,7 @@ def _class(world: World, class_name: str, file: Path) -> ClassRef:
 
 
 class _Sink:
-    """What equations of the source become."""
+    """Collects the translated equations of the source."""
 
     def __init__(self) -> None:
         self.equations: list[Equation] = []
@@ -134,7 +134,7 @@ class _Flattener:
         connections.run(self.connects)
         self.order.clear()
         self.tree.clear()
-        self._visit(root)  # once more: buses have grown
+        self._visit(root)  # once more, because buses have grown
         self._drop_unused(connections.touched)
         for instance in self.tree:
             for base in instance.all_bases():
@@ -182,7 +182,7 @@ class _Flattener:
                 self._visit(self.resolver.item(item, name, element.at))
 
     def _is_reference(self, slot: Slot) -> bool:
-        """Whether a component is an outer one that stands for an inner one elsewhere."""
+        """Whether a component is an outer one that refers to an inner one elsewhere."""
         element = slot.effective().element
         if not isinstance(element, ComponentDef) or not element.outer or element.inner:
             return False
@@ -212,7 +212,7 @@ class _Flattener:
         return out
 
     def _drop_unused(self, connected: set[str]) -> None:
-        """Variables of expandable connectors that nothing is connected to do not exist."""
+        """Remove unconnected variables of expandable connectors."""
         self.order = [
             v
             for v in self.order
@@ -288,7 +288,7 @@ class _Flattener:
         return envs
 
     def _selected(self, item: IfStatement, scope: Instance, env: Env) -> tuple[Any, ...]:
-        """Branch of an if-equation whose conditions are known."""
+        """Branch of an if-equation with known conditions."""
         for condition, body in item.branches:
             if condition is None:
                 return body
@@ -325,7 +325,7 @@ class _Flattener:
                 self._if(item, scope, env, origin, sink)
             case WhenStatement() | Terminate():
                 if sink is self.initial:
-                    raise ModelicaError("when in an initial equation", where=item.at)
+                    raise ModelicaError("when is not allowed in an initial equation", where=item.at)
                 if isinstance(item, Terminate):
                     item = WhenStatement(item.at, ((Call(item.at, "initial", ()), (item,)),))
                 sink.whens.append(self._when(item, scope, env))
@@ -354,7 +354,7 @@ class _Flattener:
         conditions = [condition for condition, _ in branches]
         try:
             sinks = [take(body, _Sink() if sink is not self.initial else _InitialSink()) for _, body in branches]
-        except ModelicaError:  # what cannot be said in a branch that is not taken is not said
+        except ModelicaError:  # an error in a branch that is not taken is not reported
             chosen = self._choose(conditions)
             if chosen is None:
                 raise
@@ -394,7 +394,7 @@ class _Flattener:
         sink.asserts += _guarded(conditions, sinks)
 
     def _elements(self, equation: Equation) -> list[Equation]:
-        """One equation for each element, where a whole array is on the left."""
+        """One equation per element if a whole array is on the left."""
         left = equation.left
         var = self.resolver.vars.get(left.name) if isinstance(left, Reference) else None
         if var is None or not var.dims or not isinstance(left, Reference) or left.subscripts:
@@ -412,7 +412,7 @@ class _Flattener:
         return out
 
     def _choose(self, conditions: Sequence[Expression | None]) -> int | None:
-        """Branch that known conditions choose, or the number of conditions; None if they are not known."""
+        """Branch chosen by known conditions, or the number of conditions if none holds; None if unknown."""
         for k, condition in enumerate(conditions):
             if condition is None:
                 return k
@@ -452,7 +452,7 @@ class _Flattener:
             case Reinit():
                 state = expr(item.state, scope, env)
                 if not isinstance(state, Reference):
-                    raise ModelicaError(f"reinit() of '{item.state.name}'", where=item.at)
+                    raise ModelicaError(f"reinit() of '{item.state.name}', which is not a state", where=item.at)
                 return [Reinit(item.at, state, expr(item.value, scope, env))]
             case Assert():
                 return [self._assert(item, scope, env)]
@@ -486,12 +486,12 @@ class _Flattener:
 
 
 def _value_in(statements: list[Any], target: tuple[type, Any], otherwise: Expression) -> Expression:
-    """Value that the first statement for a target gives it."""
+    """Value that the first statement for a target assigns."""
     return next((s.value for s in statements if (type(s), _bare(_assigned(s))) == target), otherwise)
 
 
 def _assignment(left: Any, right: Any, at: Place) -> Assign | AssignMany:
-    """Return an equation in a when-clause as what it assigns."""
+    """Return an equation in a when-clause as an assignment."""
     if isinstance(left, Reference):
         return Assign(at, left, right)
     if isinstance(right, Reference):
@@ -500,7 +500,7 @@ def _assignment(left: Any, right: Any, at: Place) -> Assign | AssignMany:
         targets = tuple(i for i in left.items if i is None or isinstance(i, Reference))
         if len(targets) == len(left.items):
             return AssignMany(at, targets, right)
-    raise ModelicaError("an equation in a when-clause has a variable alone on its left", where=at)
+    raise ModelicaError("an equation in a when-clause must have a variable alone on its left", where=at)
 
 
 class _InitialSink(_Sink):
@@ -511,7 +511,7 @@ _NOTHING = Literal(Place("(no expression)", 1), 0)
 
 
 def _no_equation(item: Any) -> str:
-    """Say why something is no equation."""
+    """Return why something is not an equation."""
     if isinstance(item, Reinit):
         return "reinit() outside a when-equation"
     if not isinstance(item, AssignMany):
@@ -523,7 +523,7 @@ def _no_equation(item: Any) -> str:
 
 
 def _guarded(conditions: Sequence[Expression | None], sinks: Sequence[_Sink]) -> Iterator[Assert]:
-    """Yield the assertions of branches, each of which holds where its branch is not taken."""
+    """Yield the assertions of branches, each of which also holds if its branch is not taken."""
     before: list[Expression] = []
     for condition, inner in zip(conditions, sinks, strict=True):
         for one in inner.asserts:
@@ -553,9 +553,9 @@ def _has_connect(tree: Any) -> bool:
 def _merge(
     conditions: Sequence[Expression | None], sinks: Sequence[_Sink], at: Place, origin: Origin
 ) -> tuple[list[Equation], bool] | None:
-    """Equations of all branches in one; None if their numbers differ.
+    """Combine the equations of all branches; None if their numbers differ.
 
-    Second: whether they say the same variables.
+    Second: whether corresponding equations are for the same variables.
     """
     first = sinks[0]
     if any(len(s.equations) != len(first.equations) or s.whens for s in sinks):
@@ -587,7 +587,7 @@ def _merge(
 
 
 def _left(equation: Equation) -> Any:
-    """Return what identifies the left side of an equation that has a reference there; None otherwise."""
+    """Return the identity of the left side of an equation if it is a reference; None otherwise."""
     left = equation.left
     if isinstance(left, Call) and left.function == "der" and isinstance(left.arguments[0], Reference):
         return ("der", _bare(left.arguments[0]))

@@ -1,9 +1,9 @@
 """Instances of classes: inheritance, modifications, redeclarations, lookup of names (specification 5 and 7).
 
-An `Instance` is a class in an environment: with what modifies it and the instance that it is written in. A
-component that is no variable is an instance with a path; a package that names are looked up in is one without.
-A class that another extends is an instance too, which shares the elements of the other (its root): a name in it
-finds the element as it is redeclared there.
+An `Instance` is a class in an environment: its modifications and the instance in which it is written. A component
+that is not a variable is an instance with a path; a package in which names are looked up is one without. A class
+that another extends is an instance too, which shares the elements of the other (its root), so that a name in it
+finds redeclared elements.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _BUILTIN = {name: ClassDef(_NOWHERE, name, "builtin", path=name) for name in PRE
 
 @dataclass(frozen=True, slots=True)
 class Foreign(Node):
-    """An expression of another scope than that of what it stands in."""
+    """An expression from a scope other than that of its context."""
 
     expression: Any
     scope: Any
@@ -50,7 +50,7 @@ class Foreign(Node):
 
 @dataclass(frozen=True, slots=True)
 class Mod:
-    """A modification with the scope its expressions are looked up in.
+    """A modification with the scope in which its expressions are looked up.
 
     Attributes
     ----------
@@ -59,7 +59,8 @@ class Mod:
     subs
         Modifications of elements, by name.
     redeclare
-        New declaration and its scope; then `below` is what modified the old one and yields to the new one's own.
+        New declaration and its scope; `below` is then the modification of the old one, which the new one's
+        overrides.
     """
 
     at: Place
@@ -73,7 +74,7 @@ class Mod:
     weak: bool = False  # of a field, where the record as a whole has a value from further outside
 
     def indexed(self, index: tuple[int, ...]) -> Mod:
-        """Return what modifies one element of an array of components."""
+        """Return the modification of one element of an array of components."""
         if self.each:
             return replace(self, each=False)
         value = self.value
@@ -86,7 +87,7 @@ NO_MOD = Mod(_NOWHERE)
 
 
 def modifier(modification: Modification, scope: Instance, each: bool = False, final: bool = False) -> Mod:
-    """Bind a modification to the scope it is written in."""
+    """Bind a modification to the scope in which it is written."""
     if modification.broken:
         raise ModelicaError("'break' in a modification is not supported", where=modification.at)
     if not modification.arguments and modification.value is None:
@@ -113,7 +114,7 @@ def modifier(modification: Modification, scope: Instance, each: bool = False, fi
 
 
 def merge(outer: Mod, inner: Mod, name: str) -> Mod:
-    """Return both modifications in one; `outer` wins."""
+    """Return both modifications combined; `outer` takes precedence."""
     if inner is NO_MOD:
         return outer
     if outer is NO_MOD:
@@ -126,7 +127,7 @@ def merge(outer: Mod, inner: Mod, name: str) -> Mod:
             below = merge(outer.below, below, name)
         return replace(outer, below=below, final=outer.final or inner.final)
     subs = dict(inner.subs)
-    if outer.value is not None:  # the value of a record goes over what is said of its fields further inside
+    if outer.value is not None:  # the value of a record overrides modifications of its fields further inside
         subs = {n: replace(m, weak=True) for n, m in subs.items()}
     for sub, mod in outer.subs.items():
         subs[sub] = merge(mod, subs[sub], sub) if sub in subs else mod
@@ -145,7 +146,7 @@ def merge(outer: Mod, inner: Mod, name: str) -> Mod:
 
 @dataclass(slots=True, eq=False)
 class Slot:
-    """An element of an instance: its declaration, the scope that is written in, and what modifies it."""
+    """An element of an instance: its declaration, the declaration's scope, and its modification."""
 
     name: str
     element: ComponentDef | ClassDef
@@ -155,7 +156,7 @@ class Slot:
     resolved: Slot | None = None
 
     def effective(self) -> Slot:
-        """Return the slot after a redeclaration, its modification complete."""
+        """Return the slot after a redeclaration, with its complete modification."""
         if self.resolved is None:
             self.resolved = _resolve(self)
         return self.resolved
@@ -178,7 +179,7 @@ def _resolve(slot: Slot) -> Slot:
         return Slot(name, old, slot.scope, merge(mod, _constraint_mod(old.constraint, slot.scope), name))
     new, scope = mod.redeclare
     _check_redeclared(old, new, mod)
-    # Modifiers of the constraining clause hold for every redeclaration; without one those of the declaration do.
+    # Modifiers of the constraining clause apply to every redeclaration; without one, those of the declaration do.
     if old.constraint is not None:
         carried = _constraint_mod(old.constraint, slot.scope)
     else:
@@ -199,7 +200,7 @@ def _resolve(slot: Slot) -> Slot:
 
 def _check_redeclared(old: ComponentDef | ClassDef, new: ComponentDef | ClassDef, mod: Mod) -> None:
     if isinstance(new, ClassDef) != isinstance(old, ClassDef):
-        raise ModelicaError(f"'{old.name}' is redeclared as something else than it is", where=mod.at)
+        raise ModelicaError(f"'{old.name}' is redeclared as an element of another kind", where=mod.at)
     if new.redeclare and not old.replaceable:
         raise ModelicaError(f"'{old.name}' is not replaceable", where=mod.at)
     if new.redeclare and old.final:
@@ -207,7 +208,7 @@ def _check_redeclared(old: ComponentDef | ClassDef, new: ComponentDef | ClassDef
 
 
 def _redeclared(old: ComponentDef, old_scope: Instance, new: ComponentDef, scope: Instance) -> ComponentDef:
-    """Return a component's new declaration with what it takes over from the old one."""
+    """Return a component's new declaration, with the parts inherited from the old one."""
 
     def carried(expression: Expression) -> Any:
         return expression if scope is old_scope else foreign(expression, old_scope)
@@ -233,12 +234,12 @@ def _replaces(element: ComponentDef | ClassDef) -> bool:
 
 
 def foreign(expression: Expression, scope: Instance) -> Any:
-    """Wrap an expression that is used in another scope than its own."""
+    """Wrap an expression that is used outside its own scope."""
     return Foreign(expression.at, expression, scope)
 
 
 def _prefixes(new: ComponentDef, old: ComponentDef) -> frozenset[str]:
-    """Prefixes of a redeclared component: those of the old one that the new one does not replace."""
+    """Prefixes of a redeclared component: its own, and those of the old one that it does not replace."""
     out = set(new.prefixes)
     for group in ({"flow", "stream"}, {"parameter", "constant", "discrete"}, {"input", "output"}):
         if not group & out:
@@ -254,7 +255,7 @@ def _own_mod(element: ComponentDef | ClassDef, scope: Instance) -> Mod:
 
 
 def _with_carried(outer: Mod, new: ClassDef, scope: Instance, carried: Mod, name: str) -> Mod:
-    """Modification of a redeclared class: what is carried over yields to the new class's own modifiers."""
+    """Modification of a redeclared class, in which the new class's modifiers override the inherited ones."""
     if carried is NO_MOD or not carried.subs:
         return outer
     own = _own_mod(new, scope)
@@ -273,7 +274,7 @@ class ClassRef:
 
 
 class Instance:
-    """A class in an environment (see the module)."""
+    """A class in an environment (see the module's docstring)."""
 
     def __init__(
         self,
@@ -298,15 +299,15 @@ class Instance:
         self.visible: set[str] = set()
         self.slots: dict[str, Slot] = {} if root is None else root.slots
         self.items: dict[str, Any] = {} if root is None else root.items
-        self.prefixes: frozenset[str] = frozenset()  # of the component, and of those it is in
+        self.prefixes: frozenset[str] = frozenset()  # those of the component and of its parents
         self.final = False
         self.protected = False
         self.builtin: str | None = definition.name if definition.kind == "builtin" else None
         self.enumeration: ClassDef | None = definition if definition.enumeration is not None else None
-        self.subscripts: list[tuple[Expression, Instance]] = []  # of array types
+        self.subscripts: list[tuple[Expression, Instance]] = []  # those of array types
         self.short_prefixes: frozenset[str] = frozenset()
         self.function = definition.kind.endswith("function")
-        self.attributes = mod  # of a predefined type, in the end
+        self.attributes = mod  # finally, those of a predefined type
         self.declared_at: Place | None = None
         self.description = ""
         if elaborate:
@@ -362,7 +363,7 @@ class Instance:
             self._check_modified()
 
     def _outside(self) -> Instance:
-        """Scope of a short class's own expressions: what it is written in."""
+        """Scope of a short class's own expressions: the instance in which it is written."""
         return self.parent or self
 
     def _inherit(self, base: ClassRef, mod: Mod) -> None:
@@ -394,7 +395,7 @@ class Instance:
                 and isinstance(element, ComponentDef)
                 and not _alike(old.element, element)
             ):
-                raise ModelicaError(f"'{name}' is inherited and declared otherwise here", where=element.at)
+                raise ModelicaError(f"'{name}' is inherited, but declared differently here", where=element.at)
         if old is None:
             old = self.slots[name] = Slot(name, element, self, self.mod.subs.get(name, NO_MOD))
         self.visible.add(name)
@@ -415,7 +416,7 @@ class Instance:
     # ---- names
 
     def slot(self, name: str) -> Slot | None:
-        """Element of that name, inherited ones included."""
+        """Element of that name, including inherited ones."""
         if name in self.visible:
             return self.slots[name]
         if self.definition.loader is not None:
@@ -430,25 +431,25 @@ class Instance:
         return None
 
     def all_bases(self) -> Iterator[Instance]:
-        """Yield every class that this one extends, directly or not, and this one: bases first."""
+        """Yield every class that this one extends, directly or not, then this one: bases first."""
         for base in self.bases:
             yield from base.all_bases()
         yield self
 
     def is_kind(self, *kinds: str) -> bool:
-        """Whether the class, or one that it extends by a short definition, is of such a kind."""
+        """Whether the class, or one that it extends by a short definition, is of one of these kinds."""
         if self.definition.kind in kinds:
             return True
         return any(base.is_kind(*kinds) for base in self.bases)
 
     @property
     def class_name(self) -> str:
-        """Qualified name of the class, of what a short class without modifiers stands for."""
+        """Qualified name of the class; for a short class without modifiers, of the class that it renames."""
         return self.definition.path or self.definition.name
 
 
 def _alike(a: ComponentDef, b: ComponentDef) -> bool:
-    """Whether two declarations say the same (an element that is inherited twice)."""
+    """Whether two declarations are the same (an element that is inherited twice)."""
     return (
         a.type.name.rpartition(".")[2] == b.type.name.rpartition(".")[2]
         and a.prefixes == b.prefixes
@@ -457,7 +458,7 @@ def _alike(a: ComponentDef, b: ComponentDef) -> bool:
 
 
 class World:
-    """All classes, and how names find them."""
+    """All classes, and the lookup of names in them."""
 
     def __init__(self, library: Library) -> None:
         self.library = library
@@ -468,7 +469,7 @@ class World:
     # ---- lookup
 
     def find(self, scope: Instance | None, name: str, rooted: bool = False) -> Slot | ClassRef | None:
-        """Find a simple name from a scope outwards (specification 5.3.1); None if there is none, or a literal."""
+        """Find a simple name from a scope outwards (specification 5.3.1); None if missing or a literal."""
         found = self.find_value(scope, name, rooted)
         return None if isinstance(found, Literal) else found
 
@@ -497,7 +498,7 @@ class World:
             return None
         memo = (id(definition), name)
         if memo not in self._imports:
-            self._imports[memo] = None  # an import does not look at itself
+            self._imports[memo] = None  # an import does not look itself up
             for clause in definition.imports:
                 if clause.alias == name:
                     found: Slot | ClassRef | Literal | None = self._qualified(clause.name)
@@ -522,7 +523,7 @@ class World:
         return self._imports[memo]
 
     def absent(self, name: str) -> str | None:
-        """Say what to do about a name that nothing has."""
+        """Return advice for a name that does not exist."""
         first = name.partition(".")[0]
         top = self.library.top(first)
         if first in self.library.stand_ins:
@@ -581,11 +582,11 @@ class World:
     def lookup_class(
         self, scope: Instance | None, name: Reference, extends: ClassDef | None = None
     ) -> ClassRef | None:
-        """Find a class by its name as written; None if there is none."""
+        """Find a class by its name as written; None if it does not exist."""
         first = name.parts[0].name
         found: Slot | ClassRef | None = None
         if extends is not None and scope is not None:
-            # the base class is found without looking at what is inherited
+            # the base class is found without looking at inherited elements
             member = extends.member(first)
             if isinstance(member, ClassDef) and not member.redeclare and member.extended is None:
                 slot = scope.slots.get(first)
@@ -627,7 +628,7 @@ class World:
         return ClassRef(definition, slot.scope, slot.mod, found)
 
     def _extended(self, found: Slot, slot: Slot) -> ClassRef:
-        """Class of ``redeclare model extends X``: X as inherited, with more in it."""
+        """Class of ``redeclare model extends X``: X as inherited, with additional elements."""
         old = found.element
         definition = slot.element
         assert isinstance(definition, ClassDef)
@@ -658,12 +659,12 @@ class World:
         return ClassRef(copy, holder, slot.mod, found)
 
     def package(self, found: Slot | ClassRef, at: Place) -> Instance:
-        """Instance of a class that names are looked up in."""
+        """Instance of a class in which names are looked up."""
         if isinstance(found, Slot) and found.package is not None:
             return found.package
         ref = self.class_ref(found)
         if ref is None:
-            raise ModelicaError(f"'{found.name if isinstance(found, Slot) else ''}' is no package", where=at)
+            raise ModelicaError(f"'{found.name if isinstance(found, Slot) else ''}' is not a package", where=at)
         ref = self.plain(ref)
         out = self._instance(ref)
         if isinstance(found, Slot):
@@ -688,7 +689,7 @@ class World:
         if ref.mod.subs:
             return Instance(self, ref.definition, ref.parent, ref.mod)
         if memo not in self._packages:
-            # known before it is looked into: a package may extend a class that lies in it
+            # registered before its elaboration, because a package may extend a class that lies in it
             self._packages[memo] = Instance(self, ref.definition, ref.parent, NO_MOD, elaborate=False)
             self._packages[memo].elaborate()
         return self._packages[memo]
@@ -700,7 +701,7 @@ class World:
 
     @staticmethod
     def suggest(name: str, known: Any) -> str | None:
-        """Return the known name nearest to one that is not known."""
+        """Return a suggestion with the known name nearest to an unknown one."""
         import difflib
 
         near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
@@ -708,6 +709,6 @@ class World:
 
 
 def field_mod(mod: Mod, name: str) -> Mod:
-    """Return what the binding of a record says about a field."""
+    """Return the part of a record's modification that concerns a field."""
     assert mod.value is not None
     return Mod(mod.at, mod.scope, FieldOf(mod.value.at, mod.value, name), {}, mod.each, mod.final)

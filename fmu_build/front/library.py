@@ -1,6 +1,6 @@
-"""Where classes come from: one file, the package that a file lies in, and the directories of libraries.
+"""Sources of classes: one file, the package that a file lies in, and the directories of libraries.
 
-A class is read when it is looked up, so a model costs no more than what it uses.
+A class is read on first lookup, so a model only costs what it uses.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from fmu_build.front.classes import ClassDef
 from fmu_build.front.parser import parse
 from fmu_build.syntax import Place
 
-_OWN = Path(__file__).parent / "standard"  # what everybody imports, where no library has it
+_OWN = Path(__file__).parent / "standard"  # imported by every user, if no library has it
 
 
 class Library:
@@ -22,7 +22,7 @@ class Library:
     Parameters
     ----------
     file
-        The user's file: of its own, or part of a package on disk.
+        The user's file: a separate file, or part of a package on disk.
     roots
         Directories of libraries.
     """
@@ -32,7 +32,7 @@ class Library:
         self.roots = [Path(r).resolve() for r in roots]
         self._tops: dict[str, ClassDef | None] = {}
         self._scanned = False
-        self.stand_ins: set[str] = set()  # what is taken from the file of our own
+        self.stand_ins: set[str] = set()  # classes taken from our own file
         self.file = file.resolve()
         package = _package_folder(self.file)
         if package is None:
@@ -44,7 +44,7 @@ class Library:
             self._tops[package.name] = self._folder(package)
 
     def top(self, name: str) -> ClassDef | None:
-        """Top-level class of that name; None if there is none."""
+        """Top-level class of that name; None if missing."""
         if name not in self._tops:
             self._tops[name] = self._find(name)
         return self._tops[name]
@@ -83,7 +83,7 @@ class Library:
         return None
 
     def _scan(self) -> None:
-        """Look once into files that may be named otherwise than their classes."""
+        """Search, once, files whose names may differ from those of their classes."""
         if self._scanned:
             return
         self._scanned = True
@@ -160,7 +160,7 @@ class Library:
 
 
 def _package_folder(file: Path) -> Path | None:
-    """Folder of the outermost package that a file lies in; None for a file of its own."""
+    """Folder of the outermost package that a file lies in; None for a separate file."""
     folder = file.parent
     if not (folder / "package.mo").is_file():
         return None

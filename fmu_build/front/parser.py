@@ -1,7 +1,6 @@
 """Parser of Modelica 3.6 source, by recursive descent.
 
-Annotations are skipped over by their parentheses and parsed when somebody asks for them: they are most of a
-library's text.
+Annotations are skipped by their parentheses and parsed on request, because they are most of a library's text.
 """
 
 from __future__ import annotations
@@ -62,13 +61,13 @@ from fmu_build.syntax import (
 _STRING = r'"[^"\\]*(?:\\.[^"\\]*)*"'
 _QUOTED = r"'(?:\\.|[^'\\])*'"
 _COMMENT = r"//[^\n]*|/\*.*?\*/"
-_TOKEN = re.compile(  # or what begins none; empty at the end
+_TOKEN = re.compile(  # or a character that begins none; empty at the end
     rf"(?>(?:\s+|{_COMMENT})*)([^\W\d]\w*|{_QUOTED}|{_STRING}|\d+(?:\.\d*)?(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?"
     r"|:=|<=|>=|<>|==|/\*|\.[-+*/^]|[-+*/^()\[\]{},;:=<>.]|\S|\Z)",
     re.DOTALL,
 )
 _SINGLE = re.compile(r"[\w\-+*/^()\[\]{},;:=<>.]")
-_ENDLESS = {'"': "a string that does not end", "/*": "a comment that does not end"}
+_ENDLESS = {'"': "this string does not end", "/*": "this comment does not end"}
 _BRACKETS = re.compile(rf"{_STRING}|{_QUOTED}|{_COMMENT}|[()]", re.DOTALL)
 _ESCAPE = re.compile(r"\\(.)", re.DOTALL)
 _ESCAPED = {"n": "\n", "t": "\t", "r": "\r", "a": "\a", "b": "\b", "f": "\f", "v": "\v"}
@@ -106,8 +105,8 @@ def parse(text: str, file: str, *, whole: bool = True) -> tuple[str, list[ClassD
     file
         Its name, for messages.
     whole
-        Whether the bodies of classes inside others are parsed, too, or only when somebody asks for them: of a
-        library's file a model uses few.
+        Whether the bodies of inner classes are parsed as well, or only on first use: a model uses few classes of a
+        library's file.
 
     Returns
     -------
@@ -117,7 +116,7 @@ def parse(text: str, file: str, *, whole: bool = True) -> tuple[str, list[ClassD
     Raises
     ------
     ModelicaError
-        With file and line.
+        The source has an error; the message names file and line.
     """
     parser = _Parser(text, file)
     parser.whole = whole
@@ -141,7 +140,7 @@ def expression(text: str, file: str = "(expression)") -> Expression:
 
 
 def unescaped(text: str) -> str:
-    """Return the value of a string as it is written between its quotes."""
+    """Return the value of a string as written between its quotes."""
     return _ESCAPE.sub(lambda m: _ESCAPED.get(m.group(1), m.group(1)), text) if "\\" in text else text
 
 
@@ -152,7 +151,7 @@ class _Parser:
         self.newlines = [m.start() for m in re.finditer("\n", text)]
         self.tokens: list[str] = []
         self.starts: list[int] = []
-        self.stops: dict[int, int] = {}  # of annotations
+        self.stops: dict[int, int] = {}  # ends of annotations
         self.i = 0
         self.whole = True
         self._depth = 0
@@ -163,7 +162,7 @@ class _Parser:
     # ---- tokens
 
     def _tokenise(self, start: int, stop: int) -> None:
-        """Split the text into tokens, leaving out what annotations hold."""
+        """Split the text into tokens, leaving out the arguments of annotations."""
         position: int | None = start
         while position is not None:
             position = self._tokenise_up_to_annotation(position, stop)
@@ -197,7 +196,7 @@ class _Parser:
                 if depth == 0:
                     self.stops[number] = match.end()
                     return match.end()
-        raise ModelicaError("an annotation that does not end", where=Place(self.file, self._line(position)))
+        raise ModelicaError("this annotation does not end", where=Place(self.file, self._line(position)))
 
     def _line(self, position: int) -> int:
         return bisect_right(self.newlines, position - 1) + 1 if position else 1
@@ -222,7 +221,7 @@ class _Parser:
 
     def expect(self, token: str) -> None:
         if self.tokens[self.i] != token:
-            # what is missing is missing after the token before
+            # a missing token is reported after the previous one
             at = self.place(max(self.i - 1, 0)) if token in (";", ")", "]", "}") else self.place()
             found = f"'{self.token}'" if self.token else "the end of the file"
             raise ModelicaError(f"'{token}' is expected here, not {found[:40]}", where=at)
@@ -245,7 +244,7 @@ class _Parser:
     def stored_definition(self) -> tuple[str, list[ClassDef]]:
         within = ""
         if self.text.startswith("\ufeff"):
-            self.fail("a byte order mark")
+            self.fail("byte order marks are not supported")
         if self.accept("within"):
             if self.token != ";":
                 within = self.dotted()
@@ -303,7 +302,7 @@ class _Parser:
         if self.accept("enumeration"):
             self.enumeration(out)
         elif self.token == "der" and self.tokens[self.i + 1] == "(":
-            self.fail("a function that is a derivative of another")
+            self.fail("functions defined as derivatives of others are not supported")
         else:
             prefixes = []
             while self.token in ("input", "output", "flow", "stream"):
@@ -367,7 +366,7 @@ class _Parser:
         out.postpone(parse)
 
     def _end(self, name: str) -> int | None:
-        """Return the token after a class; None if another one inside it has its name, or nothing ends it."""
+        """Return the token after a class; None if a class inside it has the same name, or it does not end."""
         tokens = self.tokens
         at = self.i
         try:
@@ -702,7 +701,7 @@ class _Parser:
         return found
 
     def call(self, at: Place, call: Call) -> Any:
-        """Make the statement of a call on its own."""
+        """Make the statement for a call on its own."""
         arguments, named = call.arguments, dict(call.named)
 
         def argument(position: int, name: str) -> Expression:
@@ -720,7 +719,7 @@ class _Parser:
         if call.function == "reinit":
             state = argument(0, "x")
             if not isinstance(state, Reference):
-                raise ModelicaError("reinit() of an expression", where=at)
+                raise ModelicaError("reinit() of an expression, which is not a state", where=at)
             return Reinit(at, state, argument(1, "expr"))
         return AssignMany(at, (), call)
 
@@ -928,7 +927,7 @@ class _Parser:
                 named.append((key, self.function_argument()))
             else:
                 if named:
-                    self.fail("an argument by position after one by name")
+                    self.fail("a positional argument follows a named one")
                 arguments.append(self.function_argument())
                 if self.accept("for"):
                     element = arguments[0]

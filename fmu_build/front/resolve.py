@@ -1,5 +1,5 @@
 # ruff: noqa: ARG002  (methods of one table share a signature)
-"""Names to flat expressions: components, constants, functions; and what must be known to flatten."""
+"""Names to flat expressions: components, constants, functions; and the values needed for flattening."""
 
 from __future__ import annotations
 
@@ -66,13 +66,13 @@ from fmu_build.syntax import (
     walk,
 )
 
-Env = dict[str, Literal | None]  # loop variables: their value, or None where they stay
+Env = dict[str, Literal | None]  # loop variables: their value, or None if they remain
 _RANK = {"constant": 0, "parameter": 1, "discrete": 2}
 _MOST_ELEMENTS = 20_000  # of an array of components
 
 
 class Absent:
-    """What a conditional component is whose condition is false."""
+    """A conditional component whose condition is false."""
 
 
 ABSENT = Absent()
@@ -96,13 +96,13 @@ class Var:
     stream: bool
     final: bool
     protected: bool
-    connector: str | None  # class of a connector that is one variable
+    connector: str | None  # class of a connector that is a single variable
     evaluate: bool = False
     binding_memo: list[Expression | None] = field(default_factory=list)
 
     @property
     def at(self) -> Place:
-        """Where it is declared."""
+        """Place of its declaration."""
         return self.slot.element.at
 
     @property
@@ -114,7 +114,7 @@ class Var:
 
 @dataclass(eq=False)
 class Many:
-    """An array of components that are no variables, row-major."""
+    """An array of components that are not variables, row-major."""
 
     name: str
     dims: tuple[int, ...]
@@ -203,14 +203,16 @@ class Resolver:
                 single = self.world.instantiate(ref, slot.mod, path, root)
             return self._var(root, path, slot, single, ref)
         if component.prefixes & {"flow", "stream"}:
-            raise ModelicaError(f"'{path}' has the prefix flow or stream, but is no variable", where=component.at)
+            raise ModelicaError(
+                f"'{path}' has the prefix flow or stream, but is not a variable", where=component.at
+            )
         if not component.subscripts:
             self._settle(root, single, slot, path)
             return single
         return self._array(root, path, slot, ref)
 
     def _array(self, root: Instance, path: str, slot: Slot, ref: ClassRef) -> Many:
-        """Make an array of components that are no variables."""
+        """Make an array of components that are not variables."""
         component = slot.element
         assert isinstance(component, ComponentDef)
         dims = tuple(
@@ -239,7 +241,7 @@ class Resolver:
         value = instance.mod
         if value.value is not None:
             if not instance.is_kind("record", "operator record"):
-                raise ModelicaError(f"'{path}' is no variable and cannot have a value", where=value.at)
+                raise ModelicaError(f"'{path}' is not a variable and cannot have a value", where=value.at)
             for name, sub in instance.slots.items():
                 if isinstance(sub.element, ComponentDef) and not sub.element.final:
                     own = field_mod(value, name)
@@ -350,12 +352,12 @@ class Resolver:
     # ---- values that must be known
 
     def known(self, expression: Expression, at: Place) -> Value:
-        """Value of an expression that decides the structure.
+        """Value of an expression that determines the structure.
 
         Raises
         ------
         ModelicaError
-            If it depends on more than parameters and constants.
+            It depends on more than parameters and constants.
         """
         if isinstance(expression, Literal):
             return expression.value
@@ -365,11 +367,11 @@ class Resolver:
         except UnknownSizeError as error:
             raise ModelicaError(str(error), where=error.span or at) from None
         if any(isinstance(s, SX) for s in _scalars(value)):
-            raise ModelicaError("what decides the structure must be known at translation", where=at)
+            raise ModelicaError("this determines the structure, so it must be known at translation", where=at)
         return value
 
     def maybe_known(self, expression: Expression) -> Value | None:
-        """Value of an expression if it is known; nothing is used up if it is not."""
+        """Value of an expression if it is known; parameters are not used up if it is not."""
         before = set(self.structural)
         try:
             return self.known(expression, expression.at)
@@ -432,7 +434,7 @@ class Resolver:
         return value
 
     def _given(self, var: Var) -> Expression | None:
-        """Return what gives a constant or parameter its value: binding, start or default; None if nothing does."""
+        """Return the source of a constant's or parameter's value: binding, start or default; None if missing."""
         expression = self.binding(var)
         fixed = self.attribute(var, "fixed")
         if var.variability == "parameter" and isinstance(fixed, Literal) and fixed.value is False:
@@ -473,7 +475,7 @@ class Resolver:
         branches: list[tuple[Expression, Expression]] = []
         for condition, value in e.branches:
             test = self.expr(condition, scope, env)
-            if isinstance(test, Literal):  # what is never chosen need not make sense
+            if isinstance(test, Literal):  # branches that are never chosen may be invalid
                 if test.value:
                     if not branches:
                         return self.expr(value, scope, env)
@@ -493,7 +495,7 @@ class Resolver:
         return If(e.at, tuple(branches), otherwise) if branches else otherwise
 
     def _never(self, test: Expression, unless: bool) -> bool:
-        """Whether a branch that makes no sense is never chosen."""
+        """Whether an invalid branch is never chosen."""
         value = self.maybe_known(test)
         return value is not None and bool(value) is unless
 
@@ -532,7 +534,7 @@ class Resolver:
         return self.pick(e.at, base, subscripts)
 
     def pick(self, at: Place, base: Expression, subscripts: tuple[Expression, ...]) -> Expression:
-        """Select from an expression, now if what is selected shows."""
+        """Select from an expression, immediately if the selected element is known."""
         while subscripts:
             first, *rest = subscripts
             if not isinstance(base, ArrayOf) or not isinstance(first, Literal) or isinstance(first.value, str):
@@ -569,7 +571,7 @@ class Resolver:
         return Field(e.at, value, e.name) if given is None else given
 
     def _constructed(self, value: Any, name: str) -> Expression | None:
-        """Argument that a record constructor takes for a field."""
+        """Argument of a record constructor for a field."""
         function = self.functions.get(value.function) if isinstance(value, Call) else None
         if function is None or not function.constructor:
             return None
@@ -587,7 +589,7 @@ class Resolver:
             return Comprehension(e.at, self.expr(e.element, scope, inner), tuple(iterators))
 
         def build(level: int, inner: Env) -> Any:
-            # the first iterator runs fastest: it is the last dimension of what the others make
+            # the first iterator runs fastest, so it is the last dimension of the others' result
             if level < 0:
                 return self.expr(e.element, scope, inner)
             name, bounds = e.iterators[level]
@@ -611,7 +613,7 @@ class Resolver:
         return [Literal(bounds.at, i) for i in items]  # type: ignore[arg-type]
 
     def _implied(self, name: str, body: Any, scope: Instance, env: Env) -> Expression:
-        """Range of a loop without one: the size of what its variable alone indexes."""
+        """Range of a loop without one: the size of the dimension that its variable indexes directly."""
         for node in walk(body):
             if isinstance(node, Reference):
                 for k, part in enumerate(node.parts):
@@ -621,7 +623,7 @@ class Resolver:
                             size = Call(node.at, "size", (array, Literal(node.at, position + 1)))
                             return Range(node.at, Literal(node.at, 1), None, size)
         at = body.at if hasattr(body, "at") else body[0].at
-        raise ModelicaError(f"loop variable '{name}' has no range, and indexes nothing alone", where=at)
+        raise ModelicaError(f"loop variable '{name}' has no range, and does not index an array directly", where=at)
 
     # ---- references
 
@@ -696,7 +698,7 @@ class Resolver:
             return ArrayOf(at, tuple(self.literal(Array(inner, row) if inner else row[0], at) for row in rows))
         if isinstance(value, bool | int | float | str):
             return Literal(at, value)
-        raise ModelicaError("a constant whose value is not known", where=at)
+        raise ModelicaError("the value of this constant is not known", where=at)
 
     def _record_value(self, item: Instance, at: Place) -> Expression:
         ref = ClassRef(item.definition, item.parent)
@@ -838,7 +840,7 @@ class Resolver:
         return Literal(e.at, dims[position - 1])
 
     def _dims(self, e: Reference, scope: Instance, env: Env) -> tuple[int, ...] | None:
-        """Sizes of a component without subscripts; None if it takes more to know."""
+        """Sizes of a component without subscripts; None if that is not enough to know them."""
         found = self.world.find(scope, e.parts[0].name, e.rooted)
         if not isinstance(found, Slot) or not isinstance(found.element, ComponentDef) or found.scope.root.function:
             return None
@@ -863,7 +865,7 @@ class Resolver:
     # ---- functions
 
     def function_key(self, ref: ClassRef, at: Place) -> str:
-        """Name of a flat function; makes it if need be."""
+        """Name of a flat function, which is made if necessary."""
         ref = self.world.plain(ref)
         memo = (id(ref.definition), id(ref.parent), id(ref.slot) if ref.mod.subs else 0)
         if memo in self._function_keys:
@@ -875,7 +877,7 @@ class Resolver:
             key = f"{path} ({count})"
         self._function_keys[memo] = key
         self.functions[key] = Function(key, ref.definition.at, (), (), (), ())
-        # of its own, whatever package instance there is: its components stay local names
+        # independent of the package instance: its components stay local names
         instance = Instance(self.world, ref.definition, ref.parent, ref.mod)
         if instance.builtin == "ExternalObject":
             slot = instance.slot("constructor")
@@ -928,7 +930,9 @@ class Resolver:
             instance.function = True
             fields = tuple(formal for _, _, formal in self._formals(instance))
         else:
-            raise ModelicaError(f"'{name}' of '{ref.definition.path}' in a function", where=component.at)
+            raise ModelicaError(
+                f"'{name}' of '{ref.definition.path}' is not supported in a function", where=component.at
+            )
         return Formal(name, component.at, type_name, shape, default, fields)
 
     def _size(self, subscript: Expression, scope: Instance) -> Expression:
@@ -950,7 +954,7 @@ class Resolver:
                 inputs if "input" in component.prefixes else outputs if "output" in component.prefixes else inner
             )
             target.append(formal)
-        # a function that calls itself finds its arguments
+        # a function that calls itself needs its own arguments
         self.functions[key] = Function(key, instance.definition.at, tuple(inputs), tuple(outputs), (), ())
         external = None
         body: tuple[Any, ...] = ()
@@ -1014,7 +1018,7 @@ class Resolver:
                 return self._compound(s, scope, env)
 
     def _compound(self, s: Any, scope: Instance, env: Env) -> Any:
-        """Flatten a statement that has statements in it."""
+        """Flatten a statement that contains statements."""
         match s:
             case IfStatement():
                 return self._if_statement(s, scope, env)
@@ -1038,7 +1042,7 @@ class Resolver:
     def open_branches(
         self, s: IfStatement, scope: Instance, env: Env
     ) -> list[tuple[Expression | None, tuple[Any, ...]]]:
-        """Conditions and bodies of the branches that may be taken; None is the condition of one that is."""
+        """Conditions and bodies of the branches that may be taken; the condition of a certain branch is None."""
         branches: list[tuple[Expression | None, tuple[Any, ...]]] = []
         for condition, body in s.branches:
             test = None if condition is None else self.expr(condition, scope, env)
@@ -1072,7 +1076,7 @@ class Resolver:
 
 
 def _check_type(path: str, component: ComponentDef, ref: ClassRef, root: Instance) -> None:
-    """Refuse a component of a class that has no instances."""
+    """Refuse a component whose class cannot be instantiated."""
     kind, name = ref.definition.kind, ref.definition.path
     if ref.definition.partial and not component.outer and kind not in ("type", "record"):
         raise ModelicaError(
@@ -1096,21 +1100,21 @@ class _Path:
         self._env = env
 
     def walk(self, item: Item, position: int, element: bool = False) -> Any:
-        """Return what the reference stands for, from the item that its part at a position names.
+        """Return what the reference denotes, starting from the item that its part at a position names.
 
         Parameters
         ----------
         element
-            Whether the part's subscripts are used up: the item is an element of an array.
+            Whether the part's subscripts are used up, so that the item is an element of an array.
         """
         e, part = self._e, self._e.parts[position]
         if isinstance(item, Absent):
-            raise ModelicaError(f"'{e.name}' is a conditional component that is not there", where=e.at)
+            raise ModelicaError(f"'{e.name}' is a conditional component that does not exist", where=e.at)
         if isinstance(item, Many):
             return self._slice(item, position)
         if isinstance(item, Instance):
             if part.subscripts and not element:
-                raise ModelicaError(f"'{part.name}' is no array", where=e.at)
+                raise ModelicaError(f"'{part.name}' is not an array", where=e.at)
             return self._instance(item, position)
         if position + 1 < len(e.parts):
             raise ModelicaError(f"'{item.name}' has no '{e.parts[position + 1].name}'", where=e.at)
@@ -1124,7 +1128,7 @@ class _Path:
         if item.variability == "constant" and (item.owner.path is None or _in_package(item.owner)):
             return resolver.pick(e.at, resolver.constant(item), subscripts)
         if item.owner.path is None:
-            raise ModelicaError(f"'{item.name}' is no constant", where=e.at)
+            raise ModelicaError(f"'{item.name}' is not a constant", where=e.at)
         return Reference(e.at, (Part(item.name, subscripts),))
 
     def _instance(self, item: Instance, position: int) -> Any:
@@ -1160,7 +1164,7 @@ class _Path:
             if outside:
                 raise ModelicaError(f"subscript {outside[0]} of '{many.name}' is outside 1..{n}", where=e.at)
         if len(open_at) > 1:
-            raise ModelicaError("two subscripts that are not known at translation", where=e.at)
+            raise ModelicaError("only one subscript may be unknown at translation", where=e.at)
 
         out = self._build(many, chosen, position, [])
         for place, subscript in open_at:
@@ -1168,7 +1172,7 @@ class _Path:
         return out
 
     def _build(self, many: Many, chosen: list[list[int] | int], position: int, index: list[int]) -> Any:
-        """Arrange what the chosen elements stand for as an array."""
+        """Arrange the values of the chosen elements as an array."""
         if len(index) == len(chosen):
             return self.walk(many.at(index), position, True)
         c = chosen[len(index)]
@@ -1177,7 +1181,7 @@ class _Path:
         return ArrayOf(self._e.at, tuple(self._build(many, chosen, position, [*index, i]) for i in c))
 
     def _chosen(self, subscript: Expression, size: int) -> int | list[int] | None:
-        """Elements that a subscript selects; None if that is only known later."""
+        """Elements that a subscript selects; None if they are only known later."""
         if isinstance(subscript, All):
             return list(range(1, size + 1))
         if _has_local(subscript, self._env) or self._scope.root.function:
@@ -1239,7 +1243,7 @@ class _Known:
         return SX.sym("sample")
 
     def starting(self) -> SX:
-        raise ValueError("what decides the structure must be known at translation")
+        raise ValueError("this determines the structure, so it must be known at translation")
 
     def initial(self) -> SX:
         return SX.sym("initial")

@@ -157,7 +157,7 @@ def test_a_term_acts_where_it_is_put():
     [
         (Term("rotr", "flow", "0"), "no port 'rotr'; did you mean 'rotor'"),
         (Term("rotor", "flow", "2*speed"), "'speed' is unknown at port 'rotor'"),
-        (Term("rotor", "potential", "0"), "no branch"),
+        (Term("rotor", "potential", "0"), "not a branch"),
     ],
 )
 def test_a_wrong_term_is_refused(term, message):

@@ -71,7 +71,7 @@ def test_a_torque_added_to_a_balance_acts_there_and_zero_changes_nothing(flat):
     np.testing.assert_array_equal(with_port.derivative(0.0, x, [0.0]), plain.derivative(0.0, plain.start()))
     difference = with_port.derivative(0.0, x, [3.0]) - with_port.derivative(0.0, x, [0.0])
     assert sorted(difference) == pytest.approx([0, 0, 0, 3 / 4])
-    with pytest.raises(ModelicaError, match="'port' already"):
+    with pytest.raises(ModelicaError, match="already a variable 'port'"):
         changed.with_variable(Variable("port", ADDED))
 
 

@@ -262,8 +262,8 @@ def test_a_file_may_end_with_a_comment(tmp_path, tail):
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("/* not closed", r"M\.mo:3: a comment that does not end"),
-        ('Real y "not closed;', r"M\.mo:3: a string that does not end"),
+        ("/* not closed", r"M\.mo:3: this comment does not end"),
+        ('Real y "not closed;', r"M\.mo:3: this string does not end"),
         ("Real y = 2 § 3;", r"M\.mo:3: unexpected '§'"),
         ('Real y; // fine " here\n Real z = 1 ? 2;', r"M\.mo:4: unexpected '\?'"),
     ],
