@@ -146,7 +146,7 @@ def strained(fitted: Fitted, effects: Sequence[Effect]) -> bool:
 
 
 def _limits(effect: Effect, unknown: Unknown) -> set[float]:
-    """Return the bounds that limit an effect; the bound at which a one-sided effect is off is none of them."""
+    """Return the bounds that limit an effect, without the one at which a one-sided effect is off."""
     bounds, neutral = {unknown.lower, unknown.upper}, effect.neutral[unknown.name]
     if unknown.name in effect.shapes or effect.two_sided:
         return bounds

@@ -231,7 +231,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class LawFound:
-    """An equation for what no effect explains, or the `reason` why there is none.
+    """An equation for a gap that no effect explains, or the `reason` why there is none.
 
     Attributes
     ----------

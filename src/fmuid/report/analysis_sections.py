@@ -113,7 +113,7 @@ def starts_figure(result: StageResult) -> Figure | None:
     if len(result.starts) < 2:
         return None
     cost = np.sort([s.cost for s in result.starts])
-    # Differences by rounding are no differences, and a figure would show nothing else.
+    # Rounding differences do not count, and a figure would show nothing else.
     above = np.round(cost / cost[0], 6) if cost[0] > 0.0 else cost
     number = np.arange(1, cost.size + 1, dtype=np.float64)
     series = (Series("final cost of a start", number, above, "final", points=True),)

@@ -24,7 +24,7 @@ _PLACEHOLDER = "@plotly.js@"
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """A picture that is no plot: an SVG element, also written as ``figures/NAME.svg``."""
+    """A picture that is not a plot: an SVG element, also written as ``figures/NAME.svg``."""
 
     name: str
     title: str
