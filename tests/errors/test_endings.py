@@ -17,7 +17,7 @@ from test_catalogue import PAGE
 HEAD = """
 ## Runs that are stopped, or cannot succeed
 
-These are said in one line, too, but there is a result, or something to go on from ([nothing is lost](nothing_lost.md)).
+These are also reported in one line, but there is a result, or something to continue from ([nothing is lost](nothing_lost.md)).
 
 | what happens | to | exit code | the line |
 |---|---|---|---|
