@@ -1,4 +1,4 @@
-# Every target works from a fresh clone: it sets up what it needs first.
+# Every target works from a fresh clone: it first sets up what it needs.
 PYTHON ?= python3
 VENV ?= .venv
 EMPS ?= ../shared/data/emps
@@ -11,7 +11,7 @@ TCLAB ?= ../TCLab
 MSL ?= ../ModelicaStandardLibrary
 SEALED ?= ../shared/data/sealed
 SEALED_ABROAD ?= ../shared/data/sealed_abroad
-# The blind check: cases in the grid, and a folder outside this one for what the diagnosis must not see.
+# The blind check: number of cases in the grid, and a folder outside this one for what the diagnosis must not see.
 COUNT ?= 200
 LABELS ?= ../blind-labels
 LABELS_ABROAD ?= ../blind-labels-abroad
@@ -23,7 +23,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constr
 ACTUATOR := FixedShaft FreeShaft EccentricLoad
 SETUPS := $(foreach setup,$(ACTUATOR) LinearAxisOpenLoop LinearAxisClosedLoop,$(setup) $(setup)WithEffects)
 PENDULUM := $(foreach setup,TorqueDriven PositionDriven,build/fmus/$(setup).fmu build/fmus/$(setup)WithEffects.fmu)
-# The actuator and its speed controller apart, to be coupled (docs/coupled.md).
+# The actuator and its speed controller as separate FMUs, to be coupled (docs/coupled.md).
 COUPLED := build/fmus/EccentricLoadPlant.fmu build/fmus/SpeedController.fmu
 FMUS := $(SETUPS:%=build/fmus/%.fmu) $(PENDULUM)
 STEPPER := $(shell find src -name "*.[ch]")
@@ -71,7 +71,7 @@ campaigns/emps/measurements.h5: | $(READY)
 campaigns/go1/measurements.h5: | $(READY)
 	FMUID_GO1=$(GO1) $(BIN)/python -m campaigns.go1.convert campaigns/go1
 
-# Averaged to 100 Hz; noise of an angle: a count of its encoder, evenly spread.
+# Averaged to 100 Hz; the noise of an angle is one count of its encoder, uniformly distributed.
 campaigns/double_pendulum/measurements.h5: | $(READY)
 	$(BIN)/fmuid import $(DOUBLE_PENDULUM)/sys_id_*.csv --setup double_pendulum --out $@ --resample 100 --method mean \
 	  -i tau_meas1 -i tau_meas2 --unit tau_meas1=N.m --unit tau_meas2=N.m --signal tau_meas1 --signal tau_meas2 \
@@ -102,13 +102,13 @@ identify-friction: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 identify-emps: $(FMUS) campaigns/emps/measurements.h5
 	$(BIN)/fmuid identify campaigns/emps --out runs/emps
 
-# Then the friction laws beside each other, on the runs used and on those kept back.
+# Then compare the friction laws on the runs used and on those reserved for validation.
 identify-go1: $(PENDULUM) campaigns/go1/measurements.h5
 	$(BIN)/fmuid identify campaigns/go1 --out runs/go1
 	$(BIN)/python -m benchmarks.rival_stages runs/go1 q "M?"
 	$(BIN)/python -m benchmarks.rival_stages runs/go1 q "M?_absolute"
 
-# Then the published parameters beside those found, and what both predict of the runs kept back.
+# Then compare the published parameters with those found, and the predictions of both for the validation runs.
 identify-double-pendulum: campaigns/double_pendulum/measurements.h5
 	$(BIN)/fmuid identify campaigns/double_pendulum --out runs/double_pendulum
 	$(BIN)/python -m benchmarks.beside_published runs/double_pendulum authors
@@ -122,7 +122,7 @@ identify-robot: campaigns/robot/measurements.h5
 identify-credibility: build/fmus/$(DRIVE).fmu campaigns/credibility/measurements.h5
 	$(BIN)/fmuid identify campaigns/credibility --out runs/credibility
 
-# Three versions of one file, each the log of another test; its first samples say where a run begins, in K.
+# Three versions of one file, each the log of another test; the first samples determine where a run begins, in K.
 campaigns/temperature_lab/measurements.h5: | $(READY)
 	@mkdir -p build/temperature_lab
 	for run in half:196c74e full:f3d31ff later:f9a9d4b; do \
@@ -158,42 +158,42 @@ diagnose-go1: $(PENDULUM) campaigns/go1/measurements.h5
 diagnose-double-pendulum: identify-double-pendulum
 	$(BIN)/fmuid diagnose runs/double_pendulum --out runs/double_pendulum-diagnosis
 
-# From the start values: the delay that the last stage finds is not in the model yet.
+# From the start values, because the delay that the last stage finds is not in the model yet.
 diagnose-robot: campaigns/robot/measurements.h5
 	$(BIN)/fmuid diagnose campaigns/robot --out runs/robot-diagnosis
 
 sealed: $(FMUS)
 	$(BIN)/python -m benchmarks.sealed $(SEALED) --out sealed --page docs/sealed.md
 
-# Rigs of other kinds, each with a plain Modelica model of its own.
+# Rigs of other kinds, each with its own plain Modelica model.
 sealed-abroad: | $(READY)
 	$(BIN)/python -m benchmarks.sealed $(SEALED_ABROAD) --abroad --out sealed --page docs/sealed.md
 
-# Goes on where it was interrupted. FIRST=20: the first twenty cases of the grid. SEED=5: not a drawn one.
+# Continues where it was interrupted. FIRST=20: the first twenty cases of the grid. SEED=5: this seed instead of a drawn one.
 blind: $(FMUS)
 	$(BIN)/python -m benchmarks.blind.blind_check --labels $(LABELS) --count $(COUNT) \
 	  $(FIRST:%=--first %) $(SEED:%=--seed %) --page docs/blind.md --notes docs/blind_notes.md \
 	  --command "make blind COUNT=$(COUNT)$(FIRST:%= FIRST=%)$(SEED:%= SEED=%)"
 
-# The same on eight rigs that no rule was found on. Goes on where it was interrupted. CASES=100: the first so many of the
-# grid, a fair sample of it; WORKERS=2: cases at the same time. LABELS_ABROAD has to be empty for a new grid.
+# The same on eight rigs on which no rule was developed. Continues where it was interrupted. CASES=100: the first 100 of the
+# grid, a fair sample of it; WORKERS=2: cases in parallel. LABELS_ABROAD must be empty for a new grid.
 blind-abroad: | $(READY)
 	$(BIN)/python -m benchmarks.abroad.blind --labels $(LABELS_ABROAD) --page docs/blind_abroad.md \
 	  --notes docs/blind_abroad_notes.md $(CASES:%=--cases %) $(WORKERS:%=--workers %) \
 	  --command "make blind-abroad$(CASES:%= CASES=%)"
 
-# Plants with laws that no catalogue has, 60, and 20 that no equation expresses: is the law found? Goes on where it was
+# Plants with laws that no catalogue has, 60, and 20 that no equation expresses: is the law found? Continues where it was
 # interrupted; an hour or two on two quiet cores. FIRST=20: the first twenty, and seven of the others.
 discovery: | $(READY)
 	$(BIN)/python -m benchmarks.discovery --out build/discovery $(FIRST:%=--first %)
 
-# Whether designed runs settle what they say they will, on rigs abroad and on the actuator: about two hours. Goes on
+# Whether designed runs settle what they claim to, on rigs abroad and on the actuator: about two hours. Continues
 # where it was interrupted.
 designed-experiments: $(DEVELOPER) $(FMUS)
 	$(BIN)/python -m benchmarks.designed_actuator
 	$(BIN)/python -m benchmarks.designed_experiments build/designed_experiments
 
-# How often 95 % intervals of the linear stage hold the truth, under white and under coloured noise: ten minutes.
+# How often 95 % intervals of the linear stage contain the truth, under white and coloured noise: ten minutes.
 DRAWS ?= 200
 coverage: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/python -m benchmarks.interval_coverage $(FORCE_FEEDBACK) linear $(DRAWS)
@@ -204,7 +204,7 @@ lint: $(DEVELOPER)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# In two processes, a file in one of them: fixtures of a file are made once.
+# In two processes, each file in one of them, so that its fixtures are made once.
 ABREAST := --numprocesses 2 --dist loadfile
 
 test: lint
@@ -213,8 +213,8 @@ test: lint
 test-all: lint
 	$(BIN)/pytest $(ABREAST)
 
-# 10,000 damaged files of each kind; 200 kills, 30 of them of a diagnosis, some in the last 50 ms; every operation on a
-# file failing: docs/nothing_lost.md.
+# 10,000 damaged files of each kind; 200 kills, 30 of them of a diagnosis, some in the last 50 ms; a failure of every
+# operation on a file: docs/nothing_lost.md.
 fuzz: $(DEVELOPER)
 	FMUID_FUZZ=10000 $(BIN)/pytest tests/errors/test_fuzz.py
 
@@ -228,7 +228,7 @@ memory: $(DEVELOPER)
 failing-writes: $(DEVELOPER)
 	FMUID_EVERY=1 $(BIN)/pytest tests/simulation/test_failing_writes.py -s
 
-# Every peer has an environment of its own; one that cannot be set up is listed as missing.
+# Every peer has its own environment; one that cannot be set up is listed as missing.
 PEERS := aixcalibuha modestpy
 PEER_PYTHON ?= $(PYTHON)
 build/peers/%/.ready: benchmarks/peers/%.txt
@@ -240,8 +240,8 @@ bench: $(DEVELOPER) $(FMUS) $(PENDULUM) $(FORCE_FEEDBACK)/measurements.h5
 	-$(MAKE) --keep-going $(PEERS:%=build/peers/%/.ready)
 	$(BIN)/python benchmarks/bench.py
 
-# The Modelica Standard Library's examples against its reference results. ROOT: the folder that has its Modelica folder;
-# REFERENCE: a folder of the Modelica Association's reference results. Goes on where it was interrupted.
+# The Modelica Standard Library's examples against its reference results. ROOT: the folder that contains its Modelica folder;
+# REFERENCE: a folder of the Modelica Association's reference results. Continues where it was interrupted.
 standard-library: $(DEVELOPER)
 	@test -d "$(ROOT)/Modelica" || { echo "ROOT=$(ROOT): no Modelica folder in it"; exit 2; }
 	@test -d "$(REFERENCE)/Modelica" || { echo "REFERENCE=$(REFERENCE): no reference results in it"; exit 2; }
@@ -257,12 +257,12 @@ modelica-by-example: $(DEVELOPER)
 	$(BIN)/python -m benchmarks.modelica_by_example $(BOOK) $(ROOT) --results build/modelica_by_example.json \
 	  --page docs/modelica_by_example.md
 
-# Changes that no test of the numerical core notices: build/mutation/survivors.md. MODULE=features: of those modules.
+# Changes that no test of the numerical core detects: build/mutation/survivors.md. MODULE=features: only those of this module.
 mutation: $(DEVELOPER)
 	$(PIP) --editable ".[mutation]"
 	$(BIN)/python benchmarks/mutation.py $(MODULE)
 
-# Pictures of reports in docs/figures; takes a browser: Chromium, or Chrome.
+# Pictures of reports in docs/figures; needs a browser: Chromium or Chrome.
 screenshots: $(DEVELOPER)
 	$(BIN)/python -m benchmarks.documentation_pictures
 
