@@ -150,7 +150,7 @@ def test_the_page_has_the_command_the_hash_the_misses_and_the_failures():
     assert "white-noise BIC" in text
     assert notes in text
     headings = [line for line in text.splitlines() if line.startswith("#")]
-    assert headings[1:4] == ["## What was known beforehand", "## Which code", "## Where an aim is missed, why"]
+    assert headings[1:4] == ["## What was known beforehand", "## Which code", "## Why aims are missed"]
     failures = text.split("## Every case")[1]
     assert failures.count("\n| c |") == sum(not c.right for c in CASES)
 
