@@ -1,6 +1,7 @@
 """Whole diagnoses of a driven mass whose truth is known: every kind of verdict, and the JSON form."""
 
 import json
+from dataclasses import replace
 from importlib.resources import files
 
 import jsonschema
@@ -154,6 +155,17 @@ def test_runs_in_which_no_plausible_effect_would_show_are_not_called_complete():
     answer = check(diagnose_subject(plant({}, noise=1e4)))
     assert answer["verdict"]["kind"] == "insufficient"
     assert answer["power"] == {}
+
+
+def test_an_effect_that_would_not_show_even_at_its_bound_is_none_that_would_have_been_seen():
+    subject = plant({})
+    seen = diagnose_subject(subject).diagnosis.power["quadratic"]["square"]
+    (effect,) = (e for e in subject.effects if e.id == "quadratic")
+    (unknown,) = effect.unknowns
+    for upper, shown in ((1.5 * seen, True), (0.6 * seen, False)):
+        narrow = replace(effect, unknowns=(replace(unknown, upper=upper),), trials=({"square": 0.5 * seen},))
+        bounded = replace(subject, effects=tuple(narrow if e is effect else e for e in subject.effects))
+        assert ("quadratic" in diagnose_subject(bounded).diagnosis.power) is shown
 
 
 def test_a_complete_model_says_what_would_have_been_seen():

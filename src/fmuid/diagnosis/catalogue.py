@@ -75,13 +75,14 @@ class Effect:
     usual: bool = True
     variant: bool = False
 
-    def scaled(self, trial: Mapping[str, float], factor: float) -> dict[str, float]:
-        """Return the values of a trial with sizes scaled by `factor` from neutral, clipped to their bounds."""
+    def scaled(self, trial: Mapping[str, float], factor: float, *, clipped: bool = True) -> dict[str, float]:
+        """Return a trial with sizes scaled by `factor` from neutral, by default kept within their bounds."""
         values = {**self.neutral, **trial}
         for u in self.unknowns:
             if u.name in trial and u.name not in self.shapes:
                 neutral = self.neutral[u.name]
-                values[u.name] = float(np.clip(neutral + factor * (trial[u.name] - neutral), u.lower, u.upper))
+                value = neutral + factor * (trial[u.name] - neutral)
+                values[u.name] = float(np.clip(value, u.lower, u.upper)) if clipped else value
         return values
 
 

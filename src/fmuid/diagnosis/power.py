@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,8 +17,8 @@ def smallest_seen(
 ) -> dict[str, dict[str, float]]:
     """Return by effect the parameter values at which its score would reach `threshold`.
 
-    Sizes are scaled linearly from the trial that did best and clipped to their bounds; shapes are the trial's. An
-    effect that would need more than three times the trial is left out.
+    Sizes are scaled linearly from the trial that did best; shapes are the trial's. An effect that would need more
+    than three times the trial, or a size beyond its bounds, is left out.
     """
     by_id = {e.id: e for e in effects}
     found = {}
@@ -26,11 +26,8 @@ def smallest_seen(
         if score.signature is None:
             continue
         factor = float(np.sqrt(threshold)) / score.length
-        if factor <= _PLAUSIBLE:
-            found[score.effect] = _scaled(by_id[score.effect], score.trial, factor)
+        values = by_id[score.effect].scaled(score.trial, factor, clipped=False)
+        own = [u for u in by_id[score.effect].unknowns if u.name in score.trial]
+        if factor <= _PLAUSIBLE and all(u.lower <= values[u.name] <= u.upper for u in own):
+            found[score.effect] = {name: values[name] for name in score.trial}
     return found
-
-
-def _scaled(effect: Effect, trial: Mapping[str, float], factor: float) -> dict[str, float]:
-    values = effect.scaled(trial, factor)
-    return {name: values[name] for name in trial}
