@@ -71,7 +71,7 @@ def designed(what: Campaign, *, evaluations: int = 300) -> ParameterDesign:
 def told(found: ParameterDesign, samples: FloatArray) -> FloatArray:
     """Return the information of one run with these samples, relative to the parameters' values."""
     values = np.array(list(found.values.values()))
-    return found.criterion.told(samples, found.values) * np.outer(values, values)
+    return found.criterion.information(samples, found.values) * np.outer(values, values)
 
 
 def squares(information: FloatArray) -> float:

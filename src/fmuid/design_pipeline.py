@@ -131,7 +131,7 @@ def design_experiment(
             subject = subject_of(loaded, load_simulator, runner=runner, experiments=runs)
             answers = rivals_of(subject, left_open)
             made = design_for_diagnosis(loaded, subject, answers, evaluations=evaluations, seed=seed, say=say)
-            told = _of_diagnosis(made)
+            own = _of_diagnosis(made)
             drawn = made.rivals[:_DRAWN]
             predicted = {_words(r.names): _predicted(made.planned, made.excitation, r.values) for r in drawn}
         else:
@@ -145,9 +145,9 @@ def design_experiment(
                 seed=seed,
                 say=say,
             )
-            told = {"optimality": optimality, **_of_parameters(made)}
+            own = {"optimality": optimality, **_of_parameters(made)}
             predicted = {"at these parameter values": _predicted(made.planned, made.excitation, made.values)}
-    answer = {**_head(loaded, purpose, made.planned, made.excitation), **told}
+    answer = {**_head(loaded, purpose, made.planned, made.excitation), **own}
     designed = _designed(answer, made.planned, made.excitation)
     if out is not None:
         say("drawing", 0.97)

@@ -281,12 +281,16 @@ def _machines(found: Found) -> BetweenMachines | None:
     If no effect is named, for instance because its size differs between machines, the effect that comes closest is
     included, provided that separate values per machine then leave much less of the gap than without it.
     """
-    told = between_machines(found.subject, _into_the_model(found))
-    if told is None or found.surviving or found.best is None or not found.diagnosis.gap.present:
-        return told
+    machines = between_machines(found.subject, _into_the_model(found))
+    if machines is None or found.surviving or found.best is None or not found.diagnosis.gap.present:
+        return machines
     other = between_machines(found.subject, found.best)
-    if other is None or other.gap is None or (told.gap is not None and other.gap >= DECOY_MARGIN * told.gap):
-        return told
+    if (
+        other is None
+        or other.gap is None
+        or (machines.gap is not None and other.gap >= DECOY_MARGIN * machines.gap)
+    ):
+        return machines
     return other
 
 

@@ -12,7 +12,7 @@ import pytest
 from fmuid.core.errors import MeasurementsError
 from fmuid.core.experiments import Measurements
 from fmuid.data import isolated_reader
-from fmuid.data.isolated_reader import read_apart
+from fmuid.data.isolated_reader import read_isolated
 from fmuid.data.measurements import read_measurements
 
 
@@ -45,20 +45,20 @@ def importable(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_file_that_hangs_or_crashes_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(isolated_reader, "_WAITING", 2.0)
     with pytest.raises(MeasurementsError) as error:
-        read_apart(hang, Path("m.h5"), limit=0.5)
+        read_isolated(hang, Path("m.h5"), limit=0.5)
     assert str(error.value) == "m.h5: cannot be read in 0 s; write it again: it may be damaged"
     with pytest.raises(MeasurementsError) as error:
-        read_apart(crash, Path("m.h5"))
+        read_isolated(crash, Path("m.h5"))
     assert str(error.value) == "m.h5: crashes the library that reads it; write it again: it may be damaged"
     with pytest.raises(MeasurementsError) as error:
-        read_apart(refuse, Path("m.h5"))
+        read_isolated(refuse, Path("m.h5"))
     assert str(error.value) == "m.h5: is odd; even it"
 
 
 def test_one_process_serves_all() -> None:
-    first = read_apart(whose, Path("m.h5"))
+    first = read_isolated(whose, Path("m.h5"))
     assert first != os.getpid()
-    assert read_apart(whose, Path("n.h5")) == first
+    assert read_isolated(whose, Path("n.h5")) == first
 
 
 def test_values_stay_read_only(folder: Path, measurements: Measurements) -> None:
@@ -98,4 +98,4 @@ def raises_from_a_library(path: Path) -> None:
 
 def test_an_error_comes_over_without_what_it_came_from(tmp_path: Path) -> None:
     with pytest.raises(MeasurementsError, match=r"cannot be read \(9 is more than 3\)"):
-        read_apart(raises_from_a_library, tmp_path)
+        read_isolated(raises_from_a_library, tmp_path)

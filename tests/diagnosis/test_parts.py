@@ -15,7 +15,7 @@ from fmuid.diagnosis.ports import fit_decoys, harmonics, hats, quantile_knots, r
 from fmuid.diagnosis.projection import project_off
 from fmuid.diagnosis.refit import Unknown, refit
 from fmuid.diagnosis.regimes import Regime, bases, own_bases, trajectories
-from fmuid.diagnosis.scores import alias_classes, nominal_basis, said_once, score_effects, stack
+from fmuid.diagnosis.scores import alias_classes, nominal_basis, score_effects, stack, without_aliases
 from fmuid.simulation.runners import in_process
 
 TIME = np.linspace(0.0, 1.0, 501)
@@ -275,7 +275,7 @@ def test_effects_that_no_data_tell_apart_are_said_once_by_the_more_usual_and_sim
         effect("bent"),
     ]
     fit = refit(predict, observed, [Unknown("k", 1.0, -9.0, 9.0, 0.01)])
-    scores = said_once(predict, observed, fit, effects, score_effects(predict, observed, fit, effects))
+    scores = without_aliases(predict, observed, fit, effects, score_effects(predict, observed, fit, effects))
     assert {s.effect: [t.effect for t in s.same] for s in scores} == {
         "plain": ["two", "odd"],
         "apart": [],

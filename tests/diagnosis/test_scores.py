@@ -9,7 +9,7 @@ from fmuid.core.errors import SimulationError
 from fmuid.diagnosis import scores
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.refit import Refit, Unknown
-from fmuid.diagnosis.scores import Score, nominal_basis, said_once, score_effects, stack
+from fmuid.diagnosis.scores import Score, nominal_basis, score_effects, stack, without_aliases
 
 
 class Identity:
@@ -191,7 +191,7 @@ def grouped(effects, scores, predict=None):
     def straight(points):
         return [[sum((size * linear[n] for n, size in p.items() if n in linear), np.zeros(3))] for p in points]
 
-    said = said_once(predict or straight, PLAIN, ZERO, effects, scores)
+    said = without_aliases(predict or straight, PLAIN, ZERO, effects, scores)
     return {s.effect: [t.effect for t in s.same] for s in said}
 
 

@@ -60,7 +60,7 @@ _lock = threading.Lock()
 _reader: _Reader | None = None
 
 
-def read_apart(read: Callable[[Path], _T], path: Path, *, limit: float | None = None) -> _T:
+def read_isolated(read: Callable[[Path], _T], path: Path, *, limit: float | None = None) -> _T:
     """Return ``read(path)``, computed in another process; `read` must be a module-level function.
 
     Raises

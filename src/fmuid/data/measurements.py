@@ -13,7 +13,7 @@ from fmuid.core.errors import MeasurementsError
 from fmuid.core.experiments import Causality, Experiment, Measurements, Signal
 from fmuid.core.immutable import FloatArray
 from fmuid.data import hdf5
-from fmuid.data.isolated_reader import read_apart
+from fmuid.data.isolated_reader import read_isolated
 
 FORMAT = "fmuid-campaign"
 VERSION = 1
@@ -42,7 +42,7 @@ def read_measurements(path: str | Path, *, fix_missing: str | None = None) -> Me
     path = Path(path)
     if fix_missing is not None and not path.exists():
         raise _Error("no such file", where=path, fix=fix_missing)
-    found = read_apart(_read, path)
+    found = read_isolated(_read, path)
     for experiment in found:
         for values in (experiment.time, *(s.values for s in experiment.signals.values())):
             values.flags.writeable = False  # not preserved by pickle

@@ -128,8 +128,8 @@ def design_for_parameters(
         cases = solver_accuracy(cases, fixed, starts, runner).applied(cases)
         model = replace(model, cases=cases)
         template = next((c for c in cases if c.setup == setup), template)
-    told, noise = _recorded(model, unknowns, values)
-    known = sum(told.values(), _beforehand(campaign, unknowns))
+    information, noise = _recorded(model, unknowns, values)
+    known = sum(information.values(), _beforehand(campaign, unknowns))
     planned = planned_run(campaign, model, template, noise.get(_kind(template)))
     families = shapes(campaign.design, [d.bounds for d in planned.driven], seed=seed)
     planned = planned.solved_well_enough(families, [values])
@@ -145,11 +145,11 @@ def design_for_parameters(
     names, sizes = [u.name for u in unknowns], _sizes(unknowns)
     errors = [
         dict(zip(names, _errors(m, sizes), strict=True))
-        for m in (known, known + criterion.told(found.samples, values))
+        for m in (known, known + criterion.information(found.samples, values))
     ]
     # One more run like a recorded one, made as often as the designed one will be.
     again = {
-        c.id: known + campaign.design.repeats * told[c.id] / len(c.channels[0].repeats)
+        c.id: known + campaign.design.repeats * information[c.id] / len(c.channels[0].repeats)
         for c in cases
         if c.setup == setup
     }
@@ -183,16 +183,16 @@ class Information:
             violation, worst = self.planned.violation(model, self.draws, predicted(model, self.draws))
             if violation > 0.0:
                 return Judged(np.inf, violation, worst)
-            told = self._told(model, self.draws)
+            information = self._information(model, self.draws)
         except SimulationError:
             return Judged(np.inf, np.inf)
-        return Judged(float(np.mean([self.cost_of(self.known + m) for m in told])))
+        return Judged(float(np.mean([self.cost_of(self.known + m) for m in information])))
 
-    def told(self, samples: FloatArray, values: Mapping[str, float]) -> FloatArray:
+    def information(self, samples: FloatArray, values: Mapping[str, float]) -> FloatArray:
         """Return the (P, P) information of the run at some values, in the parameters' units."""
-        return self._told(self.planned.under(samples), [values])[0]
+        return self._information(self.planned.under(samples), [values])[0]
 
-    def _told(self, model: CampaignModel, points: Sequence[Mapping[str, float]]) -> list[FloatArray]:
+    def _information(self, model: CampaignModel, points: Sequence[Mapping[str, float]]) -> list[FloatArray]:
         found = []
         for here in linear_at(model, points, [self.unknowns] * len(points)):
             jacobian = np.stack([self.planned.whiten(here.slopes[u.name][0]) for u in self.unknowns], axis=1)
@@ -267,7 +267,7 @@ def _recorded(
     model: CampaignModel, unknowns: Sequence[Unknown], values: Mapping[str, float]
 ) -> tuple[dict[str, FloatArray], dict[tuple[object, ...], SetupNoise]]:
     """Return the (P, P) information of every recorded run, by id, and the noise of every kind of run."""
-    told, noise = dict[str, FloatArray](), dict[tuple[object, ...], SetupNoise]()
+    information, noise = dict[str, FloatArray](), dict[tuple[object, ...], SetupNoise]()
     for kind in dict.fromkeys(map(_kind, model.cases)):
         own = replace(model, cases=tuple(c for c in model.cases if _kind(c) == kind))
         noise[kind] = estimate_noise(own.runs)
@@ -276,8 +276,8 @@ def _recorded(
         columns = [observed.whiten(here.slopes[u.name]) for u in unknowns]
         for e, case in enumerate(own.cases):
             jacobian = np.stack([column[e] for column in columns], axis=1)
-            told[case.id] = observed.repeats[e] * jacobian.T @ jacobian
-    return told, noise
+            information[case.id] = observed.repeats[e] * jacobian.T @ jacobian
+    return information, noise
 
 
 def _sizes(unknowns: Sequence[Unknown]) -> FloatArray:

@@ -14,7 +14,7 @@ from fmuid.diagnosis.cross_validation import HeldOut, leave_each_out
 from fmuid.diagnosis.observed import gap
 from fmuid.diagnosis.projection import project_off
 from fmuid.diagnosis.refit import Refit, refit
-from fmuid.diagnosis.scores import Score, nominal_basis, said_once, score_effects, stack
+from fmuid.diagnosis.scores import Score, nominal_basis, score_effects, stack, without_aliases
 from fmuid.diagnosis.standard_errors import standard_errors
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Estimate
@@ -89,7 +89,9 @@ def score_further(
         promised = {s.effect: _promise(s, basis, residual) for s in likely}
         others = sorted(others, key=lambda e: -promised.get(e.id, 0.0))[:most]
     scores = score_effects(subject.model.predict, subject.observed, fitted.fit, others)
-    return scores if likely else said_once(subject.model.predict, subject.observed, fitted.fit, others, scores)
+    return (
+        scores if likely else without_aliases(subject.model.predict, subject.observed, fitted.fit, others, scores)
+    )
 
 
 def _promise(score: Score, basis: FloatArray, residual: FloatArray) -> float:

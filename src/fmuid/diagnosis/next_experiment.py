@@ -44,8 +44,9 @@ class Rival:
 
     Attributes
     ----------
-    told
-        (P, P) triangular factor of the available information: a change d of the parameters costs ``|told d|^2``.
+    information
+        (P, P) triangular factor of the available information: a change d of the parameters costs
+        ``|information d|^2``.
     draws
         Plausible parameter values, the estimate first.
     residual
@@ -56,7 +57,7 @@ class Rival:
 
     names: tuple[str, ...]
     unknowns: tuple[Unknown, ...]
-    told: FloatArray
+    information: FloatArray
     draws: tuple[Mapping[str, float], ...]
     residual: FloatArray
     left: float
@@ -75,14 +76,14 @@ def rival_of(fitted: Fitted, observed: Observed, *, draws: int = 1, seed: int = 
     loose = [_UNBOUNDED * max(abs(x), u.step) for x, u in zip(here.tolist(), unknowns, strict=True)]
     wide = np.minimum(np.minimum(width, loose), [u.sd for u in unknowns])
     rows = np.vstack([stack(fit.jacobian, observed), np.diag(1.0 / wide)])
-    told = np.asarray(np.linalg.qr(rows * wide, mode="r") / wide)
+    information = np.asarray(np.linalg.qr(rows * wide, mode="r") / wide)
     lower, upper = np.array([u.lower for u in unknowns]), np.array([u.upper for u in unknowns])
     errors = np.random.default_rng(seed).standard_normal((draws - 1, len(here)))
-    points = [here, *(here + wide * np.linalg.solve(told * wide, e) for e in errors)]
+    points = [here, *(here + wide * np.linalg.solve(information * wide, e) for e in errors)]
     names = [u.name for u in unknowns]
     drawn = tuple(dict(zip(names, np.clip(x, lower, upper).tolist(), strict=True)) for x in points)
     left = float(np.mean(observed.repeats)) * fitted.gap**2
-    return Rival(fitted.names, unknowns, told, drawn, stack(fit.residuals, observed), left)
+    return Rival(fitted.names, unknowns, information, drawn, stack(fit.residuals, observed), left)
 
 
 def separations(apart: FloatArray, rivals: Sequence[Rival]) -> FloatArray:
@@ -149,7 +150,9 @@ def distance_matrix(
             axis=1,
         )
         columns = [whiten(here.slopes[u.name]) for u in wrong.unknowns]
-        bent = np.vstack([np.stack(columns, axis=1) if columns else np.zeros((len(differences), 0)), wrong.told])
+        bent = np.vstack(
+            [np.stack(columns, axis=1) if columns else np.zeros((len(differences), 0)), wrong.information]
+        )
         size = np.linalg.norm(bent, axis=0)
         basis, _ = np.linalg.qr(bent / np.where(size > 0.0, size, 1.0))
         whole = np.vstack([differences, np.zeros((len(bent) - len(differences), differences.shape[1]))])
@@ -216,9 +219,9 @@ def sensor_to_add(subject: Subject, alike: Sequence[Fitted], *, beyond: float = 
 
 def _new(apart: FloatArray, rivals: Sequence[Rival]) -> float:
     """Return the smaller separation of two rivals; 0 if a further run adds only chance."""
-    told = min(apart[0, 1], apart[1, 0]) > 2.0 * _NINE_OF_TEN
+    distinct = min(apart[0, 1], apart[1, 0]) > 2.0 * _NINE_OF_TEN
     found = separations(apart, rivals)
-    return float(min(found[0, 1], found[1, 0])) if told else 0.0
+    return float(min(found[0, 1], found[1, 0])) if distinct else 0.0
 
 
 def _is_new(case: Case, variable: str) -> bool:

@@ -108,7 +108,7 @@ def _scored(
         yield Score(effect.id, trial, drop, amount / length, per_run, signature, moved, length)
 
 
-def said_once(
+def without_aliases(
     predict: Predict, observed: Observed, base: Refit, effects: Sequence[Effect], scores: Sequence[Score]
 ) -> tuple[Score, ...]:
     """Return the scores without indistinguishable effects, which move to `same` of the effect that remains.

@@ -77,10 +77,12 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     if verdict["kind"] == "insufficient":
         found.append(Fact("What to do", _more_data(diagnosis)))
     meant = {e["id"]: e.get("description", "") for e in diagnosis["effects"]}
-    said = [n for n in named(verdict) if meant.get(n)]
-    if said:
-        names = [f"{in_words(n)}: " if len(said) > 1 else "" for n in said]
-        found.append(Fact("In words", "; ".join(n + _lowered(meant[i]) for n, i in zip(names, said, strict=True))))
+    described = [n for n in named(verdict) if meant.get(n)]
+    if described:
+        names = [f"{in_words(n)}: " if len(described) > 1 else "" for n in described]
+        found.append(
+            Fact("In words", "; ".join(n + _lowered(meant[i]) for n, i in zip(names, described, strict=True)))
+        )
     where = sorted(diagnosis["where"], key=lambda w: -w["share"])
     if where and gap["present"]:
         top = where[0]
@@ -88,7 +90,7 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
         found.append(Fact("Where most of it lies", f"{place} ({100 * top['share']:.0f} %)"))
     p_value = "p < 0.001" if gap["p_value"] < 1e-3 else f"p = {gap['p_value']:.2g}"
     found.append(Fact("Is there a gap", f"{_gap_text(gap)} ({p_value})"))
-    corrected = f" → {gap['corrected']:.3g} corrected" if said or named(verdict) else ""
+    corrected = f" → {gap['corrected']:.3g} corrected" if named(verdict) else ""
     sizes = f"{gap['nominal']:.3g} → {gap['nominal_refit']:.3g} refitted{corrected}"
     found.append(Fact("Gap, in noise floors", sizes))
     for answer in diagnosis["answers"] if named(verdict) else ():
@@ -109,7 +111,7 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
 def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
     """Return the verdict in one to three sentences."""
     verdict = diagnosis["verdict"]
-    said = [f"{verdict_text(diagnosis)}."]
+    lines = [f"{verdict_text(diagnosis)}."]
     best = next((a for a in diagnosis["answers"] if a.get("closure")), None)
     if named(verdict) and best is not None:
         closure = best["closure"]
@@ -117,23 +119,23 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
         with_what = "With it" if len(best["effects"]) == 1 else "With them"
         if verdict["kind"] == "ambiguous":
             with_what = f"With {_listed(best['effects'], 'and')}"
-        said.append(
+        lines.append(
             f"{with_what}, {closure['held_out']:.2f} of the gap is gone on runs that were not used"
             f" ({low:.2f} to {high:.2f})."
         )
     if verdict.get("rest"):
-        said.append(f"What is left: {_rest_text(verdict['rest'])}.")
+        lines.append(f"What is left: {_rest_text(verdict['rest'])}.")
     if verdict["kind"] == "insufficient":
-        said.append(f"{_more_data(diagnosis).capitalize()}.")
+        lines.append(f"{_more_data(diagnosis).capitalize()}.")
     law = diagnosis.get("law_found") or {}
     if law.get("formula"):
         low, high = law["closure"]["interval"]
-        said.append(
+        lines.append(
             f"A law found at {law['port']}{_beside(law)} explains it: a flow of {law['formula']}. With it,"
             f" {law['closure']['held_out']:.2f} of the gap is gone on runs that were not used"
             f" ({low:.2f} to {high:.2f})."
         )
-    return said
+    return lines
 
 
 def named(verdict: Mapping[str, Any]) -> list[str]:

@@ -227,7 +227,7 @@ def _chosen(
     answer: Mapping[str, Any], campaign: Campaign, experiments: Sequence[str]
 ) -> tuple[tuple[Experiment, ...], tuple[str, ...] | None]:
     """Return the runs to validate on, and which of them the diagnosis was made from; None if it does not say."""
-    told = "experiments" in answer
+    hashed = "experiments" in answer
     seen = {recording["sha256"] for recording in answer.get("experiments", ())}
     if experiments:
         named = {e.id: e.origin for e in experiments_of(campaign, experiments, where="--experiment")}
@@ -236,9 +236,9 @@ def _chosen(
             for e in campaign.measurements
             if e.id in named or (e.origin in named.values() and e.digest not in seen)
         )
-        return chosen, tuple(e.id for e in chosen if e.digest in seen) if told else None
+        return chosen, tuple(e.id for e in chosen if e.digest in seen) if hashed else None
     fix = "record other runs, or name runs with --experiment"
-    if not campaign.validation and not told:
+    if not campaign.validation and not hashed:
         raise FmuidError(
             "the diagnosis does not say which runs it was made from",
             where=campaign.name,
@@ -249,7 +249,7 @@ def _chosen(
     if not chosen:
         kept = "run that is kept for validation" if campaign.validation else "run"
         raise FmuidError(f"every {kept} was used for the diagnosis", where=campaign.name, fix=fix)
-    return chosen, () if told else None
+    return chosen, () if hashed else None
 
 
 def _rmse(prediction: FloatArray, measured: FloatArray) -> float:

@@ -100,7 +100,7 @@ def find_law(
             best, reason = search.best(say)
             if best is not None and not reason:
                 best = search.named(search.pruned(best))
-                return Discovery(search.told(best, seed), best)
+                return Discovery(search.described(best, seed), best)
         except UserError as error:  # a model that cannot be built or simulated yields no law
             reason = str(error)
         reasons.append(reason if not base.effects else f"beside {base.id}, {reason}")
@@ -238,13 +238,13 @@ class _Search:
         gained, error = advantage(law.fitted.held_out, base.held_out)
         weak = self.finished(law) and closed >= decide.CLOSURE_THAT_NAMES
         formula = law.law.formula(law.fitted.fit.values)
-        said = f"the best law, {formula}, closes {closed:.2f} of the gap on experiments left out"
+        text = f"the best law, {formula}, closes {closed:.2f} of the gap on experiments left out"
         if gained <= error or (closed < CLOSURE_THAT_HOLDS and not weak):
-            return f"{said}, too little (it takes {CLOSURE_THAT_HOLDS:g})"
+            return f"{text}, too little (it takes {CLOSURE_THAT_HOLDS:g})"
         decoy = min(self.found.decoys, key=lambda d: d.held_out.mean, default=None)
         if decoy is not None and not self.finished(law) and self._beaten(law, decoy):
             free = closure(base.held_out, decoy.held_out)
-            return f"{said}, but a free function of {decoy.over} at {decoy.port} closes {free:.2f}"
+            return f"{text}, but a free function of {decoy.over} at {decoy.port} closes {free:.2f}"
         return ""
 
     def _beaten(self, law: Candidate, decoy: Decoy) -> bool:
@@ -275,15 +275,15 @@ class _Search:
         after = final.effect("", "").unknowns
         new = {old: u.name for old, u in zip(before, after, strict=True)}
         found = {new.get(n, n): v for n, v in values.items()}
-        said = f"law found at {spot.port.name}: a flow of {final.formula(found)}"
-        effect = final.effect(f"{name}_found@{spot.port.name}", said, found)
+        text = f"law found at {spot.port.name}: a flow of {final.formula(found)}"
+        effect = final.effect(f"{name}_found@{spot.port.name}", text, found)
         unknowns = tuple(replace(u, name=new.get(u.name, u.name)) for u in law.fitted.fit.unknowns)
         fit = replace(law.fitted.fit, unknowns=unknowns, values=found)
         fitted = replace(law.fitted, effects=(*law.fitted.effects[:-1], effect.id), fit=fit)
         subject = with_laws(self.found.subject, self.models, self.load, [effect], law.fitted.effects[:-1])
         return Candidate(final, effect, subject, fitted)
 
-    def told(self, law: Candidate, seed: int) -> LawFound:
+    def described(self, law: Candidate, seed: int) -> LawFound:
         """Return a law in words and numbers."""
         nominal, fitted, law_ = self.found.nominal, law.fitted, law.law
         null = self.noise.null(nominal_basis(nominal.fit, self.found.subject.observed), ())

@@ -75,15 +75,15 @@ class Law:
 
     def formula(self, values: Mapping[str, float]) -> str:
         """Return the law with numbers and units."""
-        flow, said = self.spot.port.units[1], ""
+        flow, text = self.spot.port.units[1], ""
         for k, (size, term) in enumerate(zip(self.sizes, self.terms, strict=True)):
             numbers = {n: f"{values[name]:.4g} {term.shapes[n].unit}" for n, name in self.shapes(k).items()}
             own = f"{abs(values[size]):.4g} {flow} * {_put_in(term.text, numbers)}"
             sign = "-" if values[size] < 0.0 else "+"
-            said += f" {sign} {own}" if said else own if sign == "+" else f"-{own}"
+            text += f" {sign} {own}" if text else own if sign == "+" else f"-{own}"
             if term.rate:
-                said += f" where der({HIDDEN}) = {_put_in(term.rate, numbers)}"
-        return said
+                text += f" where der({HIDDEN}) = {_put_in(term.rate, numbers)}"
+        return text
 
     def _meant(self, k: int) -> dict[str, str]:
         return {**self.shapes(k), HIDDEN: self.state(k)}

@@ -42,7 +42,7 @@ from fmuid.core.files import make_folder
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.core.journal import Journal, check_resumable, records
 from fmuid.data import hdf5
-from fmuid.data.isolated_reader import read_apart
+from fmuid.data.isolated_reader import read_isolated
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.recorded_rows import Row, Rows
@@ -282,7 +282,7 @@ def read_run(path: str | Path) -> RecordedRun:
     if path.is_dir() and (path / JOURNAL).exists():
         return _read_journal(path / JOURNAL)[0]
     try:
-        return read_apart(_read, path / FILE if path.is_dir() else path)
+        return read_isolated(_read, path / FILE if path.is_dir() else path)
     except MeasurementsError as error:
         raise HistoryError(error.what, where=error.where, fix=error.fix) from None
 

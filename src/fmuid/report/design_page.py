@@ -73,7 +73,7 @@ def write_design_page(
         tuple(Fact(*fact) for fact in answer["facts"]),
         (
             Section("The run", tuple(figures), answer["text"]),
-            Section("Expected information", (_told(answer),)),
+            Section("Expected information", (_expected(answer),)),
             Section("Provenance", (provenance_table(provenance),)),
         ),
     )
@@ -103,7 +103,7 @@ def _panel(signal: PlannedSignal) -> Panel:
     return Panel(signal.name, TIME, Axis(signal.name, signal.unit), tuple(series))
 
 
-def _told(answer: Mapping[str, Any]) -> Table:
+def _expected(answer: Mapping[str, Any]) -> Table:
     if answer["purpose"] == "parameters":
         rows = tuple(
             (name, entry["value"], _percent(entry["before"]), _percent(entry["after"]))

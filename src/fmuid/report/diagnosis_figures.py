@@ -210,7 +210,7 @@ def missing_figure(missing: Sequence[MissingQuantity]) -> LineFigure | None:
 
 def effects_figure(diagnosis: Mapping[str, Any], most: int = 12) -> BarFigure | None:
     """Return the answers, then the other effects, with held-out closure and its interval."""
-    said = named(diagnosis["verdict"])
+    answer_names = named(diagnosis["verdict"])
     entries = {" + ".join(a["effects"]): a for a in diagnosis["answers"] if a.get("closure")}
     shown = {n for a in diagnosis["answers"] for n in a["effects"]}
     others = (e for e in ranked(diagnosis["effects"]) if e["id"] not in shown and e.get("closure"))
@@ -221,7 +221,9 @@ def effects_figure(diagnosis: Mapping[str, Any], most: int = 12) -> BarFigure | 
         bars[name] = Bar(
             name,
             entry["closure"]["held_out"],
-            "final" if said and set(entry.get("effects", ())) <= {*said} and "effects" in entry else "floor",
+            "final"
+            if answer_names and set(entry.get("effects", ())) <= {*answer_names} and "effects" in entry
+            else "floor",
             None if interval is None else (interval[0], interval[1]),
             f"probability {entry['probability']:.2g}",
         )

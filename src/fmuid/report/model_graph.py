@@ -87,8 +87,8 @@ def drawing(graph: ModelGraph, ports: Collection[str]) -> Drawing | None:
         f'aria-label="components of the model">{"".join(lines)}{"".join(boxes)}</svg>'
     )
     names = ", ".join(sorted(marked))
-    said = f" Framed: where the gap enters ({names})." if marked else ""
-    return Drawing("model", "The model", svg, f"Components of the model and what connects them.{said}")
+    note = f" Framed: where the gap enters ({names})." if marked else ""
+    return Drawing("model", "The model", svg, f"Components of the model and what connects them.{note}")
 
 
 def _parts_of(names: Iterable[str], parts: Collection[str]) -> list[str]:

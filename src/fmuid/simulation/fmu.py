@@ -376,10 +376,10 @@ class Fmu:
             what = f"output '{prepared.task.outputs[plan.column]}' is not finite {at}"
         else:
             what = f"{_REASONS[outcome]} {at}"
-        said = library.log.read()
+        logged = library.log.read()
         given = in_words(dict(zip(prepared.names, prepared.values.tolist(), strict=True)))
         return SimulationError(
-            what + (f": {said}" if said else "") + (f" (with {given})" if given else ""), where=self.path.name
+            what + (f": {logged}" if logged else "") + (f" (with {given})" if given else ""), where=self.path.name
         )
 
     def discard(self, fatal: bool = False) -> None:

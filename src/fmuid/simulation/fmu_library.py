@@ -212,9 +212,9 @@ class FmuLibrary:
         call: Callable[..., int | None] = CFUNCTYPE(c_void_p, *(kind for kind, _ in arguments))(address)
         instance = call(*(value for _, value in arguments))
         if not instance:
-            said = self.log.read()
+            logged = self.log.read()
             raise FmuError(
-                f"cannot be instantiated{': ' + said if said else ' and gives no reason'}",
+                f"cannot be instantiated{': ' + logged if logged else ' and gives no reason'}",
                 where=self.where,
                 fix="check whether its tool or FMPy can run it",
             )

@@ -44,13 +44,13 @@ def one_by_one(runner: Runner, heard: Heard) -> Runner:
     """Return a runner that passes jobs to `runner` one by one and calls `heard` after each."""
 
     def run(jobs: Sequence[Job]) -> list[Outcome]:
-        tell = told_after(runner, heard)
+        tell = reporting_after(runner, heard)
         return [outcome for job in jobs for outcome in tell([job])]
 
     return run
 
 
-def told_after(runner: Runner, heard: Heard) -> Runner:
+def reporting_after(runner: Runner, heard: Heard) -> Runner:
     """Return a runner that calls `heard` for every job once `runner` has finished the whole batch."""
 
     def run(jobs: Sequence[Job]) -> list[Outcome]:

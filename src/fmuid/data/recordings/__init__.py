@@ -12,7 +12,7 @@ from pathlib import Path
 
 from fmuid.core.errors import MeasurementsError
 from fmuid.data.crosscheck_csv import read_csv
-from fmuid.data.isolated_reader import read_apart
+from fmuid.data.isolated_reader import read_isolated
 from fmuid.data.recordings.recording import Recording
 
 __all__ = ["Recording", "read_recording"]
@@ -62,5 +62,5 @@ def read_recording(path: str | Path, names: Collection[str] = (), columns: Seque
         table = read_csv(path, columns)
         found = Recording((table,), notes=table.notes)
     else:
-        found = read_apart(importlib.import_module(f"fmuid.data.recordings.{module}").read, path)
+        found = read_isolated(importlib.import_module(f"fmuid.data.recordings.{module}").read, path)
     return found.only(names, path)

@@ -323,8 +323,8 @@ def _case(
     if not specs:
         raise ProblemError("no criterion applies to its measured outputs", where=where, fix="add a criterion")
     # Without criteria, a sensor is as the stages define it, the last stage first.
-    told = specs if criteria else [s for stage in campaign.stages.values() for s in stage.criteria]
-    sensors = _sensors([s for s in told if s.signal in first.outputs], campaign.parameters, where)
+    relevant = specs if criteria else [s for stage in campaign.stages.values() for s in stage.criteria]
+    sensors = _sensors([s for s in relevant if s.signal in first.outputs], campaign.parameters, where)
     specs = [_without_sensor(spec) for spec in specs]
     channels = [
         _channel(campaign, group, simulator, name=name, sensor=sensors.get(name, {}), known=known_until)

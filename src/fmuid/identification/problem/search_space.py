@@ -239,8 +239,8 @@ def expanded(
             free_specs += [replace(s, start=best.get(s.name, s.start)) for s in own or [spec]]
             least |= dict.fromkeys((s.name for s in own or [spec]), _reference(spec))
         else:
-            told = {**spec.values, **best}
-            fixed |= {s.name: told[s.name] for s in own if s.name in told}
+            known = {**spec.values, **best}
+            fixed |= {s.name: known[s.name] for s in own if s.name in known}
     parsed = {name: parse(text, where=f"tie of '{name}'") for name, text in ties.items()}
     parsed |= _of_owners(by_name, parsed, owners)
     for leader in {n for e in parsed.values() for n in e.names} - parsed.keys() - {s.name for s in free_specs}:

@@ -12,7 +12,7 @@ from fmuid.core.errors import ProblemError
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
-from fmuid.identification.solvers.parallel_searches import Abreast
+from fmuid.identification.solvers.parallel_searches import ParallelSearches
 from fmuid.identification.solvers.search import Outcome, Search, Solver, Start, Status, StopSearch
 
 
@@ -101,7 +101,7 @@ class MultiStart:
     def solve(self, search: Search, start: FloatArray) -> Outcome:
         """See `Solver.solve`."""
         points = self.points(search, start)
-        abreast = Abreast(search, [partial(self.solver.solve, start=point) for point in points])
+        abreast = ParallelSearches(search, [partial(self.solver.solve, start=point) for point in points])
         try:
             abreast.run()
         finally:

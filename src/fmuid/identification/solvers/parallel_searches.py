@@ -81,7 +81,7 @@ class _Strand:
         self._wishes.put(None)
 
 
-class Abreast:
+class ParallelSearches:
     """Parallel searches that share the evaluations of `trunk`.
 
     Parameters

@@ -54,13 +54,13 @@ def coupling_of(table: CoupledTable, folder: Path, where: str) -> Coupling | Non
         raise CampaignError(
             what, where=where, fix='write fmu = "file", source = "file.mo", or fmus = { name = "file", ... }'
         )
-    said = _said(table)
+    options = _options(table)
     if table.connections and not table.fmus:
         raise CampaignError("has connections but only one FMU", where=where, fix="name several FMUs in 'fmus'")
     if not table.fmus and Path(table.fmu).suffix != ".ssp":
-        if said or table.main:
+        if options or table.main:
             raise CampaignError(
-                f"'{next(iter(said), 'main')}' applies to coupled FMUs only",
+                f"'{next(iter(options), 'main')}' applies to coupled FMUs only",
                 where=where,
                 fix="leave it out for one FMU",
             )
@@ -70,7 +70,7 @@ def coupling_of(table: CoupledTable, folder: Path, where: str) -> Coupling | Non
             raise CampaignError(f"fmus: '{name}' is not a valid name", where=where, fix="use a name without dots")
     connections = dict(_connections(table.connections, "", f"{where} connections"))
     files = {name: folder / file for name, file in table.fmus.items()}
-    return Coupling(_master(said, where), files, connections, table.main)
+    return Coupling(_master(options, where), files, connections, table.main)
 
 
 def master_of(texts: Sequence[str], where: str) -> Master:
@@ -90,24 +90,24 @@ def master_of(texts: Sequence[str], where: str) -> Master:
             words[name] = json.loads(value)
         except ValueError:
             words[name] = value
-    return _master(_said(convert(words, CoupledTable, where)), where)
+    return _master(_options(convert(words, CoupledTable, where)), where)
 
 
-def _said(table: CoupledTable) -> dict[str, Any]:
+def _options(table: CoupledTable) -> dict[str, Any]:
     return {name: getattr(table, name) for name in _MASTER if getattr(table, name) is not None}
 
 
-def _master(said: Mapping[str, Any], where: str) -> Master:
+def _master(options: Mapping[str, Any], where: str) -> Master:
     for name in ("step", "loop_tolerance", "loop_iterations"):
-        if name in said and not finite(name, said[name], where) > 0:
-            raise CampaignError(f"'{name}' is {said[name]:g}", where=where, fix="write a positive number")
-    chosen = said.get("extrapolation", "constant")
+        if name in options and not finite(name, options[name], where) > 0:
+            raise CampaignError(f"'{name}' is {options[name]:g}", where=where, fix="write a positive number")
+    chosen = options.get("extrapolation", "constant")
     for choice in [chosen] if isinstance(chosen, str) else chosen.values():
         if choice not in _EXTRAPOLATIONS:
             raise CampaignError(
                 f"'extrapolation' is '{choice}'", where=where, fix=suggestion(choice, _EXTRAPOLATIONS)
             )
-    return Master(**said)
+    return Master(**options)
 
 
 def _connections(table: Mapping[str, Any], prefix: str, where: str) -> Iterator[tuple[str, tuple[str, Linear]]]:

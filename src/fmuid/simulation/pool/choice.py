@@ -11,7 +11,7 @@ from typing import Any
 from fmuid.core.errors import FmuidError
 from fmuid.simulation.pool.worker_supervision import leave_if_starting
 from fmuid.simulation.pool.workers import WorkerPool
-from fmuid.simulation.runners import Heard, Runner, in_process, one_by_one, told_after
+from fmuid.simulation.runners import Heard, Runner, in_process, one_by_one, reporting_after
 
 
 @contextmanager
@@ -40,7 +40,7 @@ def runner_on(
         from fmuid.simulation.pool.remote import on_executor
 
         runner = on_executor(executor, **limits)
-        yield runner if heard is None else told_after(runner, heard)
+        yield runner if heard is None else reporting_after(runner, heard)
     elif workers != 0:
         with WorkerPool(workers, **limits) as pool:
             yield partial(pool.run, heard=heard)
