@@ -12,7 +12,7 @@ import pytest
 from scipy.io import savemat
 
 from fmuid.campaigns.campaign_toml import load_campaign
-from fmuid.campaigns.first_choice import independent_columns
+from fmuid.campaigns.first_choice import independent_columns, is_drawn
 from fmuid.campaigns.new_campaign import match_columns
 from fmuid.cli.app import run
 from fmuid.core.experiments import Measurements
@@ -256,6 +256,14 @@ def test_what_a_drawing_tells_is_fixed_where_it_is_redundant():
     assert independent_columns(columns | {"radius": radius}, last={"radius"}) == ["mass", "friction", "radius"]
     many = {f"p{k}": column for k, column in enumerate(np.eye(12))}
     assert len(independent_columns(many)) == 12
+
+
+def test_a_drawing_tells_dimensions_and_ratios_but_not_losses():
+    def tells(name, unit=None):
+        return is_drawn(Variable(name, "parameter", unit=unit, start=1.0))
+
+    assert [tells("gear.ratio"), tells("pipe.d", "mm"), tells("tank.A", "m2")] == [True] * 3
+    assert [tells("gear.lossTable[1,2]"), tells("load.J", "kg.m2"), tells("damper.d", "N.m.s/rad")] == [False] * 3
 
 
 def test_a_unit_that_two_columns_have_does_not_say_which_one_is_meant():

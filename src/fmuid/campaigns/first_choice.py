@@ -86,7 +86,7 @@ def first_choice(
             effects[candidate.name] = np.concatenate([one.effect(candidate).ravel() for one in seen])
         except FmuidError:
             continue  # a structural or otherwise delicate parameter, unsuitable for a start
-    drawn = {v.name for v in tried if _is_drawn(v)}
+    drawn = {v.name for v in tried if is_drawn(v)}
     names = independent_columns(effects, last=drawn)
     free = tuple(model.variables[n] for n in names)
     held: dict[str, list[Variable]] = {r: [] for r in (EXPLAINED, CONSTRUCTION, NO_EFFECT, NOT_TRIED, FROM_ZERO)}
@@ -138,8 +138,13 @@ def runs_away(model: Simulator, runs: Sequence[Experiment], mapping: Mapping[str
     return found if found is not None and found.runs_away else None
 
 
-def _is_drawn(parameter: Variable) -> bool:
-    """Return whether a parameter is a length, an area, a volume, an angle or a plain number."""
+def is_drawn(parameter: Variable) -> bool:
+    """Return whether a parameter is a length, an area, a volume, an angle or a plain number.
+
+    Elements of tables, such as the efficiencies in a gear's loss table, are none of these.
+    """
+    if "," in parameter.name:
+        return False
     return parameter.unit is None or any(convertible(parameter.unit, unit) for unit in _DRAWN)
 
 
