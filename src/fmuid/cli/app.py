@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import warnings
 from collections.abc import Sequence
@@ -73,7 +74,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except UserError as error:
         return _complain(str(error))
     except typer.TyperException as error:  # unknown option, missing argument, value of the wrong type
-        return _complain(error.format_message().rstrip(".").replace("Value error, ", "") + "; see fmuid --help")
+        return _complain(_plain(error.format_message().rstrip(".")) + "; see fmuid --help")
     except (typer.Abort, KeyboardInterrupt):
         return _complain("interrupted", INTERRUPTED)
     except BrokenPipeError:  # the reader (head, less) has seen enough
@@ -101,6 +102,13 @@ def no_escapes_without_colour() -> None:
 def warn_in_one_line() -> None:
     """Have warnings look like errors do."""
     warnings.formatwarning = _warning
+
+
+def _plain(message: str) -> str:
+    """Return a message of Typer's with its names of types in plain English."""
+    for name, words in (("int", "whole number"), ("float", "number")):
+        message = re.sub(rf"a valid {name}( range)?\b", f"a {words}", message)
+    return message
 
 
 def _warning(message: Warning | str, *_where: object, **_line: object) -> str:
