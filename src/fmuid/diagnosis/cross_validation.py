@@ -20,7 +20,7 @@ from fmuid.diagnosis.projection import orthonormal, project_off
 from fmuid.diagnosis.refit import Refit
 
 _PRIOR_STEPS = 1e3  # a parameter that the remaining experiments cannot see moves by no more than about this
-_ALIKE = 1e-13  # of columns that differ only by rounding; a ridge is lost beside large columns
+_ALIKE = 3e-7  # of columns that differ only by rounding; a ridge is lost beside large columns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,28 +63,29 @@ def leave_each_out(fit: Refit, observed: Observed) -> HeldOut:
     parts = [fit.jacobian[e][rows][:, inside] * steps[inside] for e, rows in observed.folds]
     residuals = [fit.residuals[e][rows] for e, rows in observed.folds]
     repeats = [observed.repeats[e] for e, _ in observed.folds]
-    normal = [n * p.T @ p for n, p in zip(repeats, parts, strict=True)]
-    gradient = [n * p.T @ r for n, p, r in zip(repeats, parts, residuals, strict=True)]
-    total, slope = sum(normal), sum(gradient)
-    ridge = np.eye(int(inside.sum())) / _PRIOR_STEPS**2
+    # What an experiment says about the parameters, as few rows of equations, and the residuals they should cancel.
+    equations = [
+        np.linalg.qr(np.sqrt(n) * np.column_stack([p, -r]), mode="r")
+        for n, p, r in zip(repeats, parts, residuals, strict=True)
+    ]
+    prior = np.eye(int(inside.sum()), int(inside.sum()) + 1) / _PRIOR_STEPS
     of_one = np.array([SEPARATOR in u.name for u in fit.unknowns], dtype=bool)[inside]
-    seen = np.array([np.diag(n) > 0.0 for n in normal])
+    seen = np.array([p.any(axis=0) for p in parts])
     predicted, taken = [], []
     for k, group in enumerate(observed.groups):
         out = np.array(observed.groups) == group
-        h, g = (sum(part[i] for i in np.flatnonzero(out)) for part in (normal, gradient))
-        move = -_solved(total - h + ridge, slope - g)
+        move = _solved(np.vstack([prior, *(equations[i] for i in np.flatnonzero(~out))]))
         basis = orthonormal(parts[k][:, of_one & seen[k] & ~seen[~out].any(axis=0)])
         predicted.append(project_off(residuals[k] + parts[k] @ move, basis))
         taken.append(basis)
     return losses(predicted, observed, taken)
 
 
-def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the solution of normal equations, zero along directions that the experiments do not determine."""
-    scale = 1.0 / np.sqrt(np.diag(normal))
-    inverse = np.linalg.pinv(normal * np.outer(scale, scale), rcond=_ALIKE, hermitian=True)
-    return np.asarray(scale * (inverse @ (scale * right)))
+def _solved(equations: FloatArray) -> FloatArray:
+    """Return the least-squares solution of equations, zero along directions that they do not determine."""
+    rows, right = equations[:, :-1], equations[:, -1]
+    scale = np.linalg.norm(rows, axis=0)
+    return np.asarray(np.linalg.lstsq(rows / scale, right, rcond=_ALIKE)[0] / scale)
 
 
 def in_sample(fit: Refit, observed: Observed) -> HeldOut:
