@@ -589,7 +589,7 @@ def test_whatever_stops_a_run_it_ends_with_130_and_says_how_it_goes_on(folder: P
     out, err = run.communicate(timeout=600)
     assert run.returncode == 130, err
     assert "Traceback" not in err
-    assert "go on with: fmuid identify bench --out run --seed 3 --resume" in out
+    assert "continue with: fmuid identify bench --out run --seed 3 --resume" in out
     assert "fmuid: interrupted" in err
     result = json.loads(Path("run/result.json").read_text())
     assert result["parameters"]["m"] > 0

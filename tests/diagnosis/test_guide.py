@@ -314,7 +314,7 @@ def test_an_interrupted_diagnosis_goes_on_and_is_never_replaced(trolley, tmp_pat
             "fmuid.diagnosis_pipeline.write_corrected", lambda *a, **k: interrupted(write_corrected(*a, **k))
         )
         assert run(command) == 130
-    assert f"go on with: fmuid {' '.join(command[:4])} --resume\n" in capsys.readouterr().out
+    assert f"continue with: fmuid {' '.join(command[:4])} --resume\n" in capsys.readouterr().out
     before = (tmp_path / "out" / "diagnosis.json").read_text()
     assert (tmp_path / "out" / "diagnosis.journal").exists()
     assert run(command) == 2

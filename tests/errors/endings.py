@@ -134,9 +134,9 @@ def shown(line: str) -> str:
 JOURNAL, DIAGNOSIS = "runs/bench/history.journal", "runs/bench-diagnosis/diagnosis.journal"
 USER = '{ signal = "position", kind = "user", options = { function = "own:judge" } }'
 ENDINGS = [
-    Ending("SIGTERM, from a batch system", IDENTIFY, 130, "go on with", endless, signalled(JOURNAL, "SIGTERM")),
+    Ending("SIGTERM, from a batch system", IDENTIFY, 130, "continue with", endless, signalled(JOURNAL, "SIGTERM")),
     Ending("SIGHUP, from a terminal that is closed", IDENTIFY, 130, "go on", endless, signalled(JOURNAL, "SIGHUP")),
-    Ending("SIGTERM while it diagnoses", "diagnose bench", 130, "go on with", end=signalled(DIAGNOSIS, "SIGTERM")),
+    Ending("SIGTERM while it diagnoses", "diagnose bench", 130, "continue with", end=signalled(DIAGNOSIS, "SIGTERM")),
     Ending("Ctrl-C while libraries are loaded", IDENTIFY, 130, "interrupted", end=while_loading),
     Ending("a second Ctrl-C while the first is handled", IDENTIFY, 130, "stopped at once", endless, hurried),
     Ending("a full disk for records", IDENTIFY, 2, "cannot be written", endless, without_room),

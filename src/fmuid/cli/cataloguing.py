@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def effects(
     what: Annotated[Path, typer.Argument(metavar="CAMPAIGN|MODEL.mo", help="A campaign, or a Modelica file.")],
     class_name: Annotated[
-        str | None, typer.Argument(metavar="[CLASS]", help="Class in the file; by default called like it.")
+        str | None, typer.Argument(metavar="[CLASS]", help="Class in the file; by default the one with its name.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Write the catalogue of a campaign's effects here.", callback=writable)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def check(
     campaign: CampaignPath,
-    simulate: Annotated[bool, typer.Option(help="Simulate too, to see which parameters move an output.")] = True,
+    simulate: Annotated[bool, typer.Option(help="Also simulate, to see which parameters move an output.")] = True,
     workers: Workers = None,
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,

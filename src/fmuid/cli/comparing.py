@@ -44,7 +44,7 @@ def compare(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Write the table as CSV; into a folder: a report with a figure of all that is out.",
+            help="Write the table as CSV; for a folder, a report with figures of the variables that are out.",
             callback=writable,
         ),
     ] = None,

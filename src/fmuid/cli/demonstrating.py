@@ -15,7 +15,7 @@ from fmuid.cli.output import Json, Printer, Quiet
 
 def demo(
     context: typer.Context,
-    out: Annotated[Path, typer.Option(help="Folder for the demo; it must not be there yet.")] = Path("fmuid-demo"),
+    out: Annotated[Path, typer.Option(help="Folder for the demo; it must not exist yet.")] = Path("fmuid-demo"),
     show: Annotated[
         bool | None,
         typer.Option("--open/--no-open", help="Open the report in a browser; by default if there is a display."),
@@ -23,9 +23,9 @@ def demo(
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Show the way on a small drive: from logs and a model to what the model lacks. It takes less than a minute.
+    """Show every step on a small drive, from logs and a model to what the model lacks, in less than a minute.
 
-    The logs have something that the model has not. The commands are those for a model and logs of your own.
+    The logs contain an effect that the model lacks. The commands are the same for your own model and logs.
 
     Example: fmuid demo
     """
@@ -35,7 +35,7 @@ def demo(
     with printer.working("recording the logs of a rig"):
         rig = make_rig(out)
     campaign, run, found = out / "campaign", out / "identified", out / "diagnosis"
-    printer.say(f"A drive: its model, and {len(rig.logs)} logs of a rig that has something the model has not.")
+    printer.say(f"A drive: its model, and {len(rig.logs)} logs of a rig with an effect that the model lacks.")
     commands = [
         ["init", *map(str, rig.logs), *rig.model, "--out", str(campaign)],
         ["identify", str(campaign), "--out", str(run), "--no-report"],
@@ -46,9 +46,9 @@ def demo(
         printer.say(f"\n$ fmuid {shlex.join(shown).replace(str(rig.logs[0]), str(out / 'logs' / '*.csv'))}")
         _run(context, [*command, *(["--quiet"] if quiet else [])])
     page = found / "index.html"
-    printer.say(f"\nWhat was not told: the rig has {rig.lacking}.")
+    printer.say(f"\nWhat fmuid was not given: the rig has {rig.lacking}.")
     printer.say(f"Report: {page}")
-    printer.next("fmuid init LOG... --model MODEL.mo", "or --fmu MODEL.fmu: the same with your own")
+    printer.next("fmuid init LOG... --model MODEL.mo", "or --fmu MODEL.fmu: the same with your own model and logs")
     printer.write({"out": out, "report": page, "lacking": str(rig.lacking)})
     if _has_display() if show is None else show:
         import webbrowser

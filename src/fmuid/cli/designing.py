@@ -31,11 +31,15 @@ class Optimality(StrEnum):
 def design(
     campaign: Annotated[
         Path,
-        typer.Argument(metavar="CAMPAIGN|RUN", help="A campaign, or what identify or diagnose made of it."),
+        typer.Argument(metavar="CAMPAIGN|RUN", help="A campaign, or the run folder of identify or diagnose."),
     ],
-    for_: Annotated[For, typer.Option("--for", help="Answers of a diagnosis, to tell them apart, or parameters.")],
+    for_: Annotated[
+        For,
+        typer.Option("--for", help="diagnosis: to tell its answers apart; parameters: to shrink their intervals."),
+    ],
     from_: Annotated[
-        Path | None, typer.Option("--from", metavar="RUN", help="What identify or diagnose made of the campaign.")
+        Path | None,
+        typer.Option("--from", metavar="RUN", help="Run folder of identify or diagnose for this campaign."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder; runs/<campaign>-design by default.", callback=writable)
@@ -45,7 +49,7 @@ def design(
         Optimality, typer.Option(help="D: least volume of what parameters may be; A: least sum of squared errors.")
     ] = Optimality.D,
     evaluations: Annotated[int, typer.Option(min=8, help="Excitations to try.")] = 200,
-    seed: Annotated[int, typer.Option(help="Of the search and of drawn phases.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the search and of random phases.")] = 0,
     workers: Workers = None,
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,

@@ -43,22 +43,24 @@ def identify(
     solver: Annotated[
         str | None, typer.Option(help="Use this solver in every stage.", autocompletion=completion.solvers)
     ] = None,
-    evaluations: Annotated[int | None, typer.Option(min=1, help="Largest number of evaluations a stage.")] = None,
-    seconds: Annotated[float | None, typer.Option(min=0.0, help="Longest simulation time of a stage, s.")] = None,
+    evaluations: Annotated[
+        int | None, typer.Option(min=1, help="Largest number of evaluations per stage.")
+    ] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.0, help="Longest simulation time per stage, s.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out.")] = False,
     workers: Workers = None,
     dask: Dask = None,
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,
-    seed: Annotated[int, typer.Option(help="Of random starts and solvers.")] = 0,
-    with_report: Annotated[bool, typer.Option("--report/--no-report", help="Write the report too.")] = True,
+    seed: Annotated[int, typer.Option(help="Seed of random starts and solvers.")] = 0,
+    with_report: Annotated[bool, typer.Option("--report/--no-report", help="Also write the report.")] = True,
     trust: Trust = False,
     json: Json = None,
     quiet: Quiet = False,
 ) -> int:
     """Identify the parameters of a campaign stage by stage, validate them, and write the report.
 
-    Exit code 1: a stage failed. 130: interrupted; what was reached is saved, `--resume` goes on.
+    Exit code 1: a stage failed. 130: interrupted; progress is saved; continue with `--resume`.
 
     Example: fmuid identify campaigns/force_feedback --out runs/force_feedback
     Example: fmuid identify campaigns/force_feedback --dask tcp://127.0.0.1:8786
@@ -211,9 +213,9 @@ def diagnose(
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Say where model and measurements part, which unmodelled effect causes it, and how far it shrinks with it.
+    """Locate the gap between model and measurements, and name the unmodelled effect that causes it.
 
-    Exit code 0: there is an answer, be it "complete", "A or B" or "unknown". 130: interrupted; `--resume` goes on.
+    Exit code 0: any answer, be it "complete", "A or B" or "unknown". 130: interrupted; continue with `--resume`.
 
     The folder gets `corrected`: the model with the named effects, and a campaign that goes on from it.
 
@@ -362,12 +364,12 @@ def _again(command: str, campaign: Path, folder: Path, options: Mapping[str, Any
 
 @contextmanager
 def _told_how_to_go_on(journal: Path, again: str, printer: Printer) -> Iterator[None]:
-    """Say at the end how to go on with what was interrupted."""
+    """Say at the end how to continue what was interrupted."""
     try:
         yield
     finally:
         if journal.exists() and not isinstance(sys.exception(), FmuidError):
-            printer.say(f"\ngo on with: {again}")
+            printer.say(f"\ncontinue with: {again}")
 
 
 @contextmanager

@@ -18,9 +18,10 @@ Workers = Annotated[
         help="Worker processes, where a crashing FMU costs one evaluation; one per processor by default. 0: none.",
     ),
 ]
-TimeLimit = Annotated[float | None, typer.Option(min=0.0, help="Longest time a simulation, s; 300.")]
+TimeLimit = Annotated[float | None, typer.Option(min=0.0, help="Longest time per simulation, s; 300 by default.")]
 MemoryLimit = Annotated[
-    int | None, typer.Option(min=1, metavar="MB", help="Most memory a worker; half of the machine's, shared.")
+    int | None,
+    typer.Option(min=1, metavar="MB", help="Most memory per worker; by default they share half of the machine's."),
 ]
 
 
