@@ -30,14 +30,14 @@ def without_branches(function: Any, parameters: int | None) -> tuple[Any, Any] |
     """
     if parameters is None or function.n_in() <= parameters:
         return None
-    if _most_branches(function, parameters) < _FEWEST:
+    branches = _branches(function, parameters)
+    if len(branches) < _FEWEST:
         return None
     arguments = function.sx_in()
     given: list[Any] = [a.nonzeros() for a in arguments]
     results: list[list[Any]] = [[ca.SX(0.0)] * function.nnz_out(k) for k in range(function.n_out())]
     as_it_is: dict[int, Any] = {}  # by register
     idle: dict[int, Any] = {}
-    moves: dict[int, bool] = {}
     conditions: dict[int, Any] = {}
     for k in range(function.n_instructions()):
         op: Any = function.instruction_id(k)
@@ -48,19 +48,16 @@ def without_branches(function: Any, parameters: int | None) -> tuple[Any, Any] |
             continue
         if op == ca.OP_INPUT:
             value = other = given[inputs[0]][inputs[1]]
-            moved = inputs[0] != parameters
         elif op == ca.OP_CONST:
             value = other = ca.SX(function.instruction_constant(k))
-            moved = False
         else:
-            moved = any(moves[i] for i in inputs)
             value, other = (_applied(op, [known[i] for i in inputs]) for known in (as_it_is, idle))
             condition = as_it_is[inputs[0]]
             # A value taken unless a condition holds has the negated condition.
-            if op == ca.OP_IF_ELSE_ZERO and not moves[inputs[0]] and condition.op() != ca.OP_NOT:
+            if k in branches and condition.op() != ca.OP_NOT:
                 conditions.setdefault(condition.element_hash(), condition)
                 other = ca.SX(0.0)
-        as_it_is[out[0]], idle[out[0]], moves[out[0]] = value, other, moved
+        as_it_is[out[0]], idle[out[0]] = value, other
     if len(conditions) < _FEWEST:
         return None
     on = ca.SX(0.0)
@@ -72,10 +69,10 @@ def without_branches(function: Any, parameters: int | None) -> tuple[Any, Any] |
     return ca.Function(f"{name}_on", arguments, [on]), ca.Function(f"{name}_idle", arguments, ca.cse(without))
 
 
-def _most_branches(function: Any, parameters: int) -> int:
-    """Count the branches whose condition hangs on parameters alone, equal conditions included."""
-    moves: dict[int, bool] = {}
-    branches = 0
+def _branches(function: Any, parameters: int) -> frozenset[int]:
+    """Return the instructions that are branches whose condition depends on parameters alone."""
+    moves: dict[int, bool] = {}  # by register
+    branches: set[int] = set()
     for k in range(function.n_instructions()):
         op, inputs = function.instruction_id(k), function.instruction_input(k)
         if op == ca.OP_OUTPUT:
@@ -84,9 +81,10 @@ def _most_branches(function: Any, parameters: int) -> int:
             moved = inputs[0] != parameters
         else:
             moved = any(moves[i] for i in inputs)
-            branches += op == ca.OP_IF_ELSE_ZERO and not moves[inputs[0]]
+            if op == ca.OP_IF_ELSE_ZERO and not moves[inputs[0]]:
+                branches.add(k)
         moves[function.instruction_output(k)[0]] = moved
-    return branches
+    return frozenset(branches)
 
 
 _BINARY = {
