@@ -86,6 +86,21 @@ def test_ctrl_c_while_modules_are_loaded_is_one_line(folder: Path, after: float)
     assert (run.returncode, err) == (130, "fmuid: interrupted\n") or run.returncode == 0
 
 
+def test_what_would_crash_while_python_is_taken_down_does_not_after_ctrl_c(folder: Path) -> None:
+    # As extension modules do of which an interruption has left half.
+    script = """
+import os, signal, sys
+from fmuid.cli import main, app
+class HalfLoaded:
+    def __del__(self, crash=os.abort): crash()
+half_loaded = HalfLoaded()
+app.run = lambda: signal.raise_signal(signal.SIGINT)
+main()
+"""
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (130, "fmuid: interrupted\n")
+
+
 @pytest.mark.parametrize(
     ("within", "went_on"),
     [

@@ -23,7 +23,7 @@ def main() -> None:
     except KeyboardInterrupt:  # while modules are loaded
         print("fmuid: interrupted", file=sys.stderr)
         code = INTERRUPTED
-    interruption.end()
+    interruption.end(code)
     sys.exit(code)
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import sys
+from contextlib import suppress
 from types import FrameType
 from typing import Any
 
@@ -20,10 +22,14 @@ class Interruption:
 
     Where an exception would leave locks of the import system held, or would be ignored as those of finalizers are,
     it is raised a moment later.
+
+    An interrupted process ends without taking Python down: extension modules that were only half loaded can crash
+    then.
     """
 
     def __init__(self) -> None:
-        self._stopping = False
+        self._stopping = self._interrupted = False
+        atexit.register(self._leave)  # registered first, so called after everything else has been cleaned up
         if hasattr(signal, "setitimer"):  # Windows has none
             signal.signal(signal.SIGALRM, self._received)
             self._other_unraisable, sys.unraisablehook = sys.unraisablehook, self._unraisable
@@ -32,9 +38,16 @@ class Interruption:
             if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._received)
 
-    def end(self) -> None:
+    def end(self, code: int) -> None:
         """Have every further Ctrl-C end the process at once: there is nothing left to save."""
-        self._stopping = True
+        self._stopping, self._interrupted = True, code == INTERRUPTED
+
+    def _leave(self) -> None:
+        if self._interrupted:
+            for stream in (sys.stdout, sys.stderr):
+                with suppress(OSError, ValueError):  # the reader is gone
+                    stream.flush()
+            os._exit(INTERRUPTED)
 
     def _received(self, number: int, frame: FrameType | None) -> None:
         if not self._stopping:
