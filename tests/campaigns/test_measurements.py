@@ -17,8 +17,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fmuid.core.errors import FmuidError, MeasurementsError
-from fmuid.core.experiments import Measurements, Signal
+from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import read_measurements, write_measurements
+from fmuid.data.recordings.conversion import with_repeats
 
 SEALED = Path(__file__).parents[3] / "shared" / "data" / "sealed"
 Edit = Callable[[Any], None]
@@ -412,3 +413,24 @@ def test_a_folder_that_cannot_be_written(measurements: Measurements, tmp_path: P
         f"{tmp_path}/file/m.h5: cannot be written (File exists); name a folder that can be written"
     )
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_runs_whose_inputs_differ_by_noise_repeat_a_reference(tmp_path):
+    rng = np.random.default_rng(3)
+    time = np.arange(200) * 0.01
+    course = np.sin(5 * time)
+
+    def run(id, u):
+        signals = {n: Signal(n, v, "1", c) for n, v, c in (("u", u, "input"), ("y", course, "output"))}
+        return Experiment(id, "bench", time, signals)
+
+    noisy = course + 0.01 * rng.standard_normal(200)
+    runs = {r.id: r for r in (run("a", course), run("b", course), run("c", noisy), run("d", 1.2 * course))}
+    marked = with_repeats(runs)
+    assert [r.repeat_of for r in marked.values()] == [None, "a", None, None]
+    assert [r.repeat_of_reference for r in marked.values()] == [None, None, "a", None]
+    write_measurements(Measurements(marked), tmp_path / "m.h5")
+    assert read_measurements(tmp_path / "m.h5")["c"].repeat_of_reference == "a"
+    both = replace(marked["c"], repeat_of="a")
+    with pytest.raises(MeasurementsError, match="has repeat_of and repeat_of_reference; remove one of them"):
+        write_measurements(Measurements({**marked, "c": both}), tmp_path / "n.h5")

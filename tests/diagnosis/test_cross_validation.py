@@ -92,6 +92,32 @@ def test_an_experiment_is_predicted_by_the_mean_of_the_others_each_weighted_by_i
     assert elsewhere.loss == pytest.approx(held.loss, rel=1e-4)
 
 
+def test_a_prediction_may_miss_by_as_much_as_the_other_experiments_leave_it_uncertain():
+    once, twice, thrice = ([[0.0]] * n for n in (1, 2, 3))
+    observed = recorded(once, twice, thrice)
+    held = leave_each_out(constant(4.0, 1.0, 4.0, 6.0), observed, within_errors=True)
+    n = np.array([1.0, 2.0, 3.0])
+    others = np.array([(2 * 4 + 3 * 6) / 5, (1 + 3 * 6) / 4, (1 + 2 * 4) / 3])
+    # The mean of m runs has variance 1 / m: that of the difference is 1 / n + 1 / m, of the loss's own part 1 / n.
+    assert held.loss == pytest.approx((others - [1, 4, 6]) ** 2 / (1 + n / (6 - n)) - 1 / n, rel=1e-5)
+
+
+def test_what_only_one_experiment_shows_is_no_evidence_against_the_model_but_a_contradiction_is():
+    observed = recorded([[0.0, 0.0]], [[0.0, 0.0]])
+    unknowns = tuple(Unknown(n, 1.0, -np.inf, np.inf, 1.0) for n in "ab")
+    # Experiment 0 sees both, experiment 1 their sum alone.
+    jacobian = (np.eye(2), np.array([[1.0, 1.0], [0.0, 0.0]]))
+
+    def loss(*residuals):
+        fit = Refit(unknowns, {"a": 1.0, "b": 1.0}, tuple(map(np.array, residuals)), jacobian, 0.0, 0, True)
+        return leave_each_out(fit, observed, within_errors=True).loss[0] + 1.0
+
+    apart = np.array([5.0, -5.0]) / np.sqrt(2.0)  # a and b differ by what their sum does not tell
+    together = np.array([5.0, 5.0]) / np.sqrt(2.0)
+    assert loss(apart, [0.0, 0.0]) == pytest.approx(0.0, abs=1e-3)
+    assert loss(together, [0.0, 0.0]) == pytest.approx(25.0 / (1.0 + 0.5) / 2.0, rel=1e-3)
+
+
 def test_experiments_with_the_same_input_are_left_out_together():
     observed = recorded([[0.0]], [[0.0]], [[0.0]], groups=(0, 0, 2))
     held = leave_each_out(constant(3.0, 1.0, 2.0, 6.0), observed)

@@ -45,7 +45,8 @@ def lost(*loss):
 def fitted(effects, gap, *, held_out=None, residuals=((),), cost=0.0):
     """A model that leaves `gap` floors, on experiments left out `held_out` floors."""
     fit = Refit((), {}, tuple(np.array(r, dtype=float) for r in residuals), (), cost, 0, True)
-    return Fitted(effects, effects, fit, lost((gap if held_out is None else held_out) ** 2), gap)
+    losses = lost((gap if held_out is None else held_out) ** 2)
+    return Fitted(effects, effects, fit, losses, losses, gap)
 
 
 def free(left, *, port="p", over="speed", alike=()):
@@ -223,7 +224,7 @@ def test_where_nothing_was_left_no_further_effect_is_added():
 
 def test_a_further_effect_that_runs_do_not_agree_on_is_not_added():
     def of(gap, held_out):
-        return Fitted((), (), Refit((), {}, (), (), 0.0, 0, True), held_out, gap)
+        return Fitted((), (), Refit((), {}, (), (), 0.0, 0, True), held_out, held_out, gap)
 
     before = of(1.0, scattered([2.0, 4.0], [2.0, 4.0]))
     assert decide.worth_adding(before, of(0.5, scattered([1.0, 1.0], [1.0, 1.0]))) is True  # 2 +- 0.7
@@ -293,9 +294,9 @@ def test_a_law_at_bounds_that_nobody_thought_plausible_is_strained(values, strai
     neutral, trial = {"size": 0.0, "shape": 1.0, "onset": 1.0}, {"size": 0.1, "shape": 0.1, "onset": 9.0}
     effect = Effect("e", "", "p", UNKNOWNS, neutral, (trial,), shapes=frozenset({"shape", "onset"}))
     found = dict(zip(neutral, values, strict=True))
-    best = Fitted(("e",), ("e",), Refit(UNKNOWNS, found, (), (), 0.0, 0, True), lost(1.0), 1.0)
+    best = Fitted(("e",), ("e",), Refit(UNKNOWNS, found, (), (), 0.0, 0, True), lost(1.0), lost(1.0), 1.0)
     assert strained(best, [effect]) is strain
-    assert strained(Fitted(("other",), ("other",), best.fit, best.held_out, 1.0), [effect]) is False
+    assert strained(Fitted(("other",), ("other",), best.fit, best.held_out, best.judged, 1.0), [effect]) is False
 
 
 def test_an_effect_of_one_sign_may_be_off_at_its_bound():
@@ -304,7 +305,9 @@ def test_an_effect_of_one_sign_may_be_off_at_its_bound():
     def at_its_lower_bound(*, two_sided):
         size = Unknown("size", 0.5, 0.0, 1.0, 1e-3)
         effect = Effect("e", "", "p", (size,), {"size": 0.0}, ({"size": 0.5},), two_sided=two_sided)
-        best = Fitted(("e",), ("e",), Refit((size,), {"size": 0.0}, (), (), 0.0, 0, True), lost(1.0), 1.0)
+        best = Fitted(
+            ("e",), ("e",), Refit((size,), {"size": 0.0}, (), (), 0.0, 0, True), lost(1.0), lost(1.0), 1.0
+        )
         return decide._limits(effect, size), strained(best, [effect])
 
     assert at_its_lower_bound(two_sided=False) == ({1.0}, False)
@@ -332,12 +335,12 @@ def test_what_a_sensor_makes_of_its_own_past_is_no_evidence_against_an_effect_th
 
 
 def test_a_free_function_that_runs_do_not_agree_on_is_no_evidence():
-    best = Fitted(("e",), ("e",), Refit((), {}, (), (), 0.0, 0, True), scattered([0.1, 1.9]), 1.0)
+    best = Fitted(("e",), ("e",), Refit((), {}, (), (), 0.0, 0, True), *[scattered([0.1, 1.9])] * 2, 1.0)
     unsure = Decoy("p", "speed", (), scattered([0.3, 0.3]))
     assert unexplained(fitted((), 2.0), best, [unsure], ["q"]) is None  # 0.7 +- 0.9
     even = Decoy("p", "speed", (), scattered([0.1, -0.1]))
     assert unexplained(fitted((), 2.0), best, [even], ["q"]) is None  # 1 +- 1
-    agreed = Fitted(("e",), ("e",), best.fit, scattered([0.9, 1.1]), 1.0)
+    agreed = Fitted(("e",), ("e",), best.fit, *[scattered([0.9, 1.1])] * 2, 1.0)
     assert unexplained(fitted((), 2.0), agreed, [unsure], ["q"]) is unsure
 
 

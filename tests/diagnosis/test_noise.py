@@ -219,6 +219,28 @@ def test_rounding_errors_have_the_spectrum_of_real_ones():
         assert np.mean(drawn[chosen]) == pytest.approx(np.mean(real[chosen]), rel=0.35)
 
 
+@pytest.mark.parametrize("repeats", [2, 3, 5])
+def test_a_complete_model_of_slow_counted_signals_is_no_gap(repeats):
+    """Settling signals rest on a few counts for long: their errors are slow, and the same in all repeats."""
+    p_values = []
+    for seed in range(40):
+        rng = np.random.default_rng(1000 + seed)
+        runs, truths = [], []
+        for k in range(3):
+            truth = rng.uniform(20, 60) * (1.0 - np.exp(-TIME / rng.uniform(0.05, 0.3))) + rng.uniform(0, 1)
+            values = np.round(truth + 0.02 * rng.standard_normal((repeats, 1, len(TIME))))
+            runs.append(RepeatedRuns(f"run{k}", "bench", TIME, ("w",), values))
+            truths.append(truth[None])
+        observed = replace(Observed.from_runs(runs), predicted=tuple(truths))
+        residuals = observed.residuals(truths)
+        null = draw_noise(observed, truths, draws=200, seed=seed).null(
+            np.zeros((sum(r.size for r in residuals), 0)), []
+        )
+        p_values.append(null.p_value(excess(residuals, observed)))
+    assert np.sum(np.array(p_values) < 0.05) <= 6  # 2 expected
+    assert np.sum(np.array(p_values) < 0.5) >= 8  # 20 expected; the test sees gaps, too
+
+
 @pytest.mark.parametrize("repeats", [2, 4, 5])
 def test_a_counted_signal_that_repeats_exactly_is_as_wrong_as_its_counts(repeats):
     rng = np.random.default_rng(13)

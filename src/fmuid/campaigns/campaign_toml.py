@@ -643,10 +643,11 @@ def expand(
         if not matched:
             is_glob = any(c in pattern for c in "*?[")
             what = "matches no experiment" if is_glob else "is not an experiment"
-            first_runs = [e.id for e in measurements if e.repeat_of is None and e.id in among]
+            first_runs = [e.id for e in measurements if not e.repeats_another and e.id in among]
             raise CampaignError(f"'{pattern}' {what}", where=where, fix=suggestion(pattern, first_runs))
         chosen |= matched
-    return tuple(i for i in among if i in chosen or measurements[i].repeat_of in chosen)
+    repeated = {i: {measurements[i].repeat_of, measurements[i].repeat_of_reference} for i in among}
+    return tuple(i for i in among if i in chosen or repeated[i] & chosen)
 
 
 def _check_models(

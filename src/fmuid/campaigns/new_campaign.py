@@ -248,7 +248,7 @@ def _for_identification(runs: Mapping[str, Experiment]) -> list[Experiment]:
 
     With fewer than three, all are returned: a diagnosis leaves each out in turn and needs another to learn from.
     """
-    firsts = [run for run in runs.values() if run.repeat_of is None]
+    firsts = [run for run in runs.values() if not run.repeats_another]
     return firsts[:-1] if len(firsts) > 2 else firsts
 
 
@@ -290,7 +290,7 @@ def _toml(
 ) -> str:
     setup = next(iter(runs.values())).setup
     identification = [run.id for run in _for_identification(runs)]
-    validation = [r.id for r in runs.values() if r.repeat_of is None and r.id not in identification]
+    validation = [r.id for r in runs.values() if not r.repeats_another and r.id not in identification]
     file = model.file if isinstance(model, ModelSource) else model
     path = Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
     named = [f"fmu = {toml_text(path)}"]

@@ -170,7 +170,14 @@ def import_(
     printer.table(
         ("experiment", "samples", "end s", "inputs", "outputs", "repeat of"),
         [
-            (e.id, e.time.size, float(e.time[-1]), " ".join(e.inputs), " ".join(e.outputs), e.repeat_of or "")
+            (
+                e.id,
+                e.time.size,
+                float(e.time[-1]),
+                " ".join(e.inputs),
+                " ".join(e.outputs),
+                e.repeat_of or e.repeat_of_reference or "",
+            )
             for e in shown
         ],
     )

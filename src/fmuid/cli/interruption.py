@@ -48,6 +48,10 @@ class Interruption:
                 with suppress(OSError, ValueError):  # the reader is gone
                     stream.flush()
             os._exit(INTERRUPTED)
+        if signal.getsignal(signal.SIGINT) == self._received:
+            signal.signal(
+                signal.SIGINT, signal.SIG_IGN
+            )  # Python would have it end the process without its exit code
 
     def _received(self, number: int, frame: FrameType | None) -> None:
         if not self._stopping:

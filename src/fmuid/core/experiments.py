@@ -70,6 +70,9 @@ class Experiment:
         Text for reports.
     machine
         The machine that was measured.
+    repeat_of_reference
+        Id of the first run with the same reference, settings and times, whose recorded inputs differ from this
+        run's by no more than noise or the reaction of a controller; None if there is none.
     """
 
     id: str
@@ -81,6 +84,7 @@ class Experiment:
     repeat_of: str | None = None
     description: str = ""
     machine: str = ""
+    repeat_of_reference: str | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", read_only(self.time))
@@ -101,6 +105,11 @@ class Experiment:
     def origin(self) -> str:
         """Id of the run this one repeats, or its own."""
         return self.repeat_of or self.id
+
+    @property
+    def repeats_another(self) -> bool:
+        """Whether this run repeats another, with the same inputs or the same reference."""
+        return self.repeat_of is not None or self.repeat_of_reference is not None
 
     def to_frame(self, library: Library = "pandas") -> Any:
         """Return times and signals as a data frame, columns with units: ``tau [N.m]``; see `fmuid.start`."""
@@ -203,7 +212,7 @@ class Measurements:
                     f"{e.time[-1]:.6g} s",
                     ", ".join(f"{s.name} [{s.unit}]" for s in e.inputs.values()),
                     ", ".join(f"{s.name} [{s.unit}]" for s in e.outputs.values()),
-                    e.repeat_of or "",
+                    e.repeat_of or e.repeat_of_reference or "",
                 ]
                 for e in self
             ),

@@ -107,7 +107,7 @@ def check_measurements(measurements: Measurements, path: str | Path) -> None:
             raise _Error("is not a usable id", where=where, fix="use printable characters without '/'")
         _check_experiment(experiment, where)
     for experiment in measurements:
-        if experiment.repeat_of is not None:
+        if experiment.repeats_another:
             _check_repeat(experiment, measurements, f"{path}: experiment '{experiment.id}'")
 
 
@@ -174,27 +174,32 @@ def check_signal(signal: Signal, n_samples: int, where: str) -> None:
 
 
 def _check_repeat(experiment: Experiment, measurements: Measurements, where: str) -> None:
-    origin_id = experiment.repeat_of or ""
+    attribute = "repeat_of" if experiment.repeat_of is not None else "repeat_of_reference"
+    origin_id = experiment.repeat_of or experiment.repeat_of_reference or ""
+    if experiment.repeat_of is not None and experiment.repeat_of_reference is not None:
+        raise _Error("has repeat_of and repeat_of_reference", where=where, fix="remove one of them")
     origin = measurements.experiments.get(origin_id)
     if origin is None:
         hint = did_you_mean(origin_id, measurements.experiments)
         raise _Error(
-            f"repeats '{origin_id}', which is not in the file", where=where, fix=hint or "correct repeat_of"
+            f"repeats '{origin_id}', which is not in the file", where=where, fix=hint or f"correct {attribute}"
         )
-    if origin.repeat_of is not None:
+    if origin.repeats_another:
         raise _Error(
-            f"repeats '{origin_id}', which is a repeat itself", where=where, fix="name the first run in repeat_of"
+            f"repeats '{origin_id}', which is a repeat itself",
+            where=where,
+            fix=f"name the first run in {attribute}",
         )
-    different = _first_difference(experiment, origin)
+    different = _first_difference(experiment, origin, inputs=experiment.repeat_of is not None)
     if different:
         raise _Error(
             f"repeats '{origin_id}' but its {different}",
             where=where,
-            fix="a repeat has the same inputs; if this is a different experiment, remove repeat_of",
+            fix=f"a repeat has the same inputs; if this is a different experiment, remove {attribute}",
         )
 
 
-def _first_difference(experiment: Experiment, origin: Experiment) -> str | None:
+def _first_difference(experiment: Experiment, origin: Experiment, *, inputs: bool) -> str | None:
     if experiment.setup != origin.setup:
         return f"setup is '{experiment.setup}', not '{origin.setup}'"
     if experiment.time.size != origin.time.size:
@@ -207,7 +212,7 @@ def _first_difference(experiment: Experiment, origin: Experiment) -> str | None:
         return "inputs have different names"
     for name, signal in experiment.inputs.items():
         other = origin.inputs[name]
-        bad = np.flatnonzero(~np.isclose(signal.values, other.values, rtol=1e-9, atol=0))
+        bad = np.flatnonzero(inputs & ~np.isclose(signal.values, other.values, rtol=1e-9, atol=0))
         if bad.size or signal.unit != other.unit:
             return f"input '{name}' differs" + (f" at sample {bad[0]}" if bad.size else " in unit")
     return None
@@ -240,6 +245,7 @@ def _read_experiment(experiments: Any, experiment_id: str, path: Path) -> Experi
         settings=settings,
         setting_units=units,
         repeat_of=hdf5.text(group, "repeat_of", _Error, where, default="") or None,
+        repeat_of_reference=hdf5.text(group, "repeat_of_reference", _Error, where, default="") or None,
         machine=hdf5.text(group, "machine", _Error, where, default=""),
         description=hdf5.text(group, "description", _Error, where, default=""),
     )
@@ -281,12 +287,9 @@ def _read_settings(group: Any, where: str) -> tuple[Mapping[str, float], Mapping
 
 def _write_experiment(group: Any, experiment: Experiment) -> None:
     group.attrs["setup"] = experiment.setup
-    if experiment.machine:
-        group.attrs["machine"] = experiment.machine
-    if experiment.repeat_of:
-        group.attrs["repeat_of"] = experiment.repeat_of
-    if experiment.description:
-        group.attrs["description"] = experiment.description
+    for name in ("machine", "repeat_of", "repeat_of_reference", "description"):
+        if getattr(experiment, name):
+            group.attrs[name] = getattr(experiment, name)
     if experiment.settings:
         settings = group.create_group("settings", track_order=True)
         for name, value in experiment.settings.items():

@@ -33,12 +33,17 @@ class Fitted:
     names
         Effects named as causes. The others only change the shape of a named effect that the signals cannot
         distinguish from them.
+    held_out
+        Losses on held-out experiments.
+    judged
+        The same beyond what the other experiments leave uncertain: by these the model is judged.
     """
 
     effects: tuple[str, ...]
     names: tuple[str, ...]
     fit: Refit
     held_out: HeldOut
+    judged: HeldOut
     gap: float
 
     @property
@@ -70,6 +75,7 @@ def fit_effects(
         ids,
         fit,
         leave_each_out(fit, subject.observed),
+        leave_each_out(fit, subject.observed, within_errors=True),
         gap(fit.residuals, subject.observed),
     )
 

@@ -53,8 +53,13 @@ class HeldOut:
         return float(np.sqrt(max(0.0, self.mean)))
 
 
-def leave_each_out(fit: Refit, observed: Observed) -> HeldOut:
-    """Return the losses of `fit` with each experiment (or piece of one) predicted from the others."""
+def leave_each_out(fit: Refit, observed: Observed, *, within_errors: bool = False) -> HeldOut:
+    """Return the losses of `fit` with each experiment (or piece of one) predicted from the others.
+
+    With `within_errors`, a prediction may miss by as much as the other experiments leave its parameters uncertain:
+    residuals are whitened with their predictive covariance. What only one experiment shows is then no evidence
+    against a model that fits it; what the others contradict is.
+    """
     steps = np.array([u.step for u in fit.unknowns])
     lower = np.array([u.lower for u in fit.unknowns])
     upper = np.array([u.upper for u in fit.unknowns])
@@ -74,9 +79,12 @@ def leave_each_out(fit: Refit, observed: Observed) -> HeldOut:
     predicted, taken = [], []
     for k, group in enumerate(observed.groups):
         out = np.array(observed.groups) == group
-        move = _solved(np.vstack([prior, *(equations[i] for i in np.flatnonzero(~out))]))
+        others = np.vstack([prior, *(equations[i] for i in np.flatnonzero(~out))])
+        left = residuals[k] + parts[k] @ _solved(others)
+        if within_errors:
+            left = _standardised(left, np.sqrt(repeats[k]) * parts[k] @ _spread(others))
         basis = orthonormal(parts[k][:, of_one & seen[k] & ~seen[~out].any(axis=0)])
-        predicted.append(project_off(residuals[k] + parts[k] @ move, basis))
+        predicted.append(project_off(left, basis))
         taken.append(basis)
     return losses(predicted, observed, taken)
 
@@ -86,6 +94,21 @@ def _solved(equations: FloatArray) -> FloatArray:
     rows, right = equations[:, :-1], equations[:, -1]
     scale = np.linalg.norm(rows, axis=0)
     return np.asarray(np.linalg.lstsq(rows / scale, right, rcond=_ALIKE)[0] / scale)
+
+
+def _spread(equations: FloatArray) -> FloatArray:
+    """Return a square root of the covariance of the solution of equations whose errors have variance 1."""
+    rows = equations[:, :-1]
+    scale = np.linalg.norm(rows, axis=0)
+    _, s, v = np.linalg.svd(rows / scale, full_matrices=False)
+    known = s > _ALIKE * s.max(initial=0.0)
+    return np.asarray(v[known].T / s[known] / scale[:, None])
+
+
+def _standardised(residual: FloatArray, spread: FloatArray) -> FloatArray:
+    """Return a residual of covariance (I + S S') v as one of covariance v; `spread` is S, (M, P)."""
+    u, s, _ = np.linalg.svd(spread, full_matrices=False)
+    return np.asarray(residual - u @ ((1.0 - 1.0 / np.sqrt(1.0 + s**2)) * (u.T @ residual)))
 
 
 def in_sample(fit: Refit, observed: Observed) -> HeldOut:

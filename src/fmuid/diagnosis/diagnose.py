@@ -154,7 +154,7 @@ def diagnose_subject(
     energy = excess_map(observed, prediction, folded(paths, subject.catalogue.regimes))
     say("scoring every effect", 0.1)
     scores = score_further(subject, nominal)
-    noise = draw_noise(observed, seed=seed)
+    noise = draw_noise(observed, prediction, seed=seed)
     evidence = _evidence(subject, nominal, scores, noise)
     candidates, best = search(subject, nominal, scores, noise, say, present=evidence.present)
     candidates += twins(subject, best, scores) if best is not None and evidence.present else []

@@ -3,7 +3,8 @@
 The R runs of an experiment have R - 1 independent differences, each a draw of the error of one run. Random
 mixtures of them, scaled to the mean of R runs, are residuals of a complete model: their energy and their largest
 score, after the nominal parameters are refitted, show when a gap is more than noise. Unlike white noise, they
-contain variations from run to run that affect many signals at once. Rounding errors that all runs share are added.
+contain variations from run to run that affect many signals at once. Rounding errors that all runs share are added:
+those of the signals that the model predicts, since it is complete.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from scipy.special import ndtr
 
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.data.noise.spectrum import rounding_draws
+from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.projection import project_off
 
@@ -82,8 +84,10 @@ class NoiseDraws:
         return Null(read_only(excess), read_only(largest))
 
 
-def draw_noise(observed: Observed, *, draws: int = 400, seed: int = 0) -> NoiseDraws:
-    """Draw residuals of a complete model, before any refit."""
+def draw_noise(
+    observed: Observed, predicted: Prediction | None = None, *, draws: int = 400, seed: int = 0
+) -> NoiseDraws:
+    """Draw residuals of a complete model, whose signals are `predicted`, before any refit."""
     rng = np.random.default_rng(seed)
     noise = np.empty((sum(w.size for w in observed.whiteners), draws))
     begin = 0
@@ -93,7 +97,10 @@ def draw_noise(observed: Observed, *, draws: int = 400, seed: int = 0) -> NoiseD
             mix = rng.standard_normal((draws, len(c))) / np.sqrt(len(c))
             noise[begin : begin + w.size] = (mix @ c).T
             if np.any(observed.noise[run.setup].repeating):  # absent from every contrast
-                shared = rounding_draws(run, observed.noise[run.setup], draws=draws, seed=seed)
+                course = None if predicted is None else predicted[e]
+                shared = rounding_draws(
+                    run, observed.noise[run.setup], course=course, draws=draws, seed=seed + e * len(run.channels)
+                )
                 noise[begin : begin + w.size] += np.sqrt(len(run.values)) * w(shared).reshape(draws, -1).T
         else:
             noise[begin : begin + w.size] = rng.standard_normal((w.size, draws))

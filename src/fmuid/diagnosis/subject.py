@@ -18,6 +18,7 @@ from fmuid.core.formulas import parse
 from fmuid.diagnosis.catalogue import Catalogue, Effect, load_catalogue
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.own_inputs import as_repeats
 from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.segment_states import findings_of, with_states
 from fmuid.diagnosis.variants import Variants
@@ -86,6 +87,10 @@ def subject_of(
         kept = set(campaign.validation) - named
         chosen = tuple(e for e in campaign.measurements if e.origin in origins and e.id not in kept)
     model, catalogue, known, modelled = model_of(campaign, load, chosen, runner=runner)
+    nominal = _nominal(campaign, spec, model.cases)
+    begin = {u.name: u.start for u in nominal}
+    reference = {e.id: e.repeat_of_reference for e in chosen if e.repeat_of_reference is not None}
+    model = replace(model, cases=as_repeats(model, begin, reference))
     cases = model.cases
     signals = {c.signal for case in cases for c in case.channels} | {n for case in cases for n in case.task.inputs}
     known |= signal_parameters(signals)
@@ -107,8 +112,7 @@ def subject_of(
             where=spec.catalogue,
             fix=suggestion(missing[0], known) if missing else "name the FMUs that carry the effects in [models]",
         )
-    nominal = _nominal(campaign, spec, cases)
-    model, findings = solved_well_enough(model, campaign, {u.name: u.start for u in nominal})
+    model, findings = solved_well_enough(model, campaign, begin, reference)
     used = {id for case in model.cases for id in case.experiments}
     found = [o for o in campaign.outliers if o.experiment in used]
     findings += tuple(f"Left out of experiment '{o.experiment}', signal '{o.signal}': {o}." for o in found)
@@ -116,16 +120,20 @@ def subject_of(
     recordings = {e.id: e.digest for e in chosen}
     stages = last_stages(campaign)
     findings += findings_of(model, stages)
-    observed = with_states(Observed.from_runs(model.runs), model, {u.name: u.start for u in nominal})
+    observed = with_states(Observed.from_runs(model.runs), model, begin)
     return Subject(model, observed, nominal, catalogue, effects, recordings, modelled, findings, outliers)
 
 
 def solved_well_enough(
-    model: CampaignModel, campaign: Campaign, values: Mapping[str, float]
+    model: CampaignModel,
+    campaign: Campaign,
+    values: Mapping[str, float],
+    reference: Mapping[str, str] | None = None,
 ) -> tuple[CampaignModel, tuple[str, ...]]:
     """Return the model with the loosest tolerances whose errors no measurement would show, and findings.
 
-    Runs that cannot be predicted to their end at any tolerance are cut where prediction fails.
+    `reference` tells which runs repeat the reference of another (`as_repeats`). Runs that cannot be predicted to
+    their end at any tolerance are cut where prediction fails.
     """
     starts = [model.start_values(case, {**model.fixed, **values}) for case in model.cases]
     noise = Observed.from_runs(model.runs).noise
@@ -135,12 +143,13 @@ def solved_well_enough(
     cases: Sequence[Case] = model.cases
     if accuracy.until:
         own = {c.id: [campaign.measurements[id] for id in c.experiments] for c in cases}
-        cases = [
-            from_campaign(campaign, own[c.id], (), {c.setup: c.simulator}, until=accuracy.until)[0]
-            if c.id in accuracy.until
-            else c
+        cut = {
+            c.id: from_campaign(campaign, own[c.id], (), {c.setup: c.simulator}, until=accuracy.until)
             for c in cases
-        ]
+            if c.id in accuracy.until
+        }
+        joined = {id: as_repeats(replace(model, cases=c), values, reference or {})[0] for id, c in cut.items()}
+        cases = [joined.get(c.id, c) for c in cases]
     return replace(model, cases=accuracy.applied(cases)), accuracy.findings
 
 

@@ -11,6 +11,7 @@ from fmu_build.errors import UserError
 from fmu_build.flat_model import FlatModel
 from fmu_build.model_ports import find_ports
 from fmuid.core.campaign import ModelSpec
+from fmuid.core.errors import SimulationError
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects
 from fmuid.diagnosis.catalogue import Effect
@@ -90,7 +91,8 @@ def find_law(
     flats = {s: flat_model(source) for s in setups if s in models and (source := models[s].source) is not None}
     if set(flats) != setups:
         return _none("the campaign names no Modelica source of its model, so no law can be added to it")
-    noise = draw_noise(subject.observed, seed=seed)
+    (predicted,) = subject.model.predict([found.nominal.fit.values])
+    noise = draw_noise(subject.observed, None if isinstance(predicted, SimulationError) else predicted, seed=seed)
     # In place of the effects that explain a part, then beside them.
     bases = [found.nominal, *(found.surviving[:1] if found.diagnosis.verdict.kind == "partial" else ())]
     reasons = []

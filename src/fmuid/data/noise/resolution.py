@@ -85,3 +85,28 @@ def rounding_errors(values: FloatArray, step: float, *, draws: int = _DRAWS, see
     resting = np.sqrt(0.5) * (rng.random((draws, len(first)))[:, at] - 0.5 + rng.random((draws, n)) - 0.5)
     moving = np.where((entered == left)[at], passing, turning)
     return read_only(step * np.where((entered * left != 0.0)[at], moving, resting))
+
+
+def rounding_along(
+    course: FloatArray, step: float, repeating: float, *, draws: int = _DRAWS, seed: int = 0
+) -> FloatArray:
+    """Return (draws, N) rounding errors, shared by all repeats, of a signal that follows a known course.
+
+    Each draw shifts the course by a random part of a step: the slopes decide how errors follow each other, and
+    where the levels lie relative to the signal is not known that well. Noise in front of the counter of standard
+    deviation s damps the k-th harmonic of the sawtooth by exp(-2 (pi k s / q)^2) (Widrow and Kollar, 2008).
+
+    Parameters
+    ----------
+    course
+        (N,) samples of the signal before it is rounded.
+    repeating
+        Variance of the rounding error that repeats share, from `repeating_variance`.
+    """
+    rng = np.random.default_rng(seed)
+    ratio = np.interp(-repeating / step**2, -_REPEATING, _RATIOS)
+    orders = _ORDERS[:, None]
+    within = np.linspace(0.0, 1.0, 1025)  # of a step
+    sizes = np.where(orders % 2, -1.0, 1.0) / (np.pi * orders) * np.exp(-2.0 * (np.pi * orders * ratio) ** 2)
+    sawtooth = np.sum(sizes * np.sin(2.0 * np.pi * orders * within), axis=0)
+    return read_only(step * np.interp((course / step + rng.random((draws, 1))) % 1.0, within, sawtooth))

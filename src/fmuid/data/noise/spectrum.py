@@ -20,7 +20,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from fmuid.core.errors import ProblemError
 from fmuid.core.immutable import FloatArray, read_only
-from fmuid.data.noise.resolution import quantum, repeating_variance, rounding_errors
+from fmuid.data.noise.resolution import quantum, repeating_variance, rounding_along, rounding_errors
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.data.noise.single_run import single_run_variance
 from fmuid.data.noise.transform import coefficient_frequencies, real_spectrum
@@ -305,11 +305,21 @@ def bandwidth(run: RepeatedRuns, noise: SetupNoise, *courses: FloatArray) -> Flo
     return limits
 
 
-def rounding_draws(run: RepeatedRuns, noise: SetupNoise, *, draws: int = 16, seed: int = 0) -> FloatArray:
-    """Return (draws, C, N) possible rounding errors shared by all repeats of `run`."""
+def rounding_draws(
+    run: RepeatedRuns, noise: SetupNoise, *, course: FloatArray | None = None, draws: int = 16, seed: int = 0
+) -> FloatArray:
+    """Return (draws, C, N) possible rounding errors shared by all repeats of `run`.
+
+    Their spectrum depends on the signals before they are rounded: `course`, (C, N), if a model predicts it,
+    otherwise what the counts tell.
+    """
     found = np.zeros((draws, len(run.channels), len(run.time)))
     for c, (step, variance) in enumerate(zip(noise.step, noise.repeating, strict=True)):
-        if variance > 0.0:
+        if variance <= 0.0:
+            continue
+        if course is not None:
+            found[:, c] = rounding_along(course[c], step, variance, draws=draws, seed=seed + c)
+        else:
             share = np.sqrt(12.0 * variance) / step
             found[:, c] = share * rounding_errors(run.values[0, c], step, draws=draws, seed=seed + c)
     return found

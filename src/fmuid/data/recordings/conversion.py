@@ -12,11 +12,14 @@ import numpy as np
 from fmu_build.suggest import suggestion
 from fmuid.core.errors import MeasurementsError, UnitError
 from fmuid.core.experiments import Causality, Experiment, Signal
+from fmuid.core.immutable import FloatArray
 from fmuid.core.units import check_unit
 from fmuid.data.crosscheck_csv import Table
 from fmuid.data.recordings import read_recording
 from fmuid.data.recordings.dataframe import from_frame
 from fmuid.data.recordings.resampling import TimeBase, aliased, one_time_base
+
+_NEARLY = 0.05  # of an input's standard deviation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,11 +122,17 @@ def experiment_from_table(
 
 
 def with_repeats(experiments: Mapping[str, Experiment]) -> dict[str, Experiment]:
-    """Return the experiments, with each run marked as a repeat of an earlier run that has the same inputs."""
+    """Return the experiments, with each run marked as a repeat of an earlier run that has the same inputs.
+
+    A run whose inputs differ from an earlier one's by less than 5 % of their standard deviation repeats its
+    reference: the two say hardly more than one of them about what the model gets wrong.
+    """
     marked: dict[str, Experiment] = {}
     for experiment in experiments.values():
-        first = next((e for e in marked.values() if e.repeat_of is None and _same_run(e, experiment)), None)
-        marked[experiment.id] = replace(experiment, repeat_of=first.id) if first else experiment
+        firsts = [e for e in marked.values() if not e.repeats_another]
+        same = next((e.id for e in firsts if _same_run(e, experiment)), None)
+        near = None if same else next((e.id for e in firsts if _same_run(e, experiment, within=_NEARLY)), None)
+        marked[experiment.id] = replace(experiment, repeat_of=same, repeat_of_reference=near)
     return marked
 
 
@@ -136,12 +145,19 @@ def table_from_experiment(experiment: Experiment) -> Table:
     )
 
 
-def _same_run(a: Experiment, b: Experiment) -> bool:
+def _same_run(a: Experiment, b: Experiment, *, within: float = 0.0) -> bool:
+    """Return whether two runs agree, their inputs `within` a share of their standard deviations (RMS)."""
     return (
         a.setup == b.setup
         and dict(a.settings) == dict(b.settings)
         and np.array_equal(a.time, b.time)
         and bool(a.inputs)
         and a.inputs.keys() == b.inputs.keys()
-        and all(np.array_equal(s.values, b.inputs[n].values) for n, s in a.inputs.items())
+        and all(_same_course(s.values, b.inputs[n].values, within) for n, s in a.inputs.items())
     )
+
+
+def _same_course(a: FloatArray, b: FloatArray, within: float) -> bool:
+    if within == 0.0:
+        return np.array_equal(a, b)
+    return bool(np.sqrt(np.mean((a - b) ** 2)) <= within * np.std(a))
