@@ -36,7 +36,7 @@ class Fitted:
     held_out
         Losses on held-out experiments.
     judged
-        The same beyond what the other experiments leave uncertain: by these the model is judged.
+        The same, beyond the errors that the other experiments leave in the parameters.
     """
 
     effects: tuple[str, ...]

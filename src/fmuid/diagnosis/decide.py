@@ -67,7 +67,7 @@ def best_of(candidates: Sequence[Fitted]) -> Fitted:
     """Return the candidate with the least held-out loss among those that fit about equally well."""
     least = min(c.fit.cost for c in candidates)
     close = [c for c in candidates if c.fit.cost <= 1.05 * least + 20.0]
-    return min(close, key=lambda c: c.judged.mean)
+    return min(close, key=lambda c: c.held_out.mean)
 
 
 def survivors(best: Fitted, candidates: Sequence[Fitted], observed: Observed) -> tuple[Fitted, ...]:
@@ -102,9 +102,22 @@ def stable(surviving: Sequence[Fitted], rivals: Sequence[Fitted], observed: Obse
 
 def worth_adding(before: Fitted, after: Fitted) -> bool:
     """Return whether another effect closes enough of the remaining gap, also on held-out experiments."""
-    gained, error = advantage(after.judged, before.judged)
     left = 1.0 - after.gap / before.gap if before.gap > 0 else 0.0
-    return gained > error and left >= GAIN_OF_A_SECOND and closure(before.judged, after.judged) > 0.0
+    if left < GAIN_OF_A_SECOND:
+        return False
+    for worse, better in ((before.held_out, after.held_out), (before.judged, after.judged)):
+        gained, error = advantage(better, worse)
+        if gained > error and closure(worse, better) > 0.0:
+            return True
+    return False
+
+
+def closed_by(nominal: Fitted, best: Fitted) -> float:
+    """Return the closure on held-out experiments that a model is named by.
+
+    If the others leave its parameters uncertain, what they predict is no evidence against it within these errors.
+    """
+    return max(closure(nominal.held_out, best.held_out), closure(nominal.judged, best.judged))
 
 
 def names(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
@@ -114,7 +127,7 @@ def names(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
     experiment. It then suffices that the effects complete the model, unless *unknown* is more likely.
     """
     trained = 1.0 - best.gap / nominal.gap if nominal.gap > 0.0 else 0.0
-    closed = closure(nominal.judged, best.judged)
+    closed = closed_by(nominal, best)
     likely = closed * len(best.names) >= _doubt(closed)
     return closed >= CLOSURE_THAT_NAMES or (likely and finished and trained >= CLOSURE_THAT_FINISHES)
 
@@ -166,9 +179,9 @@ def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy], ports: S
         return None
     decoy = min(decoys, key=lambda d: d.held_out.mean)
     if lumped:  # one unnamed law of one variable in place of two named ones
-        return decoy if decoy.held_out.gap <= ABOUT_AS_WELL * best.judged.gap else None
-    gained, error = advantage(decoy.held_out, best.judged)
-    if gained > error and decoy.held_out.gap < DECOY_MARGIN * best.judged.gap:
+        return decoy if decoy.held_out.gap <= ABOUT_AS_WELL * best.held_out.gap else None
+    gained, error = advantage(decoy.held_out, best.held_out)
+    if gained > error and decoy.held_out.gap < DECOY_MARGIN * best.held_out.gap:
         return decoy
     return None
 
@@ -201,8 +214,8 @@ def of_its_law(best: Fitted, alone: Sequence[Decoy], beside: Sequence[Decoy], po
     return any(
         {first.port, *first.alike} & set(ports)
         and second.held_out.gap <= ABOUT_AS_WELL * least
-        and second.held_out.gap < DECOY_MARGIN * best.judged.gap
-        and first.held_out.gap <= ABOUT_AS_WELL * best.judged.gap
+        and second.held_out.gap < DECOY_MARGIN * best.held_out.gap
+        and first.held_out.gap <= ABOUT_AS_WELL * best.held_out.gap
         for first, second in zip(alone, beside, strict=True)
     )
 
@@ -227,7 +240,7 @@ def weigh(
     Weights decrease with the square of the separation from the best answer; the weight of `UNKNOWN` is the part
     that the closure leaves open.
     """
-    closed = float(np.clip(closure(nominal.judged, surviving[0].judged), 0.0, 1.0)) if surviving else 0.0
+    closed = float(np.clip(closed_by(nominal, surviving[0]), 0.0, 1.0)) if surviving else 0.0
     match kind:
         case "complete":
             none, unknown, named = 1.0, 1e-3, 0.15 * max(0.0, nominal.gap / GAP_THAT_MATTERS) ** 2
