@@ -30,7 +30,7 @@ _DIRECTED = {  # laws whose sign is open
 # What shapes a law, by the usual potential and rate at its place and the run's length.
 _SHAPES: Mapping[str, Callable[[Place, float], float]] = {
     "stribeck": lambda at, _: 0.15 * at.rate,
-    "cogging": lambda at, _: max(round(12.0 / at.range), 1.0),
+    "cogging": lambda at, _: max(round(12.0 / at.range), 2.0),  # once per turn would be an imbalance
     "presliding": lambda at, _: 0.01 * at.range,
     "hysteresis": lambda at, _: 0.2 * at.range,
     "thermal_friction": lambda _, duration: 0.3 * duration,
