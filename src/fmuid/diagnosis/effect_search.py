@@ -28,6 +28,7 @@ _SWAPS = 2  # effects tried in place of each named one
 _MOST = 3  # largest number of effects together
 _SHAPE = 0.1  # share of the gap (a hundredth of its energy) up to which a further law there only shapes the first
 _SAME_PLACE = 0.95  # correlation of one law's signatures at two ports above which the ports count as one
+_OF_TIME = ("lag", "delay", "drift")  # properties of a signal that are no shape of a law of its value
 _ALIKE = 0.9  # correlation of signatures above which a further effect counts as another shape of the first
 
 
@@ -142,11 +143,15 @@ def _same_place(subject: Subject, after: Fitted, signatures: Sequence[Mapping[st
     """Return whether the newest effect in `after` acts at the same place as an earlier one.
 
     That is its own port, or one that no law present at both ports distinguishes from it. The value of a held
-    parameter acts wherever its component does.
+    parameter acts wherever its component does. What changes with time, a lag of a gauge beside its scale, say, is
+    another effect in any case.
     """
     ports = {e.id: e.port for e in subject.effects}
-    new, before = ports[after.effects[-1]], {ports[name] for name in after.effects[:-1]}
-    if new in before or after.effects[-1].startswith("value@"):
+    (newest,) = (e for e in subject.effects if e.id == after.effects[-1])
+    if any(u.name.rpartition(".")[2] in _OF_TIME for u in newest.unknowns):
+        return False
+    new, before = newest.port, {ports[name] for name in after.effects[:-1]}
+    if new in before or newest.id.startswith("value@"):
         return True
     tried = signatures[0]
     at = {(id.partition("@")[0], ports[id]): s for id, s in tried.items() if "@" in id}
