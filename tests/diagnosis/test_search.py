@@ -114,3 +114,6 @@ def test_what_a_further_law_at_the_same_place_adds_to_a_nearly_closed_gap_is_the
     first, second = subject.effects
     held = replace(subject, effects=(first, replace(second, id="value@second")))
     assert diagnose_subject(held).diagnosis.verdict.effects == ("first",)
+    # A lag is no shape of a law of the same signal's value.
+    late = heard({"first": {1: 1.0}, "y.lag": {2: 1.0}}, truth, ports={"first": "a", "y.lag": "a"})
+    assert set(diagnose_subject(late).diagnosis.verdict.effects) == {"first", "y.lag"}
