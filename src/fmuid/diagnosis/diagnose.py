@@ -20,7 +20,7 @@ from fmuid.diagnosis.localisation import ExcessMap, excess_map
 from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
 from fmuid.diagnosis.null_distribution import NoiseDraws, Null, draw_noise
 from fmuid.diagnosis.observed import excess, excesses, gap
-from fmuid.diagnosis.ports import Decoy, fit_decoys, responses_of
+from fmuid.diagnosis.ports import Decoy, Port, Response, fit_decoys, responses_of
 from fmuid.diagnosis.power import smallest_seen
 from fmuid.diagnosis.regimes import bases, folded, own_bases, trajectories
 from fmuid.diagnosis.scores import Score, nominal_basis
@@ -280,21 +280,21 @@ def _judge(
     )
     alone: tuple[Decoy, ...] = ()
     beside: tuple[Decoy, ...] = ()
+    decoy: Decoy | None = None
     lumped = len(own) > len(set(own)) == 1  # two laws where one might suffice
-    if best is None or not named_at_all or lumped or not decide.beyond_doubt(nominal, best, finished=done):
+    sure = best is not None and named_at_all and decide.beyond_doubt(nominal, best, finished=done)
+    catalogued = subject.catalogue.ports
+    if lumped and sure and done:  # only a free function at their own port could take their place
+        say(f"free functions at {own[0]}", 0.7)
+        there = tuple(port for name, port in catalogued.items() if name in own)
+        alone = fit_decoys(_responses(subject, nominal, paths, there), nominal.fit, observed)
+        decoy = decide.unexplained(nominal, best or nominal, alone, own)
+    if decoy is not None or not sure or (lumped and not done):
         say("free functions at every port", 0.75)
-        regimes, catalogued = subject.catalogue.regimes, subject.catalogue.ports
-        responses = responses_of(
-            subject.model,
-            observed,
-            nominal.fit,
-            ports=tuple(catalogued.values()),
-            bases=bases(paths, regimes),
-            own={name: own_bases(paths, regimes, name) for name in catalogued},
-        )
+        responses = _responses(subject, nominal, paths, tuple(catalogued.values()))
         alone = fit_decoys(responses, nominal.fit, observed)
         beside = fit_decoys(responses, best.fit, observed) if best is not None and named_at_all else ()
-    decoy = decide.unexplained(nominal, best or nominal, alone, own)
+        decoy = decide.unexplained(nominal, best or nominal, alone, own)
     imitated = decoy is not None and not (not lumped and beside and decide.needed_beside(alone, beside, nominal))
     if best is None or not named_at_all or imitated:
         # Without repeats, a gap that no effect explains may be slow noise.
@@ -312,6 +312,21 @@ def _judge(
     one_of = tuple(tuple(n for n in s.names if n not in common) for s in surviving)
     shared = tuple(n for n in best.names if n in common)
     return Judgement(Verdict("ambiguous", shared, one_of, named, stable, rest), surviving, alone)
+
+
+def _responses(
+    subject: Subject, nominal: Fitted, paths: Mapping[str, tuple[FloatArray, ...]], ports: Sequence[Port]
+) -> tuple[Response, ...]:
+    """Return the responses to free functions at `ports`."""
+    regimes = subject.catalogue.regimes
+    return responses_of(
+        subject.model,
+        subject.observed,
+        nominal.fit,
+        ports=ports,
+        bases=bases(paths, regimes),
+        own={port.name: own_bases(paths, regimes, port.name) for port in ports},
+    )
 
 
 def _where_left(
