@@ -281,3 +281,15 @@ def test_effects_that_no_data_tell_apart_are_said_once_by_the_more_usual_and_sim
         "apart": [],
         "bent": [],
     }
+
+
+def test_what_drives_a_port_in_few_steps_has_the_response_of_what_changes_at_every_sample():
+    subject = plant({}, repeats=1, experiments=("sine",))
+    values, case = {u.name: u.start for u in subject.nominal}, subject.model.cases[0]
+    drive = 0.05 * np.sin(2 * np.pi * 0.7 * case.time)
+    (plain,), (driven,) = (
+        subject.model.predict([values])[0],
+        subject.model.predict_driven(values, [{"port": [drive]}])[0],
+    )
+    every = case.simulator.simulate(replace(case.task, inputs={**case.task.inputs, "port": drive}), values)
+    assert np.linalg.norm(driven - every) < 0.01 * np.linalg.norm(every - plain)
