@@ -1,6 +1,6 @@
 """From losses, gaps and residuals to a verdict: each rule on values worked out by hand."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +11,7 @@ from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import HeldOut
 from fmuid.diagnosis.decide import (
+    closed_by,
     names,
     needed_beside,
     of_its_law,
@@ -470,3 +471,14 @@ def test_what_a_verdict_without_names_leaves_to_each_answer(kind, gap, none, unk
     expected = {NONE: none / total, UNKNOWN: unknown / total, ("e",): named / total}
     assert weights == pytest.approx(expected)
     assert decide.weigh(fitted((), gap), [], RECORDED, kind)[NONE] == pytest.approx(none / (none + unknown))
+
+
+def test_a_model_is_named_by_what_left_out_experiments_can_say():
+    """Left out, one experiment is predicted badly, but within the errors that the others leave in the parameters."""
+    nominal, best = fitted((), gap=2.0), fitted(("e",), gap=0.0, held_out=1.95)
+    assert not names(nominal, best, finished=True)
+    assert closed_by(nominal, best) == pytest.approx(0.025)
+    uncertain = replace(best, judged=lost(0.04))
+    assert closed_by(nominal, uncertain) == pytest.approx(0.9)
+    assert names(nominal, uncertain, finished=True)
+    assert closed_by(nominal, replace(best, judged=lost(9.0))) == pytest.approx(0.025)

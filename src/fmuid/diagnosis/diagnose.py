@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -212,7 +212,11 @@ def diagnose_subject(
         added_sensor=sensor_to_add(subject, judgement.surviving, beyond=beyond) if ambiguous else None,
         port_closures=_port_closures(nominal, judgement.alone),
         power=evidence.power,
-        notes=(*subject.findings, *((calibrated.note,) if calibrated.trials else ())),
+        notes=(
+            *subject.findings,
+            *_shown_once(nominal, judgement.named),
+            *((calibrated.note,) if calibrated.trials else ()),
+        ),
         outliers=subject.outliers,
     )
     return Found(
@@ -227,6 +231,17 @@ def diagnose_subject(
         energy,
         paths,
     )
+
+
+def _shown_once(nominal: Fitted, named: Sequence[Fitted]) -> Iterator[str]:
+    """Yield a note if an effect is named although left-out experiments are predicted badly with it."""
+    enough = decide.CLOSURE_THAT_NAMES
+    for best in named[:1]:
+        if closure(nominal.held_out, best.held_out) < enough <= decide.closed_by(nominal, best):
+            yield (
+                "Part of what is missing shows in one experiment only, which the others therefore do not predict: "
+                "the closure on runs that were not used is a lower limit. A further run of this kind would settle it."
+            )
 
 
 def _prediction(subject: Subject, values: Mapping[str, float]) -> Prediction:
