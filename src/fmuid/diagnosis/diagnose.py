@@ -240,7 +240,7 @@ def _shown_once(nominal: Fitted, named: Sequence[Fitted]) -> Iterator[str]:
         if closure(nominal.held_out, best.held_out) < enough <= decide.closed_by(nominal, best):
             yield (
                 "Part of what is missing shows in one experiment only, which the others therefore do not predict: "
-                "the closure on runs that were not used is a lower limit. Another run of this kind would settle it."
+                "the closure on runs that were not used is a lower limit. Another run of its kind would settle it."
             )
 
 
