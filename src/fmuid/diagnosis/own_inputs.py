@@ -39,7 +39,7 @@ def as_repeats(
     for case in model.cases:
         first = reference.get(case.experiments[0], case.id)
         apart = case.id if isinstance(case.simulator, Segmented) else ""
-        groups.setdefault((first, case.setup, apart), []).append(case)
+        groups.setdefault((first, case.setup, case.machine, apart), []).append(case)
     return tuple(joined for group in groups.values() for joined in _joined(model, values, group))
 
 
