@@ -143,8 +143,7 @@ def _same_place(subject: Subject, after: Fitted, signatures: Sequence[Mapping[st
     """Return whether the newest effect in `after` acts at the same place as an earlier one.
 
     That is its own port, or one that no law present at both ports distinguishes from it. The value of a held
-    parameter acts wherever its component does. What changes with time, a lag of a gauge beside its scale, say, is
-    another effect in any case.
+    parameter acts wherever its component does. A lag, delay or drift of a signal is always a separate effect.
     """
     ports = {e.id: e.port for e in subject.effects}
     (newest,) = (e for e in subject.effects if e.id == after.effects[-1])
