@@ -36,7 +36,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility identify-temperature-lab paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind designed-experiments blind-abroad discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example screenshots docs clean
+.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility identify-temperature-lab paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind designed-experiments blind-abroad rehearse-abroad discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example screenshots docs clean
 all: identify
 
 setup: $(READY)
@@ -181,6 +181,11 @@ blind-abroad: | $(READY)
 	$(BIN)/python -m benchmarks.abroad.blind --labels $(LABELS_ABROAD) --page docs/blind_abroad.md \
 	  --notes docs/blind_abroad_notes.md $(CASES:%=--cases %) $(WORKERS:%=--workers %) \
 	  --command "make blind-abroad$(CASES:%= CASES=%)"
+
+# The same on the rigs that rules are found on, with any seed: before a rule is frozen.
+rehearse-abroad: | $(READY)
+	$(BIN)/python -m benchmarks.abroad.blind --rehearse --labels $(LABELS_ABROAD)-rehearsal \
+	  --out runs/rehearsal_abroad $(CASES:%=--cases %) $(WORKERS:%=--workers %) --command "make rehearse-abroad"
 
 # Plants with laws that no catalogue has, 60, and 20 that no equation expresses: is the law found? Continues where it was
 # interrupted; an hour or two on two quiet cores. FIRST=20: the first twenty, and seven of the others.

@@ -26,6 +26,7 @@ from benchmarks.abroad.check_rigs import CHECKED_ON, OUTSIDE
 from benchmarks.abroad.grid import COUNT, Case, label, plan
 from benchmarks.abroad.logs import UNITS, write_logs
 from benchmarks.abroad.plant import Rig
+from benchmarks.abroad.rehearsal_rigs import REHEARSED_ON
 from benchmarks.abroad.score import Abroad, scored
 from benchmarks.blind.blind_check import checked_labels, diagnosed_apart, out_of_reach
 from benchmarks.study_command import ended
@@ -238,6 +239,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, help="default: drawn, and kept with the labels")
     parser.add_argument("--workers", type=int, help="cases at the same time; one per processor by default")
     parser.add_argument("--freeze", action="store_true", help="draw the seed, write down what is frozen, and end")
+    parser.add_argument("--rehearse", action="store_true", help="on the rigs that rules are found on")
     parser.add_argument("--score", action="store_true", help="score what has been answered, diagnose nothing")
     parser.add_argument("--page", type=Path, help="Markdown page to write")
     parser.add_argument("--notes", type=Path, help="Markdown sections to put on the page as they are")
@@ -246,7 +248,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.labels.resolve().is_relative_to(Path.cwd()):
         print("error: the labels would lie where the diagnosis works; name a folder elsewhere", file=sys.stderr)
         return 2
-    check = Check(given.out, given.labels, given.frozen, given.cases, given.count, given.seed, given.workers)
+    rigs = REHEARSED_ON if given.rehearse else CHECKED_ON
+    frozen = given.out / FROZEN.name if given.rehearse else given.frozen
+    check = Check(given.out, given.labels, frozen, given.cases, given.count, given.seed, given.workers, rigs)
 
     def work() -> Sequence[str]:
         if given.freeze:

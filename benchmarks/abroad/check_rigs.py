@@ -3,110 +3,16 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.abroad.compiled import SHAPE, CompiledPlant, Place
-from benchmarks.abroad.plant import Floats, Rig, random_steps, steps
+from benchmarks.abroad.compiled import CompiledPlant, Place
+from benchmarks.abroad.compiled_rig import chirp, compiled_rig, times
+from benchmarks.abroad.plant import Rig, random_steps, steps
 
 OUTSIDE = Path(__file__).with_name("outside.toml")
-_DIRECTED = {  # laws whose sign is open
-    "asymmetry",
-    "weight",
-    "thermal_friction",
-    "gain",
-    "offset",
-    "drift",
-    "crosstalk",
-    "hardening",
-    "pulsation",
-    "chaos",
-    "product",
-    "slip",
-    "value",
-}
-# What shapes a law, by the usual potential and rate at its place and the run's length.
-_SHAPES: Mapping[str, Callable[[Place, float], float]] = {
-    "stribeck": lambda at, _: 0.15 * at.rate,
-    "cogging": lambda at, _: max(round(12.0 / at.range), 2.0),  # once per turn would be an imbalance
-    "presliding": lambda at, _: 0.01 * at.range,
-    "hysteresis": lambda at, _: 0.2 * at.range,
-    "thermal_friction": lambda _, duration: 0.3 * duration,
-    "capacity": lambda _, duration: 0.08 * duration,
-    "resonator": lambda _, duration: 2 * np.pi * 9.0 / duration,
-    "pulsation": lambda _, __: 5.3,
-    "relay": lambda _, duration: 0.02 * duration,
-    "chaos": lambda _, duration: duration / 40.0,
-    "slip": lambda _, __: 0.55,
-}
-
-
-def directed(effect: str) -> bool:
-    """Return whether an effect's size may have either sign."""
-    return effect.partition("@")[0] in _DIRECTED
-
-
-def _outside() -> Mapping[str, Sequence[str]]:
-    rigs: Mapping[str, Sequence[str]] = tomllib.loads(OUTSIDE.read_text())["rigs"]
-    return rigs
-
-
-def _rig(
-    name: str,
-    plant: CompiledPlant,
-    step: float,
-    runs: Mapping[str, Floats],
-    *,
-    units: Mapping[str, str],
-    noise: Mapping[str, float],
-    inside: Sequence[str],
-    held: Sequence[str],
-    redundant: Sequence[str] = (),
-    same: Mapping[str, Sequence[str]] = {},
-    near: Mapping[str, Sequence[str]] = {},
-) -> Rig:
-    """Make a rig whose effects have a size of 1, to be scaled; inputs are held for two samples each.
-
-    `held` and `redundant` are the parameters that a first campaign does not free: the former have an effect of
-    their own, what the latter do others can do.
-    """
-    samples = 2 * np.shape(next(iter(runs.values())))[-1]
-    time = step * np.arange(samples)
-    outside = tuple(_outside()[plant.name])
-
-    def unit(effect: str) -> dict[str, float]:
-        law, _, where = effect.partition("@")
-        if where not in plant.places or law == "value":
-            return {effect: 1.0}
-        shape = _SHAPES.get(law)
-        return {effect: 1.0, effect + SHAPE: 1.0 if shape is None else float(shape(plant.places[where], time[-1]))}
-
-    return Rig(
-        name,
-        plant.name,
-        time,
-        {n: np.repeat(u, 2, axis=-1) for n, u in runs.items()},
-        units,
-        [noise[n] for n in plant.outputs],
-        {e: unit(e) for e in (*inside, *outside, *(f"value@{h}" for h in held))},
-        [p for p in plant.parameters if p not in (*held, *redundant)],
-        plant,
-        same,
-        outside,
-        {e: {o: unit(o) for o in others} for e, others in near.items()},
-    )
-
-
-def _times(step: float, samples: int) -> Floats:
-    return 2 * step * np.arange(samples // 2)
-
-
-def _chirp(time: Floats, slow: float, fast: float) -> Floats:
-    """Return a sine whose frequency rises in proportion to time."""
-    end = time[-1]
-    return np.sin(2 * np.pi * (slow + 0.5 * (fast - slow) * time / end) * time)
+_OUTSIDE = tomllib.loads(OUTSIDE.read_text())["rigs"]
 
 
 def _gantry_crane() -> Rig:
@@ -127,17 +33,17 @@ def _gantry_crane() -> Rig:
         {"trolley": Place(0, 1.0, 1.0)},
         substeps=16,
     )
-    t = _times(0.04, 400)
+    t = times(0.04, 400)
     runs = {
         "steps": steps(
             t, [1.0, -1.0, -1.8, 1.8, 0.4, -0.4, -1.2, 1.2, 2.0, -2.0, -0.7, 0.7, 1.5, -1.5, -2.2, 2.2]
         ),
         "sine": 2.0 * np.sin(2 * np.pi * 0.45 * t),
-        "sweep": 1.5 * _chirp(t, 0.2, 1.2),
+        "sweep": 1.5 * chirp(t, 0.2, 1.2),
         "far": 2.6 * np.sin(2 * np.pi * 0.125 * t),
         "cycle": steps(t, np.repeat([1.3, -1.3, -0.6, 0.6, 1.9, -1.9, -1.1, 1.1, 0.3, -0.3], 2)),
     }
-    return _rig(
+    return compiled_rig(
         "gantry crane",
         plant,
         0.04,
@@ -156,6 +62,7 @@ def _gantry_crane() -> Rig:
             "offset@theta",
         ),
         held=("buffer.c",),
+        outside=_OUTSIDE[plant.name],
         redundant=("trolley.F",),
         same={"weight@trolley": ("offset@u",)},
         near={
@@ -194,15 +101,15 @@ def _ball_screw() -> Rig:
         },
         substeps=12,
     )
-    t = _times(0.001, 600)
+    t = times(0.001, 600)
     runs = {
         "steps": random_steps(t, 0.04, 4.0, seed=21),
         "sine": 4.0 * np.sin(2 * np.pi * 6.0 * t),
-        "sweep": 5.0 * _chirp(t, 5.0, 60.0),
+        "sweep": 5.0 * chirp(t, 5.0, 60.0),
         "far": 3.2 * np.sign(np.sin(2 * np.pi * 2.0 * t)),
         "cycle": random_steps(t, 0.025, 4.5, seed=22),
     }
-    return _rig(
+    return compiled_rig(
         "ball screw",
         plant,
         0.001,
@@ -221,6 +128,7 @@ def _ball_screw() -> Rig:
             "presliding@table",
         ),
         held=("table.stop",),
+        outside=_OUTSIDE[plant.name],
         redundant=("screw.d", "table.d"),
         same={"weight@table": ("weight@screw.thread", "offset@i")},
         near={
@@ -258,16 +166,16 @@ def _two_link_arm() -> Rig:
         {"links.shoulder": Place(0, 1.5, 2.0, turning=True), "links.elbow": Place(1, 2.0, 4.0, turning=True)},
         substeps=10,
     )
-    t = _times(0.01, 400)
+    t = times(0.01, 400)
     sines = (6.0 * np.sin(2 * np.pi * 1.0 * t), 1.8 * np.sin(2 * np.pi * 1.7 * t + 1.0))
     runs = {
         "steps": np.stack([random_steps(t, 0.3, 5.0, seed=31), random_steps(t, 0.2, 1.8, seed=32)]),
         "sines": np.stack(sines),
-        "sweep": np.stack([7.0 * _chirp(t, 0.5, 3.0), -2.0 * _chirp(t, 0.7, 4.0)]),
+        "sweep": np.stack([7.0 * chirp(t, 0.5, 3.0), -2.0 * chirp(t, 0.7, 4.0)]),
         "far": np.stack([7.5 * np.sin(2 * np.pi * 0.3 * t), 0.3 * sines[1]]),
         "cycle": np.stack([random_steps(t, 0.25, 6.0, seed=33), random_steps(t, 0.25, 2.0, seed=34)]),
     }
-    return _rig(
+    return compiled_rig(
         "two-link arm",
         plant,
         0.01,
@@ -287,6 +195,7 @@ def _two_link_arm() -> Rig:
             "lag@q2",
         ),
         held=("stop.c",),
+        outside=_OUTSIDE[plant.name],
         same={"weight@links.shoulder": ("imbalance@links.shoulder",)},
         near={
             "asymmetry@links.shoulder": ("offset@tau1",),
@@ -316,7 +225,7 @@ def _heat_exchanger() -> Rig:
         substeps=8,
         zero=288.15,
     )
-    t = _times(20.0, 400)
+    t = times(20.0, 400)
     runs = {
         "steps": np.stack([0.2 + random_steps(t, 700.0, 0.15, seed=41), np.full(t.shape, 338.15)]),
         "warming": np.stack([np.full(t.shape, 0.25), steps(t, [318.15, 340.15, 328.15, 343.15, 310.15])]),
@@ -326,7 +235,7 @@ def _heat_exchanger() -> Rig:
             [0.22 + random_steps(t, 500.0, 0.16, seed=43), 333.15 + random_steps(t, 800.0, 9.0, seed=44)]
         ),
     }
-    return _rig(
+    return compiled_rig(
         "heat exchanger",
         plant,
         20.0,
@@ -347,6 +256,7 @@ def _heat_exchanger() -> Rig:
             "lag@T_in",
         ),
         held=("bleed.K",),
+        outside=_OUTSIDE[plant.name],
         redundant=("film.G",),
         near={
             "loss@hot": ("radiation@hot",),
@@ -370,15 +280,15 @@ def _buck_converter() -> Rig:
         substeps=12,
         crosstalk={"v": "i"},
     )
-    t = _times(2e-5, 500)
+    t = times(2e-5, 500)
     runs = {
         "steps": 0.3 + random_steps(t, 6e-4, 0.2, seed=51),
         "sine": 0.3 + 0.15 * np.sin(2 * np.pi * 400.0 * t),
-        "sweep": 0.3 + 0.2 * _chirp(t, 100.0, 2000.0),
+        "sweep": 0.3 + 0.2 * chirp(t, 100.0, 2000.0),
         "high": 0.65 + random_steps(t, 1e-3, 0.2, seed=52),
         "cycle": 0.28 + random_steps(t, 4e-4, 0.22, seed=53),
     }
-    return _rig(
+    return compiled_rig(
         "buck converter",
         plant,
         2e-5,
@@ -398,6 +308,7 @@ def _buck_converter() -> Rig:
             "crosstalk@v",
         ),
         held=("clamp.G",),
+        outside=_OUTSIDE[plant.name],
         same={"voltage_drop@choke": ("voltage_drop@bridge",)},
         near={
             "delay@duty": ("lag@duty",),
@@ -427,15 +338,15 @@ def _pneumatic_cylinder() -> Rig:
         {"chamber": Place(0, 1e5, 1e5), "piston": Place(1, 0.05, 0.5)},
         substeps=8,
     )
-    t = _times(0.006, 500)
+    t = times(0.006, 500)
     runs = {
         "steps": random_steps(t, 0.2, 2.5, seed=61),
         "sine": 2.5 * np.sin(2 * np.pi * 1.5 * t),
-        "sweep": 4.0 * _chirp(t, 1.0, 8.0),
+        "sweep": 4.0 * chirp(t, 1.0, 8.0),
         "far": 7.5 * np.sin(2 * np.pi * 0.5 * t),
         "cycle": random_steps(t, 0.12, 3.0, seed=62),
     }
-    return _rig(
+    return compiled_rig(
         "pneumatic cylinder",
         plant,
         0.006,
@@ -456,6 +367,7 @@ def _pneumatic_cylinder() -> Rig:
             "offset@p",
         ),
         held=("springs.cushion",),
+        outside=_OUTSIDE[plant.name],
         redundant=("cylinder.A",),
         near={
             "asymmetry@piston": ("weight@piston",),
@@ -485,15 +397,15 @@ def _magnetic_bearing() -> Rig:
         substeps=10,
         crosstalk={"x": "i"},
     )
-    t = _times(1e-4, 600)
+    t = times(1e-4, 600)
     runs = {
         "steps": random_steps(t, 3e-3, 1.5e-5, seed=71),
         "sine": 1.5e-5 * np.sin(2 * np.pi * 60.0 * t),
-        "sweep": 1.5e-5 * _chirp(t, 20.0, 300.0),
+        "sweep": 1.5e-5 * chirp(t, 20.0, 300.0),
         "wide": 5e-5 * np.sin(2 * np.pi * 40.0 * t),
         "cycle": random_steps(t, 2e-3, 1.8e-5, seed=72),
     }
-    return _rig(
+    return compiled_rig(
         "magnetic bearing",
         plant,
         1e-4,
@@ -513,6 +425,7 @@ def _magnetic_bearing() -> Rig:
             "drift@i",
         ),
         held=("rotor.touch", "magnets.L"),
+        outside=_OUTSIDE[plant.name],
         redundant=("rotor.m",),
         near={
             "weight@rotor": ("asymmetry@rotor",),
@@ -547,15 +460,15 @@ def _ship_drive() -> Rig:
         },
         substeps=16,
     )
-    t = _times(0.4, 500)
+    t = times(0.4, 500)
     runs = {
         "steps": 1200.0 + random_steps(t, 10.0, 900.0, seed=81),
         "sine": 1200.0 + 900.0 * np.sin(2 * np.pi * 0.08 * t),
-        "sweep": 1000.0 + 1000.0 * _chirp(t, 0.02, 0.9),
+        "sweep": 1000.0 + 1000.0 * chirp(t, 0.02, 0.9),
         "full": 4500.0 + random_steps(t, 15.0, 1500.0, seed=82),
         "cycle": 1300.0 + random_steps(t, 6.0, 1000.0, seed=83),
     }
-    return _rig(
+    return compiled_rig(
         "ship's drive train",
         plant,
         0.4,
@@ -576,6 +489,7 @@ def _ship_drive() -> Rig:
             "saturation@tau",
         ),
         held=("hull.waves",),
+        outside=_OUTSIDE[plant.name],
         redundant=("hull.R",),
         near={
             "viscous@engine": ("viscous@propeller.shaft",),

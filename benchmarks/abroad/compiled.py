@@ -17,7 +17,7 @@ from fmuid.core.errors import SimulationError
 SHAPE = ".shape"  # beside the size of an effect
 _PLANTS = (
     "GantryCrane", "BallScrew", "TwoLinkArm", "HeatExchanger", "BuckConverter", "PneumaticCylinder",
-    "MagneticBearing", "ShipDrive",
+    "MagneticBearing", "ShipDrive", "BeltAxis", "ThermalBlock", "Circuit", "Tanks",
 )  # fmt: skip
 _DOUBLES = np.ctypeslib.ndpointer(dtype=np.float64, flags="C_CONTIGUOUS")
 
@@ -50,6 +50,8 @@ class CompiledPlant:
         Steps a sample.
     crosstalk
         Output -> output or input that couples into it.
+    largest
+        Input -> its largest size over all runs.
     """
 
     name: str
@@ -60,6 +62,7 @@ class CompiledPlant:
     substeps: int
     zero: float = 0.0
     crosstalk: Mapping[str, str] = field(default_factory=dict)
+    largest: Mapping[str, float] = field(default_factory=dict)
 
     def __call__(
         self, factors: Mapping[str, float], effect: Mapping[str, float], time: Floats, u: Floats
@@ -90,7 +93,7 @@ class CompiledPlant:
                 k = self.inputs.index(where)
                 lag[k] += size if law == "lag" else 0.0
                 delay[k] += size if law == "delay" else 0.0
-                drive[where] = _driven(law, size, drive[where])
+                drive[where] = _driven(law, size, drive[where], self.largest[where])
             else:
                 place = self.places[where]
                 kind = "pendulum_weight" if law == "weight" and place.turning else law
@@ -132,7 +135,7 @@ class CompiledPlant:
         return y
 
 
-def _driven(law: str, size: float, u: Floats) -> Floats:
+def _driven(law: str, size: float, u: Floats, largest: float) -> Floats:
     match law:
         case "gain":
             return u * (1.0 + size)
@@ -141,8 +144,7 @@ def _driven(law: str, size: float, u: Floats) -> Floats:
         case "dead_zone":
             return u - np.clip(u, -size, size)
         case "saturation":  # an amplifier whose limit is lower by a share of the largest input
-            limit = (1.0 - size) * np.max(np.abs(u))
-            return np.clip(u, -limit, limit)
+            return np.clip(u, -(1.0 - size) * largest, (1.0 - size) * largest)
         case "lag" | "delay":
             return u
         case _:

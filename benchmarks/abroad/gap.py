@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from benchmarks.abroad.compiled import SHAPE
 from benchmarks.abroad.plant import Floats, Rig
 from fmuid.core.errors import SimulationError
 
 _STEP = 1e-3  # of a parameter's logarithm, for derivatives
-_REFITS = 2  # Gauss-Newton steps
+_REFITS = 8  # steps of a least-squares search at most
+_FAR = 1.0  # that parameters may move, in their logarithms
+_CORRECTED = 4  # times a size is corrected once the rough gap is right
 _CLOSE = 0.05
+_DRAWS = 8  # of the noise of inputs
 _MOST = {"saturation": 0.8, "value": 0.7, "gain": 0.5}  # sizes that are plausible at all
 _FIRST = 1e-7
 
@@ -20,11 +24,14 @@ _FIRST = 1e-7
 class SizedPlant:
     """A plant without effects, and the gap of any effect beside it.
 
-    The floor is the rig's own noise, sample by sample; the last experiment is for validation and does not count.
+    The floor is the noise sample by sample: that of the rig's sensors, and with `inputs` also what the noise of
+    measured inputs, a share of their ranges, passes on to the outputs. The last experiment is for validation and
+    does not count.
     """
 
-    def __init__(self, rig: Rig, factors: Mapping[str, float]) -> None:
+    def __init__(self, rig: Rig, factors: Mapping[str, float], *, inputs: float = 0.0) -> None:
         self._rig, self._factors = rig, dict(factors)
+        self._floor = np.hypot(rig.noise, self._passed_on(inputs) if inputs else 0.0)
         self._plain = self._whitened({}, {})
         columns = [
             (self._whitened({name: _STEP}, {}) - self._whitened({name: -_STEP}, {})) / (2 * _STEP)
@@ -37,22 +44,58 @@ class SizedPlant:
         """Return all readings in units of the floor; parameters are `moved` in their logarithms."""
         rig = self._rig
         factors = {n: f * np.exp(moved.get(n, 0.0)) for n, f in self._factors.items()}
-        sigma = np.asarray(rig.noise)[:, None]
-        runs = list(rig.inputs.values())[:-1]
-        return np.concatenate([(rig.simulate(factors, effect, rig.time, u) / sigma).ravel() for u in runs])
+        sigma = self._floor[:, None]
+        return np.concatenate([(rig.simulate(factors, effect, rig.time, u) / sigma).ravel() for u in self._runs])
+
+    @property
+    def _runs(self) -> list[Floats]:
+        return list(self._rig.inputs.values())[:-1]
+
+    def _passed_on(self, share: float) -> Floats:
+        """Return the root mean square of what noise of the inputs passes on to each output."""
+        rig, rng = self._rig, np.random.default_rng(0)
+        squares = []
+        for u in map(np.atleast_2d, self._runs):
+            plain = rig.simulate(self._factors, {}, rig.time, u)
+            for _ in range(_DRAWS):
+                noise = share * np.ptp(u, axis=1, keepdims=True) * rng.normal(size=u.shape)
+                squares.append(
+                    np.mean((rig.simulate(self._factors, {}, rig.time, u + noise) - plain) ** 2, axis=1)
+                )
+        return np.asarray(np.sqrt(np.mean(squares, axis=0)))
 
     def gap(self, effect: Mapping[str, float]) -> float:
         """Return the gap in floors: the RMS that the refit leaves; infinite where it cannot be simulated."""
         try:
             measured = self._whitened({}, effect)
-            best, moved = np.inf, np.zeros(len(self._rig.parameters))
-            for _ in range(_REFITS + 1):
-                left = measured - self._whitened(dict(zip(self._rig.parameters, moved, strict=True)), {})
-                best = min(best, float(np.sqrt(np.mean(left**2))))
-                moved = np.clip(moved + self._inverse @ left, -1.0, 1.0)
         except SimulationError:
             return np.inf
+        begin, _ = self._roughly(measured)
+        found = least_squares(
+            lambda moved: self._beside(measured, moved),
+            begin,
+            bounds=(-_FAR, _FAR),
+            diff_step=_STEP,
+            max_nfev=_REFITS,
+        )
+        return float(np.sqrt(np.mean(found.fun**2)))
+
+    def _roughly(self, measured: Floats) -> tuple[Floats, float]:
+        """Return parameters that come close to readings, with the derivatives of the plain plant, and the gap."""
+        best, moved = (np.zeros(len(self._rig.parameters)), np.inf), np.zeros(len(self._rig.parameters))
+        for _ in range(3):
+            left = self._beside(measured, moved)
+            size = float(np.sqrt(np.mean(left**2)))
+            best = (moved, size) if size < best[1] else best
+            moved = np.clip(moved + self._inverse @ left, -0.99 * _FAR, 0.99 * _FAR)
         return best
+
+    def _beside(self, measured: Floats, moved: Floats) -> Floats:
+        """Return what a model with such parameters leaves of readings; a lot where it cannot be simulated."""
+        try:
+            return measured - self._whitened(dict(zip(self._rig.parameters, moved.tolist(), strict=True)), {})
+        except SimulationError:
+            return np.full(len(measured), 1e6)
 
     def separation(self, effect: Mapping[str, float], other: Mapping[str, float], recordings: float) -> float:
         """Return by how many standard deviations an effect differs from the best size of another beside it.
@@ -82,11 +125,24 @@ class SizedPlant:
 
         low, high, size = 0.0, np.inf, _FIRST
         for _ in range(40):
-            gap = self.gap(at(size))
+            gap = self._rough_gap(at(size))
             if abs(gap / target - 1.0) < _CLOSE or (gap < target and size >= most):
                 break
             low, high = (size, high) if gap < target else (low, size)
             guess = size * float(np.clip(target / max(gap, 1e-12), 1e-2, 1e3))
             inside = low + 0.02 * (high - low) < guess < high - 0.02 * (high - low) if np.isfinite(high) else True
             size = min(guess if inside else np.sqrt(max(low, 1e-3 * high) * high), most)
+        for _ in range(_CORRECTED):
+            gap = self.gap(at(size))
+            if abs(gap / target - 1.0) < _CLOSE or (gap < target and size >= most):
+                break
+            size = min(size * float(np.clip(target / max(gap, 1e-12), 0.3, 3.0)), most)
+        else:
+            gap = self.gap(at(size))
         return at(size), gap
+
+    def _rough_gap(self, effect: Mapping[str, float]) -> float:
+        try:
+            return self._roughly(self._whitened({}, effect))[1]
+        except SimulationError:
+            return np.inf

@@ -14,9 +14,10 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from benchmarks.abroad.check_rigs import CHECKED_ON, directed
+from benchmarks.abroad.check_rigs import CHECKED_ON
+from benchmarks.abroad.compiled_rig import directed
 from benchmarks.abroad.gap import SizedPlant
-from benchmarks.abroad.logs import Noise, Recording, drawn_factors
+from benchmarks.abroad.logs import INPUT_NOISE, Noise, Recording, drawn_factors
 from benchmarks.abroad.plant import Rig
 
 COUNT = 1000  # without twins
@@ -94,7 +95,8 @@ def label(case: Case, seed: int) -> dict[str, Any]:
     """Size the effects of a case and return its label, a JSON value."""
     rng = np.random.default_rng([seed, case.drawn])
     factors = drawn_factors(case.rig, rng)
-    plant = SizedPlant(case.rig, factors)
+    inputs = INPUT_NOISE if case.recording.noise == "inputs" else 0.0
+    plant = SizedPlant(case.rig, factors, inputs=inputs)
     effect: dict[str, float] = {}
     gaps: list[float] = []
     same: dict[str, list[str]] = {}

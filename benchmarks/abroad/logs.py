@@ -22,7 +22,7 @@ UNITS: Mapping[str, tuple[str, float]] = {  # what else a signal may be logged i
 _MEMORY = 20.0  # samples, of coloured noise
 _QUANTUM = 3.0  # standard deviations of what noise would be otherwise; an encoder that all but repeats exactly
 _SPIKED = 0.004  # of the samples
-_INPUT_NOISE = 3e-3  # of the input's range
+INPUT_NOISE = 3e-3  # of the input's range
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def write_logs(
             noisy = _KINDS[recording.noise](y, sigma, rng)
             read = given
             if recording.noise == "inputs":
-                read = given + rng.normal(size=given.shape) * _INPUT_NOISE * np.ptp(given, axis=1, keepdims=True)
+                read = given + rng.normal(size=given.shape) * INPUT_NOISE * np.ptp(given, axis=1, keepdims=True)
             table = np.vstack([rig.time[:: recording.every], read, noisy]).T * scale
             file = folder / f"{name}_{k}.csv"
             np.savetxt(file, table, delimiter=",", header=header, comments="", fmt="%.9g")

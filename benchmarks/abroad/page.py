@@ -40,8 +40,8 @@ _NOTES = """\
 - *Noise bounded* are single runs with white or quantised noise.
 - *Port class right*: of those called unknown, the place is among those that the verdict names.
 - *Held-out closure*: on the run that the diagnosis did not see, of verdicts that are exactly right.
-- *Calibration error*: of the verdict's probability, by ten bins of as many cases, less what sampling adds to
-  it.
+- *Calibration error*: of the likeliest answer's probability, by ten bins of as many cases, less what sampling adds
+  to it.
 - *Same information*: pairs of recordings of one plant at two rates with the same spectral density of the noise,
   in other units, or with a model that has an idle part more. All pairs count; none is left out for being near a
   threshold.
@@ -106,8 +106,8 @@ def _power(cases: Sequence[Scored]) -> str:
 
 def _resolution(cases: Sequence[Scored]) -> str:
     rows = [[f"{p:.2f}", f"{hit:.2f}", str(n)] for p, hit, n in resolution(cases)]
-    text = "## Calibration with resolution\n\nVerdicts by their probability, in five groups of as many cases.\n\n"
-    return text + table(("mean probability", "share right", "cases"), rows)
+    text = "Likeliest answers by their probability, in five groups of as many cases.\n\n"
+    return "## Calibration with resolution\n\n" + text + table(("mean probability", "share right", "cases"), rows)
 
 
 def _pairs(outcome: Abroad) -> str:

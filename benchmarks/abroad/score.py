@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from benchmarks.blind.blind_score import FLOOR, LARGE, Figure, Scored, share
-from fmuid.diagnosis.summary import probability
 
 _KNOWN = ("one", "two", "held")
 _BINS = 10  # of the probability, each with as many cases
@@ -67,10 +66,20 @@ def scored(label: Mapping[str, Any], answer: Mapping[str, Any], closure: float |
     alike = {
         **answer,
         "verdict": {**verdict, "kind": kind, "effects": list(effects), "one_of": [list(o) for o in one_of]},
-        "answers": [{**a, "effects": list(_named(a["effects"], name))} for a in answer["answers"]],
+        "answers": _merged([{**a, "effects": list(_named(a["effects"], name))} for a in answer["answers"]]),
         "effects": [{"id": n, "probability": p} for n, p in inclusion.items()],
     }
     return Scored(label, alike, closure)
+
+
+def _merged(answers: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Join answers that are the same set of effects; their probabilities add up."""
+    found: dict[frozenset[str], Mapping[str, Any]] = {}
+    for a in answers:
+        own = frozenset(a["effects"])
+        before = found.get(own, {**a, "probability": 0.0})
+        found[own] = {**before, "probability": before["probability"] + a["probability"]}
+    return list(found.values())
 
 
 def _named(names: Iterable[str], name: Mapping[str, str]) -> tuple[str, ...]:
@@ -141,23 +150,30 @@ def figures(outcome: Abroad) -> tuple[Figure, ...]:
         ),
         _covers(covered),
         Figure("median width of the closure interval", _quantile(widths, 0.5), len(widths), upper=0.3),
-        Figure("calibration error of the verdict", error, len(cases), upper=0.03),
+        Figure("calibration error of the likeliest answer", error, len(cases), upper=0.03),
         Figure("Brier score against a constant guess", ratio, len(cases), upper=0.5),
         share("same information, same verdict", [same_verdict(a, b) for a, b in outcome.pairs], lower=0.98),
     )
 
 
-def calibration(cases: Sequence[Scored]) -> tuple[float | None, float | None]:
-    """Return the calibration error of the verdict and its Brier score, over that of a constant guess.
+def likeliest(case: Scored) -> tuple[float, bool]:
+    """Return the probability of the likeliest answer, and whether it is true; of a *partial* one, a part of it."""
+    best = max(case.answer["answers"], key=lambda a: float(a["probability"]))
+    own = frozenset(best["effects"])
+    part = case.kind == "partial" and own == case.named
+    return float(best["probability"]), own <= case.truth if part else own == case.truth
 
-    A verdict is right if one of the answers that it leaves open is true. The error is the root of the mean squared
+
+def calibration(cases: Sequence[Scored]) -> tuple[float | None, float | None]:
+    """Return the calibration error of the likeliest answer and its Brier score, over that of a constant guess.
+
+    The error is the root of the mean squared
     difference of share and probability over bins of as many cases each, less what sampling adds to it (Kumar,
-    Liang, Ma: Verified uncertainty calibration. NeurIPS 2019). None where every verdict or none is right.
+    Liang, Ma: Verified uncertainty calibration. NeurIPS 2019). None where every answer or none is right.
     """
     if len(cases) < 2 * _BINS:
         return None, None
-    sure = np.array([probability(c.answer) for c in cases])
-    hits = np.array([c.holds for c in cases], dtype=float)
+    sure, hits = np.array([likeliest(c) for c in cases], dtype=float).T
     squared = 0.0
     for chosen in np.array_split(np.argsort(sure, kind="stable"), _BINS):
         share_, n = hits[chosen].mean(), len(chosen)
@@ -169,13 +185,9 @@ def calibration(cases: Sequence[Scored]) -> tuple[float | None, float | None]:
 
 def resolution(cases: Sequence[Scored]) -> list[tuple[float, float, int]]:
     """Return mean probability, share right and number of cases, by bins of as many cases each."""
-    order = sorted(cases, key=lambda c: probability(c.answer))
+    order = sorted(map(likeliest, cases))
     bins = [order[k * len(order) // 5 : (k + 1) * len(order) // 5] for k in range(5)]
-    return [
-        (float(np.mean([probability(c.answer) for c in b])), float(np.mean([c.holds for c in b])), len(b))
-        for b in bins
-        if b
-    ]
+    return [(*map(float, np.mean(b, axis=0)), len(b)) for b in bins if b]
 
 
 def same_verdict(a: Scored, b: Scored) -> bool:

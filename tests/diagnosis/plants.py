@@ -169,3 +169,14 @@ def plant(
     model = CampaignModel(tuple(cases))
     observed = Observed.from_runs(model.runs)
     return Subject(model, observed, NOMINAL, Catalogue(effects, PORTS, REGIMES), tuple(effects.values()))
+
+
+def misread(subject: Subject, error: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Subject:
+    """Return the same runs with an error of the speed reading, a function of its course and time."""
+    cases = []
+    for case in subject.model.cases:
+        x, v = case.channels
+        wrong = v.repeats + error(v.repeats.mean(axis=0), DT * np.arange(v.repeats.shape[1]))
+        cases.append(replace(case, channels=(x, replace(v, repeats=wrong))))
+    model = replace(subject.model, cases=tuple(cases))
+    return replace(subject, model=model, observed=Observed.from_runs(model.runs))

@@ -15,7 +15,6 @@ from fmuid.diagnosis.decide import (
     names,
     needed_beside,
     of_its_law,
-    places,
     stable,
     strained,
     survivors,
@@ -43,9 +42,10 @@ def lost(*loss):
     return HeldOut(np.array(loss), tuple(np.full(5, x) for x in loss), np.full(len(loss), 100.0))
 
 
-def fitted(effects, gap, *, held_out=None, residuals=((),), cost=0.0):
+def fitted(effects, gap, *, held_out=None, residuals=((),), cost=0.0, parameters=0):
     """A model that leaves `gap` floors, on experiments left out `held_out` floors."""
-    fit = Refit((), {}, tuple(np.array(r, dtype=float) for r in residuals), (), cost, 0, True)
+    unknowns = tuple(Unknown(f"p{k}", 0.0, -1.0, 1.0, 0.1) for k in range(parameters))
+    fit = Refit(unknowns, {}, tuple(np.array(r, dtype=float) for r in residuals), (), cost, 0, True)
     losses = lost((gap if held_out is None else held_out) ** 2)
     return Fitted(effects, effects, fit, losses, losses, gap)
 
@@ -119,10 +119,28 @@ def test_names_that_close_far_less_are_not_listed_beside_the_best():
     assert found[1] is near
 
 
-@pytest.mark.parametrize(("apart", "open_"), [(3.99, True), (4.0, False), (4.01, False)])
-def test_an_answer_that_the_data_do_not_prefer_by_four_deviations_stays_open(apart, open_):
+def test_odds_follow_from_the_difference_of_costs_and_the_number_of_parameters():
+    a, b = (fitted((n,), 0.0, residuals=[[0.0], [y]]) for n, y in (("a", 0.0), ("b", 0.5)))
+    assert decide.log_odds(a, b, RECORDED) == pytest.approx(0.5 * 1.5**2)
+    assert decide.log_odds(b, a, RECORDED) == pytest.approx(-0.5 * 1.5**2)
+    assert decide.log_odds(a, a, RECORDED) == 0.0
+    larger = fitted(("b",), 0.0, residuals=[[0.0], [0.5]], parameters=2)
+    assert decide.log_odds(a, larger, RECORDED) == pytest.approx(0.5 * 1.5**2 + np.log(100.0))  # 100 components
+    assert decide.log_odds(larger, a, RECORDED) == pytest.approx(-0.5 * 1.5**2 - np.log(100.0))
+
+
+def test_odds_count_for_less_if_neither_answer_fits_as_it_would_if_it_were_true():
+    a = fitted(("a",), 0.0, residuals=[[0.0, 4.0], [0.0]])  # costs 64 and 100, a distance of 16.8
+    b = fitted(("b",), 0.0, residuals=[[5.0, 0.0], [2.0 / 3.0 * 0.0]])
+    apart = 2.0 * np.hypot(5.0, 4.0)
+    assert decide.log_odds(a, b, RECORDED) == pytest.approx(0.5 * 36.0 * 36.0 / apart**2)
+
+
+@pytest.mark.parametrize(("odds", "open_"), [(19.9, True), (20.1, False)])
+def test_an_answer_stays_open_unless_the_odds_against_it_are_long(odds, open_):
     best = fitted(("best",), 0.0, residuals=[[0.0], [0.0]])
-    other = fitted(("other",), 0.0, residuals=[[0.0], [2.0 * apart / 3.0]])  # costs differ by the distance squared
+    # Costs differ by the distance squared, as they do on average if the best one is true.
+    other = fitted(("other",), 0.0, residuals=[[0.0], [np.sqrt(2.0 * np.log(odds)) / 3.0]])
     assert (other in survivors(best, [other], RECORDED)) is open_
 
 
@@ -404,29 +422,9 @@ def test_an_effect_that_runs_do_not_agree_on_is_not_needed():
     assert needed_beside([alone], [beside], nominal) is True
 
 
-def test_places_are_those_where_free_functions_do_about_as_well_as_anywhere():
-    decoys = [
-        free(0.301, port="d"),
-        free(0.9, port="a"),
-        free(0.2, port="a", alike=("rigid",)),
-        free(0.299, port="b"),
-        free(0.4, port="c"),
-    ]
-    assert places(fitted((), 1.0), decoys) == ("a", "rigid", "b")
-    assert places(fitted((), 1.0), []) == ()
-    assert places(fitted((), 1.0), [free(0.375, port="b"), free(0.25, port="a")]) == ("a", "b")
-
-
-@pytest.mark.parametrize("gap", [0.5, 1.0, 3.0])
-@pytest.mark.parametrize(("left", "named"), [(0.89, ("a",)), (0.91, ())])
-def test_a_place_is_named_if_free_functions_close_a_tenth_there(left, named, gap):
-    decoys = [free(left * gap, port="a"), free(0.95 * gap, port="b")]
-    assert places(fitted((), gap), decoys) == named
-
-
-def test_weights_fall_with_the_square_of_the_separation():
+def test_weights_fall_with_the_odds():
     best = fitted(("best",), 0.0, held_out=0.4, residuals=[[0.0], [0.0]])
-    second = fitted(("second",), 0.0, residuals=[[0.0], [2.0]])  # a distance of 6: three deviations
+    second = fitted(("second",), 0.0, residuals=[[0.0], [1.0]])  # a distance of 3
     far = fitted(("far",), 0.0, residuals=[[0.0], [200.0]])
     weights = decide.weigh(fitted((), 1.0), [best, second, far], RECORDED, "ambiguous")
     assert sum(weights.values()) == pytest.approx(1.0)

@@ -3,7 +3,8 @@
 #include <string.h>
 
 static const Plant *const plants[] = {&gantry_crane,   &ball_screw,         &two_link_arm,     &heat_exchanger,
-                                      &buck_converter, &pneumatic_cylinder, &magnetic_bearing, &ship_drive};
+                                      &buck_converter, &pneumatic_cylinder, &magnetic_bearing, &ship_drive,
+                                      &belt_axis,      &thermal_block,      &circuit,          &tanks};
 
 enum {
     VISCOUS, COULOMB, STRIBECK, ASYMMETRY, QUADRATIC, COGGING, WEIGHT, PENDULUM_WEIGHT, PRESLIDING, POSITION_FRICTION,

@@ -43,5 +43,5 @@ double after_play(const Moment *at, int place, double stretch);
 static inline double beyond(double x, double limit) { return x > limit ? x - limit : x < -limit ? x + limit : 0.0; }
 
 extern const Plant gantry_crane, ball_screw, two_link_arm, heat_exchanger, buck_converter, pneumatic_cylinder,
-    magnetic_bearing, ship_drive;
+    magnetic_bearing, ship_drive, belt_axis, thermal_block, circuit, tanks;
 #endif

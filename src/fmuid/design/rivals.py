@@ -1,8 +1,9 @@
 """The excitation that best distinguishes the answers of a diagnosis (T-optimal: Atkinson and Fedorov 1975).
 
-A run decides between answers if, in nine cases out of ten, a diagnosis will prefer the right answer by as many
-standard deviations as it takes to name one alone (`decide.SAME`). By noise alone, the wrong one would then fit
-better in fewer than one case in a million. The margin allows for model error and for the linearisation of rivals.
+A run decides between answers if, in nine cases out of ten, a diagnosis will prefer the right answer by
+`decide.SAME` standard deviations. That is far beyond the odds that name one alone, and by noise alone, the wrong
+one would fit better in fewer than one case in a million. The margin allows for model error and for the
+linearisation of rivals.
 """
 
 from __future__ import annotations

@@ -253,11 +253,13 @@ def _weights(observed: Observed) -> FloatArray:
 
 @cache
 def shipped() -> Calibration:
-    """Return the calibration shipped with the package, from plants of the actuator's FMU."""
+    """Return the calibration shipped with the package.
+
+    Its plants are a belt axis, a heated block, an electric circuit and tanks (`benchmarks.abroad.calibrate`).
+    """
     return _read(
         (files("fmuid.diagnosis") / "calibration.json").read_text(),
-        "of the Harmonic Drive actuator, the default (for repeated runs, --calibrate 60 makes them from this "
-        "model and its noise)",
+        "of four rigs, the default (for repeated runs, --calibrate 60 makes them from this model and its noise)",
     )
 
 

@@ -80,6 +80,24 @@ def fit_effects(
     )
 
 
+def better_nominal(subject: Subject, nominal: Fitted, candidates: Sequence[Fitted]) -> Fitted | None:
+    """Refit the nominal model from the values of a candidate if it fits better there without the effect.
+
+    A refit with an effect may escape from a local minimum that the nominal refit ended in. None if it has not.
+    """
+    starts = [{u.name: c.fit.values[u.name] for u in subject.nominal} for c in candidates]
+    start = _best_start(subject, [nominal.fit.values, *starts])
+    if start is None or start is nominal.fit.values:
+        return None
+    better = fit_effects(subject, (), [start])
+    return better if better is not None and nominal.fit.cost > about(better.fit.cost) else None
+
+
+def about(cost: float) -> float:
+    """Return the cost up to which another model fits about equally well."""
+    return 1.05 * cost + 20.0
+
+
 def score_further(
     subject: Subject, fitted: Fitted, *, likely: Sequence[Score] = (), most: int | None = None
 ) -> tuple[Score, ...]:
@@ -127,7 +145,10 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
     factor = float(np.clip(score.scale, -3.0 if effect.two_sided else 0.03, 3.0))
     sizes = [effect.scaled(score.trial, factor), *({**effect.neutral, **trial} for trial in effect.trials)]
     unbent = {**fitted.fit.values, **{u.name: u.start for u in subject.nominal}}
-    starts = [_best_start(subject, [{**point, **size} for size in sizes]) for point in (fitted.fit.values, unbent)]
+    basis = nominal_basis(fitted.fit, subject.observed)
+    starts = [
+        _best_start(subject, [{**point, **size} for size in sizes], basis) for point in (fitted.fit.values, unbent)
+    ]
     found = [start for start in starts if start is not None]
     effects = [*(by_id[name] for name in fitted.effects), effect]
     added = fit_effects(subject, effects, found) if found else None
@@ -147,14 +168,22 @@ def twins(subject: Subject, fitted: Fitted, scores: Sequence[Score]) -> list[Fit
     return [f for f in found if f is not None]
 
 
-def _best_start(subject: Subject, starts: Sequence[Mapping[str, float]]) -> Mapping[str, float] | None:
-    """Return the start with the least cost; None if none can be simulated."""
-    costs = [
-        np.inf
-        if isinstance(outcome, SimulationError)
-        else float(np.sum(stack(subject.observed.residuals(outcome), subject.observed) ** 2))
-        for outcome in subject.model.predict(starts)
-    ]
+def _best_start(
+    subject: Subject, starts: Sequence[Mapping[str, float]], basis: FloatArray | None = None
+) -> Mapping[str, float] | None:
+    """Return the start with the least cost; None if none can be simulated.
+
+    With the `basis` of the responses to other parameters, the cost is what a step of these would leave: they may
+    have shifted to imitate what the start adds.
+    """
+    costs = []
+    for outcome in subject.model.predict(starts):
+        if isinstance(outcome, SimulationError):
+            costs.append(np.inf)
+            continue
+        residual = stack(subject.observed.residuals(outcome), subject.observed)
+        residual = residual if basis is None else project_off(residual, basis)
+        costs.append(float(residual @ residual))
     best = int(np.argmin(costs))
     return starts[best] if np.isfinite(costs[best]) else None
 

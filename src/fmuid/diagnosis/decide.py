@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fmuid.core.immutable import FloatArray
-from fmuid.diagnosis.candidates import Fitted
+from fmuid.diagnosis.candidates import Fitted, about
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import advantage, closure
 from fmuid.diagnosis.observed import Observed
@@ -20,14 +20,14 @@ from fmuid.diagnosis.verdict import NONE, UNKNOWN, Kind
 GAP_THAT_MATTERS = 0.25  # noise floors: smaller gaps are within what sampling and discretisation of a rig leave
 SIGNIFICANCE = 0.01
 SCORE_MARGIN = 2.0  # the largest score must exceed this many times the 99 % quantile under noise alone
-CLOSURE_THAT_PLACES = 0.1  # free functions at a port must close at least this much for the port to be named
 CLOSURE_THAT_NAMES = 0.5  # a named effect must close at least half of the gap on experiments left out
 CLOSURE_THAT_FINISHES = 1 / 3  # or this much of a weak gap, if the rest is no more than noise
 GAIN_OF_A_SECOND = 0.25  # a further effect must close at least a quarter of the remaining gap
 DECOY_MARGIN = 0.65  # a decoy must leave less than this share of the gap that the best named effect leaves
 ABOUT_AS_WELL = 1.5  # ratio of remaining gaps: a free function is one linear step, effects are refitted to the end
 CLOSURE_BEYOND_DECOYS = 0.85  # an effect that closes this much is not unknown, though its law may differ in shape
-SAME = 4.0  # models whose predictions differ by fewer standard deviations cannot be told apart
+SAME = 4.0  # standard deviations by which the data must contradict an answer, or a run must separate two
+OPEN = 20.0  # odds against an answer beyond which it is not left open: strong evidence (Kass and Raftery 1995)
 _BLOCK = 20.0  # this many samples of model error carry as much information as one of noise
 
 
@@ -35,20 +35,48 @@ def separation(a: Fitted, b: Fitted, observed: Observed, *, without: int | None 
     """Return by how many standard deviations the data prefer `a` to `b` (negative: `b` to `a`).
 
     If the predictions of the two models differ by D sigma and one of them is true, the difference of their costs
-    is D^2 with a standard deviation of 2 D. The part that even the better model leaves unexplained counts as noise
-    too, but it is far from white: `_BLOCK` of its samples count as one. With `without`, that experiment is
-    excluded.
+    is D^2 with a standard deviation of 2 D. With `without`, that experiment is excluded.
+    """
+    difference, apart, wider = _compared(a, b, observed, without)
+    return difference / (2.0 * apart * wider) if apart else 0.0
+
+
+def log_odds(a: Fitted, b: Fitted, observed: Observed) -> float:
+    """Return the logarithm of the posterior odds of `a` against `b`, equally likely beforehand.
+
+    That is half the difference of their costs, plus ln(N) / 2 for each parameter that `b` has more (Schwarz 1978).
+    If `a` is true, the difference is D^2 on average. If it is less, neither may be true, and it counts for as much
+    less.
+    """
+    difference, apart, wider = _compared(a, b, observed, None)
+    evidence = difference / (2.0 * wider**2) * min(1.0, abs(difference) / apart**2) if apart else 0.0
+    return evidence + _price(b) - _price(a)
+
+
+def log_evidence(nominal: Fitted, fitted: Fitted) -> float:
+    """Return the logarithm of the marginal likelihood of `fitted` over that of `nominal` (Schwarz 1978)."""
+    return 0.5 * (nominal.fit.cost - fitted.fit.cost) - _price(fitted) + _price(nominal)
+
+
+def _price(fitted: Fitted) -> float:
+    """Return what the parameters of a model cost it in evidence."""
+    return 0.5 * len(fitted.fit.unknowns) * float(np.log(fitted.held_out.size.sum()))
+
+
+def _compared(a: Fitted, b: Fitted, observed: Observed, without: int | None) -> tuple[float, float, float]:
+    """Return by how much the cost of `b` exceeds that of `a`, how far apart they are, and the `spread` of that.
+
+    The part that even the better model leaves unexplained counts as noise too, but it is far from white: `_BLOCK`
+    of its samples count as one.
     """
     ra, rb = (_stacked(f, observed, without) for f in (a, b))
-    difference = float(np.linalg.norm(ra - rb))
-    if difference == 0.0:
-        return 0.0
-    wider = spread(float(np.mean(observed.repeats)) * min(a.gap, b.gap) ** 2)
+    apart = float(np.linalg.norm(ra - rb))
     costs = float(ra @ ra), float(rb @ rb)
-    if observed.bounded:  # the rest may be noise as well, and is unevenly distributed
+    wider = spread(float(np.mean(observed.repeats)) * min(a.gap, b.gap) ** 2)
+    if observed.bounded and apart:  # the rest may be noise as well, and is unevenly distributed
         better = ra if costs[0] <= costs[1] else rb
-        wider *= float(np.sqrt(max(1.0, float((ra - rb) ** 2 @ better**2) / difference**2)))
-    return (costs[1] - costs[0]) / (2.0 * difference * wider)
+        wider *= float(np.sqrt(max(1.0, float((ra - rb) ** 2 @ better**2) / apart**2)))
+    return costs[1] - costs[0], apart, wider
 
 
 def spread(left: float) -> float:
@@ -65,23 +93,27 @@ def _stacked(fitted: Fitted, observed: Observed, without: int | None) -> FloatAr
 
 def best_of(candidates: Sequence[Fitted]) -> Fitted:
     """Return the candidate with the least held-out loss among those that fit about equally well."""
-    least = min(c.fit.cost for c in candidates)
-    close = [c for c in candidates if c.fit.cost <= 1.05 * least + 20.0]
+    least = about(min(c.fit.cost for c in candidates))
+    close = [c for c in candidates if c.fit.cost <= least]
     return min(close, key=lambda c: c.held_out.mean)
 
 
 def survivors(best: Fitted, candidates: Sequence[Fitted], observed: Observed) -> tuple[Fitted, ...]:
     """Return the answers that the data leave open, `best` first: equally large sets that fit equally well.
 
-    The data do not prefer `best` to them, and they leave about as much of the gap. A set that closes far less is
-    not an answer, however uninformative the data are.
+    The odds of `best` against them are short, and they leave about as much of the gap. A set that closes far less
+    is not an answer, however uninformative the data are.
     """
-    most = ABOUT_AS_WELL * best.gap + GAP_THAT_MATTERS
     found = {frozenset(best.names): best}
     for c in sorted(candidates, key=lambda c: c.fit.cost):
-        if len(c.names) == len(best.names) and c.gap <= most and separation(best, c, observed) < SAME:
+        if _comparable(best, c) and log_odds(best, c, observed) < np.log(OPEN):
             found.setdefault(frozenset(c.names), c)
     return tuple(found.values())
+
+
+def _comparable(best: Fitted, other: Fitted) -> bool:
+    """Return whether another model has as many effects and leaves about as much of the gap."""
+    return len(other.names) == len(best.names) and other.gap <= ABOUT_AS_WELL * best.gap + GAP_THAT_MATTERS
 
 
 def stable(surviving: Sequence[Fitted], rivals: Sequence[Fitted], observed: Observed) -> bool | None:
@@ -220,25 +252,17 @@ def of_its_law(best: Fitted, alone: Sequence[Decoy], beside: Sequence[Decoy], po
     )
 
 
-def places(nominal: Fitted, decoys: Sequence[Decoy]) -> tuple[str, ...]:
-    """Return the ports where free functions close the gap about as well as at any port, the best first."""
-    left: dict[str, float] = {}
-    for d in sorted(decoys, key=lambda d: d.held_out.mean):
-        for port in (d.port, *d.alike):
-            left.setdefault(port, d.held_out.gap)
-    if not left:
-        return ()
-    most = min(ABOUT_AS_WELL * min(left.values()), (1.0 - CLOSURE_THAT_PLACES) * nominal.held_out.gap)
-    return tuple(port for port, gap in left.items() if gap <= most)
-
-
 def weigh(
-    nominal: Fitted, surviving: Sequence[Fitted], observed: Observed, kind: Kind
+    nominal: Fitted,
+    surviving: Sequence[Fitted],
+    observed: Observed,
+    kind: Kind,
+    rivals: Sequence[Fitted] = (),
 ) -> dict[tuple[str, ...], float]:
     """Return the probability of every surviving answer, of `NONE` and of `UNKNOWN`, before calibration.
 
-    Weights decrease with the square of the separation from the best answer; the weight of `UNKNOWN` is the part
-    that the closure leaves open.
+    Weights decrease with the odds against the best answer. The weight of `UNKNOWN` is the part that the closure
+    leaves open, and that of as large sets of effects among the `rivals` that have not survived.
     """
     closed = float(np.clip(closed_by(nominal, surviving[0]), 0.0, 1.0)) if surviving else 0.0
     match kind:
@@ -250,12 +274,24 @@ def weigh(
             none, unknown, named = 1e-3, 0.95, 0.05
         case _:
             none, unknown, named = 1e-3, max(0.02, _doubt(closed)), max(1e-3, closed)
+            unknown += named * _of_rivals(surviving, rivals, observed)
     weights: dict[tuple[str, ...], float] = {NONE: none, UNKNOWN: unknown}
     for s in surviving:
-        z = max(0.0, separation(surviving[0], s, observed))
-        weights[s.names] = max(1e-6, named * float(np.exp(-0.5 * z**2)))
+        weights[s.names] = max(1e-6, named * float(np.exp(-max(0.0, log_odds(surviving[0], s, observed)))))
     total = sum(weights.values())
     return {effects: w / total for effects, w in weights.items()}
+
+
+def _of_rivals(surviving: Sequence[Fitted], rivals: Sequence[Fitted], observed: Observed) -> float:
+    """Return the weight, relative to the best answer, of as large sets of effects that have not survived."""
+    if not surviving:
+        return 0.0
+    named = {frozenset(s.names) for s in surviving}
+    others = {
+        frozenset(r.names): r for r in sorted(rivals, key=lambda r: -r.fit.cost) if _comparable(surviving[0], r)
+    }
+    odds = [log_odds(surviving[0], r, observed) for names, r in others.items() if names not in named]
+    return float(sum(min(1.0 / OPEN, np.exp(-max(0.0, o))) for o in odds))
 
 
 def _doubt(closed: float) -> float:

@@ -12,9 +12,10 @@ from fmuid.core.formatting import html_lines, html_table, text_table
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.calibration import Calibration, shipped
-from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, score_further, twins
+from fmuid.diagnosis.candidates import Fitted, better_nominal, estimates, fit_effects, score_further, twins
 from fmuid.diagnosis.cross_validation import closure, closure_interval, in_sample
 from fmuid.diagnosis.effect_search import Say, aliases, finished, search
+from fmuid.diagnosis.entry import Entry, entries, likelier, places
 from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.localisation import ExcessMap, excess_map
 from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
@@ -25,7 +26,7 @@ from fmuid.diagnosis.power import smallest_seen
 from fmuid.diagnosis.regimes import bases, folded, own_bases, trajectories
 from fmuid.diagnosis.scores import Score, nominal_basis
 from fmuid.diagnosis.segment_states import with_states
-from fmuid.diagnosis.subject import Subject
+from fmuid.diagnosis.subject import Subject, tightened
 from fmuid.diagnosis.summary import likeliest, regime_text, summary
 from fmuid.diagnosis.verdict import (
     NONE,
@@ -40,6 +41,8 @@ from fmuid.diagnosis.verdict import (
     Rest,
     Verdict,
 )
+
+_RESTARTS = 3  # of the search, from a better optimum of the nominal parameters that it found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +105,21 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Searched:
+    """What was found at one refit of the nominal parameters."""
+
+    nominal: Fitted
+    paths: Mapping[str, tuple[FloatArray, ...]]
+    prediction: Prediction
+    energy: ExcessMap
+    scores: tuple[Score, ...]
+    noise: NoiseDraws
+    evidence: Evidence
+    candidates: list[Fitted]
+    best: Fitted | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Judgement:
     """The verdict, the surviving answers, and the free functions they were compared with."""
 
@@ -148,37 +166,31 @@ def diagnose_subject(
         observed = with_states(observed, model, nominal.fit.values)
         subject = replace(subject, observed=observed)
         nominal = fit_effects(subject, (), [nominal.fit.values]) or nominal
-    say("locating the gap", 0.08)
-    paths = trajectories(model, nominal.fit.values, subject.catalogue.regimes)
-    prediction = _prediction(subject, nominal.fit.values)
-    energy = excess_map(observed, prediction, folded(paths, subject.catalogue.regimes))
-    say("scoring every effect", 0.1)
-    scores = score_further(subject, nominal)
-    noise = draw_noise(observed, prediction, seed=seed)
-    evidence = _evidence(subject, nominal, scores, noise)
-    candidates, best = search(subject, nominal, scores, noise, say, present=evidence.present)
-    candidates += twins(subject, best, scores) if best is not None and evidence.present else []
-    judgement = _judge(
-        subject,
-        nominal,
-        best,
-        candidates=candidates,
-        scores=scores,
-        noise=noise,
-        evidence=evidence,
-        paths=paths,
-        say=say,
-    )
+    subject, nominal = _settled(subject, nominal)
+    found = _searched(subject, nominal, say, seed=seed)
+    for _ in range(_RESTARTS if found.evidence.present else 0):
+        model = tightened(subject.model, (found.best or nominal).fit.values)
+        better = better_nominal(subject, found.nominal, found.candidates)
+        if better is None and model is subject.model:
+            break
+        subject, nominal = _settled(replace(subject, model=model), better or found.nominal)
+        found = _searched(subject, nominal, say, seed=seed)
+    model = subject.model
+    nominal, scores, evidence, paths = found.nominal, found.scores, found.evidence, found.paths
+    if found.best is not None and evidence.present:
+        found = replace(found, candidates=[*found.candidates, *twins(subject, found.best, scores)])
+    candidates = found.candidates
+    judgement = _judge(subject, found, say)
     say("deciding", 0.95)
     verdict = judgement.verdict
-    weights = decide.weigh(nominal, judgement.surviving, observed, verdict.kind)
+    weights = decide.weigh(nominal, judgement.surviving, observed, verdict.kind, candidates)
     calibrated = shipped() if calibration is None else calibration
     probability = calibrated.apply(verdict, weights)
     corrected = judgement.named[0] if judgement.named else nominal
     ambiguous = verdict.kind == "ambiguous"
     following = suggest(subject, judgement.surviving) if ambiguous else None
     beyond = decide.SAME if following is None else following.separation_sigma
-    closing = _Closing(subject, nominal, prediction, evidence.null)
+    closing = _Closing(subject, nominal, found.prediction, evidence.null)
     answers = [
         Answer(s.names, probability[s.names], closing(s)) for s in judgement.surviving if s.names in probability
     ]
@@ -194,7 +206,7 @@ def diagnose_subject(
             floor_units={c: s for noise in observed.noise.values() for c, s in noise.sigma.items()},
             calibrated=all(n.calibrated for n in observed.noise.values()),
         ),
-        where=energy.shares(),
+        where=found.energy.shares(),
         answers=tuple(sorted(answers, key=lambda a: -a.probability)),
         effects=_candidates(
             subject,
@@ -223,14 +235,39 @@ def diagnose_subject(
         diagnosis,
         subject,
         nominal,
-        best,
+        found.best,
         judgement.named,
         tuple(candidates),
         tuple(scores),
         judgement.alone,
-        energy,
+        found.energy,
         paths,
     )
+
+
+def _settled(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
+    """Refit the nominal parameters until the solver's errors stay below the noise at the result, too."""
+    for _ in range(_RESTARTS):
+        model = tightened(subject.model, nominal.fit.values)
+        if model is subject.model:
+            break
+        subject = replace(subject, model=model)
+        nominal = fit_effects(subject, (), [nominal.fit.values]) or nominal
+    return subject, nominal
+
+
+def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int) -> _Searched:
+    """Locate the gap that a refit of the nominal parameters leaves, and search for effects that close it."""
+    say("locating the gap", 0.08)
+    paths = trajectories(subject.model, nominal.fit.values, subject.catalogue.regimes)
+    prediction = _prediction(subject, nominal.fit.values)
+    energy = excess_map(subject.observed, prediction, folded(paths, subject.catalogue.regimes))
+    say("scoring every effect", 0.1)
+    scores = score_further(subject, nominal)
+    noise = draw_noise(subject.observed, prediction, seed=seed)
+    evidence = _evidence(subject, nominal, scores, noise)
+    candidates, best = search(subject, nominal, scores, noise, say, present=evidence.present)
+    return _Searched(nominal, paths, prediction, energy, scores, noise, evidence, candidates, best)
 
 
 def _shown_once(nominal: Fitted, named: Sequence[Fitted]) -> Iterator[str]:
@@ -266,33 +303,22 @@ def _evidence(subject: Subject, nominal: Fitted, scores: Sequence[Score], noise:
     return Evidence(matters and p_value < decide.SIGNIFICANCE, p_value, null, power)
 
 
-def _judge(
-    subject: Subject,
-    nominal: Fitted,
-    best: Fitted | None,
-    *,
-    candidates: Sequence[Fitted],
-    scores: Sequence[Score],
-    noise: NoiseDraws,
-    evidence: Evidence,
-    paths: Mapping[str, tuple[FloatArray, ...]],
-    say: Say,
-) -> Judgement:
+def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
     """Return the verdict: the surviving answers, the evidence of free functions against them, and the rest."""
-    observed = subject.observed
+    observed, nominal, best, paths = subject.observed, found.nominal, found.best, found.paths
+    evidence = found.evidence
     powerless = len(set(observed.groups)) < 2 or not (evidence.present or evidence.power)
-    surviving = () if best is None else decide.survivors(best, candidates, observed)
+    surviving = () if best is None else decide.survivors(best, found.candidates, observed)
+    plausible = tuple(s for s in surviving if not decide.strained(s, subject.effects))
+    if plausible:
+        surviving, best = plausible, plausible[0]
     if powerless or not evidence.present:
         return Judgement(Verdict("insufficient" if powerless else "complete"), surviving[:1])
-    done = best is not None and finished(subject, best, scores, noise)
+    done = best is not None and finished(subject, best, found.scores, found.noise)
     at = {e.id: e.port for e in subject.effects}
     named = tuple(dict.fromkeys(at[n] for s in surviving for n in s.names))
     own = [at[n] for n in best.names] if best is not None else []
-    named_at_all = (
-        best is not None
-        and decide.names(nominal, best, finished=done)
-        and not decide.strained(best, subject.effects)
-    )
+    named_at_all = best is not None and bool(plausible) and decide.names(nominal, best, finished=done)
     alone: tuple[Decoy, ...] = ()
     beside: tuple[Decoy, ...] = ()
     decoy: Decoy | None = None
@@ -311,11 +337,18 @@ def _judge(
         beside = fit_decoys(responses, best.fit, observed) if best is not None and named_at_all else ()
         decoy = decide.unexplained(nominal, best or nominal, alone, own)
     imitated = decoy is not None and not (not lumped and beside and decide.needed_beside(alone, beside, nominal))
+    entered: Mapping[str, Entry] = {}
+    if not sure or imitated:
+        say("where it enters", 0.9)
+        entered = entries(subject.model, observed, nominal.fit, tuple(catalogued.values()))
+        # Each run has a course of its own, so machines that differ would pass for something unknown.
+        alike = len({case.machine for case in subject.model.cases}) == 1
+        imitated = imitated or (alike and not done and best is not None and likelier(entered, nominal, best))
     if best is None or not named_at_all or imitated:
         # Without repeats, a gap that no effect explains may be slow noise.
         kind: Kind = "insufficient" if observed.bounded else "unknown"
-        return Judgement(Verdict(kind, ports=decide.places(nominal, alone)), surviving, alone)
-    stable = decide.stable(surviving, [nominal, *candidates], observed)
+        return Judgement(Verdict(kind, ports=places(entered)), surviving, alone)
+    stable = decide.stable(surviving, [nominal, *found.candidates], observed)
     rest = None if done else Rest(best.gap, _where_left(subject, best, paths, beside))
     if decoy is not None or (rest is not None and beside and not decide.of_its_law(best, alone, beside, own)):
         return Judgement(

@@ -25,7 +25,7 @@ from fmuid.diagnosis.variants import Variants
 from fmuid.diagnosis.verdict import LeftOut
 from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
 from fmuid.identification.problem.segments import in_segments, last_stages
-from fmuid.identification.problem.solver_error import solver_accuracy
+from fmuid.identification.problem.solver_error import SolverAccuracy, solver_accuracy
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.signal_effects import signal_parameters
 from fmuid.simulation.simulator import Simulator
@@ -135,11 +135,7 @@ def solved_well_enough(
     `reference` tells which runs repeat the reference of another (`as_repeats`). Runs that cannot be predicted to
     their end at any tolerance are cut where prediction fails.
     """
-    starts = [model.start_values(case, {**model.fixed, **values}) for case in model.cases]
-    noise = Observed.from_runs(model.runs).noise
-    sigma = [noise[run.setup].of_mean(run.n_repeats) for run in model.runs]
-    every = {**model.fixed, **values}
-    accuracy = solver_accuracy(model.cases, every, starts, model.runner, sigma=sigma, loosest=_LOOSEST)
+    accuracy = _accuracy(model, values)
     cases: Sequence[Case] = model.cases
     if accuracy.until:
         own = {c.id: [campaign.measurements[id] for id in c.experiments] for c in cases}
@@ -151,6 +147,26 @@ def solved_well_enough(
         joined = {id: as_repeats(replace(model, cases=c), values, reference or {})[0] for id, c in cut.items()}
         cases = [joined.get(c.id, c) for c in cases]
     return replace(model, cases=accuracy.applied(cases)), accuracy.findings
+
+
+def tightened(model: CampaignModel, values: Mapping[str, float]) -> CampaignModel:
+    """Return the model with tolerances tight enough at these values, too; `model` itself if its own are."""
+    needed = _accuracy(model, values).tolerances
+    cases = tuple(
+        replace(c, task=replace(c.task, tolerance=needed[c.id]))
+        if needed.get(c.id, np.inf) < (c.task.tolerance or 0.0)
+        else c
+        for c in model.cases
+    )
+    return model if all(a is b for a, b in zip(cases, model.cases, strict=True)) else replace(model, cases=cases)
+
+
+def _accuracy(model: CampaignModel, values: Mapping[str, float]) -> SolverAccuracy:
+    every = {**model.fixed, **values}
+    starts = [model.start_values(case, every) for case in model.cases]
+    noise = Observed.from_runs(model.runs).noise
+    sigma = [noise[run.setup].of_mean(run.n_repeats) for run in model.runs]
+    return solver_accuracy(model.cases, every, starts, model.runner, sigma=sigma, loosest=_LOOSEST)
 
 
 def model_of(

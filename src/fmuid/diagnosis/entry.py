@@ -1,0 +1,152 @@
+"""Where an unknown effect enters: an arbitrary course over time at each port, in each experiment for itself.
+
+Whatever a hidden effect depends on, to the model it is a flow that acts somewhere over time, or a sensor's error.
+A Gaussian process is put on that course at one port after the other. The port whose responses explain what the
+model leaves with the smallest and smoothest course has the largest marginal likelihood (latent force models:
+Alvarez, Luengo and Lawrence 2009).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from fmuid.core.errors import SimulationError
+from fmuid.core.immutable import FloatArray
+from fmuid.diagnosis.candidates import Fitted
+from fmuid.diagnosis.decide import OPEN, log_evidence, spread
+from fmuid.diagnosis.extended_model import CampaignModel
+from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.ports import Basis, Port, hats
+from fmuid.diagnosis.projection import orthonormal
+from fmuid.diagnosis.refit import Refit
+
+_KNOTS = (24, 72)  # of a course in each experiment; the finer ones if the coarser ones leave too much
+_ENOUGH = 0.75  # share of the excess energy that a course has to explain for its port to be judged by it
+_ALL = 0.95  # of that energy: a single place accounts for nearly all
+_LENGTHS = (0.0, 1.0, 3.0)  # knots over which a course may be smooth
+_SIZES = np.geomspace(1e-4, 1e4, 33)  # standard deviation of a course, in units of the port's magnitude
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """What a course over time at a port explains.
+
+    Attributes
+    ----------
+    evidence
+        Logarithm of the marginal likelihood ratio of a course at its best size and smoothness to none.
+    left
+        Remaining energy beyond that of the noise, relative to it.
+    explained
+        Share of that energy which the course explains.
+    """
+
+    evidence: float
+    left: float
+    explained: float
+
+
+def places(found: Mapping[str, Entry]) -> tuple[str, ...]:
+    """Return the ports at which a course explains what a model leaves, the likeliest first.
+
+    Named are those that the data cannot tell from the likeliest one, because the odds against them are short. None
+    is named if no course explains anything.
+    """
+    order = sorted(found, key=lambda name: -found[name].evidence)
+    if not order or found[order[0]].evidence <= np.log(OPEN):
+        return ()
+    best = found[order[0]]
+    return tuple(name for name in order if not _beaten(found[name].evidence, best))
+
+
+def likelier(found: Mapping[str, Entry], nominal: Fitted, named: Fitted) -> bool:
+    """Return whether a course at one port explains what `nominal` leaves far better than `named` does.
+
+    It has to account for nearly all of it: a course at the place of one cause imitates a part of another one.
+    """
+    best = max(found.values(), key=lambda e: e.evidence, default=None)
+    return best is not None and best.explained >= _ALL and _beaten(log_evidence(nominal, named), best)
+
+
+def _beaten(evidence: float, best: Entry) -> bool:
+    """Return whether the odds of `best` against something with this evidence are long."""
+    return best.evidence - evidence >= float(np.log(OPEN)) * spread(best.left) ** 2
+
+
+def entries(model: CampaignModel, observed: Observed, base: Refit, ports: Sequence[Port]) -> dict[str, Entry]:
+    """Return what a course over time explains of the residuals of `base`, at every port that can be simulated."""
+    found: dict[str, Entry] = {}
+    for knots in _KNOTS:
+        found = with_knots(model, observed, base, ports, knots)
+        if any(e.explained >= _ENOUGH for e in found.values()):
+            break
+    return found
+
+
+def with_knots(
+    model: CampaignModel, observed: Observed, base: Refit, ports: Sequence[Port], knots: int
+) -> dict[str, Entry]:
+    """Return what a course with so many knots explains at every port that can be simulated."""
+    since = [case.time - case.time[0] for case in model.cases]
+    courses = hats([t / float(t[-1]) for t in since], np.linspace(0.0, 1.0, knots))
+    weights = np.sqrt(observed.repeats)
+    residuals = [w * r for w, r in zip(weights, base.residuals, strict=True)]
+    basis = orthonormal(np.concatenate([w * j for w, j in zip(weights, base.jacobian, strict=True)]))
+    parts = np.split(basis, np.cumsum([len(r) for r in residuals])[:-1])
+    fitted = sum((q.T @ r for q, r in zip(parts, residuals, strict=True)), np.zeros(basis.shape[1]))
+    energy = float(sum(r @ r for r in residuals) - fitted @ fitted)
+    count = sum(len(r) for r in residuals) - basis.shape[1]
+    found = {}
+    for port in ports:
+        moved = list(
+            _driven(model, observed, base, port, courses) if port.input else _misread(observed, port, courses)
+        )
+        if len(moved) < knots:
+            continue
+        columns = [w * np.stack(own, axis=1) for w, own in zip(weights, zip(*moved, strict=True), strict=True)]
+        shared = np.hstack([q.T @ c for q, c in zip(parts, columns, strict=True)])
+        gram = block_diag(*(c.T @ c for c in columns)) - shared.T @ shared
+        slope = np.concatenate([c.T @ r for c, r in zip(columns, residuals, strict=True)]) - shared.T @ fitted
+        evidence, explained = max(_evidence(gram, slope, knots, length) for length in _LENGTHS)
+        left = max(0.0, (energy - explained) / count - 1.0)
+        found[port.name] = Entry(evidence, left, 1.0 - left / max(energy / count - 1.0, left, 1e-12))
+    return found
+
+
+def _evidence(gram: FloatArray, slope: FloatArray, knots: int, length: float) -> tuple[float, float]:
+    """Return the log evidence of courses of one smoothness, at their best size, and the energy they explain."""
+    apart = np.subtract.outer(np.arange(knots), np.arange(knots))
+    prior = np.exp(-0.5 * (apart / length) ** 2) + 1e-6 * np.eye(knots) if length else np.eye(knots)
+    root = block_diag(*[np.linalg.cholesky(prior)] * (len(slope) // knots))
+    values, vectors = np.linalg.eigh(root.T @ gram @ root)
+    values, along = np.maximum(values, 0.0), (vectors.T @ (root.T @ slope)) ** 2
+    gained = _SIZES[:, None] ** 2 / (1.0 + _SIZES[:, None] ** 2 * values)
+    evidence = 0.5 * np.sum(gained * along - np.log1p(_SIZES[:, None] ** 2 * values), axis=1)
+    best = int(np.argmax(evidence))
+    return float(evidence[best]), float(np.sum(along * gained[best] * (2.0 - gained[best] * values)))
+
+
+def _driven(
+    model: CampaignModel, observed: Observed, base: Refit, port: Port, courses: Basis
+) -> Iterator[tuple[FloatArray, ...]]:
+    """Yield the change of the residuals by each piece of a course of a flow, as far as it can be simulated."""
+    drives = [{port.input or "": [port.magnitude * c for c in one]} for one in courses]
+    for outcome in model.predict_driven(base.values, drives):
+        if not isinstance(outcome, SimulationError):
+            yield tuple(a - b for a, b in zip(observed.residuals(outcome), base.residuals, strict=True))
+
+
+def _misread(observed: Observed, port: Port, courses: Basis) -> Iterator[tuple[FloatArray, ...]]:
+    """Yield the change of the residuals by each piece of a course of a sensor's error, if the sensor was read."""
+    if not any(port.output in run.channels for run in observed.runs):
+        return
+    for one in courses:
+        misread = [
+            np.outer([float(name == port.output) for name in run.channels], port.magnitude * c)
+            for run, c in zip(observed.runs, one, strict=True)
+        ]
+        yield observed.whiten(misread)

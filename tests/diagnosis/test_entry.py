@@ -1,0 +1,54 @@
+"""Where an unknown effect enters."""
+
+import numpy as np
+import pytest
+from plants import PORTS, misread, plant
+
+from fmuid.diagnosis.candidates import fit_effects
+from fmuid.diagnosis.entry import entries, places, with_knots
+from fmuid.diagnosis.ports import Port
+
+
+def found(subject, knots=None):
+    nominal = fit_effects(subject, (), [{}])
+    at = (subject.model, subject.observed, nominal.fit, tuple(PORTS.values()))
+    return places(entries(*at)) if knots is None else with_knots(*at, knots)
+
+
+@pytest.mark.parametrize("hidden", [{"hill": 0.3}, {"grip": 0.2}])
+def test_a_hidden_force_enters_where_the_force_acts(hidden):
+    assert found(plant(hidden)) == ("friction",)
+
+
+def test_an_error_of_a_sensor_enters_there():
+    assert found(misread(plant({}), lambda v, t: 0.02 * np.sin(40.0 * v))) == ("reading",)
+
+
+def test_a_course_that_differs_from_run_to_run_is_found_too():
+    """No function of speed, position or time that all runs share is behind it."""
+    rng = np.random.default_rng(3)
+    subject = misread(
+        plant({}), lambda _, t: 0.02 * np.sin(2 * np.pi * rng.uniform(0.5, 3.0) * t + rng.uniform(0.0, 6.0))
+    )
+    assert found(subject) == ("reading",)
+
+
+def test_a_fast_course_gets_finer_knots():
+    subject = misread(plant({}), lambda _, t: 0.02 * np.sign(np.sin(2 * np.pi * 7.0 * t)))
+    coarse, fine = (found(subject, knots)["reading"] for knots in (24, 72))
+    assert coarse.explained < 0.6
+    assert fine.explained > 0.75
+    assert fine.left < 0.5 * coarse.left
+    assert found(subject) == ("reading",)
+
+
+def test_what_a_complete_model_leaves_enters_nowhere():
+    assert found(plant({})) == ()
+
+
+def test_ports_that_no_sensor_tells_apart_are_named_together():
+    subject = plant({"hill": 0.3})
+    nominal = fit_effects(subject, (), [{}])
+    twin = Port("twin", "port", None, 0.1, "N")
+    entered = entries(subject.model, subject.observed, nominal.fit, (*PORTS.values(), twin))
+    assert set(places(entered)) == {"friction", "twin"}
