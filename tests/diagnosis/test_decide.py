@@ -435,6 +435,24 @@ def test_weights_fall_with_the_odds():
     assert w[NONE] == pytest.approx(1e-3 / 0.6)
 
 
+def test_an_answer_that_has_just_been_ruled_out_leaves_a_doubt():
+    best = fitted(("best",), 0.0, residuals=[[0.0], [0.0]])
+    odds = {"near": 25.0, "far": 1e4}
+    near, far = (fitted((n,), 0.0, residuals=[[0.0], [np.sqrt(2.0 * np.log(o)) / 3.0]]) for n, o in odds.items())
+    gapless, larger = (
+        fitted(("gapless",), 0.3, residuals=[[0.0], [0.01]]),
+        fitted(("a", "b"), 0.0, residuals=[[0.0], [0.01]]),
+    )
+
+    def unknown(*rivals):
+        weights = decide.weigh(fitted((), 1.0), [best], RECORDED, "effect", rivals)
+        return weights[UNKNOWN] / weights[("best",)]
+
+    assert unknown(best, gapless, larger) == unknown()
+    assert unknown(near) - unknown() == pytest.approx(1.0 / 25.0)
+    assert unknown(near, far, best) - unknown(near) == pytest.approx(1e-4)
+
+
 def test_an_answer_that_the_data_prefer_to_the_best_weighs_as_much():
     """The best one is that of the least loss on held-out experiments, so another may fit a little better."""
     best = fitted(("best",), 0.0, held_out=0.4, residuals=[[0.0], [1.0]])

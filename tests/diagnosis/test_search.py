@@ -7,9 +7,10 @@ import pytest
 from plants import Mass, misread, plant
 from tones import SIGMA, STRENGTHS, TIME, heard
 
-from fmuid.diagnosis.candidates import better_nominal, fit_effects
+from fmuid.diagnosis.candidates import _best_start, better_nominal, fit_effects
 from fmuid.diagnosis.diagnose import diagnose_subject
 from fmuid.diagnosis.refit import refit
+from fmuid.diagnosis.scores import nominal_basis
 from fmuid.diagnosis.subject import tightened
 
 
@@ -163,3 +164,21 @@ def test_a_tolerance_that_does_for_the_start_values_is_tightened_where_it_does_n
     assert tightened(tighter, {"m": 0.8}) is tighter
     # A diagnosis sees to it by itself: the true mass is 1, and nothing is missing.
     assert diagnose_subject(replace(subject, model=model)).diagnosis.verdict.kind == "complete"
+
+
+def test_a_start_is_judged_by_what_the_other_parameters_would_make_of_it():
+    """They have shifted to imitate an effect, so that its true size fits worse than none until they return."""
+    subject = plant({"square": 0.3})
+    nominal = fit_effects(subject, (), [{}])
+    tiny, true = ({**nominal.fit.values, "square": size} for size in (1e-4, 0.3))
+    assert _best_start(subject, [tiny, true]) is tiny
+    assert _best_start(subject, [tiny, true], nominal_basis(nominal.fit, subject.observed)) is true
+
+
+@pytest.mark.parametrize(
+    ("strained", "kind", "effects"), [({"one"}, "effect", ("other",)), ({"one", "other"}, "unknown", ())]
+)
+def test_an_answer_at_implausible_bounds_is_none_while_another_is_open(strained, kind, effects, monkeypatch):
+    monkeypatch.setattr("fmuid.diagnosis.decide.strained", lambda fitted, _: bool(strained & set(fitted.names)))
+    answer = diagnose_subject(heard({"one": {1: 1.0}, "other": {1: 1.0, 2: 5e-4}}, {1: 1.0})).diagnosis
+    assert (answer.verdict.kind, answer.verdict.effects) == (kind, effects)
