@@ -154,6 +154,7 @@ def diagnose_subject(
     SimulationError
         The nominal model cannot be simulated at its start values.
     """
+    say = _onward(say)
     say("nominal model at its start values", 0.0)
     begin = _prediction(subject, {u.name: u.start for u in subject.nominal})
     subject = replace(subject, observed=replace(subject.observed, predicted=begin))
@@ -243,6 +244,18 @@ def diagnose_subject(
         found.energy,
         paths,
     )
+
+
+def _onward(say: Say) -> Say:
+    """Return `say` without steps back, which a search that starts anew would make."""
+    done = 0.0
+
+    def tell(task: str, fraction: float) -> None:
+        nonlocal done
+        done = max(done, fraction)
+        say(task, done)
+
+    return tell
 
 
 def _settled(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:

@@ -28,7 +28,7 @@ from fmuid.identification.problem.segments import in_segments, last_stages
 from fmuid.identification.problem.solver_error import SolverAccuracy, solver_accuracy
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.signal_effects import signal_parameters
-from fmuid.simulation.simulator import Simulator
+from fmuid.simulation.simulator import Simulator, default_tolerance
 
 _LOOSEST = (3e-3, 1e-3, 1e-4)  # initial solver tolerances
 _SLICE = re.compile(r"^(?P<name>.*)\[(?P<index>[\d:,\s]+)\]$")
@@ -154,7 +154,7 @@ def tightened(model: CampaignModel, values: Mapping[str, float]) -> CampaignMode
     needed = _accuracy(model, values).tolerances
     cases = tuple(
         replace(c, task=replace(c.task, tolerance=needed[c.id]))
-        if needed.get(c.id, np.inf) < (c.task.tolerance or 0.0)
+        if needed.get(c.id, np.inf) < (c.task.tolerance or default_tolerance(c.simulator) or 0.0)
         else c
         for c in model.cases
     )
