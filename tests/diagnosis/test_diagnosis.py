@@ -128,7 +128,13 @@ def test_the_same_seed_gives_the_same_answer():
     assert first == second
 
 
-def test_progress_is_told_and_never_goes_back():
+@pytest.mark.parametrize("again", [False, True])
+def test_progress_is_told_and_never_goes_back(again, monkeypatch):
+    """Not even if the search starts anew from a better optimum of the nominal parameters."""
+    better = iter([lambda nominal: nominal] if again else [])
+    monkeypatch.setattr(
+        "fmuid.diagnosis.diagnose.better_nominal", lambda _, nominal, __: next(better, lambda _: None)(nominal)
+    )
     shares = []
     diagnose_subject(plant({"a": 0.05}), say=lambda _, share: shares.append(share))
     assert shares == sorted(shares)

@@ -163,10 +163,7 @@ def test_a_tolerance_that_does_for_the_start_values_is_tightened_where_it_does_n
     assert all(c.task.tolerance <= 1e-5 for c in tighter.cases)
     assert tightened(tighter, {"m": 0.8}) is tighter
     # A diagnosis sees to it by itself: the true mass is 1, and nothing is missing.
-    told = []
-    found = diagnose_subject(replace(subject, model=model), say=lambda _, fraction: told.append(fraction))
-    assert found.diagnosis.verdict.kind == "complete"
-    assert told == sorted(told)
+    assert diagnose_subject(replace(subject, model=model)).diagnosis.verdict.kind == "complete"
 
 
 def test_a_start_is_judged_by_what_the_other_parameters_would_make_of_it():
