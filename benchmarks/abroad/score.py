@@ -167,9 +167,9 @@ def likeliest(case: Scored) -> tuple[float, bool]:
 def calibration(cases: Sequence[Scored]) -> tuple[float | None, float | None]:
     """Return the calibration error of the likeliest answer and its Brier score, over that of a constant guess.
 
-    The error is the root of the mean squared
-    difference of share and probability over bins of as many cases each, less what sampling adds to it (Kumar,
-    Liang, Ma: Verified uncertainty calibration. NeurIPS 2019). None where every answer or none is right.
+    The error is the root of the mean squared difference of share and probability over bins of as many cases each,
+    less what sampling adds to it (Kumar, Liang, Ma: Verified uncertainty calibration. NeurIPS 2019). None where
+    every answer or none is right.
     """
     if len(cases) < 2 * _BINS:
         return None, None

@@ -21,8 +21,8 @@ from fmuid.diagnosis.decide import OPEN, log_evidence, spread
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import Basis, Port, hats
-from fmuid.diagnosis.projection import orthonormal
 from fmuid.diagnosis.refit import Refit
+from fmuid.diagnosis.scores import nominal_basis
 
 _KNOTS = (24, 72)  # of a course in each experiment; the finer ones if the coarser ones leave too much
 _ENOUGH = 0.75  # share of the excess energy that a course has to explain for its port to be judged by it
@@ -95,7 +95,7 @@ def with_knots(
     courses = hats([t / float(t[-1]) for t in since], np.linspace(0.0, 1.0, knots))
     weights = np.sqrt(observed.repeats)
     residuals = [w * r for w, r in zip(weights, base.residuals, strict=True)]
-    basis = orthonormal(np.concatenate([w * j for w, j in zip(weights, base.jacobian, strict=True)]))
+    basis = nominal_basis(base, observed)
     parts = np.split(basis, np.cumsum([len(r) for r in residuals])[:-1])
     fitted = sum((q.T @ r for q, r in zip(parts, residuals, strict=True)), np.zeros(basis.shape[1]))
     energy = float(sum(r @ r for r in residuals) - fitted @ fitted)
