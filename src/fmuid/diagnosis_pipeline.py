@@ -19,7 +19,6 @@ from fmuid.diagnosis import calibration
 from fmuid.diagnosis.calibration import Calibration
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.corrected import FOLDER, Corrected, write_corrected
-from fmuid.diagnosis.decide import DECOY_MARGIN
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.effect_search import Say
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
@@ -40,6 +39,7 @@ if TYPE_CHECKING:
     from fmuid.report.document import Drawing
 
 FILE_NAME, JOURNAL = "diagnosis.json", "diagnosis.journal"
+_MUCH_LESS = 0.65  # of the gap without the closest effect, that separate values for it have to leave
 _BOUNDED = (
     "Runs were not repeated, so their noise was not measured: its bound is what no smooth motion explains. "
     "Slow noise and drift cannot be told from a slow effect: repeat the runs, or give each signal's sigma."
@@ -285,11 +285,7 @@ def _machines(found: Found) -> BetweenMachines | None:
     if machines is None or found.surviving or found.best is None or not found.diagnosis.gap.present:
         return machines
     other = between_machines(found.subject, found.best)
-    if (
-        other is None
-        or other.gap is None
-        or (machines.gap is not None and other.gap >= DECOY_MARGIN * machines.gap)
-    ):
+    if other is None or other.gap is None or (machines.gap is not None and other.gap >= _MUCH_LESS * machines.gap):
         return machines
     return other
 

@@ -136,7 +136,7 @@ def test_of_an_unknown_effect_the_closest_is_named_and_nothing_is_called_correct
     found = {fact.label: fact.value for fact in facts(diagnosis)}
     assert found["What comes closest"] == (
         "mesh_loss closes 0.40 (0.85 to 1.01) on held-out data, too little to be named (it takes 0.5); "
-        "a free function at gear_friction 0.62"
+        "an arbitrary course over time at gear_friction 0.62"
     )
     assert found["Gap, in noise floors"] == "9.4 → 6.1 refitted"
     assert [b.label for b in gap_figure(diagnosis).bars] == [

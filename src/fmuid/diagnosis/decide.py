@@ -11,7 +11,7 @@ from fmuid.diagnosis.candidates import Fitted, about
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import advantage, closure
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.ports import OWN_PAST, Decoy
+from fmuid.diagnosis.ports import Decoy
 from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.scores import stack
 from fmuid.diagnosis.verdict import NONE, UNKNOWN, Kind
@@ -23,9 +23,8 @@ SCORE_MARGIN = 2.0  # the largest score must exceed this many times the 99 % qua
 CLOSURE_THAT_NAMES = 0.5  # a named effect must close at least half of the gap on experiments left out
 CLOSURE_THAT_FINISHES = 1 / 3  # or this much of a weak gap, if the rest is no more than noise
 GAIN_OF_A_SECOND = 0.25  # a further effect must close at least a quarter of the remaining gap
-DECOY_MARGIN = 0.65  # a decoy must leave less than this share of the gap that the best named effect leaves
 ABOUT_AS_WELL = 1.5  # ratio of remaining gaps: a free function is one linear step, effects are refitted to the end
-CLOSURE_BEYOND_DECOYS = 0.85  # an effect that closes this much is not unknown, though its law may differ in shape
+CLOSURE_BEYOND_DOUBT = 0.85  # an effect that closes this much is not unknown, though its law may differ in shape
 SAME = 4.0  # standard deviations by which the data must contradict an answer, or a run must separate two
 OPEN = 20.0  # odds against an answer beyond which it is not left open: strong evidence (Kass and Raftery 1995)
 _BLOCK = 20.0  # this many samples of model error carry as much information as one of noise
@@ -165,9 +164,9 @@ def names(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
 
 
 def beyond_doubt(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
-    """Return whether no free function could disprove that the gap is due to the effects of `best`."""
+    """Return whether nothing unknown could disprove that the gap is due to the effects of `best`."""
     closed = closure(nominal.held_out, best.held_out)
-    return closed >= CLOSURE_BEYOND_DECOYS or (finished and names(nominal, best, finished=True))
+    return closed >= CLOSURE_BEYOND_DOUBT or (finished and names(nominal, best, finished=True))
 
 
 def strained(fitted: Fitted, effects: Sequence[Effect]) -> bool:
@@ -198,58 +197,10 @@ def _limits(effect: Effect, unknown: Unknown) -> set[float]:
     return bounds - {neutral} if neutral in bounds else set()
 
 
-def unexplained(nominal: Fitted, best: Fitted, decoys: Sequence[Decoy], ports: Sequence[str]) -> Decoy | None:
-    """Return the decoy that shows that the named effects do not cause the gap, if there is one.
-
-    It leaves much less of the gap on held-out experiments than the best named effect does, and that effect does
-    not close nearly all of it. If an effect at one of `ports` is named, a free function of a sensor's own past
-    there is no evidence, because it can imitate a lag of any order.
-    """
-    lumped = len(best.names) > 1 and len(set(ports)) == 1
-    decoys = [d for d in decoys if (d.port in ports if lumped else d.over != OWN_PAST or d.port not in ports)]
-    if not decoys or (closure(nominal.held_out, best.held_out) >= CLOSURE_BEYOND_DECOYS and not lumped):
-        return None
-    decoy = min(decoys, key=lambda d: d.held_out.mean)
-    if lumped:  # one unnamed law of one variable in place of two named ones
-        return decoy if decoy.held_out.gap <= ABOUT_AS_WELL * best.held_out.gap else None
-    gained, error = advantage(decoy.held_out, best.held_out)
-    if gained > error and decoy.held_out.gap < DECOY_MARGIN * best.held_out.gap:
-        return decoy
-    return None
-
-
-def needed_beside(alone: Sequence[Decoy], beside: Sequence[Decoy], nominal: Fitted) -> bool:
-    """Return whether effects explain a part that free functions do not, though one closes much of the gap.
-
-    `beside` are free functions fitted together with the effects. The best of them must leave hardly anything, and
-    much less than the best of those `alone`; otherwise the effects only imitate the free function.
-    """
-    first, second = (min(decoys, key=lambda d: d.held_out.mean) for decoys in (alone, beside))
-    gained, error = advantage(second.held_out, first.held_out)
-    return (
-        gained > error
-        and second.held_out.gap < DECOY_MARGIN * first.held_out.gap
-        and closure(nominal.held_out, second.held_out) >= CLOSURE_BEYOND_DECOYS
-    )
-
-
-def of_its_law(best: Fitted, alone: Sequence[Decoy], beside: Sequence[Decoy], ports: Sequence[str]) -> bool:
-    """Return whether the remaining gap of `best` is due to the shape of its own law.
-
-    This holds if a free function at one of its `ports`, added to `best`, removes much of the rest, about as much
-    as any other, and if that function alone does about as well as `best`, so that it depends on the variable of
-    that law.
-    """
-    if not beside:
-        return False
-    least = min(d.held_out.gap for d in beside)
-    return any(
-        {first.port, *first.alike} & set(ports)
-        and second.held_out.gap <= ABOUT_AS_WELL * least
-        and second.held_out.gap < DECOY_MARGIN * best.held_out.gap
-        and first.held_out.gap <= ABOUT_AS_WELL * best.held_out.gap
-        for first, second in zip(alone, beside, strict=True)
-    )
+def lumped(best: Fitted, decoys: Sequence[Decoy]) -> bool:
+    """Return whether a free function of one variable does about as well as the two or more laws of `best`."""
+    least = min((d.held_out.gap for d in decoys), default=np.inf)
+    return bool(least <= ABOUT_AS_WELL * best.held_out.gap)
 
 
 def weigh(

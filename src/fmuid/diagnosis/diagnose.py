@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from fmuid.diagnosis.localisation import ExcessMap, excess_map
 from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
 from fmuid.diagnosis.null_distribution import NoiseDraws, Null, draw_noise
 from fmuid.diagnosis.observed import excess, excesses, gap
-from fmuid.diagnosis.ports import Decoy, Port, Response, fit_decoys, responses_of
+from fmuid.diagnosis.ports import Response, fit_decoys, responses_of
 from fmuid.diagnosis.power import smallest_seen
 from fmuid.diagnosis.regimes import bases, folded, own_bases, trajectories
 from fmuid.diagnosis.scores import Score, nominal_basis
@@ -49,7 +49,8 @@ _RESTARTS = 3  # of the search, from a better optimum of the nominal parameters 
 class Found:
     """A diagnosis with the data for its figures.
 
-    `best` is the model that fits best, named or not; `surviving` are the named answers, the best first.
+    `best` is the model that fits best, named or not; `surviving` are the named answers, the best first. `entered`
+    is what courses over time explain at the ports, if that was asked.
     """
 
     diagnosis: Diagnosis
@@ -59,7 +60,7 @@ class Found:
     surviving: tuple[Fitted, ...]
     candidates: tuple[Fitted, ...]
     scores: tuple[Score, ...]
-    decoys: tuple[Decoy, ...]
+    entered: Mapping[str, Entry]
     excess: ExcessMap
     paths: Mapping[str, tuple[FloatArray, ...]]
 
@@ -121,11 +122,11 @@ class _Searched:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judgement:
-    """The verdict, the surviving answers, and the free functions they were compared with."""
+    """The verdict, the surviving answers, and what courses at the ports explain, if that was asked."""
 
     verdict: Verdict
     surviving: tuple[Fitted, ...] = ()
-    alone: tuple[Decoy, ...] = ()
+    entered: Mapping[str, Entry] = field(default_factory=dict)
 
     @property
     def named(self) -> tuple[Fitted, ...]:
@@ -223,7 +224,7 @@ def diagnose_subject(
         model={**model.expanded(corrected.fit.values)},
         next_experiment=following,
         added_sensor=sensor_to_add(subject, judgement.surviving, beyond=beyond) if ambiguous else None,
-        port_closures=_port_closures(nominal, judgement.alone),
+        port_closures={port: entry.closure for port, entry in judgement.entered.items()},
         power=evidence.power,
         notes=(
             *subject.findings,
@@ -240,7 +241,7 @@ def diagnose_subject(
         judgement.named,
         tuple(candidates),
         tuple(scores),
-        judgement.alone,
+        judgement.entered,
         found.energy,
         paths,
     )
@@ -332,68 +333,52 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
     named = tuple(dict.fromkeys(at[n] for s in surviving for n in s.names))
     own = [at[n] for n in best.names] if best is not None else []
     named_at_all = best is not None and bool(plausible) and decide.names(nominal, best, finished=done)
-    alone: tuple[Decoy, ...] = ()
-    beside: tuple[Decoy, ...] = ()
-    decoy: Decoy | None = None
-    lumped = len(own) > len(set(own)) == 1  # two laws where one might suffice
     sure = best is not None and named_at_all and decide.beyond_doubt(nominal, best, finished=done)
-    catalogued = subject.catalogue.ports
-    if lumped and sure and done:  # only a free function at their own port could take their place
-        say(f"free functions at {own[0]}", 0.7)
-        there = tuple(port for name, port in catalogued.items() if name in own)
-        alone = fit_decoys(_responses(subject, nominal, paths, there), nominal.fit, observed)
-        decoy = decide.unexplained(nominal, best or nominal, alone, own)
-    if decoy is not None or not sure or (lumped and not done):
-        say("free functions at every port", 0.75)
-        responses = _responses(subject, nominal, paths, tuple(catalogued.values()))
-        alone = fit_decoys(responses, nominal.fit, observed)
-        beside = fit_decoys(responses, best.fit, observed) if best is not None and named_at_all else ()
-        decoy = decide.unexplained(nominal, best or nominal, alone, own)
-    imitated = decoy is not None and not (not lumped and beside and decide.needed_beside(alone, beside, nominal))
+    imitated = False
+    if best is not None and named_at_all and len(own) > len(set(own)) == 1:
+        say(f"free functions at {own[0]}", 0.7)  # one unnamed law of one variable may take the place of two
+        imitated = decide.lumped(best, fit_decoys(_responses(subject, found, own[0]), nominal.fit, observed))
     entered: Mapping[str, Entry] = {}
     if not sure or imitated:
-        say("where it enters", 0.9)
-        entered = entries(subject.model, observed, nominal.fit, tuple(catalogued.values()))
+        say("where it enters", 0.8)
+        entered = entries(subject.model, observed, nominal.fit, tuple(subject.catalogue.ports.values()))
         # Each run has a course of its own, so machines that differ would pass for something unknown.
         alike = len({case.machine for case in subject.model.cases}) == 1
         imitated = imitated or (alike and not done and best is not None and likelier(entered, nominal, best))
     if best is None or not named_at_all or imitated:
         # Without repeats, a gap that no effect explains may be slow noise.
         kind: Kind = "insufficient" if observed.bounded else "unknown"
-        return Judgement(Verdict(kind, ports=places(entered)), surviving, alone)
+        return Judgement(Verdict(kind, ports=places(entered)), surviving, entered)
     stable = decide.stable(surviving, [nominal, *found.candidates], observed)
-    rest = None if done else Rest(best.gap, _where_left(subject, best, paths, beside))
-    if decoy is not None or (rest is not None and beside and not decide.of_its_law(best, alone, beside, own)):
-        return Judgement(
-            Verdict("partial", best.names, (), tuple(dict.fromkeys(own)), stable, rest), (best,), alone
-        )
+    rest = None if done else Rest(best.gap, _where_left(subject, best, paths, partial=not sure))
+    if rest is not None and not sure:
+        verdict = Verdict("partial", best.names, (), tuple(dict.fromkeys(own)), stable, rest)
+        return Judgement(verdict, (best,), entered)
     if len(surviving) == 1:
-        return Judgement(Verdict("effect", best.names, (), named, stable, rest), surviving, alone)
+        return Judgement(Verdict("effect", best.names, (), named, stable, rest), surviving, entered)
     common = set.intersection(*(set(s.names) for s in surviving))
     one_of = tuple(tuple(n for n in s.names if n not in common) for s in surviving)
     shared = tuple(n for n in best.names if n in common)
-    return Judgement(Verdict("ambiguous", shared, one_of, named, stable, rest), surviving, alone)
+    return Judgement(Verdict("ambiguous", shared, one_of, named, stable, rest), surviving, entered)
 
 
-def _responses(
-    subject: Subject, nominal: Fitted, paths: Mapping[str, tuple[FloatArray, ...]], ports: Sequence[Port]
-) -> tuple[Response, ...]:
-    """Return the responses to free functions at `ports`."""
-    regimes = subject.catalogue.regimes
+def _responses(subject: Subject, found: _Searched, port: str) -> tuple[Response, ...]:
+    """Return the responses to free functions at a port."""
+    paths, regimes = found.paths, subject.catalogue.regimes
     return responses_of(
         subject.model,
         subject.observed,
-        nominal.fit,
-        ports=ports,
+        found.nominal.fit,
+        ports=[p for name, p in subject.catalogue.ports.items() if name == port],
         bases=bases(paths, regimes),
-        own={port.name: own_bases(paths, regimes, port.name) for port in ports},
+        own={port: own_bases(paths, regimes, port)},
     )
 
 
 def _where_left(
-    subject: Subject, best: Fitted, paths: Mapping[str, tuple[FloatArray, ...]], beside: Sequence[Decoy]
+    subject: Subject, best: Fitted, paths: Mapping[str, tuple[FloatArray, ...]], *, partial: bool
 ) -> str:
-    """Return in words where most of the rest after `best` lies, and at which port a free function closes most."""
+    """Return in words where most of the rest after `best` lies, and for a `partial` answer where it enters."""
     regimes = folded(paths, subject.catalogue.regimes)
     energy = excess_map(subject.observed, _prediction(subject, best.fit.values), regimes)
     shares = energy.shares(1)
@@ -403,8 +388,9 @@ def _where_left(
         if shares[0].regime is not None:
             variable, low, high = shares[0].regime
             words += f", {regime_text({'regime': {'variable': variable, 'from': low, 'to': high}})}"
-    port = min(beside, key=lambda d: d.held_out.mean).port if beside else ""
-    return words + (f" (a free function at {port} closes most of it)" if port else "")
+    ports = tuple(subject.catalogue.ports.values()) if partial else ()
+    at = places(entries(subject.model, subject.observed, best.fit, ports))
+    return words + (f" (it enters at {' or '.join(at)})" if at else "")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -484,12 +470,3 @@ def _candidates(
         parameters = {u.name: values[u.name] for u in effect.unknowns if u.name in values}
         found.append(Candidate(effect.id, inclusion, drops.get(effect.id), closed, parameters))
     return tuple(sorted(found, key=lambda c: -c.probability))
-
-
-def _port_closures(nominal: Fitted, decoys: Sequence[Decoy]) -> dict[str, float]:
-    """Return by port the largest share of the gap that a free function there closes on held-out experiments."""
-    shares: dict[str, float] = {}
-    for decoy in decoys:
-        for port in (decoy.port, *decoy.alike):
-            shares[port] = max(shares.get(port, 0.0), closure(nominal.held_out, decoy.held_out))
-    return shares

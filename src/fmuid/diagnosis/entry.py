@@ -49,6 +49,11 @@ class Entry:
     left: float
     explained: float
 
+    @property
+    def closure(self) -> float:
+        """Share of the gap that the course closes."""
+        return 1.0 - float(np.sqrt(1.0 - self.explained))
+
 
 def places(found: Mapping[str, Entry]) -> tuple[str, ...]:
     """Return the ports at which a course explains what a model leaves, the likeliest first.

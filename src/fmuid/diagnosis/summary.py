@@ -222,7 +222,7 @@ def _closest(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     ports = diagnosis.get("port_closures") or {}
     if ports:
         port = max(ports, key=lambda name: ports[name])
-        found.append(f"a free function at {port} {ports[port]:.2f}")
+        found.append(f"an arbitrary course over time at {port} {ports[port]:.2f}")
     return (Fact("What comes closest", "; ".join(found)),) if found else ()
 
 

@@ -18,9 +18,9 @@ from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import advantage, closure, closure_interval
 from fmuid.diagnosis.diagnose import Found
 from fmuid.diagnosis.effect_search import Say
+from fmuid.diagnosis.entry import likelier
 from fmuid.diagnosis.null_distribution import NoiseDraws, draw_noise
 from fmuid.diagnosis.observed import excess
-from fmuid.diagnosis.ports import Decoy
 from fmuid.diagnosis.scores import nominal_basis
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Closure, Curve, LawFound, LawParameter
@@ -156,14 +156,10 @@ class _Search:
         return spot(name, flat, law.subject.model, law.fitted.fit.values) or law.law.spot
 
     def spots(self) -> list[Spot]:
-        """Return the candidate places that can carry a law, those where free functions leave least first.
-
-        A function of two quantities may resemble hardly any free function of one, wherever it acts.
-        """
+        """Return the candidate places that can carry a law, the likeliest first."""
         found, subject = self.found, self.found.subject
         ports = subject.catalogue.ports
-        decoys = sorted(found.decoys, key=lambda d: d.held_out.mean)
-        asked = dict.fromkeys([*found.diagnosis.verdict.ports, *(p for d in decoys for p in (d.port, *d.alike))])
+        asked = sorted(found.entered, key=lambda port: -found.entered[port].evidence)
         here = set.intersection(*({p.name for p in find_ports(flat)} for flat in self.flats.values()))
         names = [n for n in asked if n in here and n in ports and ports[n].added and ports[n].input is not None]
         flat = next(iter(self.flats.values()))
@@ -243,15 +239,10 @@ class _Search:
         text = f"the best law, {formula}, closes {closed:.2f} of the gap on experiments left out"
         if gained <= error or (closed < CLOSURE_THAT_HOLDS and not weak):
             return f"{text}, too little (it takes {CLOSURE_THAT_HOLDS:g})"
-        decoy = min(self.found.decoys, key=lambda d: d.held_out.mean, default=None)
-        if decoy is not None and not self.finished(law) and self._beaten(law, decoy):
-            free = closure(base.held_out, decoy.held_out)
-            return f"{text}, but a free function of {decoy.over} at {decoy.port} closes {free:.2f}"
+        unknown = closed < decide.CLOSURE_BEYOND_DOUBT and not self.finished(law)
+        if unknown and likelier(self.found.entered, self.found.nominal, law.fitted):
+            return f"{text}, but something else there is far likelier"
         return ""
-
-    def _beaten(self, law: Candidate, decoy: Decoy) -> bool:
-        gained, error = advantage(decoy.held_out, law.fitted.held_out)
-        return gained > error and decoy.held_out.gap < decide.DECOY_MARGIN * law.fitted.held_out.gap
 
     def pruned(self, law: Candidate) -> Candidate:
         """Leave out the effects beside a law that it has made unnecessary."""

@@ -243,7 +243,7 @@ def effects_figure(diagnosis: Mapping[str, Any], most: int = 12) -> BarFigure | 
 
 
 def ports_figure(diagnosis: Mapping[str, Any]) -> BarFigure | None:
-    """Return the share of the gap that a free function at each port would close, if it was computed."""
+    """Return the share of the gap that an unknown flow or error at each port would close, if it was computed."""
     ports = diagnosis.get("port_closures") or {}
     if not ports:
         return None
@@ -255,10 +255,9 @@ def ports_figure(diagnosis: Mapping[str, Any]) -> BarFigure | None:
         "ports",
         "Which port could explain it",
         bars,
-        Axis("closure of the gap on held-out data"),
+        Axis("closure of the gap"),
         ((1.0, "all of the gap"),),
-        "A free function of one of speed, angle, load or time acting at each port; an effect may depend on "
-        "several of them. Blue: the ports of the verdict.",
+        "An arbitrary course over time at each port, in every run for itself. Blue: the ports of the verdict.",
         limits=(min(0.0, max(-1.0, *(b.value for b in bars))), 1.25),
     )
 
