@@ -20,6 +20,7 @@ _PLANTS = (
     "MagneticBearing", "ShipDrive", "BeltAxis", "ThermalBlock", "Circuit", "Tanks",
 )  # fmt: skip
 _DOUBLES = np.ctypeslib.ndpointer(dtype=np.float64, flags="C_CONTIGUOUS")
+_PARTS = 8  # of a sample, in which a late sensor is followed
 
 
 @dataclass(frozen=True)
@@ -99,17 +100,23 @@ class CompiledPlant:
                 kind = "pendulum_weight" if law == "weight" and place.turning else law
                 row = (_kinds()[kind], place.number, size, effect[name + SHAPE], place.rate, place.range)
                 extras.append([*row, float(time[-1] - time[0])])
-        y = np.empty((len(time), len(self.outputs)))
+        # A late sensor is late between the samples as well.
+        parts = _PARTS if any(f"{law}@{n}" in effect for law in ("lag", "delay") for n in self.outputs) else 1
+        fine = np.interp(np.arange((len(time) - 1) * parts + 1) / parts, np.arange(len(time)), time)
+        acting, given = (
+            np.repeat(x, parts, axis=1)[:, : len(fine)] for x in (np.stack(list(drive.values())), given)
+        )
+        y = np.empty((len(fine), len(self.outputs)))
         failed = _library().plant_run(
             _PLANTS.index(self.name), np.array(list(values.values())), self.zero, len(extras),
-            np.ascontiguousarray(np.reshape(extras, (-1, 7)), dtype=np.float64), len(time), self.substeps,
-            float(time[1] - time[0]), np.ascontiguousarray(np.stack([drive[n] for n in self.inputs]).T),
+            np.ascontiguousarray(np.reshape(extras, (-1, 7)), dtype=np.float64), len(fine),
+            -(-self.substeps // parts), float(time[1] - time[0]) / parts, np.ascontiguousarray(acting.T),
             lag, delay, y,
         )  # fmt: skip
         if failed >= 0:
-            raise SimulationError(f"not finite at t = {time[failed]:g} s", where=self.name)
+            raise SimulationError(f"not finite at t = {fine[failed]:g} s", where=self.name)
         read = dict(zip((*self.outputs, *self.inputs), (*y.T, *given), strict=True))
-        return np.stack([self._read(n, read, effect, time) for n in self.outputs])
+        return np.stack([self._read(n, read, effect, fine)[::parts] for n in self.outputs])
 
     def _read(self, output: str, read: Mapping[str, Floats], effect: Mapping[str, float], time: Floats) -> Floats:
         y = read[output]

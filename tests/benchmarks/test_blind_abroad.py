@@ -55,6 +55,17 @@ def test_a_rehearsed_plant_is_the_one_in_python(rig):
     assert np.abs((readings[0] - readings[1]) / np.array(rig.noise)[:, None]).max() < 1e-4
 
 
+def test_a_late_sensor_is_late_between_samples_too():
+    fine = np.linspace(BUCK.time[0], BUCK.time[-1], 8 * (len(BUCK.time) - 1) + 1)
+    u = BUCK.inputs["sine"]
+    for law in ("lag", "delay"):
+        effect = {f"{law}@i": 0.4 * (BUCK.time[1] - BUCK.time[0])}
+        late = BUCK.simulate({}, effect, BUCK.time, u)
+        finer = BUCK.simulate({}, effect, fine, np.repeat(np.atleast_2d(u), 8, axis=1)[:, : len(fine)])[:, ::8]
+        moved = finer - BUCK.simulate({}, {}, BUCK.time, u)
+        assert np.abs(late - finer).max() < 0.02 * np.abs(moved).max()
+
+
 def test_a_saturated_input_has_one_limit_in_all_runs():
     largest = max(np.abs(u).max() for u in BUCK.inputs.values())
     limited = {n: BUCK.simulate({}, {"saturation@duty": 0.1}, BUCK.time, u) for n, u in BUCK.inputs.items()}

@@ -158,10 +158,10 @@ def test_a_tolerance_that_does_for_the_start_values_is_tightened_where_it_does_n
         replace(c, simulator=Coarse(), task=replace(c.task, tolerance=1e-3)) for c in subject.model.cases
     )
     model = replace(subject.model, cases=cases)
-    assert tightened(model, {"m": 0.8}) is model
-    tighter = tightened(model, {"m": 1.0})
+    assert tightened(model, [{"m": 0.8}]) is model
+    tighter = tightened(model, [{"m": 1.0}])
     assert all(c.task.tolerance <= 1e-5 for c in tighter.cases)
-    assert tightened(tighter, {"m": 0.8}) is tighter
+    assert tightened(tighter, [{"m": 0.8}]) is tighter
     # A diagnosis sees to it by itself: the true mass is 1, and nothing is missing.
     assert diagnose_subject(replace(subject, model=model)).diagnosis.verdict.kind == "complete"
 

@@ -171,7 +171,7 @@ def diagnose_subject(
     subject, nominal = _settled(subject, nominal)
     found = _searched(subject, nominal, say, seed=seed)
     for _ in range(_RESTARTS if found.evidence.present else 0):
-        model = tightened(subject.model, (found.best or nominal).fit.values)
+        model = tightened(subject.model, [(found.best or nominal).fit.values])
         better = better_nominal(subject, found.nominal, found.candidates)
         if better is None and model is subject.model:
             break
@@ -260,9 +260,10 @@ def _onward(say: Say) -> Say:
 
 
 def _settled(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
-    """Refit the nominal parameters until the solver's errors stay below the noise at the result, too."""
+    """Refit the nominal parameters until the solver's errors stay below the noise there, also with an effect."""
     for _ in range(_RESTARTS):
-        model = tightened(subject.model, nominal.fit.values)
+        trials = [{**nominal.fit.values, **effect.trials[0]} for effect in subject.effects]
+        model = tightened(subject.model, [nominal.fit.values, *trials])
         if model is subject.model:
             break
         subject = replace(subject, model=model)

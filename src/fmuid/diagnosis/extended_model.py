@@ -33,7 +33,17 @@ Prediction = tuple[FloatArray, ...]
 _WIDTH = 1e-4  # relative width of differences around a simulation, for ties and sensors
 Direction = tuple[dict[str, float], float]
 """How a model's variables move with one parameter: their proportions, and the size of the move."""
-_Key = tuple[int, frozenset[tuple[str, float]], tuple[tuple[str, bytes], ...]]
+_Key = tuple[int, float | None, frozenset[tuple[str, float]], tuple[tuple[str, bytes], ...]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Wanted:
+    """A prediction of a case, by its number, at some values, with further inputs driven."""
+
+    index: int
+    case: Case
+    values: Mapping[str, float]
+    drive: Mapping[str, Sequence[FloatArray]] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,40 +243,58 @@ class CampaignModel:
         variant = self.variant(case.setup, values)
         return case.simulator if variant is None else in_place_of(case.simulator, variant)
 
+    def predict_cases(self, wanted: Sequence[tuple[int, Task, Mapping[str, float]]]) -> list[Outcome]:
+        """Return the (C, N) prediction of a case, by its number, as a variant of its task at some values."""
+        return self._sensed([_Wanted(k, replace(self.cases[k], task=task), values) for k, task, values in wanted])
+
     def _simulate(
         self, wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]]
     ) -> list[Prediction | SimulationError]:
-        split = [self._split(values) for values, _ in wanted]
+        every = [_Wanted(k, case, values, drive) for values, drive in wanted for k, case in enumerate(self.cases)]
+        outcomes, results = iter(self._sensed(every)), list[Prediction | SimulationError]()
+        for _ in wanted:
+            rows, failed = [], None
+            for _ in self.cases:
+                outcome = next(outcomes)
+                if isinstance(outcome, SimulationError):
+                    failed = failed or outcome
+                else:
+                    rows.append(outcome)
+            results.append(failed or tuple(rows))
+        return results
+
+    def _sensed(self, wanted: Sequence[_Wanted]) -> list[Outcome]:
+        """Return the (C, N) prediction of each case that is wanted, as its sensors would show it."""
+        split: dict[int, tuple[dict[str, float], dict[str, dict[str, float]]]] = {}  # by the identity of values
         keys: list[_Key] = []
         around: list[Disturbed | None] = []
         jobs: dict[_Key, Job] = {}
-        for (_, drive), (plain, signal) in zip(wanted, split, strict=True):
-            for k, case in enumerate(self.cases):
-                values, disturbed = self.start_values(case, plain), _disturbed(case, k, signal, drive)
-                keys.append(_key(k, case, values, disturbed))
-                around.append(disturbed)
-                if keys[-1] not in jobs:
-                    jobs[keys[-1]] = (self._simulator(case, values), _task(case.task, disturbed), values)
+        for want in wanted:
+            if id(want.values) not in split:
+                split[id(want.values)] = self._split(want.values)
+            plain, signal = split[id(want.values)]
+            values = self.start_values(want.case, plain)
+            disturbed = _disturbed(want.case, want.index, signal, want.drive)
+            keys.append(_key(want, values, disturbed))
+            around.append(disturbed)
+            if keys[-1] not in jobs:
+                task = _task(want.case.task, disturbed)
+                jobs[keys[-1]] = (self._simulator(want.case, values), task, values)
         found = self._predictor(jobs, self.runner)
-        outcomes = [found[key] for key in keys]
-        results: list[Prediction | SimulationError] = []
-        n = len(self.cases)
-        for i, (plain, signal) in enumerate(split):
-            own = slice(i * n, (i + 1) * n)
-            failed = next((o for o in outcomes[own] if isinstance(o, SimulationError)), None)
-            if failed is not None:
-                results.append(failed)
+        results: list[Outcome] = []
+        for want, key, disturbed in zip(wanted, keys, around, strict=True):
+            outcome, case = found[key], want.case
+            if isinstance(outcome, SimulationError):
+                results.append(outcome)
                 continue
-            rows = []
-            for case, outcome, disturbed in zip(self.cases, outcomes[own], around[own], strict=True):
-                shown = np.asarray(outcome)
-                if disturbed is not None:
-                    shown = disturbed.readings(shown, [c.differentiated for c in case.channels])
-                sensed = case.sensed(shown, {**self.fixed, **plain})
-                inputs = {n: u[case.lead :] for n, u in case.task.inputs.items()}
-                names = [c.signal for c in case.channels]
-                rows.append(disturbed_readings(sensed, names, signal, case.time, inputs))
-            results.append(tuple(rows))
+            plain, signal = split[id(want.values)]
+            shown = np.asarray(outcome)
+            if disturbed is not None:
+                shown = disturbed.readings(shown, [c.differentiated for c in case.channels])
+            sensed = case.sensed(shown, {**self.fixed, **plain})
+            inputs = {n: u[case.lead :] for n, u in case.task.inputs.items()}
+            names = [c.signal for c in case.channels]
+            results.append(disturbed_readings(sensed, names, signal, case.time, inputs))
         return results
 
 
@@ -286,14 +314,16 @@ def _direction(above: Mapping[str, float], below: Mapping[str, float], width: fl
     return {name: round(slope / size, 9) for name, slope in slopes.items()}, size
 
 
-def _key(index: int, case: Case, values: Mapping[str, float], disturbed: Disturbed | None) -> _Key:
+def _key(want: _Wanted, values: Mapping[str, float], disturbed: Disturbed | None) -> _Key:
     """Return the key of a simulation's result; a value equal to the model's own start value is left out."""
-    variables, settings = case.simulator.variables, case.task.start_values
+    variables, task = want.case.simulator.variables, want.case.task
+    settings = task.start_values
     own = frozenset((n, v) for n, v in values.items() if v != variables[n].start or n in settings)
     changed = {} if disturbed is None else dict(disturbed.inputs)
-    if disturbed is not None and disturbed.time is not case.task.time:
+    if disturbed is not None and disturbed.time is not task.time:
         changed[""] = disturbed.time
-    return index, own, tuple((n, hashlib.blake2b(u.tobytes()).digest()) for n, u in changed.items())
+    digests = tuple((n, hashlib.blake2b(u.tobytes()).digest()) for n, u in changed.items())
+    return want.index, task.tolerance, own, digests
 
 
 def _task(task: Task, disturbed: Disturbed | None) -> Task:

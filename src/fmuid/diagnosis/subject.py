@@ -15,6 +15,7 @@ from fmuid.core.campaign import SEPARATOR, Campaign, EffectsSpec, ModelSpec, Par
 from fmuid.core.errors import CampaignError, FmuError
 from fmuid.core.experiments import Experiment
 from fmuid.core.formulas import parse
+from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.catalogue import Catalogue, Effect, load_catalogue
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
@@ -25,7 +26,7 @@ from fmuid.diagnosis.variants import Variants
 from fmuid.diagnosis.verdict import LeftOut
 from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
 from fmuid.identification.problem.segments import in_segments, last_stages
-from fmuid.identification.problem.solver_error import SolverAccuracy, solver_accuracy
+from fmuid.identification.problem.solver_error import SolverAccuracy, accuracy, solver_accuracy
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.signal_effects import signal_parameters
 from fmuid.simulation.simulator import Simulator, default_tolerance
@@ -149,24 +150,41 @@ def solved_well_enough(
     return replace(model, cases=accuracy.applied(cases)), accuracy.findings
 
 
-def tightened(model: CampaignModel, values: Mapping[str, float]) -> CampaignModel:
-    """Return the model with tolerances tight enough at these values, too; `model` itself if its own are."""
-    needed = _accuracy(model, values).tolerances
+def tightened(model: CampaignModel, points: Sequence[Mapping[str, float]]) -> CampaignModel:
+    """Return the model with tolerances tight enough at these points, too; `model` itself if its own are.
+
+    An effect may need a tighter one than the plain model, which is solved anew at every jump of an input. A point
+    that cannot be predicted whatever the tolerance is left out.
+    """
+    every = [(k, values) for values in points for k in range(len(model.cases))]
+    sigma = _sigma(model)
+    found = accuracy(
+        [replace(model.cases[k], id=f"{n}") for n, (k, _) in enumerate(every)],
+        lambda wanted: model.predict_cases([(every[n][0], task, every[n][1]) for n, task in wanted]),
+        sigma=[sigma[k] for k, _ in every],
+    )
+    needed: dict[int, float] = {}
+    for n, (k, _) in enumerate(every):
+        if f"{n}" not in found.until:
+            needed[k] = min(needed.get(k, np.inf), found.tolerances.get(f"{n}", np.inf))
     cases = tuple(
-        replace(c, task=replace(c.task, tolerance=needed[c.id]))
-        if needed.get(c.id, np.inf) < (c.task.tolerance or default_tolerance(c.simulator) or 0.0)
+        replace(c, task=replace(c.task, tolerance=needed[k]))
+        if needed.get(k, np.inf) < (c.task.tolerance or default_tolerance(c.simulator) or 0.0)
         else c
-        for c in model.cases
+        for k, c in enumerate(model.cases)
     )
     return model if all(a is b for a, b in zip(cases, model.cases, strict=True)) else replace(model, cases=cases)
+
+
+def _sigma(model: CampaignModel) -> list[FloatArray]:
+    noise = Observed.from_runs(model.runs).noise
+    return [noise[run.setup].of_mean(run.n_repeats) for run in model.runs]
 
 
 def _accuracy(model: CampaignModel, values: Mapping[str, float]) -> SolverAccuracy:
     every = {**model.fixed, **values}
     starts = [model.start_values(case, every) for case in model.cases]
-    noise = Observed.from_runs(model.runs).noise
-    sigma = [noise[run.setup].of_mean(run.n_repeats) for run in model.runs]
-    return solver_accuracy(model.cases, every, starts, model.runner, sigma=sigma, loosest=_LOOSEST)
+    return solver_accuracy(model.cases, every, starts, model.runner, sigma=_sigma(model), loosest=_LOOSEST)
 
 
 def model_of(

@@ -9,7 +9,7 @@ samples are excluded.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.cases import Case
 from fmuid.simulation.runners import Outcome, Runner
-from fmuid.simulation.simulator import default_tolerance
+from fmuid.simulation.simulator import Task, default_tolerance
 
 UNSEEN = 0.2
 _TIGHTEST = 1e-10
@@ -76,14 +76,33 @@ def solver_accuracy(
         (C,) standard deviations of the means that the predictions of each case are compared with, if not those of
         its channels.
     loosest
-        Tolerances to try, largest first; by default the model's tolerance, which is then only tightened. A case
-        that cannot be simulated keeps its model's tolerance.
+        Tolerances to try, largest first; by default the case's own tolerance, which is then only tightened. A case
+        that cannot be simulated keeps its own tolerance.
     """
+
+    def sensed(wanted: Sequence[tuple[int, Task]]) -> list[Outcome]:
+        outcomes = runner([(cases[k].simulator, task, starts[k]) for k, task in wanted])
+        return [
+            o if isinstance(o, SimulationError) else cases[k].sensed(np.asarray(o), values)
+            for (k, _), o in zip(wanted, outcomes, strict=True)
+        ]
+
+    return accuracy(cases, sensed, sigma=sigma, loosest=loosest)
+
+
+def accuracy(
+    cases: Sequence[Case],
+    sensed: Callable[[Sequence[tuple[int, Task]]], Sequence[Outcome]],
+    *,
+    sigma: Sequence[FloatArray] | None = None,
+    loosest: Sequence[float] = (),
+) -> SolverAccuracy:
+    """Do the same for any predictions: `sensed` returns those of the channels of a case by its number and task."""
     pending = {k: [*loosest] for k, c in enumerate(cases) if default_tolerance(c.simulator) is not None}
     for k, ladder in pending.items():
-        own = default_tolerance(cases[k].simulator) or 0.0
-        tighter = loosest[-1] if loosest else own
-        ladder += [] if loosest else [0.0]  # the model's own
+        own = cases[k].task.tolerance
+        tighter = loosest[-1] if loosest else own or default_tolerance(cases[k].simulator) or 0.0
+        ladder += [] if loosest else [own or 0.0]
         while tighter > 1.001 * _TIGHTEST:
             tighter = max(0.1 * tighter, _TIGHTEST)
             ladder.append(tighter)
@@ -93,11 +112,8 @@ def solver_accuracy(
     moves: dict[int, FloatArray] = {}
     level = 0
     while pending:
-        jobs = [
-            (cases[k].simulator, replace(cases[k].task, tolerance=ladder[level] or None), starts[k])
-            for k, ladder in pending.items()
-        ]
-        for k, outcome in zip(list(pending), runner(jobs), strict=True):
+        wanted = [(k, replace(cases[k].task, tolerance=ladder[level] or None)) for k, ladder in pending.items()]
+        for k, outcome in zip(list(pending), sensed(wanted), strict=True):
             looser, before[k] = before.get(k), outcome
             case, ladder = cases[k], pending[k]
             ended = level == len(ladder) - 1
@@ -105,7 +121,7 @@ def solver_accuracy(
                 if isinstance(outcome, SimulationError):  # no tighter tolerance is possible
                     chosen, ended = ladder[level - 1], True
                 else:
-                    moved = _moved(case, looser, outcome, values, None if sigma is None else sigma[k])
+                    moved = _moved(case, looser - outcome, None if sigma is None else sigma[k])
                     settled = moved[-1] < UNSEEN
                     chosen, ended = ladder[level - 1] if settled else ladder[level], ended or settled
                     astray = (moved >= UNSEEN) & (moved >= _SHRINKING * moves.get(k, np.zeros(1)))
@@ -120,11 +136,8 @@ def solver_accuracy(
     return SolverAccuracy(tolerances, until)
 
 
-def _moved(
-    case: Case, a: FloatArray, b: FloatArray, values: Mapping[str, float], sigma: FloatArray | None
-) -> FloatArray:
+def _moved(case: Case, difference: FloatArray, sigma: FloatArray | None) -> FloatArray:
     """Return (N,) the number of standard deviations by which two predictions differ up to each sample."""
-    difference = case.sensed(np.asarray(a), values) - case.sensed(np.asarray(b), values)
     total = np.zeros(len(case.time))
     for k, (channel, row) in enumerate(zip(case.channels, difference, strict=True)):
         there = channel.count > 0
