@@ -14,7 +14,7 @@ from fmuid.diagnosis.scores import nominal_basis
 from fmuid.diagnosis.subject import tightened
 
 
-def test_a_swap_mends_a_first_pick_that_was_wrong(monkeypatch):
+def test_an_exchange_mends_a_first_pick_that_was_wrong(monkeypatch):
     """`mixture` explains more than either cause does, and is none of them."""
     laws = {"first": {1: 1.0}, "second": {2: 1.0}, "mixture": {1: 0.35, 2: 0.85, 3: 0.394}}
     subject = heard(laws, {1: 1.0, 2: 1.0})
@@ -24,8 +24,8 @@ def test_a_swap_mends_a_first_pick_that_was_wrong(monkeypatch):
     assert found.diagnosis.verdict.kind == "effect"
     assert set(found.diagnosis.verdict.effects) == {"first", "second"}
     assert found.diagnosis.model == pytest.approx({"k": 1.0, "first": 1.0, "second": 1.0}, abs=0.01)
-    # Without swaps and without leaving out what has become needless, the mixture stays, and something with it.
-    monkeypatch.setattr("fmuid.diagnosis.effect_search._swaps", lambda *_: [])
+    # Without exchanges and without leaving out what has become needless, the mixture stays, and something with it.
+    monkeypatch.setattr("fmuid.diagnosis.effect_search._replaced", lambda *_: [])
     monkeypatch.setattr("fmuid.diagnosis.effect_search._pruned", lambda _, best, __: best)
     assert "mixture" in diagnose_subject(subject).diagnosis.verdict.effects
 
@@ -171,8 +171,8 @@ def test_a_start_is_judged_by_what_the_other_parameters_would_make_of_it():
     subject = plant({"square": 0.3})
     nominal = fit_effects(subject, (), [{}])
     tiny, true = ({**nominal.fit.values, "square": size} for size in (1e-4, 0.3))
-    assert _best_start(subject, [tiny, true]) is tiny
-    assert _best_start(subject, [tiny, true], nominal_basis(nominal.fit, subject.observed)) is true
+    assert _best_start(subject, [tiny, true])[0] is tiny
+    assert _best_start(subject, [tiny, true], nominal_basis(nominal.fit, subject.observed))[0] is true
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from fmuid.diagnosis.standard_errors import standard_errors
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Estimate
 
+_ESCAPES = 2  # from local minima of one refit
 _TWINS = 4  # number of effects, left out in favour of one that was found, that are refitted in its place
 
 
@@ -86,8 +87,8 @@ def better_nominal(subject: Subject, nominal: Fitted, candidates: Sequence[Fitte
     A refit with an effect may escape from a local minimum that the nominal refit ended in. None if it has not.
     """
     starts = [{u.name: c.fit.values[u.name] for u in subject.nominal} for c in candidates]
-    start = _best_start(subject, [nominal.fit.values, *starts])
-    if start is None or start is nominal.fit.values:
+    start, cost = _best_start(subject, [nominal.fit.values, *starts])
+    if not np.isfinite(cost) or start is nominal.fit.values:
         return None
     better = fit_effects(subject, (), [start])
     return better if better is not None and nominal.fit.cost > about(better.fit.cost) else None
@@ -149,12 +150,30 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
     starts = [
         _best_start(subject, [{**point, **size} for size in sizes], basis) for point in (fitted.fit.values, unbent)
     ]
-    found = [start for start in starts if start is not None]
+    found = [start for start, cost in starts if np.isfinite(cost)]
     effects = [*(by_id[name] for name in fitted.effects), effect]
     added = fit_effects(subject, effects, found) if found else None
     if added is None or added.fit.cost > fitted.fit.cost:  # at neutral values it is no worse than without
         added = fit_effects(subject, effects, [{**fitted.fit.values, **effect.neutral}])
-    return None if added is None else replace(added, names=(*fitted.names, effect.id))
+    return None if added is None else replace(escaped(subject, effects, added), names=(*fitted.names, effect.id))
+
+
+def escaped(subject: Subject, effects: Sequence[Effect], fitted: Fitted) -> Fitted:
+    """Return a better fit of the same `effects`, if one nominal parameter has gone astray; otherwise `fitted`.
+
+    A refit that began far from its end may be in a local minimum. Each nominal parameter is set back to its start
+    in turn; where a step of the others from there promises less, the refit is repeated.
+    """
+    for _ in range(_ESCAPES if subject.nominal else 0):
+        back = [{**fitted.fit.values, u.name: u.start} for u in subject.nominal]
+        start, promised = _best_start(subject, back, nominal_basis(fitted.fit, subject.observed))
+        if fitted.fit.cost <= about(promised):
+            break
+        again = fit_effects(subject, effects, [start])
+        if again is None or fitted.fit.cost <= about(again.fit.cost):
+            break
+        fitted = again
+    return fitted
 
 
 def twins(subject: Subject, fitted: Fitted, scores: Sequence[Score]) -> list[Fitted]:
@@ -170,8 +189,8 @@ def twins(subject: Subject, fitted: Fitted, scores: Sequence[Score]) -> list[Fit
 
 def _best_start(
     subject: Subject, starts: Sequence[Mapping[str, float]], basis: FloatArray | None = None
-) -> Mapping[str, float] | None:
-    """Return the start with the least cost; None if none can be simulated.
+) -> tuple[Mapping[str, float], float]:
+    """Return the start with the least cost, and that cost, which is infinite if none can be simulated.
 
     With the `basis` of the responses to other parameters, the cost is what a step of these would leave: they may
     have shifted to imitate what the start adds.
@@ -185,7 +204,7 @@ def _best_start(
         residual = residual if basis is None else project_off(residual, basis)
         costs.append(float(residual @ residual))
     best = int(np.argmin(costs))
-    return starts[best] if np.isfinite(costs[best]) else None
+    return starts[best], costs[best]
 
 
 def contribution(subject: Subject, fitted: Fitted, name: str) -> float:

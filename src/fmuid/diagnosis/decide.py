@@ -103,11 +103,14 @@ def survivors(best: Fitted, candidates: Sequence[Fitted], observed: Observed) ->
     The odds of `best` against them are short, and they leave about as much of the gap. A set that closes far less
     is not an answer, however uninformative the data are.
     """
-    found = {frozenset(best.names): best}
-    for c in sorted(candidates, key=lambda c: c.fit.cost):
-        if _comparable(best, c) and log_odds(best, c, observed) < np.log(OPEN):
-            found.setdefault(frozenset(c.names), c)
-    return tuple(found.values())
+    sets: dict[frozenset[str], Fitted] = {}
+    for c in (best, *sorted(candidates, key=lambda c: c.fit.cost)):
+        if _comparable(best, c):
+            sets.setdefault(frozenset(c.names), c)
+    for c in sets.values():  # `best` predicts left-out experiments best, but the data may speak against it
+        best = c if log_odds(c, best, observed) >= np.log(OPEN) else best
+    others = (c for c in sets.values() if c is not best and log_odds(best, c, observed) < np.log(OPEN))
+    return best, *others
 
 
 def _comparable(best: Fitted, other: Fitted) -> bool:

@@ -12,7 +12,15 @@ from fmuid.core.formatting import html_lines, html_table, text_table
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.calibration import Calibration, shipped
-from fmuid.diagnosis.candidates import Fitted, better_nominal, estimates, fit_effects, score_further, twins
+from fmuid.diagnosis.candidates import (
+    Fitted,
+    better_nominal,
+    escaped,
+    estimates,
+    fit_effects,
+    score_further,
+    twins,
+)
 from fmuid.diagnosis.cross_validation import closure, closure_interval, in_sample
 from fmuid.diagnosis.effect_search import Say, aliases, finished, search
 from fmuid.diagnosis.entry import Entry, entries, likelier, places
@@ -268,7 +276,7 @@ def _settled(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
             break
         subject = replace(subject, model=model)
         nominal = fit_effects(subject, (), [nominal.fit.values]) or nominal
-    return subject, nominal
+    return subject, escaped(subject, (), nominal)
 
 
 def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int) -> _Searched:
@@ -325,8 +333,8 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
     powerless = len(set(observed.groups)) < 2 or not (evidence.present or evidence.power)
     surviving = () if best is None else decide.survivors(best, found.candidates, observed)
     plausible = tuple(s for s in surviving if not decide.strained(s, subject.effects))
-    if plausible:
-        surviving, best = plausible, plausible[0]
+    surviving = plausible or surviving
+    best = surviving[0] if surviving else None
     if powerless or not evidence.present:
         return Judgement(Verdict("insufficient" if powerless else "complete"), surviving[:1])
     done = best is not None and finished(subject, best, found.scores, found.noise)

@@ -24,7 +24,7 @@ _SHARE = 0.05  # least score for a refit, as a share of the best score
 _PAIRS = 4  # further effects tried beside the best
 _ABOUT_AS_MUCH = 1.5  # ratio below which two effects of the same shape move the predictions about as much
 _SCORED = 8  # effects that are scored again when another is added
-_SWAPS = 2  # effects tried in place of each named one
+_CLOSE = 0.5  # least score for being tried in place of another effect, as a share of the best score
 _MOST = 3  # largest number of effects together
 _SHAPE = 0.1  # share of the gap (a hundredth of its energy) up to which a further law there only shapes the first
 _SAME_PLACE = 0.95  # correlation of one law's signatures at two ports above which the ports count as one
@@ -82,11 +82,7 @@ def search(
         if first is not None:
             better, company = _renamed(subject, better, first, company)
         candidates += company
-        best = better
-        swapped = _swaps(subject, best, candidates, scores) if best.gap > decide.GAP_THAT_MATTERS else []
-        if swapped:
-            candidates += swapped
-            best = decide.best_of([c for c in candidates if len(c.names) == len(best.names)])
+        best = _exchanged(subject, better, candidates, scores)
     return candidates, _pruned(subject, best, candidates)
 
 
@@ -174,8 +170,8 @@ def _renamed(subject: Subject, better: Fitted, first: str, company: list[Fitted]
     return better, company
 
 
-def _promising(scores: Sequence[Score]) -> list[Score]:
-    least = _SHARE * max((s.drop for s in scores), default=0.0)
+def _promising(scores: Sequence[Score], share: float = _SHARE) -> list[Score]:
+    least = share * max((s.drop for s in scores), default=0.0)
     return [s for s in scores if s.signature is not None and s.drop > 0.0 and s.drop >= least]
 
 
@@ -208,18 +204,35 @@ def _added(subject: Subject, fitted: Fitted, scores: Sequence[Score]) -> list[Fi
     return [f for f in found if f is not None and f.fit.cost < fitted.fit.cost]
 
 
-def _swaps(subject: Subject, best: Fitted, candidates: Sequence[Fitted], scores: Sequence[Score]) -> list[Fitted]:
-    """Refit `best` with each of its effects except the last replaced by others."""
+def _exchanged(subject: Subject, best: Fitted, candidates: list[Fitted], scores: Sequence[Score]) -> Fitted:
+    """Return the best set of as many effects, after each effect was tried to be replaced by others.
+
+    The first effect was chosen while the others were missing, and may have stood in for them. What was refitted is
+    added to the `candidates`: sets that fit equally well are open answers.
+    """
+    explored = {frozenset(best.effects[:-1])}  # others were tried beside these
+    while best.effects == best.names:
+        around = {frozenset(best.effects) - {name}: name for name in best.names}
+        fresh = [(rest, name) for rest, name in around.items() if rest not in explored]
+        if not fresh:
+            break
+        for rest, name in fresh:
+            explored.add(rest)
+            candidates += _replaced(subject, best, name, candidates, scores)
+        best = decide.best_of([c for c in candidates if len(c.names) == len(best.names)])
+    return best
+
+
+def _replaced(
+    subject: Subject, best: Fitted, name: str, candidates: Sequence[Fitted], scores: Sequence[Score]
+) -> list[Fitted]:
+    """Refit `best` with one of its effects replaced by the most promising others."""
+    rest = without(subject, best, name)
+    if rest is None:
+        return []
     tried = {frozenset(c.effects) for c in candidates}
-    found: list[Fitted] = []
-    for name in best.names[:-1] if best.effects == best.names else ():
-        rest = without(subject, best, name)
-        if rest is None:
-            continue
-        others = _promising(score_further(subject, rest, likely=scores, most=_SCORED))
-        fresh = [s for s in others if frozenset((*rest.effects, s.effect)) not in tried]
-        found += _added(subject, rest, fresh[:_SWAPS])
-    return found
+    others = _promising(score_further(subject, rest, likely=scores, most=_SCORED), _CLOSE)[:_PAIRS]
+    return _added(subject, rest, [s for s in others if frozenset((*rest.effects, s.effect)) not in tried])
 
 
 def _pruned(subject: Subject, best: Fitted, candidates: list[Fitted]) -> Fitted:
