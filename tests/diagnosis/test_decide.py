@@ -140,6 +140,8 @@ def test_an_answer_stays_open_unless_the_odds_against_it_are_long(odds, open_):
     # Costs differ by the distance squared, as they do on average if the best one is true.
     other = fitted(("other",), 0.0, residuals=[[0.0], [np.sqrt(2.0 * np.log(odds)) / 3.0]])
     assert (other in survivors(best, [other], RECORDED)) is open_
+    # One that predicts left-out experiments best is no answer either if the odds against it are long.
+    assert (other in survivors(other, [best], RECORDED)) is open_
 
 
 def test_an_answer_that_one_experiment_alone_speaks_for_is_not_stable():

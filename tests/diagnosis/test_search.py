@@ -7,7 +7,7 @@ import pytest
 from plants import Mass, misread, plant
 from tones import SIGMA, STRENGTHS, TIME, heard
 
-from fmuid.diagnosis.candidates import _best_start, better_nominal, fit_effects
+from fmuid.diagnosis.candidates import _best_start, better_nominal, escaped, fit_effects
 from fmuid.diagnosis.diagnose import diagnose_subject
 from fmuid.diagnosis.refit import refit
 from fmuid.diagnosis.scores import nominal_basis
@@ -142,13 +142,29 @@ def test_a_nominal_refit_gets_out_of_a_local_minimum_that_an_effect_got_out_of()
     assert better_nominal(subject, stuck, []) is None
 
 
+def test_a_refit_gets_out_of_a_local_minimum_by_setting_a_parameter_back():
+    subject = plant({"square": 0.3})
+    effects = [e for e in subject.effects if e.id == "quadratic"]
+    good = fit_effects(subject, effects, [{}])
+    unknowns = subject.nominal + effects[0].unknowns
+    narrow = [
+        replace(u, start=2.0 * u.start, upper=2.0 * u.start, lower=2.0 * u.start - 1e-6) if u.name == "m" else u
+        for u in unknowns
+    ]
+    stuck = replace(good, fit=refit(subject.model.predict, subject.observed, narrow))
+    assert stuck.fit.cost > 10.0 * good.fit.cost
+    assert escaped(subject, effects, stuck).fit.cost == pytest.approx(good.fit.cost, rel=1e-3)
+    assert escaped(subject, effects, good) is good
+
+
 class Coarse(Mass):
-    """A solver whose error is nothing at the start values, and large elsewhere unless it is told to be careful."""
+    """A solver with an error unless it is told to be careful: away from the start values, or with an effect."""
 
     default_tolerance = 1e-3
 
     def simulate(self, task, parameters):
-        error = 1e2 * (task.tolerance or self.default_tolerance) * (parameters.get("m", 0.8) - 0.8)
+        away = parameters.get("m", 0.8) - 0.8 + parameters.get("square", 0.0)
+        error = 1e2 * (task.tolerance or self.default_tolerance) * away
         return super().simulate(task, parameters) + error
 
 
@@ -162,6 +178,8 @@ def test_a_tolerance_that_does_for_the_start_values_is_tightened_where_it_does_n
     tighter = tightened(model, [{"m": 1.0}])
     assert all(c.task.tolerance <= 1e-5 for c in tighter.cases)
     assert tightened(tighter, [{"m": 0.8}]) is tighter
+    with_effect = tightened(model, [{"m": 0.8}, {"m": 0.8, "square": 0.2}])
+    assert all(c.task.tolerance <= 1e-5 for c in with_effect.cases)
     # A diagnosis sees to it by itself: the true mass is 1, and nothing is missing.
     assert diagnose_subject(replace(subject, model=model)).diagnosis.verdict.kind == "complete"
 

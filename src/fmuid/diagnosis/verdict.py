@@ -372,7 +372,7 @@ class Diagnosis:
     effects
         All candidates.
     port_closures
-        By port, the largest share of the gap that a free function there closes on held-out experiments.
+        By port, the share of the gap that an arbitrary course over time there closes.
     power
         By effect, the smallest values of its parameters at which it would have been seen.
     law_found

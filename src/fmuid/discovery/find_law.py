@@ -32,7 +32,7 @@ from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.simulator import Simulator
 
 CLOSURE_THAT_HOLDS = 0.8  # share of the held-out gap that a law must close to count as found
-_PLACES = 4  # number of places examined: those where free functions close most
+_PLACES = 4  # number of places examined: those where a course over time is likeliest
 _TRIED = (6, 4)  # laws per round that are refitted in the rebuilt model: with one further term, and with two
 _TERMS = 3  # largest number of terms in a law
 _INTERVAL = 1.96  # standard errors: 95 %
