@@ -48,9 +48,9 @@ def fitted(effects, gap, *, held_out=None, residuals=((),), cost=0.0, parameters
     return Fitted(effects, effects, fit, losses, losses, gap)
 
 
-def free(left, *, port="p", over="speed", alike=()):
+def free(left):
     """A free function that leaves so many floors on experiments left out."""
-    return Decoy(port, over, alike, lost(left**2))
+    return Decoy("speed", lost(left**2), ())
 
 
 def scattered(*losses):

@@ -29,7 +29,7 @@ from fmuid.diagnosis.localisation import ExcessMap, excess_map
 from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
 from fmuid.diagnosis.null_distribution import NoiseDraws, Null, draw_noise
 from fmuid.diagnosis.observed import excess, excesses, gap
-from fmuid.diagnosis.ports import Response, fit_decoys, responses_of
+from fmuid.diagnosis.ports import Decoy, fit_decoys, responses_of
 from fmuid.diagnosis.power import smallest_seen
 from fmuid.diagnosis.regimes import bases, folded, own_bases, trajectories
 from fmuid.diagnosis.scores import Score, nominal_basis
@@ -346,7 +346,7 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
     imitated = False
     if best is not None and named_at_all and len(own) > len(set(own)) == 1:
         say(f"free functions at {own[0]}", 0.7)  # one unnamed law of one variable may take the place of two
-        imitated = decide.lumped(best, fit_decoys(_responses(subject, found, own[0]), nominal.fit, observed))
+        imitated = decide.lumped(best, _decoys(subject, found, own[0]))
     entered: Mapping[str, Entry] = {}
     if not sure or imitated:
         say("where it enters", 0.8)
@@ -371,17 +371,13 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
     return Judgement(Verdict("ambiguous", shared, one_of, named, stable, rest), surviving, entered)
 
 
-def _responses(subject: Subject, found: _Searched, port: str) -> tuple[Response, ...]:
-    """Return the responses to free functions at a port."""
-    paths, regimes = found.paths, subject.catalogue.regimes
-    return responses_of(
-        subject.model,
-        subject.observed,
-        found.nominal.fit,
-        ports=[p for name, p in subject.catalogue.ports.items() if name == port],
-        bases=bases(paths, regimes),
-        own={port: own_bases(paths, regimes, port)},
-    )
+def _decoys(subject: Subject, found: _Searched, port: str) -> tuple[Decoy, ...]:
+    """Return free functions of the model's variables at a port, fitted beside the nominal parameters."""
+    regimes, fit = subject.catalogue.regimes, found.nominal.fit
+    families = {**bases(found.paths, regimes), **own_bases(found.paths, regimes, port)}
+    at = subject.catalogue.ports.get(port)
+    responses = responses_of(subject.model, subject.observed, fit, at, families) if at is not None else ()
+    return fit_decoys(responses, fit, subject.observed)
 
 
 def _where_left(

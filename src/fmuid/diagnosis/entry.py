@@ -8,19 +8,18 @@ Alvarez, Luengo and Lawrence 2009).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.decide import OPEN, log_evidence, spread
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.ports import Basis, Port, hats
+from fmuid.diagnosis.ports import Port, hats, moved_by
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import nominal_basis
 
@@ -107,9 +106,7 @@ def with_knots(
     count = sum(len(r) for r in residuals) - basis.shape[1]
     found = {}
     for port in ports:
-        moved = list(
-            _driven(model, observed, base, port, courses) if port.input else _misread(observed, port, courses)
-        )
+        moved = [m for m in moved_by(model, observed, base, port, courses) if m is not None]
         if len(moved) < knots:
             continue
         columns = [w * np.stack(own, axis=1) for w, own in zip(weights, zip(*moved, strict=True), strict=True)]
@@ -133,25 +130,3 @@ def _evidence(gram: FloatArray, slope: FloatArray, knots: int, length: float) ->
     evidence = 0.5 * np.sum(gained * along - np.log1p(_SIZES[:, None] ** 2 * values), axis=1)
     best = int(np.argmax(evidence))
     return float(evidence[best]), float(np.sum(along * gained[best] * (2.0 - gained[best] * values)))
-
-
-def _driven(
-    model: CampaignModel, observed: Observed, base: Refit, port: Port, courses: Basis
-) -> Iterator[tuple[FloatArray, ...]]:
-    """Yield the change of the residuals by each piece of a course of a flow, as far as it can be simulated."""
-    drives = [{port.input or "": [port.magnitude * c for c in one]} for one in courses]
-    for outcome in model.predict_driven(base.values, drives):
-        if not isinstance(outcome, SimulationError):
-            yield tuple(a - b for a, b in zip(observed.residuals(outcome), base.residuals, strict=True))
-
-
-def _misread(observed: Observed, port: Port, courses: Basis) -> Iterator[tuple[FloatArray, ...]]:
-    """Yield the change of the residuals by each piece of a course of a sensor's error, if the sensor was read."""
-    if not any(port.output in run.channels for run in observed.runs):
-        return
-    for one in courses:
-        misread = [
-            np.outer([float(name == port.output) for name in run.channels], port.magnitude * c)
-            for run, c in zip(observed.runs, one, strict=True)
-        ]
-        yield observed.whiten(misread)

@@ -1,9 +1,8 @@
-"""Ports and decoys: how much a free function of speed, angle, load or time at a port could explain.
+"""Ports, and decoys: how much a free function of speed, angle, load or time at a port could explain.
 
-A port is an input of the model that is zero by default and acts where effects act. Driving it with basis
-functions evaluated along the model's own trajectory gives the responses that any unnamed effect of that form would
-leave. The port whose responses explain the residual is where the gap arises; a decoy that beats every named effect
-on held-out experiments is evidence that none of them is the cause.
+A port is an input of the model that is zero by default and acts where effects act, or an output that is misread.
+Driving it with basis functions gives the responses that any unnamed effect of that form would leave. A decoy that
+does about as well on held-out experiments as two laws at its port is evidence that it is one unnamed law.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from fmuid.diagnosis.refit import Refit, Unknown
 
 OWN_PAST = "its own past"
 _PASTS = 6  # number of time constants of a memory, from a few samples to part of the longest run
-_SAME_PORT = 0.99  # correlation of responses above which the sensors cannot tell two ports apart
 Basis = tuple[tuple[FloatArray, ...], ...]
 """Basis functions, each with (N,) samples for every experiment."""
 
@@ -59,17 +57,13 @@ class Response:
 
     Attributes
     ----------
-    port, over
-        Where the functions act, and which variable they depend on.
-    alike
-        Further ports at which the same functions have the same response, as far as these sensors see.
+    over
+        What the functions depend on.
     columns
         (M_e, B) per experiment: whitened change for each of the B functions, in units of the port's magnitude.
     """
 
-    port: str
     over: str
-    alike: tuple[str, ...]
     columns: tuple[FloatArray, ...]
 
 
@@ -79,19 +73,17 @@ class Decoy:
 
     Attributes
     ----------
-    port, over, alike
+    over
         As in its `Response`.
     held_out
-            Losses on held-out experiments.
+        Losses on held-out experiments.
     amounts
-            (B,) coefficients of its functions, in units of the port's magnitude.
+        (B,) coefficients of its functions, in units of the port's magnitude.
     """
 
-    port: str
     over: str
-    alike: tuple[str, ...]
     held_out: HeldOut
-    amounts: tuple[float, ...] = ()
+    amounts: tuple[float, ...]
 
 
 def hats(values: Sequence[FloatArray], knots: FloatArray) -> Basis:
@@ -146,118 +138,75 @@ def quantile_knots(values: Sequence[FloatArray], count: int) -> FloatArray:
     return np.array(kept)
 
 
-def responses_of(
-    model: CampaignModel,
-    observed: Observed,
-    base: Refit,
-    *,
-    ports: Sequence[Port],
-    bases: Mapping[str, Basis],
-    own: Mapping[str, Mapping[str, Basis]] | None = None,
-) -> tuple[Response, ...]:
-    """Return the responses to every basis at every port, at the parameters of `base`; `own` holds bases by port.
+def moved_by(
+    model: CampaignModel, observed: Observed, base: Refit, port: Port, basis: Basis
+) -> list[tuple[FloatArray, ...] | None]:
+    """Return by how much each function at a port moves the residuals of `base`, per experiment.
 
-    Ports whose responses cannot be simulated are left out. A sensor's error may also depend on other signals or on
-    its own past.
+    Functions are in units of the port's magnitude. None for those that cannot be simulated, or not read.
     """
-    found = _at_sensors(model, observed, base, ports, bases)
-    distinct = _distinct(model, observed, base, ports, bases)
-    for port in (p for p in ports if p.input is not None):
-        families = {**(bases if port.name in distinct else {}), **(own or {}).get(port.name, {})}
-        drives = [
-            {port.input or "": [port.magnitude * b for b in one]} for basis in families.values() for one in basis
+    if port.input is None:
+        read = any(port.output in run.channels for run in observed.runs)
+        return [_misread(observed, port, one) if read else None for one in basis]
+    drives = [{port.input: [port.magnitude * b for b in one]} for one in basis]
+    return [
+        None
+        if isinstance(outcome, SimulationError)
+        else tuple(a - b for a, b in zip(observed.residuals(outcome), base.residuals, strict=True))
+        for outcome in model.predict_driven(base.values, drives)
+    ]
+
+
+def _misread(observed: Observed, port: Port, function: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
+    return observed.whiten(
+        [
+            np.outer([float(name == port.output) for name in run.channels], port.magnitude * b)
+            for run, b in zip(observed.runs, function, strict=True)
         ]
-        outcomes = model.predict_driven(base.values, drives)
-        begin = 0
-        for over, basis in families.items():
-            part = outcomes[begin : begin + len(basis)]
-            begin += len(basis)
-            good = [p for p in part if not isinstance(p, SimulationError)]
-            if len(good) == len(part):
-                moved = [observed.residuals(p) for p in good]
-                columns = tuple(np.stack([m[e] - r for m in moved], axis=1) for e, r in enumerate(base.residuals))
-                found.append(Response(port.name, over, distinct.get(port.name, ()), columns))
+    )
+
+
+def responses_of(
+    model: CampaignModel, observed: Observed, base: Refit, port: Port, families: Mapping[str, Basis]
+) -> tuple[Response, ...]:
+    """Return the responses to every family of functions at a port, at the parameters of `base`.
+
+    Families that cannot be simulated are left out. A sensor's error may also depend on other signals or on its own
+    past.
+    """
+    if port.input is None:
+        families = {**families, **_of_signals(model, base, port)}
+    found = []
+    for over, basis in families.items():
+        moved = [m for m in moved_by(model, observed, base, port, basis) if m is not None]
+        if len(moved) == len(basis):
+            columns = tuple(np.stack(parts, axis=1) for parts in zip(*moved, strict=True))
+            found.append(Response(over, columns))
     return tuple(found)
 
 
-def _at_sensors(
-    model: CampaignModel, observed: Observed, base: Refit, ports: Sequence[Port], bases: Mapping[str, Basis]
-) -> list[Response]:
-    sensors = {p.output: p for p in ports if p.output is not None}
+def _of_signals(model: CampaignModel, base: Refit, port: Port) -> dict[str, Basis]:
+    """Return functions that a sensor may add: other signals, and its own past."""
     (prediction,) = model.predict([base.values])
     if isinstance(prediction, SimulationError):
-        return []
-    found = []
-    for signal, port in sensors.items():
-        rows = [r.channels.index(signal) if signal in r.channels else None for r in observed.runs]
-        if all(row is None for row in rows):
-            continue
-        for over, basis in {**bases, **_of_signals(model, prediction, rows)}.items():
-            moved = []
-            for one in basis:
-                misread = [np.zeros_like(p) for p in prediction]
-                for m, row, b in zip(misread, rows, one, strict=True):
-                    if row is not None:
-                        m[row] = port.magnitude * b
-                moved.append(observed.whiten(misread))
-            columns = tuple(np.stack(parts, axis=1) for parts in zip(*moved, strict=True))
-            found.append(Response(port.name, over, (), columns))
-    return found
-
-
-def _of_signals(
-    model: CampaignModel, prediction: Sequence[FloatArray], rows: Sequence[int | None]
-) -> dict[str, Basis]:
-    """Return functions that a sensor, row `rows` of each prediction, may add: other signals, and its own past."""
-    own = {case.channels[row].signal for case, row in zip(model.cases, rows, strict=True) if row is not None}
+        return {}
     signals = [
         {n: u[case.lead :] for n, u in case.task.inputs.items()}
         | {c.signal: y for c, y in zip(case.channels, p, strict=True)}
         for case, p in zip(model.cases, prediction, strict=True)
     ]
+
+    def course(name: str | None) -> list[FloatArray]:
+        own = zip(model.cases, signals, strict=True)
+        return [known.get(name or "", np.zeros(len(case.time))) for case, known in own]
+
     others = []
-    for name in sorted({n for known in signals for n in known} - own):
-        series = [
-            known.get(name, np.zeros(len(case.time))) for case, known in zip(model.cases, signals, strict=True)
-        ]
+    for name in sorted({n for known in signals for n in known} - {port.output}):
+        series = course(name)
         size = max(float(np.abs(s).max()) for s in series)
         others += [tuple(s / size for s in series)] if size > 0.0 else []
-    read = [p[row] if row is not None else np.zeros(p.shape[1]) for p, row in zip(prediction, rows, strict=True)]
-    past = pasts(read, [case.time for case in model.cases])
+    past = pasts(course(port.output), [case.time for case in model.cases])
     return {"other signals": tuple(others), OWN_PAST: past} if others else {OWN_PAST: past}
-
-
-def _distinct(
-    model: CampaignModel, observed: Observed, base: Refit, ports: Sequence[Port], bases: Mapping[str, Basis]
-) -> dict[str, tuple[str, ...]]:
-    """Return the inputs among the ports, each with the later ones that no signal distinguishes from it."""
-    inputs = [p for p in ports if p.input is not None]
-    probe = next(iter(bases.values()), ())[:3]
-    if not probe:
-        return {}
-    drives = [{p.input or "": [p.magnitude * b for b in one]} for p in inputs for one in probe]
-    outcomes = model.predict_driven(base.values, drives)
-    chosen: dict[str, FloatArray] = {}
-    alike: dict[str, tuple[str, ...]] = {}
-    for k, port in enumerate(inputs):
-        part = outcomes[k * len(probe) : (k + 1) * len(probe)]
-        moved = [
-            np.concatenate([a - b for a, b in zip(observed.residuals(o), base.residuals, strict=True)])
-            for o in part
-            if not isinstance(o, SimulationError)
-        ]
-        if len(moved) < len(probe):
-            continue
-        response = np.concatenate(moved)
-        length = float(np.linalg.norm(response))
-        if length == 0.0:
-            continue
-        same = next((n for n, other in chosen.items() if abs(response @ other) >= _SAME_PORT * length), None)
-        if same is None:
-            chosen[port.name], alike[port.name] = response / length, ()
-        else:
-            alike[same] = (*alike[same], port.name)
-    return alike
 
 
 def fit_decoys(responses: Sequence[Response], base: Refit, observed: Observed) -> tuple[Decoy, ...]:
@@ -269,7 +218,7 @@ def _fit(response: Response, base: Refit, observed: Observed) -> Decoy:
     jacobian = [np.hstack([j, c]) for j, c in zip(base.jacobian, response.columns, strict=True)]
     weight = np.sqrt(observed.repeats)
     count = response.columns[0].shape[1]
-    names = [f"{response.port}.{response.over}[{k}]" for k in range(count)]
+    names = [f"{response.over}[{k}]" for k in range(count)]
     unknowns = base.unknowns + tuple(Unknown(n, 0.0, -np.inf, np.inf, 1.0) for n in names)
     steps = np.array([u.step for u in unknowns])
     a = np.concatenate([w * j for w, j in zip(weight, jacobian, strict=True)]) * steps
@@ -284,7 +233,7 @@ def _fit(response: Response, base: Refit, observed: Observed) -> Decoy:
     cost = float(sum(n * (x @ x) for n, x in zip(observed.repeats, residuals, strict=True)))
     fit = Refit(_unbounded(unknowns), values, residuals, tuple(jacobian), cost, 0, True)
     amounts = tuple(map(float, solution[len(base.unknowns) :]))
-    return Decoy(response.port, response.over, response.alike, leave_each_out(fit, observed), amounts)
+    return Decoy(response.over, leave_each_out(fit, observed), amounts)
 
 
 def _unbounded(unknowns: Sequence[Unknown]) -> tuple[Unknown, ...]:

@@ -8,16 +8,15 @@ judged on held-out experiments. Each must do more than noise alone would make an
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.cross_validation import HeldOut
 from fmuid.diagnosis.null_distribution import NoiseDraws
-from fmuid.diagnosis.ports import Response, fit_decoys
+from fmuid.diagnosis.ports import Response, fit_decoys, moved_by
 from fmuid.diagnosis.projection import project_off
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import nominal_basis, stack
@@ -82,20 +81,16 @@ def choose(subject: Subject, base: Refit, spot: Spot, noise: NoiseDraws, *, pair
 
 def _columns(subject: Subject, base: Refit, spot: Spot) -> list[_Column]:
     observed, model = subject.observed, subject.model
-    port = subject.catalogue.ports[spot.port.name]
+    port = replace(subject.catalogue.ports[spot.port.name], magnitude=_DRIVEN * spot.flow)
     assert port.input is not None
-    size = _DRIVEN * spot.flow
     time = [case.time for case in model.cases]
-    drives = [
-        {port.input: [size * t.course(c, s) for c, s in zip(spot.courses, time, strict=True)]} for t in spot.terms
-    ]
+    courses = tuple(tuple(t.course(c, s) for c, s in zip(spot.courses, time, strict=True)) for t in spot.terms)
     basis, residual = nominal_basis(base, observed), stack(base.residuals, observed)
     found = []
-    for term, outcome in zip(spot.terms, model.predict_driven(base.values, drives), strict=True):
-        if isinstance(outcome, SimulationError):
+    for term, moved in zip(spot.terms, moved_by(model, observed, base, port, courses), strict=True):
+        if moved is None:
             continue
-        moved = observed.residuals(outcome)
-        parts = tuple((m - r)[:, None] for m, r in zip(moved, base.residuals, strict=True))
+        parts = tuple(m[:, None] for m in moved)
         whole = stack(parts, observed)[:, 0]
         signature = project_off(whole, basis)
         length = float(np.linalg.norm(signature))
@@ -114,7 +109,7 @@ def _drop_beside(first: _Column, second: _Column, left: FloatArray) -> float:
 
 def _judged(subject: Subject, base: Refit, spot: Spot, columns: Sequence[_Column], drop: float) -> Chosen:
     joined = tuple(np.hstack(parts) for parts in zip(*(c.parts for c in columns), strict=True))
-    (decoy,) = fit_decoys([Response(spot.port.name, "law", (), joined)], base, subject.observed)
+    (decoy,) = fit_decoys([Response("law", joined)], base, subject.observed)
     sizes = tuple(_DRIVEN * spot.flow * float(a) for a in decoy.amounts)
     return Chosen(spot, tuple(c.term for c in columns), sizes, decoy.held_out, drop)
 
