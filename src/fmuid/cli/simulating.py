@@ -165,7 +165,7 @@ def _simulate_campaign(
 
     from fmu_build.suggest import suggestion
     from fmuid.campaigns.campaign_toml import expand, load_campaign
-    from fmuid.core.campaign import SEPARATOR
+    from fmuid.core.campaign import without_owner
     from fmuid.data.crosscheck_csv import Table
     from fmuid.identification.check import load_models, match_models
     from fmuid.identification.problem.cases import from_campaign
@@ -184,7 +184,7 @@ def _simulate_campaign(
     chosen = expand(patterns, campaign.measurements, among, "--experiment")
     target = out or Path("runs") / campaign.name / "simulated"
     starts = campaign.start_values
-    point = {n: v for n, v in starts.items() if n.partition(SEPARATOR)[0] not in values} | values
+    point = {n: v for n, v in starts.items() if without_owner(n) not in values} | values
     rows: list[tuple[str, str, float]] = []
     for k, experiment_id in enumerate(chosen):
         experiment = campaign.measurements[experiment_id]

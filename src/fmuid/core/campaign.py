@@ -19,6 +19,11 @@ Interface = Literal["co-simulation", "model exchange"]
 SEPARATOR = "@"  # "offset@run_3" is the parameter `offset` as it is in experiment run_3
 
 
+def without_owner(name: str) -> str:
+    """Return the name of a parameter without the experiment or machine that its value belongs to."""
+    return name.partition(SEPARATOR)[0]
+
+
 @dataclass(frozen=True, slots=True)
 class ModelSource:
     """Modelica source of a model: the file that contains the class, and its qualified name.

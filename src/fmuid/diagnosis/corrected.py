@@ -15,7 +15,7 @@ from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import FlatModel, number
 from fmu_build.model_ports import constant
 from fmu_build.modelica_text import modelica_text
-from fmuid.core.campaign import SEPARATOR, Campaign, ModelSource, ModelSpec
+from fmuid.core.campaign import SEPARATOR, Campaign, ModelSource, ModelSpec, without_owner
 from fmuid.core.files import write_atomically
 from fmuid.core.toml_tables import read_toml, toml_document
 from fmuid.diagnosis.catalogue import Effect
@@ -186,7 +186,7 @@ class _Document:
 
     def _tables(self, specs: Mapping[str, ModelSpec], fmus: Mapping[str, Path]) -> dict[str, Any]:
         campaign, raw = self.campaign, dict(self.raw)
-        nominal = list(dict.fromkeys(u.name.partition(SEPARATOR)[0] for u in self.subject.nominal))
+        nominal = list(dict.fromkeys(without_owner(u.name) for u in self.subject.nominal))
         own = [u for e in self.effects for u in e.unknowns]
         head = {"name": f"{campaign.name}-corrected", "title": f"{campaign.title}, corrected"}
         raw["campaign"] = {**raw.get("campaign", {}), **head}

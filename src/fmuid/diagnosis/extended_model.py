@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fmuid.core.campaign import SEPARATOR
+from fmuid.core.campaign import SEPARATOR, without_owner
 from fmuid.core.errors import SimulationError
 from fmuid.core.formulas import Expression
 from fmuid.core.immutable import FloatArray
@@ -204,7 +204,7 @@ class CampaignModel:
     def _split(self, values: Mapping[str, float]) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
         """Return the parameters of models, and those of signal effects by signal."""
         every = {**self.fixed, **values}
-        own = {n for n in every if n.partition(SEPARATOR)[0] in self._known}
+        own = {n for n in every if without_owner(n) in self._known}
         plain, disturbed = split_signal_parameters({n: v for n, v in every.items() if n not in own}, self._signals)
         return {**plain, **{n: every[n] for n in every if n in own}}, disturbed
 
@@ -220,7 +220,7 @@ class CampaignModel:
         every = {**self.fixed, **values}
         machines, found = {case.machine for case in self.cases}, dict(values)
         for name, expression in self.tie.items():
-            leaders = [n.split(SEPARATOR) for n in every if n.partition(SEPARATOR)[0] in expression.names]
+            leaders = [n.split(SEPARATOR) for n in every if without_owner(n) in expression.names]
             owners = {owner for _, *of_one in leaders for owner in of_one}
             of_runs = not owners.isdisjoint(case.id for case in self.cases)
             if owners.isdisjoint(machines) and not of_runs:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fmu_build.suggest import suggestion
-from fmuid.core.campaign import SEPARATOR, Campaign, EffectsSpec, ModelSpec, ParameterSpec
+from fmuid.core.campaign import Campaign, EffectsSpec, ModelSpec, ParameterSpec, without_owner
 from fmuid.core.errors import CampaignError, FmuError
 from fmuid.core.experiments import Experiment
 from fmuid.core.formulas import parse
@@ -223,7 +223,7 @@ def model_of(
             # Its own values act from here on, whatever name and unit the campaign gives them.
             own = {u.name for u in effect.unknowns}
             cases = tuple(_without(case, own) for case in cases)
-            fixed = {n: effect.neutral.get(n.partition(SEPARATOR)[0], v) for n, v in fixed.items()}
+            fixed = {n: effect.neutral.get(without_owner(n), v) for n, v in fixed.items()}
     variants = Variants({s: m for s, m in models.items() if m.source is not None}, catalogue, load)
     return CampaignModel(cases, runner, fixed, tie, variants.simulator), catalogue, known, modelled
 

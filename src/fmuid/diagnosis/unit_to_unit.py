@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fmuid.core.campaign import SEPARATOR
+from fmuid.core.campaign import SEPARATOR, without_owner
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects
 from fmuid.diagnosis.observed import excesses
@@ -43,7 +43,7 @@ def between_machines(subject: Subject, answer: Fitted) -> BetweenMachines | None
         singles = {f"{SEPARATOR}{case.id}" for case in own.model.cases} - {f"{SEPARATOR}{machine}"}
         for name, estimate in estimates(fitted, own).items():
             if not any(name.endswith(single) for single in singles):
-                found.setdefault(name.partition(SEPARATOR)[0], {})[machine] = estimate
+                found.setdefault(without_owner(name), {})[machine] = estimate
     compared = {name: own for name, own in found.items() if sum(1 for e in own.values() if e.standard_error) > 1}
     parameters = [_compared(name, own, len(compared)) for name, own in compared.items()]
     parameters.sort(key=lambda p: (not p.differs, p.p_value))

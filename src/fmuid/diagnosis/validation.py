@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.core.campaign import SEPARATOR, Campaign
+from fmuid.core.campaign import SEPARATOR, Campaign, without_owner
 from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
@@ -172,7 +172,7 @@ def validate_diagnosis(
     model, catalogue, known, _ = model_of(campaign, load_simulator, chosen, runner=runner)
     points = [answer["nominal"]["parameters"], (law or answer)["model"]["parameters"]]
     known |= {*campaign.parameters, *(u.name for e in catalogue.effects.values() for u in e.unknowns)}
-    foreign = sorted({name for point in points for name in point if name.partition(SEPARATOR)[0] not in known})
+    foreign = sorted({name for point in points for name in point if without_owner(name) not in known})
     if foreign:
         raise FmuidError(
             f"neither the campaign nor its catalogue or FMUs know '{foreign[0]}', which the diagnosis has",
@@ -205,7 +205,7 @@ def validate_diagnosis(
 
 def _of_others(values: Mapping[str, float], model: CampaignModel) -> tuple[str, ...]:
     """Return notes on the parameters per machine or run that have no value in the diagnosis."""
-    names = dict.fromkeys(n.partition(SEPARATOR)[0] for n in values if SEPARATOR in n)
+    names = dict.fromkeys(without_owner(n) for n in values if SEPARATOR in n)
     unseen = {
         name: dict.fromkeys(c.id for c in model.cases if name in c.setting and name not in c.values(values))
         for name in names

@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from fmuid.core.campaign import SEPARATOR, AnalysisSpec, Campaign, ParameterSpec, StageSpec
+from fmuid.core.campaign import SEPARATOR, AnalysisSpec, Campaign, ParameterSpec, StageSpec, without_owner
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.folder_lock import claim
 from fmuid.core.one_thread import in_one_thread
@@ -342,7 +342,7 @@ def _result(
     values = {name: value for name, value in values.items() if math.isfinite(value)}  # no tie without a value
     estimates = []
     for i, free in enumerate(problem.space.free):
-        spec = run.specs.get(free.name.split(SEPARATOR)[0], free)
+        spec = run.specs.get(without_owner(free.name), free)
         estimates.append(
             Estimate(
                 free.name,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmuid.core.campaign import SEPARATOR
+from fmuid.core.campaign import without_owner
 from fmuid.core.formatting import Fact, counted
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.uncertainty.sobol_morris import STRONGEST, GlobalSensitivity, OutputSensitivity
@@ -138,7 +138,7 @@ def _clouds(found: GlobalSensitivity, output: OutputSensitivity, units: Mapping[
 
 
 def _cloud(name: str, units: Mapping[str, str], scalar: Axis, x: FloatArray, y: FloatArray) -> Panel:
-    axis = Axis(name, units.get(name.split(SEPARATOR)[0], ""))
+    axis = Axis(name, units.get(without_owner(name), ""))
     return Panel(name, axis, scalar, (Series("draw", x, y, "final", points=True),))
 
 
@@ -163,7 +163,7 @@ def _table(found: GlobalSensitivity) -> Table:
 
 def _ranges(found: GlobalSensitivity, units: Mapping[str, str]) -> Table:
     rows = tuple(
-        (name, low, high, units.get(name.split(SEPARATOR)[0], ""))
+        (name, low, high, units.get(without_owner(name), ""))
         for name, (low, high) in zip(found.names, found.ranges, strict=True)
     )
     return Table(("parameter", "from", "to", "unit"), rows, "ranges", "Ranges of the parameters")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.core.campaign import SEPARATOR, Campaign, ParameterSpec, StageSpec
+from fmuid.core.campaign import SEPARATOR, Campaign, ParameterSpec, StageSpec, without_owner
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem import cases as case_building
@@ -284,12 +284,12 @@ class Problem:
             for channel in case.channels:
                 used |= {name for expression in channel.sensor.values() for name in expression.names}
         for expression in self.space.ties.values():
-            used |= {name.split(SEPARATOR)[0] for name in expression.names}
+            used |= {without_owner(name) for name in expression.names}
         return frozenset(used)
 
     def _check_reach(self) -> None:
         for name in self.space.names:
-            if name.split(SEPARATOR)[0] not in self._used:
+            if without_owner(name) not in self._used:
                 raise ProblemError(
                     f"no model of {self.name} has the parameter '{name}'",
                     fix="correct its name, map it in [models], or remove it from 'free'",

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.core.campaign import SEPARATOR, ParameterSpec, Prior
+from fmuid.core.campaign import SEPARATOR, ParameterSpec, Prior, without_owner
 from fmuid.core.errors import ProblemError
 from fmuid.core.formulas import Expression, parse
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
@@ -245,9 +245,9 @@ def expanded(
     parsed |= _of_owners(by_name, parsed, owners)
     for leader in {n for e in parsed.values() for n in e.names} - parsed.keys() - {s.name for s in free_specs}:
         if SEPARATOR in leader:  # fixed, and so far the same in every run
-            fixed.setdefault(leader, fixed[leader.split(SEPARATOR)[0]])
+            fixed.setdefault(leader, fixed[without_owner(leader)])
     order = {name: i for i, name in enumerate(free)}
-    free_specs.sort(key=lambda s: order[s.name.split(SEPARATOR)[0]])
+    free_specs.sort(key=lambda s: order[without_owner(s.name)])
     return SearchSpace(tuple(free_specs), fixed, parsed, least)
 
 

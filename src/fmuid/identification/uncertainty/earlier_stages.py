@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fmuid.core.campaign import SEPARATOR, ParameterSpec
+from fmuid.core.campaign import ParameterSpec, without_owner
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.uncertainty.confidence import Uncertainty
@@ -43,7 +43,7 @@ class Known:
             return None
         free = []
         for name in names:  # a tied parameter may be outside its own bounds
-            spec, value = specs[name.split(SEPARATOR)[0]], space.fixed[name]
+            spec, value = specs[without_owner(name)], space.fixed[name]
             low, high = min(spec.lower, value), max(spec.upper, value)
             free.append(replace(spec, name=name, start=value, lower=low, upper=high, scale="linear", prior=None))
         fixed = {n: v for n, v in space.fixed.items() if n not in names}
