@@ -137,6 +137,21 @@ def test_an_effect_is_scored_by_its_best_trial_that_can_be_simulated():
     assert (scores[3].moved, scores[3].length, scores[3].trial, scores[3].same) == (0.0, 0.0, {}, ())
 
 
+def test_a_trial_far_larger_than_the_gap_is_scaled_down_until_it_says_something():
+    """The plant runs away: at a hundredth of the trial its response is along the residual, and beyond it is not."""
+
+    def predict(points):
+        return [moved(40.0 * p["e"]) if p["e"] <= 0.01 else moved(1e4 * p["e"], ((0, 1), (3, 5))) for p in points]
+
+    (score,) = score_effects(predict, OBSERVED, BASE, [effect("e", 1.0)])
+    assert score.drop == pytest.approx(36.0)
+    assert score.trial["e"] < 0.01
+    assert score.trials == (score.trial,)
+    # One that does too little to be seen stays as it is.
+    (small,) = score_effects(predict, OBSERVED, BASE, [effect("e", 1e-5)])
+    assert small.trials == ({"e": 1e-5},)
+
+
 @pytest.mark.parametrize(
     ("along_parameter", "across", "seen"),
     [

@@ -11,9 +11,10 @@ from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import HeldOut, leave_each_out
-from fmuid.diagnosis.observed import gap
+from fmuid.diagnosis.horizon import approached, early
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, gap
 from fmuid.diagnosis.projection import project_off
-from fmuid.diagnosis.refit import Refit, refit
+from fmuid.diagnosis.refit import Refit, about, refit
 from fmuid.diagnosis.scores import Score, nominal_basis, score_effects, stack, without_aliases
 from fmuid.diagnosis.standard_errors import standard_errors
 from fmuid.diagnosis.subject import Subject
@@ -94,11 +95,6 @@ def better_nominal(subject: Subject, nominal: Fitted, candidates: Sequence[Fitte
     return better if better is not None and nominal.fit.cost > about(better.fit.cost) else None
 
 
-def about(cost: float) -> float:
-    """Return the cost up to which another model fits about equally well."""
-    return 1.05 * cost + 20.0
-
-
 def score_further(
     subject: Subject, fitted: Fitted, *, likely: Sequence[Score] = (), most: int | None = None
 ) -> tuple[Score, ...]:
@@ -117,6 +113,13 @@ def score_further(
     return (
         scores if likely else without_aliases(subject.model.predict, subject.observed, fitted.fit, others, scores)
     )
+
+
+def score_early(subject: Subject, nominal: Fitted) -> tuple[Score, ...]:
+    """Score the effects in early parts of the runs, at a refit of these; none where runs cannot be shortened."""
+    part = early(subject)
+    again = None if part is None else fit_effects(part, (), [nominal.fit.values, {}])
+    return () if part is None or again is None else score_further(part, again)
 
 
 def _promise(score: Score, basis: FloatArray, residual: FloatArray) -> float:
@@ -144,7 +147,7 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
     effect = by_id[score.effect]
     # The signature says how large the effect should be, as far as the response is linear in its size.
     factor = float(np.clip(score.scale, -3.0 if effect.two_sided else 0.03, 3.0))
-    sizes = [effect.scaled(score.trial, factor), *({**effect.neutral, **trial} for trial in effect.trials)]
+    sizes = [effect.scaled(score.trial, factor), *({**effect.neutral, **trial} for trial in score.trials)]
     unbent = {**fitted.fit.values, **{u.name: u.start for u in subject.nominal}}
     basis = nominal_basis(fitted.fit, subject.observed)
     starts = [
@@ -155,7 +158,35 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
     added = fit_effects(subject, effects, found) if found else None
     if added is None or added.fit.cost > fitted.fit.cost:  # at neutral values it is no worse than without
         added = fit_effects(subject, effects, [{**fitted.fit.values, **effect.neutral}])
-    return None if added is None else replace(escaped(subject, effects, added), names=(*fitted.names, effect.id))
+    if added is None:
+        return None
+    if added.gap > GAP_THAT_MATTERS:
+        shapes = {tuple(trial[name] for name in effect.shapes if name in trial): trial for trial in score.trials}
+        added = drawn_near(subject, effects, added, unbent, list(shapes.values()))
+    return replace(escaped(subject, effects, added), names=(*fitted.names, effect.id))
+
+
+def drawn_near(
+    subject: Subject,
+    effects: Sequence[Effect],
+    fitted: Fitted,
+    start: Mapping[str, float],
+    trials: Sequence[Mapping[str, float]] = (),
+) -> Fitted:
+    """Return a better fit of the same `effects` if growing horizons lead to one; otherwise `fitted`."""
+    near = approached(subject, fitted.fit.unknowns, start, trials)
+    return fitted if near is None else _if_better(subject, effects, fitted, [near])
+
+
+def _if_better(
+    subject: Subject, effects: Sequence[Effect], fitted: Fitted, starts: Sequence[Mapping[str, float]]
+) -> Fitted:
+    """Refit from the best of the `starts` if a step of the nominal parameters from there promises a better fit."""
+    start, promised = _best_start(subject, starts, nominal_basis(fitted.fit, subject.observed))
+    if fitted.fit.cost <= about(promised):
+        return fitted
+    again = fit_effects(subject, effects, [start])
+    return fitted if again is None or fitted.fit.cost <= about(again.fit.cost) else again
 
 
 def escaped(subject: Subject, effects: Sequence[Effect], fitted: Fitted) -> Fitted:
@@ -166,13 +197,9 @@ def escaped(subject: Subject, effects: Sequence[Effect], fitted: Fitted) -> Fitt
     """
     for _ in range(_ESCAPES if subject.nominal else 0):
         back = [{**fitted.fit.values, u.name: u.start} for u in subject.nominal]
-        start, promised = _best_start(subject, back, nominal_basis(fitted.fit, subject.observed))
-        if fitted.fit.cost <= about(promised):
+        before, fitted = fitted, _if_better(subject, effects, fitted, back)
+        if fitted is before:
             break
-        again = fit_effects(subject, effects, [start])
-        if again is None or fitted.fit.cost <= about(again.fit.cost):
-            break
-        fitted = again
     return fitted
 
 

@@ -7,17 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from fmuid.core.immutable import FloatArray
-from fmuid.diagnosis.candidates import Fitted, about
+from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import advantage, closure
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS as GAP_THAT_MATTERS
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.ports import Decoy
-from fmuid.diagnosis.refit import Unknown
+from fmuid.diagnosis.refit import Unknown, about
 from fmuid.diagnosis.scores import stack
 from fmuid.diagnosis.verdict import NONE, UNKNOWN, Kind
 
 # Calibrated on the virtual rig (`make blind`), never on data whose answer is to be found.
-GAP_THAT_MATTERS = 0.25  # noise floors: smaller gaps are within what sampling and discretisation of a rig leave
 SIGNIFICANCE = 0.01
 SCORE_MARGIN = 2.0  # the largest score must exceed this many times the 99 % quantile under noise alone
 CLOSURE_THAT_NAMES = 0.5  # a named effect must close at least half of the gap on experiments left out

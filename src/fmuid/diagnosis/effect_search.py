@@ -9,7 +9,7 @@ import numpy as np
 
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis import decide
-from fmuid.diagnosis.candidates import Fitted, add_effect, contribution, score_further, without
+from fmuid.diagnosis.candidates import Fitted, add_effect, contribution, score_early, score_further, without
 from fmuid.diagnosis.null_distribution import NoiseDraws
 from fmuid.diagnosis.observed import excess
 from fmuid.diagnosis.projection import project_off
@@ -20,6 +20,8 @@ Say = Callable[[str, float], None]
 """Called with the current task and the fraction done (0 to 1)."""
 
 _SINGLES = 7  # effects refitted on their own
+_EARLY = 3  # of these, chosen by what early parts of the runs say
+_SEEN = 5.0  # standard deviations: what an effect has to promise there
 _SHARE = 0.05  # least score for a refit, as a share of the best score
 _PAIRS = 4  # further effects tried beside the best
 _ABOUT_AS_MUCH = 1.5  # ratio below which two effects of the same shape move the predictions about as much
@@ -52,7 +54,7 @@ def search(
     present
         Whether there is a gap; without one, only the two best effects are refitted.
     """
-    singles = _promising(scores)[: _SINGLES if present else 2]
+    singles = _singles(subject, nominal, scores) if present else _promising(scores)[:2]
     candidates: list[Fitted] = []
     for k, score in enumerate(singles):
         say(f"refitting with {score.effect}", 0.15 + 0.35 * k / len(singles))
@@ -104,6 +106,17 @@ def aliases(
         }
     alike = max(0.0, 1.0 - decide.SAME**2 / energy) ** 0.5
     return alias_classes({**tried, **refitted}, threshold=alike)
+
+
+def _singles(subject: Subject, nominal: Fitted, scores: Sequence[Score]) -> list[Score]:
+    """Return the effects to refit on their own: those that promise most in early parts of the runs, and in all.
+
+    Where the nominal model has drifted away from the plant, scores of whole runs say little.
+    """
+    early = {s.effect: s for s in _promising(score_early(subject, nominal)) if s.drop > _SEEN**2}
+    whole = {s.effect: s for s in _promising(scores)}
+    order = dict.fromkeys([*list(early)[:_EARLY], *whole])
+    return [whole.get(name) or early[name] for name in order][:_SINGLES]
 
 
 def _signatures(

@@ -14,6 +14,7 @@ from fmuid.data.noise.runs import RepeatedRuns, cut
 from fmuid.data.noise.spectrum import PiecewiseWhitener, SetupNoise, Whitener, bandwidth, estimate_noise, whitener
 from fmuid.diagnosis.projection import project_off
 
+GAP_THAT_MATTERS = 0.25  # noise floors: smaller gaps are within what sampling and discretisation of a rig leave
 _FEW = 4  # experiments: with fewer, too little remains when one is left out
 _PIECES = 6  # number of pieces that a run without repeats is then cut into
 _SHORTEST = 64  # samples in the shortest piece

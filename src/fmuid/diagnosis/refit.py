@@ -24,6 +24,7 @@ Tangents = Callable[[Mapping[str, float], Sequence[str]], Mapping[str, Sequence[
 
 _WORTH = 4  # exact columns cost three runs plus a third of a run each, differences one run each
 _ENOUGH = 0.5  # fall of the cost, in squared standard deviations, that justifies another iteration
+_COARSE = 0.02  # share of the cost that an iteration of a quick search has to gain
 _WIDE = 8.0  # steps to either side, so that the slope follows the cost and not its ripples
 _PATIENCE = 10  # consecutive trial points without improvement; each is four times as near
 
@@ -140,6 +141,32 @@ def refit(
     # slope of an effect with a threshold (such as backlash) differs.
     jacobian = campaign.jacobian(x, "near")
     return Refit(tuple(unknowns), campaign.values(x), residuals, jacobian, cost, campaign.evaluations, converged)
+
+
+def descend(
+    predict: Predict,
+    observed: Observed,
+    unknowns: Sequence[Unknown],
+    start: Mapping[str, float],
+    *,
+    tangents: Tangents,
+    max_iterations: int,
+) -> tuple[float, dict[str, float]]:
+    """Return the cost and the values that local slopes lead to from a start: a quick `refit`, without its care.
+
+    Raises
+    ------
+    SimulationError
+        The start cannot be simulated.
+    """
+    campaign = _Campaign(predict, observed, tuple(unknowns), tangents)
+    cost, x, _ = _search(campaign, campaign.point(start), max_iterations, _COARSE)
+    return cost, campaign.values(x)
+
+
+def about(cost: float) -> float:
+    """Return the cost up to which another model fits about equally well."""
+    return 1.05 * cost + 20.0
 
 
 def _search(

@@ -23,6 +23,8 @@ from fmuid.diagnosis.refit import Predict, Refit
 _NEARLY = 0.98  # correlation of signatures above which effects are compared again at matched sizes
 _COMPARED = 3  # number of the most similar ones compared
 _SEEN = 5.0  # standard deviations: smaller effects would not be named
+_OVERSHOOT = 2.0  # response over the residual from which a trial is scaled down: laws and plants are not linear
+_SCALED = 4  # times
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +35,8 @@ class Score:
     ----------
     trial
         The plausible values that did best.
+    trials
+        All of them, at sizes that move the predictions at most about as much as the gap.
     drop
         By how much the cost would fall if the signature were scaled to fit.
     scale
@@ -56,6 +60,7 @@ class Score:
     signature: FloatArray | None
     moved: float = 0.0
     length: float = 0.0
+    trials: tuple[Mapping[str, float], ...] = ()
     same: tuple[Score, ...] = ()
 
 
@@ -73,15 +78,36 @@ def score_effects(
     predict: Predict, observed: Observed, base: Refit, effects: Sequence[Effect]
 ) -> tuple[Score, ...]:
     """Score every effect at the refitted model `base`, best first, without trials that fail to simulate."""
-    best: dict[str, Score] = {}
     trials = [(effect, trial) for effect in effects for trial in effect.trials]
-    for candidate in _scored(predict, observed, base, trials):
-        known = best.get(candidate.effect) if candidate is not None else None
-        if candidate is not None and (known is None or candidate.drop > known.drop):
-            best[candidate.effect] = candidate
-    for effect in effects:
-        best.setdefault(effect.id, Score(effect.id, {}, 0.0, 0.0, 0.0, None))
-    return tuple(sorted(best.values(), key=lambda s: -s.drop))
+    found = _matched(predict, observed, base, trials)
+    own = {e.id: [s for s in found if s is not None and s.effect == e.id] for e in effects}
+    best = [
+        replace(max(scores, key=lambda s: s.drop), trials=tuple(s.trial for s in scores))
+        if scores
+        else Score(name, {}, 0.0, 0.0, 0.0, None)
+        for name, scores in own.items()
+    ]
+    return tuple(sorted(best, key=lambda s: -s.drop))
+
+
+def _matched(
+    predict: Predict, observed: Observed, base: Refit, trials: Sequence[tuple[Effect, Mapping[str, float]]]
+) -> list[Score | None]:
+    """Score trials, each scaled down until it moves the predictions no more than about as much as the gap.
+
+    What a far larger effect does says little about one of the size of the gap: a plant without control drifts away
+    from where its response is linear in the effect.
+    """
+    target = float(np.linalg.norm(stack(base.residuals, observed)))
+    found = list(_scored(predict, observed, base, trials))
+    for _ in range(_SCALED):
+        large = {k: s for k, s in enumerate(found) if s is not None and s.length > _OVERSHOOT * target}
+        if not large:
+            break
+        smaller = [(trials[k][0], trials[k][0].scaled(s.trial, target / s.length)) for k, s in large.items()]
+        for k, score in zip(large, _scored(predict, observed, base, smaller), strict=True):
+            found[k] = score
+    return found
 
 
 def _scored(

@@ -1,0 +1,72 @@
+"""Growing horizons: a search over beginnings of the runs ends where one over whole runs does not get to."""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from plants import plant
+
+from fmuid.diagnosis.catalogue import Catalogue
+from fmuid.diagnosis.extended_model import CampaignModel
+from fmuid.diagnosis.horizon import approached, beginning, early
+from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.refit import Unknown, refit
+from fmuid.diagnosis.subject import Subject
+from fmuid.identification.problem.cases import measured_case
+from fmuid.simulation.simulator import Task, Variable
+
+TRUE = {"w": 1.3, "more": 0.25}
+TIME = 0.05 * np.arange(1200)
+
+
+class Swing:
+    """A swing of angular frequency w + more, which `more` also pushes to one side."""
+
+    variables: ClassVar = {
+        **{n: Variable(n, "parameter", "fixed", start=0.0) for n in TRUE},
+        "u": Variable("u", "input"),
+        "y": Variable("y", "output"),
+    }
+
+    def simulate(self, task, parameters):
+        w, more = parameters["w"], parameters["more"]
+        return (np.sin((w + more) * task.time) + more * task.inputs["u"])[None]
+
+
+@pytest.fixture
+def swing():
+    task = Task(TIME, {"u": np.sign(np.sin(0.3 * TIME))}, ("y",))
+    noise = 0.01 * np.random.default_rng(3).standard_normal((3, TIME.size))
+    case = measured_case("free", Swing(), task, {"y": Swing().simulate(task, TRUE) + noise})
+    model = CampaignModel((replace(case, setup="swing"),))
+    unknowns = tuple(Unknown(n, start, 0.0, 3.0, 1e-3) for n, start in (("w", 1.0), ("more", 0.0)))
+    return Subject(model, Observed.from_runs(model.runs), unknowns, Catalogue({}, {}, {}), ())
+
+
+def test_growing_horizons_lead_to_what_whole_runs_hide(swing):
+    predict, observed = swing.model.predict, swing.observed
+    whole = refit(predict, observed, swing.nominal)
+    assert whole.values["w"] != pytest.approx(TRUE["w"], abs=0.05)
+    near = approached(swing, swing.nominal, {"w": 1.0, "more": 0.0}, [{"more": 1.0}])
+    assert near == pytest.approx(TRUE, abs=0.01)
+    end = refit(predict, observed, swing.nominal, starts=[near])
+    assert end.values == pytest.approx(TRUE, abs=1e-3)
+    assert end.cost < 0.1 * whole.cost
+
+
+def test_a_beginning_is_the_same_runs_and_noise_for_a_shorter_time(swing):
+    part = beginning(swing, 0.25)
+    (run,), (whole,) = part.observed.runs, swing.observed.runs
+    np.testing.assert_array_equal(run.values, whole.values[..., :300])
+    (short,), (long,) = (s.model.predict([TRUE]) for s in (part, swing))
+    np.testing.assert_array_equal(short[0], long[0][:, :300])
+    residual = part.observed.residuals(short)[0]
+    assert np.mean(residual**2) == pytest.approx(1 / 3, rel=0.2)  # of the mean of three runs
+    assert early(swing).observed.runs[0].time.size == 300
+
+
+def test_short_runs_are_not_divided():
+    subject = plant({})
+    assert early(subject) is None
+    assert approached(subject, subject.nominal, {}, []) is None
