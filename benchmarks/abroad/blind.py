@@ -179,8 +179,12 @@ class Check:
         )  # fmt: skip
 
     def _closure(self, name: str, answer: Mapping[str, Any]) -> float | None:
-        """Return what the answer's model closes of the gap on the run that the diagnosis did not see."""
+        """Return what the answer's model closes of the gap on the run that the diagnosis did not see.
+
+        None if that run shows no gap.
+        """
         from fmuid.campaigns.campaign_toml import load_campaign
+        from fmuid.diagnosis.observed import GAP_THAT_MATTERS
         from fmuid.diagnosis.validation import closure, validate_diagnosis
 
         kept = self.out / "held_out" / f"{name}.json"
@@ -188,7 +192,8 @@ class Check:
             campaign = load_campaign(campaign_of(self.out / "cases" / name / ORDER))
             gaps = validate_diagnosis(answer, campaign).gaps
             write_atomically(kept, json.dumps({n: list(g) for n, g in gaps.items()}) + "\n")
-        return closure(*json.loads(kept.read_text())["all"])
+        before, after = json.loads(kept.read_text())["all"]
+        return closure(before, after) if before > GAP_THAT_MATTERS else None
 
 
 def write_case(case: Case, truth: Mapping[str, Any], folder: Path, *, seed: int) -> None:

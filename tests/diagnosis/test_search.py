@@ -104,6 +104,20 @@ def test_a_known_effect_beside_an_unknown_one_is_a_part_of_the_answer():
     assert answer.verdict.rest.where.startswith("v in ")
 
 
+@pytest.mark.parametrize(
+    ("truth", "error", "verdict"),
+    [({}, (0.03, 0.004), ("unknown", (), ("reading",))), ({"a": 0.02}, (0.03, 0.01), ("partial", ("asymmetry",)))],
+)
+def test_what_leaves_a_rest_at_its_own_place_is_not_named(truth, error, verdict):
+    """A gain of the reading closes most of the gap, but one other error of the reading closes all of it."""
+    gain, wave = error
+    said = diagnose_subject(
+        misread(plant(truth), lambda v, _: gain * v + wave * np.sin(40.0 * v))
+    ).diagnosis.verdict
+    assert (said.kind, said.effects, said.ports)[: len(verdict)] == verdict
+    assert said.rest is None or said.rest.where.endswith("(it enters at reading)")
+
+
 def test_an_effect_is_unknown_if_it_is_far_likelier_than_what_imitates_it():
     """A hilly track is no law of speed, though the laws of friction close three quarters of the gap together."""
     answer = diagnose_subject(plant({"hill": 0.1})).diagnosis

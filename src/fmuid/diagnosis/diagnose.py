@@ -20,6 +20,7 @@ from fmuid.diagnosis.candidates import (
     fit_effects,
     score_further,
     twins,
+    without,
 )
 from fmuid.diagnosis.cross_validation import closure, closure_interval, in_sample
 from fmuid.diagnosis.effect_search import Say, aliases, finished, search
@@ -348,21 +349,27 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
         say(f"free functions at {own[0]}", 0.7)  # one unnamed law of one variable may take the place of two
         imitated = decide.lumped(best, _decoys(subject, found, own[0]))
     entered: Mapping[str, Entry] = {}
+    part: _Part | None = None
     if not sure or imitated:
         say("where it enters", 0.8)
         entered = entries(subject.model, observed, nominal.fit, tuple(subject.catalogue.ports.values()))
         # Each run has a course of its own, so machines that differ would pass for something unknown.
         alike = len({case.machine for case in subject.model.cases}) == 1
         imitated = imitated or (alike and not done and best is not None and likelier(entered, nominal, best))
+        if best is not None and named_at_all and not (imitated or done):
+            part = _sure_part(subject, best, alike=alike)
+            imitated = part is None or not decide.names(nominal, part.fitted, finished=False)
     if best is None or not named_at_all or imitated:
         # Without repeats, a gap that no effect explains may be slow noise.
         kind: Kind = "insufficient" if observed.bounded else "unknown"
         return Judgement(Verdict(kind, ports=places(entered)), surviving, entered)
     stable = decide.stable(surviving, [nominal, *found.candidates], observed)
-    rest = None if done else Rest(best.gap, _where_left(subject, best, paths, partial=not sure))
-    if rest is not None and not sure:
-        verdict = Verdict("partial", best.names, (), tuple(dict.fromkeys(own)), stable, rest)
-        return Judgement(verdict, (best,), entered)
+    if part is not None:
+        best = part.fitted
+        named = tuple(dict.fromkeys(at[n] for n in best.names))
+        beside = Rest(best.gap, _where_left(subject, best, paths, part.entered))
+        return Judgement(Verdict("partial", best.names, (), named, stable, beside), (best,), entered)
+    rest = None if done else Rest(best.gap, _where_left(subject, best, paths))
     if len(surviving) == 1:
         return Judgement(Verdict("effect", best.names, (), named, stable, rest), surviving, entered)
     common = set.intersection(*(set(s.names) for s in surviving))
@@ -380,10 +387,42 @@ def _decoys(subject: Subject, found: _Searched, port: str) -> tuple[Decoy, ...]:
     return fit_decoys(responses, fit, subject.observed)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """What of an answer is sure although it leaves something, and where that may enter."""
+
+    fitted: Fitted
+    entered: tuple[str, ...]
+
+
+def _sure_part(subject: Subject, best: Fitted, *, alike: bool) -> _Part | None:
+    """Return `best` without the effects that act where its rest enters; None if no other one is named.
+
+    Such an effect need not be there: a single law that the catalogue does not have, at this place, may do what
+    the effect does and what it leaves. The value of a held parameter acts wherever its component does. If the
+    machines are not all `alike`, the rest may also be how they differ.
+    """
+
+    def left(fitted: Fitted) -> tuple[str, ...]:
+        ports = tuple(subject.catalogue.ports.values())
+        return places(entries(subject.model, subject.observed, fitted.fit, ports))
+
+    entered = left(best)
+    acting = {e.id: {e.port, e.port.rpartition(".")[0] * e.id.startswith("value@")} for e in subject.effects}
+    doubtful = [n for n in best.effects if alike and acting[n] & set(entered)]
+    if not doubtful:
+        return _Part(best, entered)
+    names = tuple(n for n in best.names if n not in doubtful)
+    part: Fitted | None = best if names else None
+    for name in doubtful:
+        part = without(subject, part, name) if part is not None else None
+    return None if part is None else _Part(replace(part, names=names), left(part))
+
+
 def _where_left(
-    subject: Subject, best: Fitted, paths: Mapping[str, tuple[FloatArray, ...]], *, partial: bool
+    subject: Subject, best: Fitted, paths: Mapping[str, tuple[FloatArray, ...]], entered: Sequence[str] = ()
 ) -> str:
-    """Return in words where most of the rest after `best` lies, and for a `partial` answer where it enters."""
+    """Return in words where most of the rest after `best` lies, and where it has `entered`."""
     regimes = folded(paths, subject.catalogue.regimes)
     energy = excess_map(subject.observed, _prediction(subject, best.fit.values), regimes)
     shares = energy.shares(1)
@@ -393,9 +432,7 @@ def _where_left(
         if shares[0].regime is not None:
             variable, low, high = shares[0].regime
             words += f", {regime_text({'regime': {'variable': variable, 'from': low, 'to': high}})}"
-    ports = tuple(subject.catalogue.ports.values()) if partial else ()
-    at = places(entries(subject.model, subject.observed, best.fit, ports))
-    return words + (f" (it enters at {' or '.join(at)})" if at else "")
+    return words + (f" (it enters at {' or '.join(entered)})" if entered else "")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -417,13 +454,14 @@ class _Closing:
         )
 
     def _interval(self, fitted: Fitted) -> tuple[float, float]:
-        """Return the range in which the closure on new runs is expected to lie.
+        """Return the range in which the closure on a new experiment is expected to lie.
 
-        New runs are easier to predict for a model fitted to all experiments than an experiment is from the others
-        alone, and harder than the runs that the model was fitted to. The lower end is that of the held-out
-        closure, the upper end that of the closure in sample.
+        The noise of one experiment counts, not that of the average of them all. New runs are easier to predict
+        for a model fitted to all experiments than an experiment is from the others alone, and harder than the
+        runs that the model was fitted to. The lower end is that of the held-out closure, the upper end that of
+        the closure in sample.
         """
-        noise = self.null.excess
+        noise = self.null.excess * np.sqrt(len(self.subject.observed.runs))
         low, high = closure_interval(self.nominal.held_out, fitted.held_out, noise=noise)
         seen = [in_sample(model.fit, self.subject.observed) for model in (self.nominal, fitted)]
         return low, max(high, closure_interval(seen[0], seen[1], noise=noise)[1])
