@@ -5,7 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from unittest import mock
 
@@ -31,11 +31,7 @@ def build_once(file: Path, class_name: str, out: Path = FMUS, fmi: str = "2", ro
     fmu_build = pytest.importorskip("fmu_build")
     locks = out / ".locks"
     locks.mkdir(parents=True, exist_ok=True)
-    with (
-        (locks / class_name).open("w") as lock,
-        # The code of effects takes seconds to optimise, and is simulated little.
-        nullcontext() if class_name.endswith("WithEffects") else as_a_user_builds(),
-    ):
+    with (locks / class_name).open("w") as lock, as_a_user_builds():  # `make` takes them as they are
         fcntl.flock(lock, fcntl.LOCK_EX)
         return fmu_build.build(file, class_name, out, fmi, roots=roots)
 

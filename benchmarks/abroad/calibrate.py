@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import fmuid.diagnosis
-from benchmarks.abroad.score import scored
+from benchmarks.abroad.score import scored, sizeable
 from benchmarks.study_command import ended
 from fmuid.core.files import write_atomically
 from fmuid.diagnosis.calibration import Calibration, Trial, fit_curves, shipped
@@ -24,16 +24,22 @@ FILE = Path(fmuid.diagnosis.__file__).with_name("calibration.json")
 
 
 def trials_of(answers: Path, labels: Path) -> Iterator[Trial]:
-    """Yield what each verdict claimed and whether it held; of twins, only the first."""
+    """Yield what each verdict claimed and whether it held; of twins, only the first.
+
+    Cases with an effect that is not sizeable are left out, as they are in the score.
+    """
     for file in sorted(labels.glob("*.json")):
         label = json.loads(file.read_text())
         found = answers / file.name
         if label["twin"] is None and found.is_file():
             answer = json.loads(found.read_text())
+            case = scored(label, answer)
+            if not sizeable(case):
+                continue
             kind = answer["verdict"]["kind"]
             none = next(float(a["probability"]) for a in answer["answers"] if a["effects"] == ["none"])
             claimed = none if kind == "insufficient" else probability(answer)
-            yield Trial(kind, claimed, scored(label, answer).holds)
+            yield Trial(kind, claimed, case.holds)
 
 
 def continued(before: Calibration, trials: Sequence[Trial]) -> Calibration:

@@ -1,7 +1,7 @@
 """The grid of the check abroad: what each case is, as a function of seed and number.
 
 Cases come in blocks that hold the strata in their shares, and go through rigs, effects, repeats, noise and rates
-in shuffled rounds, so that the first so many are a fair sample of all. Each block ends with a twin of one of its
+in shuffled rounds, so that the first so many are a fair sample of all. Each block ends with twins of some of its
 cases: the same plant recorded with the same information in another way.
 """
 
@@ -86,8 +86,8 @@ def plan(seed: int, count: int = COUNT, rigs: Sequence[Rig] = CHECKED_ON) -> tup
                 planned += 1
         cases += block
         repeated = [c for c in block if c.recording.repeats > 1 and c.recording.noise == "white"]
-        if repeated:
-            cases.append(_twin(repeated[int(rng.integers(len(repeated)))], next(twins), len(cases)))
+        for k in rng.permutation(len(repeated))[: len(_TWINS)]:
+            cases.append(_twin(repeated[k], next(twins), len(cases)))
     return tuple(cases)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.abroad.score import Abroad, by, figures, good, resolution, same_verdict
+from benchmarks.abroad.score import Abroad, by, figures, good, resolution, same_verdict, sizeable
 from benchmarks.blind.blind_page import CLOSED, aims, number, table
 from benchmarks.blind.blind_score import Scored, power_curve
 from benchmarks.sealed import verdict_in_words
@@ -39,9 +39,13 @@ _NOTES = """\
   sets of which it says that one is needed.
 - *Noise bounded* are single runs with white or quantised noise.
 - *Port class right*: of those called unknown, the place is among those that the verdict names.
-- *Held-out closure*: on the run that the diagnosis did not see, of verdicts that are exactly right.
+- *Held-out closure*: on the run that the diagnosis did not see, of verdicts that are exactly right. Runs that
+  show no gap are left out.
 - *Calibration error*: of the likeliest answer's probability, by ten bins of as many cases, less what sampling adds
-  to it.
+  to it. Cases with an effect that is not sizeable are left out, because more than one answer to them is right.
+- *Brier score of all answers*: the sum over a case's answers of the squared difference between the probability and
+  1 or 0, on average. The constant guess has the true shares of every cause on each rig. The next line is for one
+  answer a case, the likeliest: its probability against always the share of cases in which it is right.
 - *Same information*: pairs of recordings of one plant at two rates with the same spectral density of the noise,
   in other units, or with a model that has an idle part more. All pairs count; none is left out for being near a
   threshold.
@@ -61,7 +65,11 @@ def page(outcome: Abroad, command: str, notes: str = "") -> str:
         floor=0.95,
     )
     parts = [introduction, aims(figures(outcome), verdicts=True), _NOTES, *([notes] if notes else [])]
-    parts += [_shares(outcome.cases), _power(outcome.cases), _resolution(outcome.cases)]
+    parts += [
+        _shares(outcome.cases),
+        _power(outcome.cases),
+        _resolution([c for c in outcome.cases if sizeable(c)]),
+    ]
     return "\n".join([*parts, _pairs(outcome), _failures(outcome.cases)])
 
 

@@ -6,6 +6,7 @@ Effects that a case's recordings cannot tell apart count as one. *Sizeable* is a
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -115,7 +116,8 @@ def figures(outcome: Abroad) -> tuple[Figure, ...]:
     ambiguous = [len(sets(c)) for c in cases if c.kind == "ambiguous"]
     closed = np.array([c.closure for c in cases if c.right and c.closure is not None and _gap(c) >= LARGE])
     covered, widths = _intervals([c for c in cases if c.right and c.closure is not None])
-    error, ratio = calibration(cases)
+    clear = [c for c in cases if sizeable(c)]
+    error, ratio = calibration(clear)
     return (
         share("false alarm on complete models, R ≥ 2", [c.alarmed for c in _of(repeated, "none")], upper=0.03),
         share(
@@ -150,10 +152,16 @@ def figures(outcome: Abroad) -> tuple[Figure, ...]:
         ),
         _covers(covered),
         Figure("median width of the closure interval", _quantile(widths, 0.5), len(widths), upper=0.3),
-        Figure("calibration error of the likeliest answer", error, len(cases), upper=0.03),
-        Figure("Brier score against a constant guess", ratio, len(cases), upper=0.5),
+        Figure("calibration error of the likeliest answer", error, len(clear), upper=0.03),
+        Figure("Brier score of all answers against a constant guess", brier(clear), len(clear), upper=0.5),
+        Figure("the same of the likeliest answer, right or wrong", ratio, len(clear)),
         share("same information, same verdict", [same_verdict(a, b) for a, b in outcome.pairs], lower=0.98),
     )
+
+
+def sizeable(case: Scored) -> bool:
+    """Return whether every effect of the plant is sizeable; where one is not, more than one answer is right."""
+    return all(gap >= FLOOR for gap in case.label["gaps"])
 
 
 def likeliest(case: Scored) -> tuple[float, bool]:
@@ -181,6 +189,24 @@ def calibration(cases: Sequence[Scored]) -> tuple[float | None, float | None]:
     constant = float(hits.mean() * (1 - hits.mean()))
     ratio = float(np.mean((sure - hits) ** 2)) / constant if constant else None
     return float(np.sqrt(max(squared, 0.0))), ratio
+
+
+def brier(cases: Sequence[Scored]) -> float | None:
+    """Return the Brier score of the probabilities of all answers, over that of a constant guess.
+
+    The score of a case is the sum over its answers of (probability - 1 if it is true, else 0)^2 (Brier:
+    Verification of forecasts expressed in terms of probability. Monthly Weather Review 78, 1950). The constant
+    guess knows how often everything is true on each rig. None without cases, or where it is always right.
+    """
+    scores, guessed = [], []
+    for own in by(cases, lambda case: str(case.label["rig"])).values():
+        shares = np.array(list(Counter(case.truth for case in own).values())) / len(own)
+        guessed += [1.0 - float(shares @ shares)] * len(own)
+        for case in own:
+            said = {frozenset(a["effects"]): float(a["probability"]) for a in case.answer["answers"]}
+            said.setdefault(case.truth, 0.0)
+            scores.append(sum((p - (answer == case.truth)) ** 2 for answer, p in said.items()))
+    return float(np.mean(scores) / np.mean(guessed)) if any(guessed) else None
 
 
 def resolution(cases: Sequence[Scored]) -> list[tuple[float, float, int]]:

@@ -94,8 +94,8 @@ def aims(found: Sequence[Figure], *, verdicts: bool = False) -> str:
         bounds = [f"≥ {f.lower:g}" if f.lower is not None else "", f"≤ {f.upper:g}" if f.upper is not None else ""]
         interval = "" if f.interval is None else "{:.2f} … {:.2f}".format(*f.interval)
         missed = "" if f.value is None else f"by {f.missed_by:.2f}" if f.missed_by > 0.0 else "no"
-        met = "" if f.value is None else "yes" if f.met else "no"
         aim = ", ".join(b for b in bounds if b)
+        met = "" if f.value is None or not aim else "yes" if f.met else "no"
         rows.append([f.name, aim, number(f.value), interval, str(f.count), met if verdicts else missed])
     return table(("figure", "aim", "measured", "interval", "cases", "met" if verdicts else "missed"), rows)
 

@@ -20,7 +20,17 @@ from benchmarks.abroad.logs import NOISES, Recording, drawn_factors, write_logs
 from benchmarks.abroad.page import page
 from benchmarks.abroad.rehearsal_rigs import REHEARSED_ON
 from benchmarks.abroad.rigs import FOUND_ON
-from benchmarks.abroad.score import Abroad, calibration, figures, good, in_class, same_verdict, scored, wrong
+from benchmarks.abroad.score import (
+    Abroad,
+    brier,
+    calibration,
+    figures,
+    good,
+    in_class,
+    same_verdict,
+    scored,
+    wrong,
+)
 from fmuid.cli.app import run
 from fmuid.core.errors import FmuidError
 
@@ -293,7 +303,8 @@ def test_every_figure_is_what_counting_by_hand_gives():
         "90 % closure interval covers": (1.0, found["90 % closure interval covers"][1]),
         "median width of the closure interval": (third(0.2), found["90 % closure interval covers"][1]),
         "calibration error of the likeliest answer": (None, 16),
-        "Brier score against a constant guess": (None, 16),
+        "Brier score of all answers against a constant guess": (third(brier(CASES)), 16),
+        "the same of the likeliest answer, right or wrong": (None, 16),
         "same information, same verdict": (0.5, 2),
     }
 
@@ -320,6 +331,24 @@ def test_calibration_is_without_what_sampling_adds():
     assert calibration(honest)[0] < 0.05
     assert calibration(boastful)[0] > 0.2
     assert calibration(honest)[1] < 1.0 < calibration(boastful)[1]
+
+
+def test_probabilities_are_held_against_a_guess_that_knows_how_often_everything_is_true():
+    right = case("one", ["x@a"], "effect", ["x@a"], probability=0.8)  # 0.2^2 + 2 times 0.1^2
+    wrong_one = case("one", ["z@c"], "effect", ["x@a"], probability=0.8)  # 0.8^2 + 2 times 0.1^2 + 1
+    guess = 1.0 - 0.5**2 - 0.5**2
+    assert brier([right, wrong_one]) == pytest.approx((0.06 + 1.66) / 2 / guess)
+    assert brier([right]) is None
+
+
+def test_a_case_whose_effect_is_too_small_says_nothing_about_probabilities():
+    clear = [case("one", ["x@a"], "effect", ["x@a"]), case("none", [], "complete")]
+    faint = case("one", ["x@a"], "complete", gap=0.3)
+    scores = [{f.name: f for f in figures(outcome(cases))} for cases in (clear, [*clear, faint])]
+    name = "Brier score of all answers against a constant guess"
+    assert scores[0][name] == scores[1][name]
+    assert scores[0][name].count == 2
+    assert brier(clear) != brier([*clear, faint])
 
 
 def test_the_page_names_every_case_that_is_not_right():

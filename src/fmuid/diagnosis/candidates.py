@@ -158,12 +158,19 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
     added = fit_effects(subject, effects, found) if found else None
     if added is None or added.fit.cost > fitted.fit.cost:  # at neutral values it is no worse than without
         added = fit_effects(subject, effects, [{**fitted.fit.values, **effect.neutral}])
-    if added is None:
-        return None
+    return None if added is None else replace(added, names=(*fitted.names, effect.id))
+
+
+def led_out(subject: Subject, added: Fitted, score: Score) -> Fitted:
+    """Return a better fit than `added`, to which the scored effect was added, if it is in a local minimum."""
+    by_id = {e.id: e for e in subject.effects}
+    effects, shapes = [by_id[name] for name in added.effects], by_id[score.effect].shapes
+    found = added
     if added.gap > GAP_THAT_MATTERS:
-        shapes = {tuple(trial[name] for name in effect.shapes if name in trial): trial for trial in score.trials}
-        added = drawn_near(subject, effects, added, unbent, list(shapes.values()))
-    return replace(escaped(subject, effects, added), names=(*fitted.names, effect.id))
+        trials = {tuple(trial[name] for name in shapes if name in trial): trial for trial in score.trials}
+        unbent = {**added.fit.values, **{u.name: u.start for u in subject.nominal}, **by_id[score.effect].neutral}
+        found = drawn_near(subject, effects, added, unbent, list(trials.values()))
+    return replace(escaped(subject, effects, found), names=added.names)
 
 
 def drawn_near(
@@ -210,8 +217,9 @@ def twins(subject: Subject, fitted: Fitted, scores: Sequence[Score]) -> list[Fit
         same = next((s.same for s in scores if s.effect == name), ())
         rest = without(subject, fitted, name) if same else None
         if rest is not None:
-            found += [add_effect(subject, rest, twin) for twin in same[:_TWINS]]
-    return [f for f in found if f is not None]
+            added = [(add_effect(subject, rest, twin), twin) for twin in same[:_TWINS]]
+            found += [led_out(subject, fit, twin) for fit, twin in added if fit is not None]
+    return found
 
 
 def _best_start(

@@ -153,6 +153,8 @@ def closure_interval(
 ) -> tuple[float, float]:
     """Return a bootstrap interval of the closure: experiments are drawn, and runs within experiments.
 
+    It is the shortest one that holds the share `level` of the draws: a closure ends at 1, where many of them are.
+
     With `noise`, draws of the excess that noise alone leaves (`Null.excess`), the interval applies to new runs,
     whose remaining gap cannot be measured more precisely.
     """
@@ -169,8 +171,10 @@ def closure_interval(
         np.sqrt(np.maximum(0.0, np.sum(times * x, axis=0) / np.sum(times, axis=0) + further)) for x in (b, a)
     )
     drawn = np.where(was > 0, 1.0 - left / np.where(was > 0, was, 1.0), 0.0)
-    low, high = np.quantile(drawn, [0.5 - level / 2, 0.5 + level / 2])
-    return float(low), float(high)
+    drawn.sort()
+    kept = round(level * draws)
+    first = int(np.argmin(drawn[kept - 1 :] - drawn[: draws - kept + 1]))
+    return float(drawn[first]), float(drawn[first + kept - 1])
 
 
 def advantage(better: HeldOut, worse: HeldOut) -> tuple[float, float]:

@@ -357,7 +357,8 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
         alike = len({case.machine for case in subject.model.cases}) == 1
         imitated = imitated or (alike and not done and best is not None and likelier(entered, nominal, best))
         if best is not None and named_at_all and not (imitated or done):
-            part = _sure_part(subject, best, alike=alike)
+            like = alike and decide.closed_by(nominal, best) < decide.CLOSURE_OF_ITS_KIND
+            part = _sure_part(subject, best, resembling=like)
             imitated = part is None or not decide.names(nominal, part.fitted, finished=False)
     if best is None or not named_at_all or imitated:
         # Without repeats, a gap that no effect explains may be slow noise.
@@ -395,12 +396,12 @@ class _Part:
     entered: tuple[str, ...]
 
 
-def _sure_part(subject: Subject, best: Fitted, *, alike: bool) -> _Part | None:
-    """Return `best` without the effects that act where its rest enters; None if no other one is named.
+def _sure_part(subject: Subject, best: Fitted, *, resembling: bool) -> _Part | None:
+    """Return `best`, and where its rest enters; if `resembling`, without the effects that act there.
 
     Such an effect need not be there: a single law that the catalogue does not have, at this place, may do what
-    the effect does and what it leaves. The value of a held parameter acts wherever its component does. If the
-    machines are not all `alike`, the rest may also be how they differ.
+    the effect does and what it leaves. The value of a held parameter acts wherever its component does. None if no
+    other effect is named.
     """
 
     def left(fitted: Fitted) -> tuple[str, ...]:
@@ -409,7 +410,7 @@ def _sure_part(subject: Subject, best: Fitted, *, alike: bool) -> _Part | None:
 
     entered = left(best)
     acting = {e.id: {e.port, e.port.rpartition(".")[0] * e.id.startswith("value@")} for e in subject.effects}
-    doubtful = [n for n in best.effects if alike and acting[n] & set(entered)]
+    doubtful = [n for n in best.effects if resembling and acting[n] & set(entered)]
     if not doubtful:
         return _Part(best, entered)
     names = tuple(n for n in best.names if n not in doubtful)

@@ -9,7 +9,15 @@ import numpy as np
 
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis import decide
-from fmuid.diagnosis.candidates import Fitted, add_effect, contribution, score_early, score_further, without
+from fmuid.diagnosis.candidates import (
+    Fitted,
+    add_effect,
+    contribution,
+    led_out,
+    score_early,
+    score_further,
+    without,
+)
 from fmuid.diagnosis.null_distribution import NoiseDraws
 from fmuid.diagnosis.observed import excess
 from fmuid.diagnosis.projection import project_off
@@ -23,6 +31,7 @@ _SINGLES = 7  # effects refitted on their own
 _EARLY = 3  # of these, chosen by what early parts of the runs say
 _SEEN = 5.0  # standard deviations: what an effect has to promise there
 _SHARE = 0.05  # least score for a refit, as a share of the best score
+_LED_OUT = 2  # of the effects refitted in the same company, beside the early ones
 _PAIRS = 4  # further effects tried beside the best
 _ABOUT_AS_MUCH = 1.5  # ratio below which two effects of the same shape move the predictions about as much
 _SCORED = 8  # effects that are scored again when another is added
@@ -54,13 +63,12 @@ def search(
     present
         Whether there is a gap; without one, only the two best effects are refitted.
     """
-    singles = _singles(subject, nominal, scores) if present else _promising(scores)[:2]
-    candidates: list[Fitted] = []
-    for k, score in enumerate(singles):
-        say(f"refitting with {score.effect}", 0.15 + 0.35 * k / len(singles))
-        fitted = add_effect(subject, nominal, score)
-        if fitted is not None and fitted.fit.cost < nominal.fit.cost:
-            candidates.append(fitted)
+    singles, early = _singles(subject, nominal, scores) if present else (_promising(scores)[:2], [])
+
+    def tell(task: str, done: float) -> None:
+        say(task, 0.15 + 0.35 * done)
+
+    candidates = _added(subject, nominal, singles, early, say=tell)
     if not candidates:
         return [], None
     best = decide.best_of(candidates)
@@ -108,15 +116,17 @@ def aliases(
     return alias_classes({**tried, **refitted}, threshold=alike)
 
 
-def _singles(subject: Subject, nominal: Fitted, scores: Sequence[Score]) -> list[Score]:
+def _singles(subject: Subject, nominal: Fitted, scores: Sequence[Score]) -> tuple[list[Score], list[str]]:
     """Return the effects to refit on their own: those that promise most in early parts of the runs, and in all.
 
-    Where the nominal model has drifted away from the plant, scores of whole runs say little.
+    Where the nominal model has drifted away from the plant, scores of whole runs say little. The former are also
+    returned by name.
     """
     early = {s.effect: s for s in _promising(score_early(subject, nominal)) if s.drop > _SEEN**2}
     whole = {s.effect: s for s in _promising(scores)}
-    order = dict.fromkeys([*list(early)[:_EARLY], *whole])
-    return [whole.get(name) or early[name] for name in order][:_SINGLES]
+    first = list(early)[:_EARLY]
+    order = dict.fromkeys([*first, *whole])
+    return [whole.get(name) or early[name] for name in order][:_SINGLES], first
 
 
 def _signatures(
@@ -212,9 +222,30 @@ def finished(subject: Subject, best: Fitted, scores: Sequence[Score], noise: Noi
     return best.gap <= decide.GAP_THAT_MATTERS or _further(subject, best, scores, noise)[1]
 
 
-def _added(subject: Subject, fitted: Fitted, scores: Sequence[Score]) -> list[Fitted]:
-    found = (add_effect(subject, fitted, s) for s in scores)
-    return [f for f in found if f is not None and f.fit.cost < fitted.fit.cost]
+def _added(
+    subject: Subject,
+    fitted: Fitted,
+    scores: Sequence[Score],
+    early: Sequence[str] = (),
+    *,
+    say: Say = lambda _, __: None,
+) -> list[Fitted]:
+    """Refit `fitted` with each scored effect; return the models that fit better than it does.
+
+    Those that fit best are led out of local minima, and so are `early` effects, which may be far from their best.
+    """
+    found: list[tuple[Fitted, Score]] = []
+    for k, score in enumerate(scores):
+        say(f"refitting with {score.effect}", 0.7 * k / len(scores))
+        added = add_effect(subject, fitted, score)
+        found += [(added, score)] if added is not None else []
+    found.sort(key=lambda pair: pair[0].fit.cost)
+    likely = {score.effect for _, score in found[:_LED_OUT]}.union(early)
+    for k, (added, score) in enumerate(found):
+        if score.effect in likely:
+            say(f"refitting further with {score.effect}", 0.7 + 0.3 * k / len(found))
+            found[k] = led_out(subject, added, score), score
+    return [added for added, _ in found if added.fit.cost < fitted.fit.cost]
 
 
 def _exchanged(subject: Subject, best: Fitted, candidates: list[Fitted], scores: Sequence[Score]) -> Fitted:

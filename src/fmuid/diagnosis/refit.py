@@ -22,6 +22,9 @@ Predict = Callable[[Sequence[Mapping[str, float]]], Sequence[Sequence[FloatArray
 Tangents = Callable[[Mapping[str, float], Sequence[str]], Mapping[str, Sequence[FloatArray]]]
 """A point, names of parameters -> d prediction / d parameter of every experiment, by name, where it is known."""
 
+_End = tuple[float, FloatArray, bool]
+"""Where a search ends: cost and point, and whether it ended by its tolerance."""
+
 _WORTH = 4  # exact columns cost three runs plus a third of a run each, differences one run each
 _ENOUGH = 0.5  # fall of the cost, in squared standard deviations, that justifies another iteration
 _COARSE = 0.02  # share of the cost that an iteration of a quick search has to gain
@@ -118,19 +121,20 @@ def refit(
     """
     campaign = _Campaign(predict, observed, tuple(unknowns), tangents)
     points = [campaign.point(start) for start in starts]
-    found: list[tuple[float, FloatArray, bool]] = []
+    found: list[_End] = []
     for x, outcome in zip(points, campaign.evaluate(points), strict=True):
         if isinstance(outcome, SimulationError):
             failure = outcome
         else:
             campaign.known[x.tobytes()] = outcome
-            end = _search(campaign, x, max_iterations, tolerance)
-            if tangents is not None:  # at a kink, where exact slopes end, those of a plausible step may continue
-                further = _search(campaign, end[1], max_iterations, tolerance, "near")
-                end = further if further[0] < end[0] - max(_ENOUGH, tolerance * end[0]) else end
-            found.append(end)
+            found.append(_search(campaign, x, max_iterations, tolerance))
     if not found:
         raise failure
+    found.sort(key=lambda end: end[0])
+    if tangents is not None:  # at a kink, where exact slopes end, those of a plausible step may continue
+        for cost, x, converged in campaign.apart([end for end in found if end[0] <= about(found[0][0])]):
+            further = _search(campaign, x, max_iterations, tolerance, "near")
+            found.append(further if further[0] < cost - max(_ENOUGH, tolerance * cost) else (cost, x, converged))
     end = min(found, key=lambda end: end[0])
     if len(unknowns) and campaign.promised(end[1]) > max(_ENOUGH, tolerance * end[0]):
         across = _search(campaign, end[1], max_iterations, tolerance, "wide")
@@ -171,8 +175,8 @@ def about(cost: float) -> float:
 
 def _search(
     campaign: _Campaign, start: FloatArray, max_iterations: int, tolerance: float, slopes: Slopes = "exact"
-) -> tuple[float, FloatArray, bool]:
-    """Return the cost and the end point of a search from `start`, and whether it ended by its tolerance."""
+) -> _End:
+    """Return where a search from `start` ends."""
     best, cost, iterations, vain = start, campaign.cost(start), 0, 0
 
     def residuals(x: FloatArray) -> FloatArray:
@@ -283,6 +287,14 @@ class _Campaign:
 
     def stacked(self, parts: Sequence[FloatArray]) -> FloatArray:
         return np.concatenate([w * p for w, p in zip(self.weight, parts, strict=True)])
+
+    def apart(self, ends: Sequence[_End]) -> list[_End]:
+        """Return the ends that differ from every earlier one by more than a plausible step of some parameter."""
+        found: list[_End] = []
+        for end in ends:
+            if all(np.any(np.abs(end[1] - other[1]) > self.steps) for other in found):
+                found.append(end)
+        return found
 
     def promised(self, x: FloatArray) -> float:
         """Return the fall of the cost that the slopes of a plausible step promise, within bounds."""
