@@ -7,8 +7,9 @@ import pytest
 from plants import Mass, misread, plant
 from tones import SIGMA, STRENGTHS, TIME, heard
 
-from fmuid.diagnosis.candidates import _best_start, better_nominal, escaped, fit_effects
+from fmuid.diagnosis.candidates import _best_start, better_nominal, escaped, fit_effects, score_further
 from fmuid.diagnosis.diagnose import diagnose_subject
+from fmuid.diagnosis.effect_search import _moved
 from fmuid.diagnosis.refit import refit
 from fmuid.diagnosis.scores import nominal_basis
 from fmuid.diagnosis.subject import tightened
@@ -28,6 +29,22 @@ def test_an_exchange_mends_a_first_pick_that_was_wrong(monkeypatch):
     monkeypatch.setattr("fmuid.diagnosis.effect_search._replaced", lambda *_: [])
     monkeypatch.setattr("fmuid.diagnosis.effect_search._pruned", lambda _, best, __: best)
     assert "mixture" in diagnose_subject(subject).diagnosis.verdict.effects
+
+
+def test_a_law_found_at_one_port_is_tried_at_the_others_from_where_the_fit_is():
+    """The reading of `law@b` is almost that of `law@a`; a fit with the latter is near the one that is wanted."""
+    laws = {"first": {1: 1.0}, "a": {2: 1.0}, "b": {2: 0.95, 3: 0.31}}
+    subject = heard(laws, {1: 1.0, 2: 0.95, 3: 0.31})
+    effects = tuple(e if e.id == "first" else replace(e, id=f"law@{e.id}") for e in subject.effects)
+    subject = replace(subject, effects=effects)
+    nominal = fit_effects(subject, (), [{}])
+    by_id = {e.id: e for e in subject.effects}
+    pair = fit_effects(subject, [by_id["first"], by_id["law@a"]], [{}])
+    scores = score_further(subject, nominal)
+    (found,) = _moved(subject, pair, [pair], scores)
+    assert found.effects == ("first", "law@b")
+    assert found.fit.values == pytest.approx({"k": 1.0, "first": 1.0, "b": 1.0}, abs=0.01)
+    assert list(_moved(subject, pair, [pair, replace(found, fit=pair.fit)], scores)) == []  # known to be as good
 
 
 def test_a_law_of_another_shape_is_no_third_cause():
@@ -106,7 +123,10 @@ def test_a_known_effect_beside_an_unknown_one_is_a_part_of_the_answer():
 
 @pytest.mark.parametrize(
     ("truth", "error", "verdict"),
-    [({}, (0.03, 0.004), ("unknown", (), ("reading",))), ({"a": 0.02}, (0.03, 0.015), ("partial", ("asymmetry",)))],
+    [
+        ({}, (0.03, 0.004), ("unknown", (), ("reading",))),
+        ({"a": 0.02}, (0.03, 0.015), ("partial", ("asymmetry",))),
+    ],
 )
 def test_what_leaves_a_rest_at_its_own_place_is_not_named(truth, error, verdict):
     """A gain of the reading closes most of the gap, but one other error of the reading closes all of it."""

@@ -115,11 +115,18 @@ def score_further(
     )
 
 
-def score_early(subject: Subject, nominal: Fitted) -> tuple[Score, ...]:
-    """Score the effects in early parts of the runs, at a refit of these; none where runs cannot be shortened."""
+def score_early(subject: Subject, fitted: Fitted) -> tuple[Score, ...]:
+    """Score the effects that `fitted` lacks in early parts of the runs, at a refit of these.
+
+    None where runs cannot be shortened.
+    """
     part = early(subject)
-    again = None if part is None else fit_effects(part, (), [nominal.fit.values, {}])
-    return () if part is None or again is None else score_further(part, again)
+    if part is None:
+        return ()
+    effects = [e for e in subject.effects if e.id in fitted.effects]
+    unbent = {**fitted.fit.values, **{u.name: u.start for u in subject.nominal}}
+    again = fit_effects(part, effects, [fitted.fit.values, unbent])
+    return () if again is None else score_further(part, again)
 
 
 def _promise(score: Score, basis: FloatArray, residual: FloatArray) -> float:
@@ -159,6 +166,16 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
     if added is None or added.fit.cost > fitted.fit.cost:  # at neutral values it is no worse than without
         added = fit_effects(subject, effects, [{**fitted.fit.values, **effect.neutral}])
     return None if added is None else replace(added, names=(*fitted.names, effect.id))
+
+
+def moved(subject: Subject, fitted: Fitted, name: str, score: Score) -> Fitted | None:
+    """Refit `fitted` with the scored effect in place of one of its own, from where it is."""
+    by_id = {e.id: e for e in subject.effects}
+    effect, values = by_id[score.effect], {**fitted.fit.values, **by_id[name].neutral}
+    sizes = [{**values, **effect.neutral, **trial} for trial in score.trials]
+    start, cost = _best_start(subject, sizes, nominal_basis(fitted.fit, subject.observed))
+    effects = [*(by_id[n] for n in fitted.effects if n != name), effect]
+    return fit_effects(subject, effects, [start]) if np.isfinite(cost) else None
 
 
 def led_out(subject: Subject, added: Fitted, score: Score) -> Fitted:

@@ -357,9 +357,11 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
         alike = len({case.machine for case in subject.model.cases}) == 1
         imitated = imitated or (alike and not done and best is not None and likelier(entered, nominal, best))
         if best is not None and named_at_all and not (imitated or done):
-            like = alike and decide.closed_by(nominal, best) < decide.CLOSURE_OF_ITS_KIND
-            part = _sure_part(subject, best, resembling=like)
-            imitated = part is None or not decide.names(nominal, part.fitted, finished=False)
+            # For an answer that leaves something, nothing but its predictions of other experiments speaks.
+            resembling = closure(nominal.held_out, best.held_out) < decide.CLOSURE_OF_ITS_KIND
+            part = _sure_part(subject, best, resembling=alike and resembling)
+            closed = closure(nominal.held_out, part.fitted.held_out) if part is not None else 0.0
+            imitated = closed < decide.CLOSURE_THAT_NAMES
     if best is None or not named_at_all or imitated:
         # Without repeats, a gap that no effect explains may be slow noise.
         kind: Kind = "insufficient" if observed.bounded else "unknown"

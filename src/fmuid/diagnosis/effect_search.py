@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from fmuid.diagnosis.candidates import (
     add_effect,
     contribution,
     led_out,
+    moved,
     score_early,
     score_further,
     without,
@@ -21,6 +22,7 @@ from fmuid.diagnosis.candidates import (
 from fmuid.diagnosis.null_distribution import NoiseDraws
 from fmuid.diagnosis.observed import excess
 from fmuid.diagnosis.projection import project_off
+from fmuid.diagnosis.refit import about
 from fmuid.diagnosis.scores import Score, alias_classes, nominal_basis, similarity, stack
 from fmuid.diagnosis.subject import Subject
 
@@ -29,6 +31,7 @@ Say = Callable[[str, float], None]
 
 _SINGLES = 7  # effects refitted on their own
 _EARLY = 3  # of these, chosen by what early parts of the runs say
+_EARLY_BESIDE = 2  # the same of further effects
 _SEEN = 5.0  # standard deviations: what an effect has to promise there
 _SHARE = 0.05  # least score for a refit, as a share of the best score
 _LED_OUT = 2  # of the effects refitted in the same company, beside the early ones
@@ -63,7 +66,9 @@ def search(
     present
         Whether there is a gap; without one, only the two best effects are refitted.
     """
-    singles, early = _singles(subject, nominal, scores) if present else (_promising(scores)[:2], [])
+    singles, early = _promising(scores)[:2], list[str]()
+    if present:
+        singles, early = _chosen(subject, nominal, _promising(scores), _SINGLES, _EARLY)
 
     def tell(task: str, done: float) -> None:
         say(task, 0.15 + 0.35 * done)
@@ -116,17 +121,19 @@ def aliases(
     return alias_classes({**tried, **refitted}, threshold=alike)
 
 
-def _singles(subject: Subject, nominal: Fitted, scores: Sequence[Score]) -> tuple[list[Score], list[str]]:
-    """Return the effects to refit on their own: those that promise most in early parts of the runs, and in all.
+def _chosen(
+    subject: Subject, fitted: Fitted, whole: Sequence[Score], most: int, first: int
+) -> tuple[list[Score], list[str]]:
+    """Return the effects to add: those that promise most in early parts of the runs, and in all of them.
 
-    Where the nominal model has drifted away from the plant, scores of whole runs say little. The former are also
-    returned by name.
+    Where a model has drifted away from the plant, scores of whole runs say little. The former are also returned by
+    name.
     """
-    early = {s.effect: s for s in _promising(score_early(subject, nominal)) if s.drop > _SEEN**2}
-    whole = {s.effect: s for s in _promising(scores)}
-    first = list(early)[:_EARLY]
-    order = dict.fromkeys([*first, *whole])
-    return [whole.get(name) or early[name] for name in order][:_SINGLES], first
+    early = {s.effect: s for s in _promising(score_early(subject, fitted)) if s.drop > _SEEN**2}
+    by_name = {s.effect: s for s in whole}
+    names = list(early)[:first]
+    order = dict.fromkeys([*names, *by_name])
+    return [by_name.get(name) or early[name] for name in order][:most], names
 
 
 def _signatures(
@@ -201,7 +208,7 @@ def _promising(scores: Sequence[Score], share: float = _SHARE) -> list[Score]:
 def _company(subject: Subject, best: Fitted, scores: Sequence[Score], noise: NoiseDraws) -> list[Fitted]:
     """Refit `best` with further effects; none if its residual and their scores are within the noise."""
     further, finished = _further(subject, best, scores, noise)
-    return [] if finished else _added(subject, best, further[:_PAIRS])
+    return [] if finished else _added(subject, best, *_chosen(subject, best, further, _PAIRS, _EARLY_BESIDE))
 
 
 def _further(
@@ -260,11 +267,27 @@ def _exchanged(subject: Subject, best: Fitted, candidates: list[Fitted], scores:
         fresh = [(rest, name) for rest, name in around.items() if rest not in explored]
         if not fresh:
             break
+        candidates += _moved(subject, best, candidates, scores)
         for rest, name in fresh:
             explored.add(rest)
             candidates += _replaced(subject, best, name, candidates, scores)
         best = decide.best_of([c for c in candidates if len(c.names) == len(best.names)])
     return best
+
+
+def _moved(
+    subject: Subject, best: Fitted, candidates: Sequence[Fitted], scores: Sequence[Score]
+) -> Iterator[Fitted]:
+    """Yield refits of `best` with one of its laws at another port, unless that is known to be about as good."""
+    good = {frozenset(c.effects) for c in candidates if c.fit.cost <= about(best.fit.cost)}
+    for name in best.names:
+        law, at, _ = name.partition("@")
+        rest = frozenset(best.effects) - {name}
+        for score in (s for s in scores if at and s.effect.startswith(law + at) and s.effect not in best.effects):
+            if rest | {score.effect} not in good:
+                found = moved(subject, best, name, score)
+                if found is not None:
+                    yield found
 
 
 def _replaced(
