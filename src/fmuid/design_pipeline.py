@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -17,6 +17,7 @@ from fmuid.core.folder_lock import claim
 from fmuid.core.formatting import counted
 from fmuid.core.immutable import FloatArray
 from fmuid.core.one_thread import in_one_thread
+from fmuid.core.progress import Say, quiet
 from fmuid.data.crosscheck_csv import Table, write_csv
 from fmuid.design.excitation_search import Excitation
 from fmuid.design.parameters import Optimality, ParameterDesign, design_for_parameters
@@ -33,7 +34,6 @@ from fmuid.simulation.pool.choice import runner_on
 
 FILE_NAME, INPUT = "design.json", "input.csv"
 Purpose = Literal["diagnosis", "parameters"]
-Say = Callable[[str, float], None]
 _SETTLES = "Does it settle the question"
 _DRAWN = 4  # answers shown in the figures
 _SHOWN = 6  # pairs of answers shown, the closest ones
@@ -70,7 +70,7 @@ def design_experiment(
     workers: int | None = 0,
     time_limit: float | None = None,
     memory_limit: int | None = None,
-    say: Say = lambda _, __: None,
+    say: Say = quiet,
     trust: bool = False,
 ) -> Designed:
     """Design the next experiment within the limits of a campaign.

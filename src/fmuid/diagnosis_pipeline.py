@@ -15,12 +15,12 @@ from fmuid.core.errors import CampaignError, FmuidError
 from fmuid.core.files import write_atomically
 from fmuid.core.folder_lock import claim
 from fmuid.core.one_thread import in_one_thread
+from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import calibration
 from fmuid.diagnosis.calibration import Calibration
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.corrected import FOLDER, Corrected, write_corrected
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
-from fmuid.diagnosis.effect_search import Say
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.subject import Subject, carrier, subject_of
 from fmuid.diagnosis.summary import sentences
@@ -58,7 +58,7 @@ def diagnose(
     workers: int | None = 0,
     time_limit: float | None = None,
     memory_limit: int | None = None,
-    say: Say = lambda _, __: None,
+    say: Say = quiet,
     seed: int = 0,
     calibrate: int = 0,
     law: bool = True,

@@ -16,6 +16,7 @@ from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.core.files import write_atomically
 from fmuid.core.folder_lock import claim
 from fmuid.core.one_thread import in_one_thread
+from fmuid.core.progress import Say, quiet
 from fmuid.data.crosscheck_csv import read_csv
 from fmuid.design.parameters import posed_stage
 from fmuid.design.planned import unrecorded_run, unrecorded_times
@@ -51,7 +52,7 @@ def global_sensitivity(
     workers: int | None = 0,
     time_limit: float | None = None,
     memory_limit: int | None = None,
-    say: Callable[[str, float], None] = lambda _, __: None,
+    say: Say = quiet,
     trust: bool = False,
 ) -> GlobalSensitivity:
     """Return how much each parameter matters to each output over its whole range.

@@ -17,6 +17,7 @@ from fmuid.core.campaign import Campaign, ModelSpec, StageSpec
 from fmuid.core.errors import CampaignError, SimulationError
 from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray
+from fmuid.core.progress import Say, quiet
 from fmuid.data.noise.spectrum import SetupNoise, estimate_noise
 from fmuid.design.excitation import shapes
 from fmuid.design.excitation_search import Excitation, Judged, search
@@ -83,7 +84,7 @@ def design_for_parameters(
     optimality: Optimality = "D",
     evaluations: int = 200,
     seed: int = 0,
-    say: Callable[[str, float], None] = lambda _, __: None,
+    say: Say = quiet,
 ) -> ParameterDesign:
     """Design the run that adds most information about a campaign's free parameters to the recorded runs.
 

@@ -8,7 +8,7 @@ linearisation of rivals.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from scipy.special import log_ndtr, logsumexp
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import CampaignError, SimulationError
 from fmuid.core.immutable import FloatArray
+from fmuid.core.progress import Say, quiet
 from fmuid.design.excitation import shapes
 from fmuid.design.excitation_search import Excitation, Judged, search
 from fmuid.design.planned import Planned, planned_run
@@ -147,7 +148,7 @@ def design_for_diagnosis(
     *,
     evaluations: int = 200,
     seed: int = 0,
-    say: Callable[[str, float], None] = lambda _, __: None,
+    say: Say = quiet,
 ) -> DiagnosisDesign:
     """Design the run that best distinguishes refitted answers.
 

@@ -25,6 +25,7 @@ from scipy.special import expit, logit
 from fmuid.core.errors import SimulationError
 from fmuid.core.files import user_cache, write_atomically
 from fmuid.core.immutable import FloatArray
+from fmuid.core.progress import Say, quiet
 from fmuid.data.noise.transform import from_real_spectrum, real_spectrum
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.extended_model import Prediction
@@ -298,7 +299,7 @@ def calibrate(
     *,
     count: int,
     seed: int = 0,
-    say: Callable[[str, float], None] = lambda _, __: None,
+    say: Say = quiet,
 ) -> list[Trial]:
     """Diagnose `count` simulated plants; `diagnose` returns a verdict and uncalibrated probabilities."""
     trials = []

@@ -10,6 +10,7 @@ import numpy as np
 from fmuid.core.errors import SimulationError
 from fmuid.core.formatting import html_lines, html_table, text_table
 from fmuid.core.immutable import FloatArray
+from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.calibration import Calibration, shipped
 from fmuid.diagnosis.candidates import (
@@ -23,7 +24,7 @@ from fmuid.diagnosis.candidates import (
     without,
 )
 from fmuid.diagnosis.cross_validation import closure, closure_interval, in_sample
-from fmuid.diagnosis.effect_search import Say, aliases, finished, search
+from fmuid.diagnosis.effect_search import aliases, finished, search
 from fmuid.diagnosis.entry import Entry, entries, likelier, places
 from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.localisation import ExcessMap, excess_map
@@ -88,10 +89,6 @@ class Found:
         return html_lines(summary(answer)) + html_table(likeliest(answer))
 
 
-def _quiet(_: str, __: float) -> None:
-    return None
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
     """Evidence for a gap.
@@ -144,7 +141,7 @@ class Judgement:
 
 
 def diagnose_subject(
-    subject: Subject, *, say: Say = _quiet, seed: int = 0, calibration: Calibration | None = None
+    subject: Subject, *, say: Say = quiet, seed: int = 0, calibration: Calibration | None = None
 ) -> Found:
     """Diagnose the gap between a model and measurements.
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from fmuid.core.immutable import FloatArray
+from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import (
     Fitted,
@@ -25,9 +26,6 @@ from fmuid.diagnosis.projection import project_off
 from fmuid.diagnosis.refit import about
 from fmuid.diagnosis.scores import Score, alias_classes, nominal_basis, similarity, stack
 from fmuid.diagnosis.subject import Subject
-
-Say = Callable[[str, float], None]
-"""Called with the current task and the fraction done (0 to 1)."""
 
 _SINGLES = 7  # effects refitted on their own
 _EARLY = 3  # of these, chosen by what early parts of the runs say
@@ -235,7 +233,7 @@ def _added(
     scores: Sequence[Score],
     early: Sequence[str] = (),
     *,
-    say: Say = lambda _, __: None,
+    say: Say = quiet,
 ) -> list[Fitted]:
     """Refit `fitted` with each scored effect; return the models that fit better than it does.
 

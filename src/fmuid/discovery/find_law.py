@@ -12,12 +12,12 @@ from fmu_build.flat_model import FlatModel
 from fmu_build.model_ports import find_ports
 from fmuid.core.campaign import ModelSpec
 from fmuid.core.errors import SimulationError
+from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import advantage, closure, closure_interval
 from fmuid.diagnosis.diagnose import Found
-from fmuid.diagnosis.effect_search import Say
 from fmuid.diagnosis.entry import likelier
 from fmuid.diagnosis.null_distribution import NoiseDraws, draw_noise
 from fmuid.diagnosis.observed import excess
@@ -63,7 +63,7 @@ def find_law(
     models: Mapping[str, ModelSpec],
     load: Callable[[ModelSpec], Simulator],
     *,
-    say: Say = lambda _, __: None,
+    say: Say = quiet,
     seed: int = 0,
 ) -> Discovery | None:
     """Look for a law if a diagnosis is *unknown* or *partial*; return None for any other verdict.
