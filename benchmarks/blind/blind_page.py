@@ -95,7 +95,7 @@ def aims(found: Sequence[Figure], *, verdicts: bool = False) -> str:
         interval = "" if f.interval is None else "{:.2f} … {:.2f}".format(*f.interval)
         missed = "" if f.value is None else f"by {f.missed_by:.2f}" if f.missed_by > 0.0 else "no"
         aim = ", ".join(b for b in bounds if b)
-        met = "" if f.value is None or not aim else "yes" if f.met else "no"
+        met = {True: "yes", False: "no", None: ""}[f.met]
         rows.append([f.name, aim, number(f.value), interval, str(f.count), met if verdicts else missed])
     return table(("figure", "aim", "measured", "interval", "cases", "met" if verdicts else "missed"), rows)
 

@@ -146,8 +146,11 @@ class Figure:
 
     @property
     def met(self) -> bool | None:
-        """Whether the value is inside its aim, and the worse end of the interval no more than 0.03 outside."""
-        if self.value is None:
+        """Whether the value is inside its aim, and the worse end of the interval no more than 0.03 outside.
+
+        None without a value or an aim.
+        """
+        if self.value is None or (self.lower is None and self.upper is None):
             return None
         low, high = self.interval or (self.value, self.value)
         near = (self.lower is None or low >= self.lower - _NEAR) and (

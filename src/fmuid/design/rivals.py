@@ -109,7 +109,7 @@ def rivals_of(subject: Subject, answer: Mapping[str, object]) -> list[Fitted]:
     }
     nominal = answer["nominal"]
     assert isinstance(nominal, dict)
-    by_id = {e.id: e for e in subject.effects}
+    by_id = subject.by_id
     wanted = [tuple(a["effects"]) for a in answers if set(a["effects"]) <= by_id.keys()]
     if verdict["kind"] in ("complete", "insufficient"):
         wanted = [(), *wanted]

@@ -118,14 +118,13 @@ def score_further(
 def score_early(subject: Subject, fitted: Fitted) -> tuple[Score, ...]:
     """Score the effects that `fitted` lacks in early parts of the runs, at a refit of these.
 
-    None where runs cannot be shortened.
+    Empty where runs cannot be shortened.
     """
     part = early(subject)
     if part is None:
         return ()
     effects = [e for e in subject.effects if e.id in fitted.effects]
-    unbent = {**fitted.fit.values, **{u.name: u.start for u in subject.nominal}}
-    again = fit_effects(part, effects, [fitted.fit.values, unbent])
+    again = fit_effects(part, effects, [fitted.fit.values, {**fitted.fit.values, **subject.starts}])
     return () if again is None else score_further(part, again)
 
 
@@ -140,7 +139,7 @@ def _promise(score: Score, basis: FloatArray, residual: FloatArray) -> float:
 
 def without(subject: Subject, fitted: Fitted, name: str) -> Fitted | None:
     """Refit `fitted` without one of its effects."""
-    by_id = {e.id: e for e in subject.effects}
+    by_id = subject.by_id
     return fit_effects(subject, [by_id[n] for n in fitted.effects if n != name], [fitted.fit.values])
 
 
@@ -150,12 +149,12 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
     Parameters refitted without the effect may have shifted to imitate it, so the campaign's start values are tried
     as well.
     """
-    by_id = {e.id: e for e in subject.effects}
+    by_id = subject.by_id
     effect = by_id[score.effect]
     # The signature says how large the effect should be, as far as the response is linear in its size.
     factor = float(np.clip(score.scale, -3.0 if effect.two_sided else 0.03, 3.0))
     sizes = [effect.scaled(score.trial, factor), *({**effect.neutral, **trial} for trial in score.trials)]
-    unbent = {**fitted.fit.values, **{u.name: u.start for u in subject.nominal}}
+    unbent = {**fitted.fit.values, **subject.starts}
     basis = nominal_basis(fitted.fit, subject.observed)
     starts = [
         _best_start(subject, [{**point, **size} for size in sizes], basis) for point in (fitted.fit.values, unbent)
@@ -170,7 +169,7 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
 
 def moved(subject: Subject, fitted: Fitted, name: str, score: Score) -> Fitted | None:
     """Refit `fitted` with the scored effect in place of one of its own, from where it is."""
-    by_id = {e.id: e for e in subject.effects}
+    by_id = subject.by_id
     effect, values = by_id[score.effect], {**fitted.fit.values, **by_id[name].neutral}
     sizes = [{**values, **effect.neutral, **trial} for trial in score.trials]
     start, cost = _best_start(subject, sizes, nominal_basis(fitted.fit, subject.observed))
@@ -179,27 +178,18 @@ def moved(subject: Subject, fitted: Fitted, name: str, score: Score) -> Fitted |
 
 
 def led_out(subject: Subject, added: Fitted, score: Score) -> Fitted:
-    """Return a better fit than `added`, to which the scored effect was added, if it is in a local minimum."""
-    by_id = {e.id: e for e in subject.effects}
-    effects, shapes = [by_id[name] for name in added.effects], by_id[score.effect].shapes
-    found = added
+    """Return a better fit than `added`, to which the scored effect was added, if it is in a local minimum.
+
+    A fit that leaves a gap is approached again over growing horizons.
+    """
+    by_id = subject.by_id
+    effect, effects, found = by_id[score.effect], [by_id[name] for name in added.effects], added
     if added.gap > GAP_THAT_MATTERS:
-        trials = {tuple(trial[name] for name in shapes if name in trial): trial for trial in score.trials}
-        unbent = {**added.fit.values, **{u.name: u.start for u in subject.nominal}, **by_id[score.effect].neutral}
-        found = drawn_near(subject, effects, added, unbent, list(trials.values()))
+        shapes = {tuple(trial[name] for name in effect.shapes if name in trial): trial for trial in score.trials}
+        unbent = {**added.fit.values, **subject.starts, **effect.neutral}
+        near = approached(subject, added.fit.unknowns, unbent, list(shapes.values()))
+        found = added if near is None else _if_better(subject, effects, added, [near])
     return replace(escaped(subject, effects, found), names=added.names)
-
-
-def drawn_near(
-    subject: Subject,
-    effects: Sequence[Effect],
-    fitted: Fitted,
-    start: Mapping[str, float],
-    trials: Sequence[Mapping[str, float]] = (),
-) -> Fitted:
-    """Return a better fit of the same `effects` if growing horizons lead to one; otherwise `fitted`."""
-    near = approached(subject, fitted.fit.unknowns, start, trials)
-    return fitted if near is None else _if_better(subject, effects, fitted, [near])
 
 
 def _if_better(
@@ -261,7 +251,7 @@ def _best_start(
 
 def contribution(subject: Subject, fitted: Fitted, name: str) -> float:
     """Return by how many sigmas an effect of `fitted` moves the predictions, with the others fixed."""
-    neutral = next(e.neutral for e in subject.effects if e.id == name)
+    neutral = subject.by_id[name].neutral
     (outcome,) = subject.model.predict([{**fitted.fit.values, **neutral}])
     if isinstance(outcome, SimulationError):
         return 0.0

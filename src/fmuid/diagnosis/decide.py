@@ -10,8 +10,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import advantage, closure
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS as GAP_THAT_MATTERS
-from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed
 from fmuid.diagnosis.ports import Decoy
 from fmuid.diagnosis.refit import Unknown, about
 from fmuid.diagnosis.scores import stack
@@ -22,9 +21,7 @@ SIGNIFICANCE = 0.01
 SCORE_MARGIN = 2.0  # the largest score must exceed this many times the 99 % quantile under noise alone
 CLOSURE_THAT_NAMES = 0.5  # a named effect must close at least half of the gap on experiments left out
 CLOSURE_THAT_FINISHES = 1 / 3  # or this much of a weak gap, if the rest is no more than noise
-CLOSURE_OF_ITS_KIND = (
-    2 / 3
-)  # an effect that closes less and leaves the rest at its own place only resembles the cause
+CLOSURE_OF_ITS_KIND = 2 / 3  # below it, an effect whose rest is at its own place may only resemble the cause
 GAIN_OF_A_SECOND = 0.25  # a further effect must close at least a quarter of the remaining gap
 ABOUT_AS_WELL = 1.5  # ratio of remaining gaps: a free function is one linear step, effects are refitted to the end
 CLOSURE_BEYOND_DOUBT = 0.85  # an effect that closes this much is not unknown, though its law may differ in shape

@@ -30,7 +30,7 @@ from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.localisation import ExcessMap, excess_map
 from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
 from fmuid.diagnosis.null_distribution import NoiseDraws, Null, draw_noise
-from fmuid.diagnosis.observed import excess, excesses, gap
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess, excesses, gap
 from fmuid.diagnosis.ports import Decoy, fit_decoys, responses_of
 from fmuid.diagnosis.power import smallest_seen
 from fmuid.diagnosis.regimes import bases, folded, own_bases, trajectories
@@ -163,7 +163,7 @@ def diagnose_subject(
     """
     say = _onward(say)
     say("nominal model at its start values", 0.0)
-    begin = _prediction(subject, {u.name: u.start for u in subject.nominal})
+    begin = _prediction(subject, subject.starts)
     subject = replace(subject, observed=replace(subject.observed, predicted=begin))
     model, observed = subject.model, subject.observed
     say("refitting the nominal parameters", 0.02)
@@ -315,10 +315,10 @@ def _evidence(subject: Subject, nominal: Fitted, scores: Sequence[Score], noise:
     null = noise.null(nominal_basis(nominal.fit, observed), signatures)
     beyond, count = excesses(nominal.fit.residuals, observed)
     by_experiment = float(np.sqrt(max(0.0, beyond.max())))
-    matters = nominal.gap > decide.GAP_THAT_MATTERS or by_experiment > 3 * decide.GAP_THAT_MATTERS
+    matters = nominal.gap > GAP_THAT_MATTERS or by_experiment > 3 * GAP_THAT_MATTERS
     largest = max((s.drop for s in scores), default=0.0)
     p_value = null.p_value(excess(nominal.fit.residuals, observed), largest / decide.SCORE_MARGIN)
-    needed = decide.GAP_THAT_MATTERS**2 * float(observed.repeats @ count)
+    needed = GAP_THAT_MATTERS**2 * float(observed.repeats @ count)
     threshold = max(decide.SCORE_MARGIN * null.threshold(), needed)
     power = smallest_seen(scores, subject.effects, threshold=threshold)
     return Evidence(matters and p_value < decide.SIGNIFICANCE, p_value, null, power)
@@ -349,16 +349,13 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
     part: _Part | None = None
     if not sure or imitated:
         say("where it enters", 0.8)
-        entered = entries(subject.model, observed, nominal.fit, tuple(subject.catalogue.ports.values()))
+        entered = _entered(subject, nominal)
         # Each run has a course of its own, so machines that differ would pass for something unknown.
         alike = len({case.machine for case in subject.model.cases}) == 1
         imitated = imitated or (alike and not done and best is not None and likelier(entered, nominal, best))
         if best is not None and named_at_all and not (imitated or done):
-            # For an answer that leaves something, nothing but its predictions of other experiments speaks.
-            resembling = closure(nominal.held_out, best.held_out) < decide.CLOSURE_OF_ITS_KIND
-            part = _sure_part(subject, best, resembling=alike and resembling)
-            closed = closure(nominal.held_out, part.fitted.held_out) if part is not None else 0.0
-            imitated = closed < decide.CLOSURE_THAT_NAMES
+            part = _sure_part(subject, nominal, best, alike=alike)
+            imitated = part is None
     if best is None or not named_at_all or imitated:
         # Without repeats, a gap that no effect explains may be slow noise.
         kind: Kind = "insufficient" if observed.bounded else "unknown"
@@ -395,28 +392,30 @@ class _Part:
     entered: tuple[str, ...]
 
 
-def _sure_part(subject: Subject, best: Fitted, *, resembling: bool) -> _Part | None:
-    """Return `best`, and where its rest enters; if `resembling`, without the effects that act there.
+def _entered(subject: Subject, fitted: Fitted) -> dict[str, Entry]:
+    """Return what a course over time at each port explains of what a model leaves."""
+    return entries(subject.model, subject.observed, fitted.fit, tuple(subject.catalogue.ports.values()))
 
-    Such an effect need not be there: a single law that the catalogue does not have, at this place, may do what
-    the effect does and what it leaves. The value of a held parameter acts wherever its component does. None if no
-    other effect is named.
+
+def _sure_part(subject: Subject, nominal: Fitted, best: Fitted, *, alike: bool) -> _Part | None:
+    """Return what of `best` is sure although it leaves a rest; None if nothing is.
+
+    Only its predictions of other experiments speak for it. If they are poor, its effects that act where the rest
+    enters need not be there: a single law that the catalogue does not have, at this place, may do what they do and
+    what they leave. The value of a held parameter acts wherever its component does. If the machines are not all
+    `alike`, the rest may also be how they differ.
     """
-
-    def left(fitted: Fitted) -> tuple[str, ...]:
-        ports = tuple(subject.catalogue.ports.values())
-        return places(entries(subject.model, subject.observed, fitted.fit, ports))
-
-    entered = left(best)
+    entered = places(_entered(subject, best))
     acting = {e.id: {e.port, e.port.rpartition(".")[0] * e.id.startswith("value@")} for e in subject.effects}
+    resembling = alike and closure(nominal.held_out, best.held_out) < decide.CLOSURE_OF_ITS_KIND
     doubtful = [n for n in best.effects if resembling and acting[n] & set(entered)]
-    if not doubtful:
-        return _Part(best, entered)
     names = tuple(n for n in best.names if n not in doubtful)
     part: Fitted | None = best if names else None
     for name in doubtful:
         part = without(subject, part, name) if part is not None else None
-    return None if part is None else _Part(replace(part, names=names), left(part))
+    if part is None or closure(nominal.held_out, part.held_out) < decide.CLOSURE_THAT_NAMES:
+        return None
+    return _Part(replace(part, names=names), places(_entered(subject, part)) if doubtful else entered)
 
 
 def _where_left(

@@ -21,16 +21,15 @@ from fmuid.diagnosis.candidates import (
     without,
 )
 from fmuid.diagnosis.null_distribution import NoiseDraws
-from fmuid.diagnosis.observed import excess
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess
 from fmuid.diagnosis.projection import project_off
 from fmuid.diagnosis.refit import about
-from fmuid.diagnosis.scores import Score, alias_classes, nominal_basis, similarity, stack
+from fmuid.diagnosis.scores import SEEN, Score, alias_classes, nominal_basis, similarity, stack
 from fmuid.diagnosis.subject import Subject
 
 _SINGLES = 7  # effects refitted on their own
 _EARLY = 3  # of these, chosen by what early parts of the runs say
 _EARLY_BESIDE = 2  # the same of further effects
-_SEEN = 5.0  # standard deviations: what an effect has to promise there
 _SHARE = 0.05  # least score for a refit, as a share of the best score
 _LED_OUT = 2  # of the effects refitted in the same company, beside the early ones
 _PAIRS = 4  # further effects tried beside the best
@@ -76,7 +75,7 @@ def search(
         return [], None
     best = decide.best_of(candidates)
     signatures = _signatures(subject, nominal, candidates, scores)
-    while present and len(best.effects) <= _MOST and best.gap > decide.GAP_THAT_MATTERS:
+    while present and len(best.effects) <= _MOST and best.gap > GAP_THAT_MATTERS:
         say(f"looking for effects in addition to {best.id}", 0.5 + 0.1 * len(best.names))
         known = best.gap < _SHAPE * nominal.gap
         company = [
@@ -127,7 +126,7 @@ def _chosen(
     Where a model has drifted away from the plant, scores of whole runs say little. The former are also returned by
     name.
     """
-    early = {s.effect: s for s in _promising(score_early(subject, fitted)) if s.drop > _SEEN**2}
+    early = {s.effect: s for s in _promising(score_early(subject, fitted)) if s.drop > SEEN**2}
     by_name = {s.effect: s for s in whole}
     names = list(early)[:first]
     order = dict.fromkeys([*names, *by_name])
@@ -170,7 +169,7 @@ def _same_place(subject: Subject, after: Fitted, signatures: Sequence[Mapping[st
     parameter acts wherever its component does. A lag, delay or drift of a signal is always a separate effect.
     """
     ports = {e.id: e.port for e in subject.effects}
-    (newest,) = (e for e in subject.effects if e.id == after.effects[-1])
+    newest = subject.by_id[after.effects[-1]]
     if any(u.name.rpartition(".")[2] in _OF_TIME for u in newest.unknowns):
         return False
     new, before = newest.port, {ports[name] for name in after.effects[:-1]}
@@ -224,7 +223,7 @@ def _further(
 
 def finished(subject: Subject, best: Fitted, scores: Sequence[Score], noise: NoiseDraws) -> bool:
     """Return whether the remaining gap of `best` is irrelevant or within the noise."""
-    return best.gap <= decide.GAP_THAT_MATTERS or _further(subject, best, scores, noise)[1]
+    return best.gap <= GAP_THAT_MATTERS or _further(subject, best, scores, noise)[1]
 
 
 def _added(
@@ -308,9 +307,7 @@ def _pruned(subject: Subject, best: Fitted, candidates: list[Fitted]) -> Fitted:
     while len(best.names) > 1 and best.effects == best.names:
         simpler = [without(subject, best, name) for name in best.names]
         enough = [
-            s
-            for s in simpler
-            if s is not None and (s.gap <= decide.GAP_THAT_MATTERS or not decide.worth_adding(s, best))
+            s for s in simpler if s is not None and (s.gap <= GAP_THAT_MATTERS or not decide.worth_adding(s, best))
         ]
         if not enough:
             break

@@ -132,9 +132,10 @@ def refit(
         raise failure
     found.sort(key=lambda end: end[0])
     if tangents is not None:  # at a kink, where exact slopes end, those of a plausible step may continue
-        for cost, x, converged in campaign.apart([end for end in found if end[0] <= about(found[0][0])]):
+        for cost, x, _ in campaign.apart([end for end in found if end[0] <= about(found[0][0])]):
             further = _search(campaign, x, max_iterations, tolerance, "near")
-            found.append(further if further[0] < cost - max(_ENOUGH, tolerance * cost) else (cost, x, converged))
+            if further[0] < cost - max(_ENOUGH, tolerance * cost):
+                found.append(further)
     end = min(found, key=lambda end: end[0])
     if len(unknowns) and campaign.promised(end[1]) > max(_ENOUGH, tolerance * end[0]):
         across = _search(campaign, end[1], max_iterations, tolerance, "wide")

@@ -22,7 +22,7 @@ from fmuid.diagnosis.refit import Predict, Refit
 
 _NEARLY = 0.98  # correlation of signatures above which effects are compared again at matched sizes
 _COMPARED = 3  # number of the most similar ones compared
-_SEEN = 5.0  # standard deviations: smaller effects would not be named
+SEEN = 5.0  # standard deviations: smaller effects would not be named
 _OVERSHOOT = 2.0  # response over the residual from which a trial is scaled down: laws and plants are not linear
 _SCALED = 4  # times
 
@@ -140,7 +140,7 @@ def without_aliases(
     """Return the scores without indistinguishable effects, which move to `same` of the effect that remains.
 
     Two effects are the same if the data would prefer one to the other by less than a standard deviation: the sine
-    of the angle between their signatures, times what the better-scored of them explains (at least `_SEEN` standard
+    of the angle between their signatures, times what the better-scored of them explains (at least `SEEN` standard
     deviations). Trials differ in size, and laws are seldom linear, so effects that are nearly alike are compared
     once more at sizes that move the predictions equally. Among equals, the more usual effect remains, then the one
     with fewer parameters, then a deviating parameter value, then the first.
@@ -176,7 +176,7 @@ def _cosine(a: Score, b: Score) -> float:
 
 
 def _equal(a: Score, b: Score, matched: Score | None) -> bool:
-    explained = max(np.sqrt(a.drop), np.sqrt(b.drop), _SEEN)
+    explained = max(np.sqrt(a.drop), np.sqrt(b.drop), SEEN)
     cosine = max(abs(_cosine(a, b)), 0.0 if matched is None else abs(_cosine(a, matched)))
     return bool(explained * np.sqrt(max(0.0, 1.0 - cosine**2)) < 1.0)
 

@@ -53,6 +53,16 @@ class Subject:
     findings: tuple[str, ...] = ()
     outliers: tuple[LeftOut, ...] = ()
 
+    @property
+    def by_id(self) -> Mapping[str, Effect]:
+        """The effects to consider, by id."""
+        return {e.id: e for e in self.effects}
+
+    @property
+    def starts(self) -> Mapping[str, float]:
+        """Start values of the nominal parameters."""
+        return {u.name: u.start for u in self.nominal}
+
 
 def subject_of(
     campaign: Campaign,

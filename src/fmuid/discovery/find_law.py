@@ -14,13 +14,13 @@ from fmuid.core.campaign import ModelSpec
 from fmuid.core.errors import SimulationError
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
-from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects
+from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, without
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import advantage, closure, closure_interval
 from fmuid.diagnosis.diagnose import Found
 from fmuid.diagnosis.entry import likelier
 from fmuid.diagnosis.null_distribution import NoiseDraws, draw_noise
-from fmuid.diagnosis.observed import excess
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess
 from fmuid.diagnosis.scores import nominal_basis
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Closure, Curve, LawFound, LawParameter
@@ -197,11 +197,10 @@ class _Search:
         effects = [law.effect(f"tried{k + 1}@{law.spot.port.name}", "a law") for k, law in enumerate(laws)]
         subject = with_laws(self.found.subject, self.models, self.load, effects, self.base.effects)
         beside = [e for e in subject.effects if e.id in self.base.effects]
-        unbent = {u.name: u.start for u in subject.nominal}
         found = []
         for new, effect, start in zip(laws, effects, starts, strict=True):
             fitted = fit_effects(
-                subject, [*beside, effect], [start, {**start, **unbent}] if law is None else [start]
+                subject, [*beside, effect], [start, {**start, **subject.starts}] if law is None else [start]
             )
             if fitted is not None and not decide.strained(fitted, [effect]):
                 found.append(Candidate(new, effect, subject, fitted))
@@ -227,7 +226,7 @@ class _Search:
 
     def finished(self, law: Candidate) -> bool:
         """Return whether a law leaves nothing that matters, or no more than noise."""
-        return law.fitted.gap <= decide.GAP_THAT_MATTERS or self.p_value(law) >= decide.SIGNIFICANCE
+        return law.fitted.gap <= GAP_THAT_MATTERS or self.p_value(law) >= decide.SIGNIFICANCE
 
     def refused(self, law: Candidate) -> str:
         """Return why the best law is refused, or nothing if it holds."""
@@ -246,12 +245,11 @@ class _Search:
 
     def pruned(self, law: Candidate) -> Candidate:
         """Leave out the effects beside a law that it has made unnecessary."""
-        by_id, fitted = {e.id: e for e in law.subject.effects}, law.fitted
+        fitted = law.fitted
         for name in law.fitted.effects[:-1]:
-            rest = [by_id[n] for n in fitted.effects if n != name]
-            simpler = fit_effects(law.subject, rest, [fitted.fit.values])
+            simpler = without(law.subject, fitted, name)
             if simpler is not None and (
-                simpler.gap <= decide.GAP_THAT_MATTERS or not decide.worth_adding(simpler, fitted)
+                simpler.gap <= GAP_THAT_MATTERS or not decide.worth_adding(simpler, fitted)
             ):
                 fitted = simpler
         return replace(law, fitted=fitted)
