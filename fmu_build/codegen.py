@@ -10,7 +10,8 @@ import casadi as ca
 
 from fmu_build.c_code import c_code, lengths, wrapped
 from fmu_build.elimination import plan
-from fmu_build.graph import SX, Gradient, Graph, Substitution, key
+from fmu_build.graph import SX, Gradient, Graph, Substitution, is_number, key
+from fmu_build.straight import GROWTH, is_short, straight_code
 
 Functions = dict[str, ca.Function]
 PARAMETERS = 3  # position of p among the arguments that most functions share
@@ -70,6 +71,10 @@ def column(items: Sequence[SX]) -> SX:
     return ca.vertcat(*items) if items else SX(0, 1)
 
 
+def _values(slopes: Sequence[Slope]) -> SX:
+    return column([slope for *_, slope in slopes])
+
+
 def sparse(rows: Sequence[Gradient], symbols: Sequence[SX], diagonal: int = 0) -> SX:
     """Jacobian with the given gradients as rows: entries that may be nonzero, and the first `diagonal` ones."""
     place = {key(symbol): j for j, symbol in enumerate(symbols)}
@@ -81,36 +86,61 @@ def sparse(rows: Sequence[Gradient], symbols: Sequence[SX], diagonal: int = 0) -
     return SX(pattern, column([entries[at] for at in order]))
 
 
-def parameter_slopes(graph: Graph, ports: Ports, e: Expressions) -> tuple[list[Slope], list[Slope]]:
-    """Nonzero partial derivatives of [dx; r] by [p; d; z = pz]: by scalars, and by elements of tables."""
-    scalars: list[Slope] = []
-    elements: list[Slope] = []
-    parameters = [*ports.p, *ports.d]
-    places = {key(symbol): (j, symbol.name().endswith("]")) for j, symbol in enumerate(parameters)}
-    held = {
-        key(symbol): j
-        for j, pair in enumerate(zip(ports.z, ports.pz, strict=True), len(parameters))
-        for symbol in pair
-    }
-    for i, row in enumerate(map(graph.gradient, [*e.dx, *e.residuals])):
-        for j, k in sorted((places[k][0], k) for k in row if k in places):
-            (elements if places[k][1] else scalars).append((i, j, row[k]))
-        by_held: dict[int, list[SX]] = {}
-        for j, k in sorted((held[k], k) for k in row if k in held):
-            by_held.setdefault(j, []).append(row[k])
-        scalars += [(i, j, sum(found[1:], found[0])) for j, found in by_held.items()]
-    return scalars, elements
+@dataclass(frozen=True)
+class Slopes:
+    """Nonzero partial derivatives, by where they are needed.
+
+    Attributes
+    ----------
+    scalars, elements
+        Of [dx; r] by [p; d; z = pz]: by scalars, and by elements of tables.
+    outputs, constants
+        Of v by [x; y; p; d; z = pz]: of outputs, and of other variables whose derivatives are all constant.
+    linear
+        Which entries of v are such other variables.
+    """
+
+    scalars: Sequence[Slope]
+    elements: Sequence[Slope]
+    outputs: Sequence[Slope]
+    constants: Sequence[Slope]
+    linear: Sequence[bool]
 
 
-def slope_places(
-    graph: Graph, ports: Ports, e: Expressions
-) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-    """Rows and columns of the entries that `parameter_slopes` lists."""
-    scalars, elements = parameter_slopes(graph, ports, e)
-    return [(i, j) for i, j, _ in scalars], [(i, j) for i, j, _ in elements]
+def slopes_of(graph: Graph, ports: Ports, e: Expressions) -> Slopes:
+    """Return the partial derivatives that sensitivities follow from."""
+    unknowns, parameters = [*ports.x, *ports.y], [*ports.p, *ports.d]
+    elements = {i for i, symbol in enumerate(parameters) if symbol.name().endswith("]")}
+    by_parameter = _slopes(graph, ports, [*e.dx, *e.residuals], parameters)
+    of_variables = _slopes(graph, ports, e.v, [*unknowns, *parameters])
+    linear = [
+        not shown and all(map(is_number, graph.gradient(v).values()))
+        for v, shown in zip(e.v, e.outputs, strict=True)
+    ]
+    return Slopes(
+        [slope for slope in by_parameter if slope[1] not in elements],
+        [slope for slope in by_parameter if slope[1] in elements],
+        [slope for slope in of_variables if e.outputs[slope[0]]],
+        [slope for slope in of_variables if linear[slope[0]]],
+        linear,
+    )
 
 
-def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
+def _slopes(graph: Graph, ports: Ports, results: Sequence[SX], symbols: Sequence[SX]) -> list[Slope]:
+    """Nonzero partial derivatives by the symbols, followed by z together with its pre-values."""
+    places = {key(symbol): j for j, symbol in enumerate(symbols)}
+    for j, pair in enumerate(zip(ports.z, ports.pz, strict=True), len(symbols)):
+        places |= {key(symbol): j for symbol in pair}
+    found = []
+    for i, row in enumerate(map(graph.gradient, results)):
+        by_place: dict[int, list[SX]] = {}
+        for j, k in sorted((places[k], k) for k in row if k in places):
+            by_place.setdefault(j, []).append(row[k])
+        found += [(i, j, sum(own[1:], own[0])) for j, own in by_place.items()]
+    return found
+
+
+def make_functions(graph: Graph, ports: Ports, e: Expressions, by: Slopes) -> Functions:
     """Build the functions of the interface, with common subexpressions shared."""
     environment = ports.environment()
     out: Functions = {}
@@ -135,9 +165,9 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
     by_time = column([row.get(key(ports.t), SX(0.0)) for row in slopes])
     add("jacobian", environment, [column(e.dx), by_unknown, by_time])
     add("loop", environment, [column(e.residuals), sparse(slopes[n_x:], ports.y), by_time[n_x:]])
-    scalars, elements = (column([slope for _, _, slope in own]) for own in parameter_slopes(graph, ports, e))
-    add("slopes", environment, [by_unknown, scalars])
-    add("element_slopes", environment, [elements])
+    add("slopes", environment, [by_unknown, _values(by.scalars)])
+    add("element_slopes", environment, [_values(by.elements)])
+    add("output_slopes", environment, [_values(by.outputs)])
     add("variables", environment, [column(e.v)])
     vectors = {"x": ports.x, "u": ports.u, "p": ports.p, "d": ports.d, "y": ports.y, "xs": e.xs}
     vectors |= {"z": ports.z, "pz": ports.pz, "t": [ports.t]}
@@ -152,8 +182,6 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions) -> Functions:
 
     add_partials("partials", environment, "x u p d y" + discrete, e.dx)
     add_partials("variable_partials", environment, "x u p d y" + discrete, e.v)
-    outputs = [v if is_output else SX(0.0) for v, is_output in zip(e.v, e.outputs, strict=True)]
-    add_partials("output_partials", environment, "x u p d y" + discrete, outputs)
     add_partials("loop_partials", environment, "x u p d" + discrete, e.residuals)
     add_partials("dependent_partials", [column(ports.p)], "p", e.dependent)
     add_partials("start_partials", [column(ports.p), column(ports.d)], "p d", [*e.x_start, *e.z_start])
@@ -187,7 +215,7 @@ class Header:
     shown
         Where the values in the text of each assertion begin, and their total number.
     slopes
-        Rows and columns of the entries by scalars and by elements (see `parameter_slopes`).
+        Places of the entries, and those that are constant.
     outputs
         Which entries of v are outputs.
     """
@@ -199,7 +227,7 @@ class Header:
     groups: Sequence[int]
     asserts: Sequence[tuple[str, bool]]
     shown: Sequence[int]
-    slopes: tuple[Sequence[tuple[int, int]], Sequence[tuple[int, int]]]
+    slopes: Slopes
     outputs: Sequence[bool]
 
 
@@ -216,7 +244,7 @@ RARE = frozenset(
         "variable_partials",
         "dependent_partials",
     }
-    | {"start_partials", "initial_partials", "indicator_partials", "update_partials", "element_slopes"}
+    | {"start_partials", "initial_partials", "indicator_partials", "update_partials"}
 )
 # The same without algebraic loops, whose solutions sensitivities include.
 WITHOUT_LOOPS = frozenset({"partials", "loop_partials"})
@@ -239,14 +267,22 @@ def c_files(functions: Functions, header: Header) -> Files:
     lines = ["#ifndef MODEL_H", "#define MODEL_H", ""]
     lines += ["#ifndef casadi_int", "#define casadi_int long long int", "#endif", ""]
     lines += [f"#define MODEL_{name} {value}" for name, value in header.sizes.items()]
+    lines += [f"#define MODEL_GROWTH {GROWTH!r}"]
     lines += [f"#define MODEL_SZ_{kind} {n}" for kind, n in lengths([often, rare]).items()]
     matrices = {"J": functions["jacobian"], "R": functions["loop"], "I": functions["initial"]}
     tables = []
     for letter, function in matrices.items():
-        macros, definitions = _pattern(f"MODEL_{letter}", function.sparsity_out(1))
+        macros, definitions = _pattern(letter, function.sparsity_out(1), often=letter != "I")
         lines += macros
         tables += definitions
-    by_scalar, by_element = header.slopes
+    by = header.slopes
+    kinds = {
+        "SLOPE": by.scalars,
+        "ELEMENT": by.elements,
+        "OUTPUT_SLOPE": by.outputs,
+        "CONSTANT_SLOPE": by.constants,
+    }
+    places = {"SLOPE": [*by.scalars, *by.elements], "VARIABLE": [*by.outputs, *by.constants]}
     lines += [
         "",
         f"static const double MODEL_X_NOMINAL[] = {{{_numbers(header.x_nominal)}}};",
@@ -260,20 +296,28 @@ def c_files(functions: Functions, header: Header) -> Files:
         f"#define MODEL_NSHOWN {header.shown[-1]}",
         f"static const int MODEL_SHOWN[] = {{{_integers(header.shown)}}};",
         f"static const int MODEL_OUTPUT[] = {{{_integers(header.outputs)}}};",
-        f"#define MODEL_NSLOPE {len(by_scalar)}",
-        f"#define MODEL_NELEMENT {len(by_element)}",
-        f"static const int MODEL_SLOPE_ROW[] = {{{_integers(i for own in header.slopes for i, _ in own)}}};",
-        f"static const int MODEL_SLOPE_COLUMN[] = {{{_integers(j for own in header.slopes for _, j in own)}}};",
+        f"static const int MODEL_LINEAR[] = {{{_integers(by.linear)}}};",
+        f"static const double MODEL_CONSTANT[] = {{{_numbers([float(slope) for *_, slope in by.constants])}}};",
+        *(f"#define MODEL_N{kind} {len(own)}" for kind, own in kinds.items()),
+        *(
+            f"static const int MODEL_{kind}_ROW[] = {{{_integers(i for i, *_ in own)}}};"
+            for kind, own in places.items()
+        ),
+        *(
+            f"static const int MODEL_{kind}_COLUMN[] = {{{_integers(j for _, j, _ in own)}}};"
+            for kind, own in places.items()
+        ),
         "",
     ]
     signature = "(const double** arg, double** res, casadi_int* iw, double* w, int mem);"
     lines += [f"int model_{name}{signature}" for name in functions]
-    source = "\n".join([*tables, "", often.source])
+    source = "\n".join([often.source, *tables, ""])
     return Files(source, rare.source, "\n".join([*lines, "", "#endif", ""]))
 
 
-def _pattern(name: str, sparsity: ca.Sparsity) -> tuple[list[str], list[str]]:
-    """Macros and tables of a square sparse matrix and its elimination: see ``runtime/linear.h``."""
+def _pattern(letter: str, sparsity: ca.Sparsity, *, often: bool) -> tuple[list[str], list[str]]:
+    """Macros and definitions of a square sparse matrix and its elimination: see ``runtime/linear.h``."""
+    name = f"MODEL_{letter}"
     start, rows = list(sparsity.colind()), list(sparsity.row())
     n = sparsity.size2()
     order = plan([rows[start[j] : start[j + 1]] for j in range(n)])
@@ -281,9 +325,12 @@ def _pattern(name: str, sparsity: ca.Sparsity) -> tuple[list[str], list[str]]:
     # half.
     work = order.multiplications + 9 * len(order.rows)
     dense = 2 * work > n * n * n / 3 + 9 * n * n
+    straight = often and not dense and n > 0 and is_short(order)
     macros = {
         "N": n, "NONZEROS": len(rows), "DENSE": int(dense), "FILLED": len(order.rows),
         "FACTORS": n * n if dense else len(order.rows),
+        "FACTOR_CODE": f"model_{letter}_factor" if straight else "NULL",
+        "SOLVE_CODE": f"model_{letter}_solve" if straight else "NULL",
     }  # fmt: skip
     tables = {
         "START": start, "ROW": rows, "COLUMN": order.columns, "PLACE": order.places, "LU_START": order.start,
@@ -293,6 +340,10 @@ def _pattern(name: str, sparsity: ca.Sparsity) -> tuple[list[str], list[str]]:
     lines = [f"#define {name}_{what} {value}" for what, value in macros.items()]
     lines += [f"extern const int {name}_{what}[];" for what in tables]
     definitions = [f"const int {name}_{w}[] = {{{wrapped(map(str, t)) or '0'}}};" for w, t in tables.items()]
+    if straight:
+        lines += [f"int model_{letter}_factor(const double* a, double* lu);"]
+        lines += [f"void model_{letter}_solve(const double* lu, double* b);"]
+        definitions += [straight_code(f"model_{letter}", start, rows, order)]
     return lines, definitions
 
 

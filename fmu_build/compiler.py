@@ -263,7 +263,8 @@ def _generate(
         shown=continuous([system.rewrite(v) for a in equations.asserts for v in messages.values(a.message)]),
         outputs=outputs,
     )
-    functions = codegen.make_functions(scope.graph, ports, expressions)
+    slopes = codegen.slopes_of(scope.graph, ports, expressions)
+    functions = codegen.make_functions(scope.graph, ports, expressions, slopes)
     has_events = bool(ports.z or ports.m or scope.time_events or equations.whens)
     sizes = {
         "NX": len(ports.x), "NU": len(ports.u), "NP": len(ports.p), "ND": len(ports.d), "NZ": len(ports.z),
@@ -282,7 +283,7 @@ def _generate(
             events.relation_groups(system, happenings),
             texts,
             firsts,
-            codegen.slope_places(scope.graph, ports, expressions),
+            slopes,
             outputs,
         ),
     )

@@ -51,10 +51,14 @@ slopes              ENV                            J; the entries of [dx; r] by 
                                                    zero, for scalars (MODEL_NSLOPE); partial
 element_slopes      ENV                            the same for elements of arrays (MODEL_NELEMENT); where both are is in
                                                    MODEL_SLOPE_ROW[], MODEL_SLOPE_COLUMN[]
+output_slopes       ENV                            the entries of v by [x; y; p; d; z = pz] that may differ from zero,
+                                                   where v is an output (``MODEL_OUTPUT[i]`` is 1; MODEL_NOUTPUT_SLOPE);
+                                                   those of other variables are in MODEL_CONSTANT[] where all are
+                                                   constant (``MODEL_LINEAR[i]`` is 1); the places of both are in
+                                                   MODEL_VARIABLE_ROW[], MODEL_VARIABLE_COLUMN[]
 variables           ENV                            v (nv)
 partials            ENV, sx, su, sp, sd, sy [Z]    directional derivative of dx (nx); [Z]: if nz > 0 follow sz, spz
 variable_partials   ENV, sx, su, sp, sd, sy [Z]    directional derivative of v (nv)
-output_partials     ENV, sx, su, sp, sd, sy [Z]    the same where v is an output (``MODEL_OUTPUT[i]`` is 1), 0 elsewhere
 loop_partials       ENV, sx, su, sp, sd [Z]        directional derivative of r (ny) with y held: sy solves
                                                    dr/dy sy = - this
 dependent_partials  p, sp                          directional derivative of d (nd)
@@ -102,7 +106,7 @@ so that calling it again with pz = z fires nothing. At initialisation: z = pz = 
 ``terminate`` is 1, the simulation ends as the model asked.
 
 ``model.h`` also has ``MODEL_HAS_EVENTS``, ``MODEL_HAS_INITIAL``, ``static const double MODEL_X_NOMINAL[]``,
-``MODEL_Y_NOMINAL[]``, ``static const int MODEL_INCLUSIVE[]``, ``MODEL_SLOPE_ROW[]``, ``MODEL_SLOPE_COLUMN[]``, ``MODEL_OUTPUT[]``, ``static const char* const MODEL_ASSERT_MESSAGE[]`` (text
+``MODEL_Y_NOMINAL[]``, ``static const int MODEL_INCLUSIVE[]``, ``MODEL_OUTPUT[]``, the tables of slopes, ``static const char* const MODEL_ASSERT_MESSAGE[]`` (text
 and source line; a value is the form between two characters 1, see ``fmu_build/messages.py``), ``static const int MODEL_ASSERT_WARNING[]`` (1: warn and go on), each with at least one entry.
 """
 

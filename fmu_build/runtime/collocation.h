@@ -16,8 +16,9 @@ struct Sensitivity {
     int elements;     /* ... and, if elements of arrays do, how many derivatives by those there are */
     double *start;    /* NX rows of n: at the beginning of the last step */
     double *stages;   /* N times RADAU rows of n: of each unknown at the collocation points */
-    double *now;      /* NX rows of n: where they were asked for */
-    double *rest;     /* N times RADAU rows of n: work memory */
+    double *now;      /* NX rows of n: where the next step begins */
+    double *rest;     /* N times RADAU rows of n: work memory; of [x; y; dx] where they were asked for */
+    double *shown;    /* NV rows of n: of v where they were asked for */
     double from, to;  /* the piece of the last step that `stages` belong to ... */
     double smooth;    /* ... up to where f has no kink in it ... */
     int pieces;       /* ... and how many of it there were; 0: none is solved yet */

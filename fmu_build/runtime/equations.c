@@ -162,10 +162,7 @@ int second_derivatives(Instance *me, double t, const double *x, double *second) 
     for (int column = 0; column < NX; column++)
         for (int k = j.start[column]; k < j.start[column + 1]; k++) sum[j.row[k]] += me->jacobian[k] * me->f0[column];
     if (NY > 0) { /* y' */
-        if (solve_loop(me, t, x, me->ut)) return 1;
-        environment_at(me, &t, x, me->ut);
-        me->res[1] = me->drdy;
-        if (CALL(loop) || FACTORISE(R, me->drdy, &me->lu_loop)) return 1;
+        if (solve_loop(me, t, x, me->ut) || factorise_loop(me, t, x, me->ut)) return 1;
         SOLVE(R, &me->lu_loop, sum + NX);
         for (int column = NX; column < NX + NY; column++)
             for (int k = j.start[column]; k < j.start[column + 1]; k++)
@@ -201,20 +198,24 @@ int evaluate_variables(Instance *me) {
     return failed;
 }
 
+/* Where the algebraic loops are solved: the factors of dr/dy, and dr/dt. */
+int factorise_loop(Instance *me, double t, const double *x, const double *u) {
+    environment_at(me, &t, x, u);
+    me->res[1] = me->drdy;
+    me->res[2] = me->drdt;
+    return CALL(loop) || FACTORISE(R, me->drdy, &me->lu_loop);
+}
+
+void solve_linear_loop(Instance *me, double *b) { SOLVE(R, &me->lu_loop, b); }
+
 /* Derivatives of the algebraic loops' unknowns along a direction, into s->y; leaves y itself solved. */
 static int loops_along(Instance *me, double t, const double *x, const double *u, Direction *s) {
-    double r[LENGTH(NY)];
     if (NY == 0) return 0;
-    if (solve_loop(me, t, x, u)) return 1;
-    environment_at(me, &t, x, u);
-    me->res[0] = r;
-    me->res[1] = me->drdy;
-    if (s->t != 0.0) me->res[2] = me->drdt;
-    if (CALL(loop) || FACTORISE(R, me->drdy, &me->lu_loop)) return 1;
+    if (solve_loop(me, t, x, u) || factorise_loop(me, t, x, u)) return 1;
     loop_environment_along(me, &t, x, u, s);
     me->res[0] = s->y;
     if (CALL(loop_partials)) return 1;
-    for (int i = 0; i < NY; i++) s->y[i] = -(s->t != 0.0 ? s->y[i] + s->t * me->drdt[i] : s->y[i]);
+    for (int i = 0; i < NY; i++) s->y[i] = -(s->t != 0.0 ? s->y[i] + s->t * me->drdt[i] : s->y[i]); /* no 0 * inf */
     SOLVE(R, &me->lu_loop, s->y);
     return 0;
 }
@@ -245,11 +246,11 @@ int derivatives_along(Instance *me, double t, const double *x, const double *u, 
     return CALL(partials);
 }
 
-/* The same of v, or of its outputs alone, into s->v; s->y is that of `derivatives_along` at the same point. */
-int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s, int outputs) {
+/* The same of v, into s->v; s->y is that of `derivatives_along` at the same point. */
+int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s) {
     environment_along(me, &t, x, u, s, 9);
     me->res[0] = s->v;
-    return outputs ? CALL(output_partials) : CALL(variable_partials);
+    return CALL(variable_partials);
 }
 
 /* Appends `more` to a text with room for n characters. */

@@ -115,13 +115,15 @@ typedef struct {
 #define PATTERN(m)                                                                                                 \
     {MODEL_##m##_N, MODEL_##m##_DENSE, MODEL_##m##_NONZEROS, MODEL_##m##_FACTORS, MODEL_##m##_START,               \
      MODEL_##m##_ROW, MODEL_##m##_COLUMN, MODEL_##m##_PLACE, MODEL_##m##_LU_START, MODEL_##m##_LU_DIAGONAL,        \
-     MODEL_##m##_LU_ROW}
+     MODEL_##m##_LU_ROW, MODEL_GROWTH, MODEL_##m##_FACTOR_CODE, MODEL_##m##_SOLVE_CODE}
 #define FACTORISE(m, a, f) factorise(MODEL_##m##_N, MODEL_##m##_DENSE, &PATTERN_##m, a, f)
 #define SOLVE(m, f, b) solve(MODEL_##m##_N, MODEL_##m##_DENSE, &PATTERN_##m, f, b)
 
 /* equations.c: evaluation of the generated functions */
 const double **environment_at(Instance *me, const double *t, const double *x, const double *u);
 int solve_loop(Instance *me, double t, const double *x, const double *u);
+int factorise_loop(Instance *me, double t, const double *x, const double *u);
+void solve_linear_loop(Instance *me, double *b);
 int right_hand_side(Instance *me, double t, const double *x, double *dx);
 int linearise(Instance *me, double t, const double *x);
 int second_derivatives(Instance *me, double t, const double *x, double *second);
@@ -129,7 +131,7 @@ void input_at(Instance *me, double t);
 int evaluate_derivatives(Instance *me);
 int evaluate_variables(Instance *me);
 int derivatives_along(Instance *me, double t, const double *x, const double *u, Direction *s);
-int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s, int outputs);
+int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s);
 int indicators_along(Instance *me, double t, const double *x, const double *u, Direction *s, double *g);
 int update_along(Instance *me, double initial, Direction *s, double *updated);
 Status check_assertions(Instance *me);
@@ -168,9 +170,7 @@ Status set_value(Instance *me, unsigned reference, VariableType type, double val
 Status set_input_slope(Instance *me, unsigned reference, double slope);
 Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t n_unknown, const unsigned *known,
                                   size_t n_known, const double *seed, double *sensitivity);
-Status pick_derivative(Instance *me, unsigned reference, const Direction *s, double *value);
-int is_slope(unsigned reference);
-int is_hidden(unsigned reference);
+const VariableEntry *differentiable(const Instance *me, unsigned reference);
 int parameter_direction(unsigned reference, Direction *s, double *start);
 Status set_experiment(Instance *me, int tolerance_defined, double tolerance, double start, int stop_defined,
                       double stop);

@@ -3,15 +3,12 @@
 
 #include "linear.h"
 
-/* By how much an entry may outgrow the largest one of its row: the digits that a solution may lose. */
-static const double GROWTH = 1e5;
-
 static int planned_factor(const Pattern *p, const double *a, Factors *f) {
     const int n = p->n;
     double *restrict x = f->work, *restrict bound = f->work + n, *restrict lu = f->value;
     for (int i = 0; i < n; i++) bound[i] = 0.0;
     for (int k = 0; k < p->nonzeros; k++) {
-        const double size = GROWTH * fabs(a[k]);
+        const double size = p->growth * fabs(a[k]);
         double *b = &bound[p->place[p->row[k]]];
         if (size > *b) *b = size;
     }
@@ -43,7 +40,7 @@ static int planned_factor(const Pattern *p, const double *a, Factors *f) {
 }
 
 int sparse_factor(const Pattern *p, const double *a, Factors *f) {
-    f->use_other = planned_factor(p, a, f);
+    f->use_other = p->factor ? p->factor(a, f->value) : planned_factor(p, a, f);
     return f->use_other && pivoted_factor(p->n, p->start, p->row, p->column, a, &f->other);
 }
 
@@ -53,6 +50,10 @@ void sparse_solve(const Pattern *p, const Factors *f, double *b) {
     const double *restrict lu = f->value;
     if (f->use_other) {
         pivoted_solve(n, p->column, f->other, y, b);
+        return;
+    }
+    if (p->solve) {
+        p->solve(lu, b);
         return;
     }
     for (int i = 0; i < n; i++) y[p->place[i]] = b[i];

@@ -15,6 +15,9 @@ typedef struct {
     const int *start, *row;    /* the matrix column by column */
     const int *column, *place; /* column eliminated in each step; for each row the step in which it is the pivot row */
     const int *lu_start, *lu_diagonal, *lu_row; /* the factors column by column, in steps */
+    double growth; /* by how much an entry may outgrow the largest of its row */
+    int (*factor)(const double *, double *); /* the same without tables, for a small matrix; else NULL */
+    void (*solve)(const double *, double *);
 } Pattern;
 
 /* L and U of a factorisation that chose its pivots: columns in steps, rows of L as in the matrix. */

@@ -16,28 +16,35 @@
 static const double RADAU_NODE[RADAU] = {0.1550510257216822, 0.6449489742783178, 1.0};
 static const double W_SUM[RADAU] = {4.139387691339814, -1.7393876913398136, 3.0};
 
-/* The entries of J, and the derivatives of [f; r] along the directions, into the rows of stage i. */
-static int slopes_at(Instance *me, double t, const double *x, double h, int i, double *jacobian, double *rows) {
+/* The entries of J, and of the derivatives of [f; r] by what the parameters move. */
+static int slopes_at(Instance *me, double t, const double *x, const double *u, double *jacobian, double *by_moved) {
+    if (solve_loop(me, t, x, u)) return 1;
+    environment_at(me, &t, x, u);
+    me->res[0] = jacobian;
+    me->res[1] = by_moved;
+    if (model_slopes(me->arg, me->res, me->iw, me->w, 0)) return 1;
+    if (!me->sensitivity->elements) return 0;
+    environment_at(me, &t, x, u);
+    me->res[0] = by_moved + MODEL_NSLOPE;
+    return model_element_slopes(me->arg, me->res, me->iw, me->w, 0);
+}
+
+/* to += a * row for all directions */
+static inline void add_row(size_t n, double a, const double *restrict row, double *restrict to) {
+    for (size_t p = 0; p < n; p++) to[p] += a * row[p];
+}
+
+/* The entries of J at collocation point i, and the derivatives of [f; r] along the directions, into its rows. */
+static int stage_slopes(Instance *me, double t, const double *x, double h, int i, double *jacobian, double *rows) {
     struct Sensitivity *q = me->sensitivity;
-    double by_parameter[LENGTH(MODEL_NSLOPE + MODEL_NELEMENT)];
+    double by_moved[LENGTH(MODEL_NSLOPE + MODEL_NELEMENT)];
     const size_t n = q->n;
     input_at(me, t);
-    if (solve_loop(me, t, x, me->ut)) return 1;
-    environment_at(me, &t, x, me->ut);
-    me->res[0] = jacobian;
-    me->res[1] = by_parameter;
-    if (model_slopes(me->arg, me->res, me->iw, me->w, 0)) return 1;
-    if (q->elements) {
-        environment_at(me, &t, x, me->ut);
-        me->res[0] = by_parameter + MODEL_NSLOPE;
-        if (model_element_slopes(me->arg, me->res, me->iw, me->w, 0)) return 1;
-    }
+    if (slopes_at(me, t, x, me->ut, jacobian, by_moved)) return 1;
     for (int k = 0; k < MODEL_NSLOPE + q->elements; k++) {
         const int column = MODEL_SLOPE_COLUMN[k], row = MODEL_SLOPE_ROW[k];
         double *target = rows + ((size_t)MODEL_J_PLACE[row] * RADAU + i) * n;
-        const double slope = row_factor(row, h) * by_parameter[k];
-        if (q->moved[column])
-            for (size_t p = 0; p < n; p++) target[p] += slope * q->moves[column * n + p];
+        if (q->moved[column]) add_row(n, row_factor(row, h) * by_moved[k], q->moves + column * n, target);
     }
     return 0;
 }
@@ -70,14 +77,13 @@ static inline int invert(const double *restrict a, double *restrict inverse) {
 /* Factorises the collocation matrix of blocks -h diag(J_1, J_2, J_3), plus W on the diagonal of the states, with the
  * planned pivots; 1: an entry has grown out of proportion to its row. */
 static int planned_blocks(struct Sensitivity *q, double h, double (*jacobian)[LENGTH(MODEL_J_NONZEROS)]) {
-    static const double GROWTH = 1e5;
     const Pattern *p = &PATTERN_BLOCKS;
     double *restrict x = q->work, *restrict bound = x + BLOCK * N, *restrict lu = q->factors;
     int grown = 0;
-    for (int i = 0; i < N; i++) bound[p->place[i]] = i < NX ? GROWTH : 0.0;
+    for (int i = 0; i < N; i++) bound[p->place[i]] = i < NX ? p->growth : 0.0;
     for (int k = 0; k < MODEL_J_NONZEROS; k++) {
         double *b = &bound[p->place[p->row[k]]];
-        for (int i = 0; i < RADAU; i++) *b = fmax(*b, GROWTH * fabs(row_factor(p->row[k], h) * jacobian[i][k]));
+        for (int i = 0; i < RADAU; i++) *b = fmax(*b, p->growth * fabs(row_factor(p->row[k], h) * jacobian[i][k]));
     }
     for (int k = 0; k < N; k++) {
         const int column = p->column[k], diagonal = MODEL_J_LU_DIAGONAL[k], end = MODEL_J_LU_START[k + 1];
@@ -160,7 +166,7 @@ static Status solve_piece(Instance *me) {
     for (int i = 0; i < RADAU && !failed; i++) {
         const double t = fmin(q->from + RADAU_NODE[i] * h, q->smooth); /* not with the Jacobian behind a kink */
         dense_output(step, t, x);
-        failed = slopes_at(me, t, x, h, i, jacobian[i], q->rest);
+        failed = stage_slopes(me, t, x, h, i, jacobian[i], q->rest);
     }
     q->use_other = !failed && planned_blocks(q, h, jacobian);
     if (q->use_other) failed = pivoted_blocks(q, h, jacobian) || solve_pivoted(q, q->rest, q->stages);
@@ -233,33 +239,114 @@ Status advance_sensitivities(Instance *me, double t, int restart) {
     return status;
 }
 
+/* At the present point: the derivatives of y and dx, behind those of x in q->rest. */
+static int follow_system(Instance *me) {
+    struct Sensitivity *q = me->sensitivity;
+    const State *now = &me->s;
+    const Pattern *p = &PATTERN_BLOCKS;
+    const size_t n = q->n;
+    double jacobian[LENGTH(MODEL_J_NONZEROS)], by_moved[LENGTH(MODEL_NSLOPE + MODEL_NELEMENT)], b[LENGTH(NY)];
+    double *y = q->rest + NX * n, *dx = y + NY * n;
+    memset(y, 0, (NY + NX) * n * sizeof *y);
+    if (slopes_at(me, now->t, now->x, now->u, jacobian, by_moved)) return 1;
+#define TARGET(row) ((row) < NX ? dx + (row) * n : y + ((row) - NX) * n)
+    for (int k = 0; k < MODEL_NSLOPE + q->elements; k++) {
+        const int column = MODEL_SLOPE_COLUMN[k], row = MODEL_SLOPE_ROW[k];
+        if (q->moved[column]) add_row(n, by_moved[k], q->moves + column * n, TARGET(row));
+    }
+    for (int column = 0; column < NX; column++)
+        for (int k = p->start[column]; k < p->start[column + 1]; k++)
+            add_row(n, jacobian[k], q->rest + column * n, TARGET(p->row[k]));
+#undef TARGET
+    if (NY == 0) return 0;
+    if (factorise_loop(me, now->t, now->x, now->u)) return 1;
+    for (size_t j = 0; j < n; j++) {
+        for (int i = 0; i < NY; i++) b[i] = -y[i * n + j];
+        solve_linear_loop(me, b);
+        for (int i = 0; i < NY; i++) y[i * n + j] = b[i];
+    }
+    for (int column = NX; column < N; column++)
+        for (int k = p->start[column]; k < p->start[column + 1]; k++)
+            if (p->row[k] < NX) add_row(n, jacobian[k], q->rest + column * n, dx + p->row[k] * n);
+    return 0;
+}
+
+/* The same of v into q->shown: of outputs, and of what depends on the unknowns linearly. */
+static int follow_variables(Instance *me) {
+    struct Sensitivity *q = me->sensitivity;
+    const State *now = &me->s;
+    const size_t n = q->n;
+    double computed[LENGTH(MODEL_NOUTPUT_SLOPE)];
+    environment_at(me, &now->t, now->x, now->u);
+    me->res[0] = computed;
+    if (model_output_slopes(me->arg, me->res, me->iw, me->w, 0)) return 1;
+    memset(q->shown, 0, NV * n * sizeof *q->shown);
+    for (int k = 0; k < MODEL_NOUTPUT_SLOPE + MODEL_NCONSTANT_SLOPE; k++) {
+        const int column = MODEL_VARIABLE_COLUMN[k], moved = column - N;
+        const double slope = k < MODEL_NOUTPUT_SLOPE ? computed[k] : MODEL_CONSTANT[k - MODEL_NOUTPUT_SLOPE];
+        const double *row = moved < 0 ? q->rest + column * n : q->moves + moved * n;
+        if (moved < 0 || q->moved[moved]) add_row(n, slope, row, q->shown + MODEL_VARIABLE_ROW[k] * n);
+    }
+    return 0;
+}
+
+/* The same of all v: one direction after the other. */
+static int follow_all_variables(Instance *me) {
+    struct Sensitivity *q = me->sensitivity;
+    const State *now = &me->s;
+    const size_t n = q->n;
+    for (size_t j = 0; j < n; j++) {
+        Direction *s = &q->along[j];
+        for (int i = 0; i < NX; i++) s->x[i] = q->rest[i * n + j];
+        for (int i = 0; i < NY; i++) s->y[i] = q->rest[(NX + i) * n + j];
+        if (variables_along(me, now->t, now->x, now->u, s)) return 1;
+        for (int i = 0; i < NV; i++) q->shown[i * n + j] = s->v[i];
+    }
+    return 0;
+}
+
+/* The derivatives of an entry of a vector; NULL: zeros. */
+static const double *row_of(const struct Sensitivity *q, Vector vector, int index) {
+    switch (vector) {
+    case VECTOR_X: return q->rest + index * q->n;
+    case VECTOR_Y: return q->rest + (NX + index) * q->n;
+    case VECTOR_DX: return q->rest + (N + index) * q->n;
+    case VECTOR_V: return q->shown + index * q->n;
+    case VECTOR_P: return q->moves + index * q->n;
+    case VECTOR_D: return q->moves + (NP + index) * q->n;
+    case VECTOR_Z: return q->moves + (NP + ND + index) * q->n;
+    default: return NULL;
+    }
+}
+
 int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, double *values) {
     Instance *me = instance;
     if (!me) return STATUS_ERROR;
     struct Sensitivity *q = me->sensitivity;
     if (!q || q->n == 0 || me->s.phase != PHASE_STEP)
         return report(me, STATUS_ERROR, "no sensitivities were chosen before the simulation, or it has not started");
-    Status status = evaluate(me, me->s.t, q->now);
-    const State *now = &me->s;
-    double y[LENGTH(NY)], kept[LENGTH(NM)];
-    memcpy(y, now->y, sizeof y);
-    if (relations_for_input(me, kept)) status = STATUS_ERROR;
-    int slopes = NY > 0; /* derivatives of dx are seldom asked for, but bring those of loops */
-    int outputs = 1;   /* what a run is compared by is cheaper than all that the model computes */
+    int system = NY > 0, shown = 0, all = 0;
     for (size_t i = 0; i < n; i++) {
-        slopes |= is_slope(variables[i]);
-        outputs &= !is_hidden(variables[i]);
+        const VariableEntry *entry = differentiable(me, variables[i]);
+        if (!entry) return STATUS_ERROR;
+        system |= entry->vector == VECTOR_DX;
+        shown |= entry->vector == VECTOR_V;
+        all |= entry->vector == VECTOR_V && !MODEL_OUTPUT[entry->index] && !MODEL_LINEAR[entry->index];
     }
-    for (size_t j = 0; j < q->n && status <= STATUS_WARNING; j++) {
-        Direction *s = &q->along[j];
-        for (int row = 0; row < NX; row++) s->x[row] = q->now[row * q->n + j];
-        if ((slopes && derivatives_along(me, now->t, now->x, now->u, s)) ||
-            variables_along(me, now->t, now->x, now->u, s, outputs))
-            status = report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", now->t);
-        for (size_t i = 0; i < n && status <= STATUS_WARNING; i++)
-            status = pick_derivative(me, variables[i], s, &values[i * q->n + j]);
-    }
+    const Status status = evaluate(me, me->s.t, q->rest);
+    if (status > STATUS_WARNING) return status;
+    double y[LENGTH(NY)], kept[LENGTH(NM)];
+    memcpy(y, me->s.y, sizeof y);
+    int failed = relations_for_input(me, kept);
+    failed = failed || (system && follow_system(me));
+    failed = failed || (shown && (all ? follow_all_variables(me) : follow_variables(me)));
     memcpy(me->s.y, y, sizeof y);
     memcpy(me->s.m, kept, sizeof kept);
+    if (failed) return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", me->s.t);
+    for (size_t i = 0; i < n; i++) {
+        const VariableEntry *entry = differentiable(me, variables[i]);
+        const double *row = row_of(q, entry->vector, entry->index);
+        for (size_t j = 0; j < q->n; j++) values[i * q->n + j] = row ? entry->sign * row[j] : 0.0;
+    }
     return status;
 }

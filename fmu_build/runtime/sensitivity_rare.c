@@ -173,7 +173,7 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
         q->parameters = malloc(LENGTH(n_parameters) * sizeof *parameters);
         q->weights = malloc(LENGTH(n * n_parameters) * sizeof *weights);
         q->along = calloc(n, sizeof *q->along);
-        q->moves = calloc(n * LENGTH(NP + ND + NZ + 2 * NX + 2 * RADAU * N), sizeof(double));
+        q->moves = calloc(n * LENGTH(NP + ND + NZ + 2 * NX + 2 * RADAU * N + NV), sizeof(double));
     }
     if (!q || !q->parameters || !q->weights || !q->along || !q->moves) {
         free_sensitivities(me);
@@ -183,6 +183,7 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
     q->stages = q->start + NX * n;
     q->now = q->stages + RADAU * N * n;
     q->rest = q->now + NX * n;
+    q->shown = q->rest + RADAU * N * n;
     memcpy(q->parameters, parameters, n_parameters * sizeof *parameters);
     memcpy(q->weights, weights, n * n_parameters * sizeof *weights);
     q->n_parameters = n_parameters;

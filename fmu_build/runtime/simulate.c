@@ -252,34 +252,27 @@ Status do_step(Instance *me, double t, double h) {
     return check_assertions(me);
 }
 
-/* The derivative of one variable, from those of the vectors. */
-Status pick_derivative(Instance *me, unsigned reference, const Direction *s, double *value) {
+/* A real variable that has a derivative; NULL with a message. */
+const VariableEntry *differentiable(const Instance *me, unsigned reference) {
     const VariableEntry *entry = entry_of(me, reference, TYPE_REAL);
-    if (!entry) return STATUS_ERROR;
-    const double *vector = NULL;
-    switch (entry->vector) {
-    case VECTOR_X: vector = s->x; break;
-    case VECTOR_U: vector = s->u; break;
-    case VECTOR_P: vector = s->p; break;
-    case VECTOR_D: vector = s->d; break;
-    case VECTOR_Z: vector = s->z; break;
-    case VECTOR_Y: vector = s->y; break;
-    case VECTOR_DX: vector = s->dx; break;
-    case VECTOR_V: vector = s->v; break;
-    case VECTOR_G: return report(me, STATUS_ERROR, "%s has no directional derivative", entry->name);
-    default: break;
-    }
-    *value = vector ? entry->sign * vector[entry->index] : 0.0;
-    return STATUS_OK;
+    if (!entry || entry->vector != VECTOR_G) return entry;
+    report(me, STATUS_ERROR, "%s has no directional derivative", entry->name);
+    return NULL;
 }
 
-/* Is the variable the derivative of a state? */
-int is_slope(unsigned reference) { return reference < MODEL_N_VARIABLES && VARIABLE[reference].vector == VECTOR_DX; }
-
-/* Is the variable one of v, but no output? */
-int is_hidden(unsigned reference) {
-    if (reference >= MODEL_N_VARIABLES || VARIABLE[reference].vector != VECTOR_V) return 0;
-    return !MODEL_OUTPUT[VARIABLE[reference].index];
+/* The derivatives of a vector along a direction; NULL: zeros. */
+static const double *vector_along(const Direction *s, Vector vector) {
+    switch (vector) {
+    case VECTOR_X: return s->x;
+    case VECTOR_U: return s->u;
+    case VECTOR_P: return s->p;
+    case VECTOR_D: return s->d;
+    case VECTOR_Z: return s->z;
+    case VECTOR_Y: return s->y;
+    case VECTOR_DX: return s->dx;
+    case VECTOR_V: return s->v;
+    default: return NULL;
+    }
 }
 
 /* The unit direction of a real parameter (into s->p) or start value (into start); 0: the variable is neither. */
@@ -325,12 +318,14 @@ Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t 
     if (now->phase == PHASE_INITIALIZATION) failed = failed || initial_states_along(me, start, &s);
     failed = relations_for_input(me, kept) || failed;
     failed = failed || derivatives_along(me, now->t, now->x, now->u, &s);
-    failed = failed || variables_along(me, now->t, now->x, now->u, &s, 0);
+    failed = failed || variables_along(me, now->t, now->x, now->u, &s);
     memcpy(now->m, kept, sizeof kept);
     if (failed) return report(me, STATUS_ERROR, "t = %.9g: the directional derivative cannot be computed", now->t);
     for (size_t k = 0; k < n_unknown; k++) {
-        const Status picked = pick_derivative(me, unknown[k], &s, &sensitivity[k]);
-        if (picked > STATUS_WARNING) return picked;
+        const VariableEntry *entry = differentiable(me, unknown[k]);
+        if (!entry) return STATUS_ERROR;
+        const double *along = vector_along(&s, entry->vector);
+        sensitivity[k] = along ? entry->sign * along[entry->index] : 0.0;
     }
     return STATUS_OK;
 }

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import casadi as ca
 
-from fmu_build.codegen import Header, c_files
+from fmu_build.codegen import Header, Slopes, c_files
 from fmu_build.model import CompiledModel, Experiment, Location, Unit, Variable
 
 
@@ -97,9 +97,15 @@ def compile_by_hand(
     initial = ca.vertcat(s["x"] - x_given, r)
     g = vec(relations(e)) if relations else ca.SX(0, 1)
     system = ca.vertcat(dx, r)
-    both_z = ca.jacobian(system, s["z"]) + ca.jacobian(system, s["pz"]) if nz else ca.SX(nx + len(loops), 0)
-    by_parameter = ca.horzcat(ca.jacobian(system, ca.vertcat(p, d)), both_z)
-    slope_rows, slope_columns = by_parameter.sparsity().get_triplet()
+
+    def by_parameters(f, *first):
+        both_z = ca.jacobian(f, s["z"]) + ca.jacobian(f, s["pz"]) if nz else ca.SX(f.numel(), 0)
+        return ca.horzcat(ca.jacobian(f, ca.vertcat(*first, p, d)), both_z)
+
+    def places(matrix):
+        return list(zip(*matrix.sparsity().get_triplet(), matrix.nonzeros(), strict=True))
+
+    by_parameter, shown = by_parameters(system), by_parameters(v, both)
     updated = [
         vec([up.get("z", {}).get(n, s["z"][i]) for i, n in enumerate(discrete)]),
         vec([up.get("x", {}).get(n, s["x"][i]) for i, n in enumerate(states)]),
@@ -119,10 +125,10 @@ def compile_by_hand(
         "loop": (env, [r, ca.jacobian(r, s["y"]), ca.densify(ca.jacobian(r, s["t"]))]),
         "slopes": (env, [with_diagonal(ca.jacobian(system, both), nx), ca.vertcat(*by_parameter.nonzeros())]),
         "element_slopes": (env, [ca.SX(0, 1)]),
+        "output_slopes": (env, [ca.vertcat(*shown.nonzeros())]),
         "variables": (env, [v]),
         "partials": ([*env, *seeds([*"xupdy", *held])], [along(dx, [*"xupdy", *held])]),
         "variable_partials": ([*env, *seeds([*"xupdy", *held])], [along(v, [*"xupdy", *held])]),
-        "output_partials": ([*env, *seeds([*"xupdy", *held])], [along(v, [*"xupdy", *held])]),
         "loop_partials": ([*env, *seeds([*"xupd", *held])], [along(r, [*"xupd", *held])]),
         "dependent_partials": ([p, seed["p"]], [along(d_of_p, "p")]),
         "start_partials": ([p, d, *seeds("pd")], [along(ca.vertcat(xs, vec(list(discrete.values()))), "pd")]),
@@ -155,7 +161,7 @@ def compile_by_hand(
             groups=list(range(nm)),
             asserts=[(message, warning) for _, message, warning in asserts],
             shown=[0] * (len(asserts) + 1),
-            slopes=(list(zip(slope_rows, slope_columns, strict=True)), []),
+            slopes=Slopes(places(by_parameter), [], places(shown), [], [False] * nv),
             outputs=[True] * nv,
         ),
     )

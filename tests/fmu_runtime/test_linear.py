@@ -11,13 +11,15 @@ import pytest
 
 import fmu_build
 from fmu_build.elimination import plan
+from fmu_build.straight import GROWTH, is_short, straight_code
 
+FLAGS = ["-std=c99", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-pedantic", "-fPIC", "-shared"]
 RUNTIME = Path(fmu_build.__file__).parent / "runtime"
 DRIVER = """
 #include "linear.h"
 int run(int n, const int *const *t, int nonzeros, int filled, const double *a, double *b) {
     double value[100000], work[2000] = {0};
-    Pattern p = {n, 0, nonzeros, filled, t[0], t[1], t[2], t[3], t[4], t[5], t[6]};
+    Pattern p = {n, 0, nonzeros, filled, t[0], t[1], t[2], t[3], t[4], t[5], t[6], 1e5, 0, 0};
     Factors f = {value, 0, work, 0, 0, 0};
     for (int again = 0; again < 2; again++)
         if (factorise(n, 0, &p, a, &f)) return -1;
@@ -32,21 +34,9 @@ int run(int n, const int *const *t, int nonzeros, int filled, const double *a, d
 def library(tmp_path_factory):
     folder = tmp_path_factory.mktemp("linear")
     (folder / "driver.c").write_text(DRIVER)
-    command = [
-        "cc",
-        "-std=c99",
-        "-O1",
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        "-pedantic",
-        "-fPIC",
-        "-shared",
-        f"-I{RUNTIME}",
-    ]
     subprocess.run(
         [
-            *command,
+            *("cc", *FLAGS, f"-I{RUNTIME}"),
             "-o",
             folder / "linear.so",
             folder / "driver.c",
@@ -128,3 +118,65 @@ def test_units_do_not_matter(library):
 def test_singular(library):
     matrix = np.ones((3, 3))
     assert solve(library, matrix, np.ones(3))[0] == -1
+
+
+STRAIGHT = """
+#include <math.h>
+#include "linear.h"
+%s
+int with_tables(int n, const int *const *t, int nonzeros, int filled, const double *a, double *lu, double *b) {
+    double work[2000] = {0};
+    Pattern p = {n, 0, nonzeros, filled, t[0], t[1], t[2], t[3], t[4], t[5], t[6], %r, 0, 0};
+    Factors f = {lu, 0, work, 0, 0, 0};
+    if (factorise(n, 0, &p, a, &f)) return -1;
+    if (!f.use_other) solve(n, 0, &p, &f, b);
+    free_pivoted(&f.other);
+    return f.use_other;
+}
+int straight(const double *a, double *lu, double *b) {
+    const int grown = it_factor(a, lu);
+    if (!grown) it_solve(lu, b);
+    return grown;
+}
+"""
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_straight_code_gives_the_same_bits(tmp_path, seed):
+    """It also refuses the same pivots."""
+    n = 12
+    rng = np.random.default_rng(seed)
+    matrix = random(n, seed) + 3 * np.eye(n)
+    columns = [np.flatnonzero(matrix[:, j]).tolist() for j in range(n)]
+    order = plan(columns)
+    assert is_short(order)
+    start = np.cumsum([0, *map(len, columns)]).tolist()
+    rows = [row for own in columns for row in own]
+    code = straight_code("it", start, rows, order)
+    (tmp_path / "code.c").write_text(STRAIGHT % (code, GROWTH))
+    own = [str(RUNTIME / f"{name}.c") for name in ("linear", "pivoting")]
+    built = tmp_path / "code.so"
+    subprocess.run(["cc", *FLAGS, f"-I{RUNTIME}", "-o", built, tmp_path / "code.c", *own, "-lm"], check=True)
+    library = ctypes.CDLL(str(built))
+    given = [start, rows, order.columns, order.places, order.start, order.diagonal, order.rows]
+    tables = [np.array(t, dtype=np.intc) for t in given]
+    pointers = (ctypes.c_void_p * 7)(*(t.ctypes.data for t in tables))
+
+    def at(array: np.ndarray) -> ctypes.c_void_p:
+        return array.ctypes.data_as(ctypes.c_void_p)
+
+    refused = 0
+    for trial in range(40):
+        values = np.concatenate([matrix[own, j] for j, own in enumerate(columns)])
+        values *= 10.0 ** rng.uniform(-trial / 4, trial / 4, len(values))
+        b = rng.normal(size=n)
+        found = []
+        for function, first in (
+            (library.with_tables, (n, pointers, len(values), len(order.rows))),
+            (library.straight, ()),
+        ):
+            lu, x = np.zeros(len(order.rows)), b.copy()
+            found.append((function(*first, at(values), at(lu), at(x)), lu.tobytes(), x.tobytes()))
+        assert found[0] == found[1]
+        refused += found[0][0]
+    assert 0 < refused < 40

@@ -185,6 +185,47 @@ def test_initial_equations_and_calculated_parameters(instances, tmp_path):
         np.testing.assert_allclose(got[:, j], (ends[0] - ends[1]) / 2e-5, rtol=1e-7)
 
 
+HIDDEN = """
+model Hidden
+  parameter Real k = 2;
+  parameter Real c[2] = {1, 3};
+  Real x(start = 1, fixed = true);
+  Real y(start = 0.5);
+  Real between;
+  Real half;
+  Real power;
+  output Real shown;
+equation
+  der(x) = -k*x + y;
+  y^3 + y = c[1]*x + c[2];
+  between = 3*x - 2*y + c[1];
+  half = 0.5*time;
+  power = k*x*y;
+  shown = x^2 + c[2]*y;
+end Hidden;
+"""
+
+
+@pytest.mark.parametrize("asked", [["between", "half", "shown"], ["between", "power", "shown", "half"]])
+def test_variables_that_are_no_outputs(instances, tmp_path, asked):
+    """Linear ones follow without code of their own; with others among them, all do one direction at a time."""
+    (tmp_path / "Hidden.mo").write_text(HIDDEN)
+    instance = instances(build(tmp_path / "Hidden.mo", "Hidden", tmp_path))
+    given = {"k": 2.0, "c[1]": 1.0, "c[2]": 3.0}
+    one = instance()
+    choose(one, list(given))
+    one.start(1e-9)
+    one.c.doStep(0.0, 0.4)
+    got = sensitivities(one, asked, len(given))
+    for j, (name, value) in enumerate(given.items()):
+        ends = []
+        for sign in (1, -1):
+            other = instance().start(1e-13, **{name: value + sign * 1e-5})
+            other.c.doStep(0.0, 0.4)
+            ends.append(other.get(*asked))
+        np.testing.assert_allclose(got[:, j], (ends[0] - ends[1]) / 2e-5, rtol=1e-6, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("name", "output", "parameter", "start", "h"),
     [("train", "tau_sensor", "d_S", {"i_cmd": 0.5}, 1e-3), ("algebraic_loop", "out", "a", {}, 0.03)],
