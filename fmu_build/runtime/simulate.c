@@ -142,14 +142,17 @@ Status set_input_slope(Instance *me, unsigned reference, double slope) {
 
 /* Does the input now differ from the one the last step was integrated with? */
 static int input_changed(Instance *me) {
+    static const double LINE = 1e-9; /* far below any tolerance */
     State *s = &me->s;
     const Step *step = &s->step;
     int changed = 0;
     for (int i = 0; i < NU; i++) {
         /* A value set without a slope at this point is held. */
         if (s->u_set[i] && !s->du_set[i]) s->du[i] = 0.0;
-        const double expected = step->u[i] + step->du[i] * (s->t - step->u_time);
-        if (fabs(s->u[i] - expected) > 1e-14 * fabs(expected) * (step->du[i] != 0.0) || s->du[i] != step->du[i])
+        const double along = step->du[i] * (s->t - step->u_time), expected = step->u[i] + along;
+        /* Samples of one line are rounded. */
+        if (fabs(s->u[i] - expected) > LINE * (fabs(expected) + fabs(along)) * (step->du[i] != 0.0) ||
+            fabs(s->du[i] - step->du[i]) > LINE * fabs(step->du[i]))
             changed = 1;
         s->u_set[i] = s->du_set[i] = 0;
     }

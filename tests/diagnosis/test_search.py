@@ -27,7 +27,7 @@ def test_an_exchange_mends_a_first_pick_that_was_wrong(monkeypatch):
     assert found.diagnosis.model == pytest.approx({"k": 1.0, "first": 1.0, "second": 1.0}, abs=0.01)
     # Without exchanges and without leaving out what has become needless, the mixture stays, and something with it.
     monkeypatch.setattr("fmuid.diagnosis.effect_search._replaced", lambda *_: [])
-    monkeypatch.setattr("fmuid.diagnosis.effect_search._pruned", lambda _, best, __: best)
+    monkeypatch.setattr("fmuid.diagnosis.effect_search._pruned", lambda best, *_: best)
     assert "mixture" in diagnose_subject(subject).diagnosis.verdict.effects
 
 

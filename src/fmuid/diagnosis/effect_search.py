@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 
@@ -42,6 +43,9 @@ _SAME_PLACE = 0.95  # correlation of one law's signatures at two ports above whi
 _OF_TIME = ("lag", "delay", "drift")  # properties of a signal that are no shape of a law of its value
 _ALIKE = 0.9  # correlation of signatures above which a further effect counts as another shape of the first
 
+_Rest = Callable[[Fitted, str], Fitted | None]
+"""A model and one of its effects -> the refit without it."""
+
 
 def search(
     subject: Subject,
@@ -75,6 +79,7 @@ def search(
         return [], None
     best = decide.best_of(candidates)
     signatures = _signatures(subject, nominal, candidates, scores)
+    without_one = cache(partial(without, subject))
     while present and len(best.effects) <= _MOST and best.gap > GAP_THAT_MATTERS:
         say(f"looking for effects in addition to {best.id}", 0.5 + 0.1 * len(best.names))
         known = best.gap < _SHAPE * nominal.gap
@@ -94,8 +99,8 @@ def search(
         if first is not None:
             better, company = _renamed(subject, better, first, company)
         candidates += company
-        best = _exchanged(subject, better, candidates, scores)
-    return candidates, _pruned(subject, best, candidates)
+        best = _exchanged(subject, better, candidates, scores, without_one)
+    return candidates, _pruned(best, candidates, without_one)
 
 
 def aliases(
@@ -252,7 +257,9 @@ def _added(
     return [added for added, _ in found if added.fit.cost < fitted.fit.cost]
 
 
-def _exchanged(subject: Subject, best: Fitted, candidates: list[Fitted], scores: Sequence[Score]) -> Fitted:
+def _exchanged(
+    subject: Subject, best: Fitted, candidates: list[Fitted], scores: Sequence[Score], without_one: _Rest
+) -> Fitted:
     """Return the best set of as many effects, after each effect was tried to be replaced by others.
 
     The first effect was chosen while the others were missing, and may have stood in for them. What was refitted is
@@ -267,7 +274,7 @@ def _exchanged(subject: Subject, best: Fitted, candidates: list[Fitted], scores:
         candidates += _moved(subject, best, candidates, scores)
         for rest, name in fresh:
             explored.add(rest)
-            candidates += _replaced(subject, best, name, candidates, scores)
+            candidates += _replaced(subject, without_one(best, name), candidates, scores)
         best = decide.best_of([c for c in candidates if len(c.names) == len(best.names)])
     return best
 
@@ -288,10 +295,9 @@ def _moved(
 
 
 def _replaced(
-    subject: Subject, best: Fitted, name: str, candidates: Sequence[Fitted], scores: Sequence[Score]
+    subject: Subject, rest: Fitted | None, candidates: Sequence[Fitted], scores: Sequence[Score]
 ) -> list[Fitted]:
-    """Refit `best` with one of its effects replaced by the most promising others."""
-    rest = without(subject, best, name)
+    """Refit what is left of a model without one of its effects with the most promising others instead."""
     if rest is None:
         return []
     tried = {frozenset(c.effects) for c in candidates}
@@ -299,13 +305,13 @@ def _replaced(
     return _added(subject, rest, [s for s in others if frozenset((*rest.effects, s.effect)) not in tried])
 
 
-def _pruned(subject: Subject, best: Fitted, candidates: list[Fitted]) -> Fitted:
+def _pruned(best: Fitted, candidates: list[Fitted], without_one: _Rest) -> Fitted:
     """Leave out of `best`, one by one, the effects that later ones have made unnecessary.
 
     The first effect added stands in for much that is missing; once the rest is there, it may explain nothing.
     """
     while len(best.names) > 1 and best.effects == best.names:
-        simpler = [without(subject, best, name) for name in best.names]
+        simpler = [without_one(best, name) for name in best.names]
         enough = [
             s for s in simpler if s is not None and (s.gap <= GAP_THAT_MATTERS or not decide.worth_adding(s, best))
         ]

@@ -25,7 +25,7 @@ from fmuid.simulation.signal_effects import (
     disturbed_task,
     split_signal_parameters,
 )
-from fmuid.simulation.simulator import Simulator, Task, differentiates, takes_any_times
+from fmuid.simulation.simulator import Simulator, Task, differentiates, interpolates, takes_any_times
 
 Prediction = tuple[FloatArray, ...]
 """(C, N) predicted signals, one array per experiment."""
@@ -278,7 +278,7 @@ class CampaignModel:
             keys.append(_key(want, values, disturbed))
             around.append(disturbed)
             if keys[-1] not in jobs:
-                task = _task(want.case.task, disturbed)
+                task = _task(want, disturbed)
                 jobs[keys[-1]] = (self._simulator(want.case, values), task, values)
         found = self._predictor(jobs, self.runner)
         results: list[Outcome] = []
@@ -326,10 +326,18 @@ def _key(want: _Wanted, values: Mapping[str, float], disturbed: Disturbed | None
     return want.index, task.tolerance, own, digests
 
 
-def _task(task: Task, disturbed: Disturbed | None) -> Task:
+def _task(want: _Wanted, disturbed: Disturbed | None) -> Task:
+    task = want.case.task
     if disturbed is None or (disturbed.time is task.time and not disturbed.inputs):
         return task
-    return replace(task, time=disturbed.time, inputs={**task.inputs, **disturbed.inputs})
+    linear = tuple(want.drive or ()) if interpolates(want.case.simulator) else ()
+    shared = None
+    if want.drive is not None and disturbed.time is task.time:
+        begins = [int(np.flatnonzero(u)[0]) for n, u in disturbed.inputs.items() if n in want.drive and np.any(u)]
+        # A line from zero begins at the sample before.
+        shared = (want.index, max(0, min(begins) - bool(linear))) if begins else None
+    inputs = {**task.inputs, **disturbed.inputs}
+    return replace(task, time=disturbed.time, inputs=inputs, linear=linear, shared=shared)
 
 
 def _disturbed(
@@ -337,29 +345,49 @@ def _disturbed(
 ) -> Disturbed | None:
     """Return the case's task with its signals disturbed and further inputs driven; None if it is unchanged."""
     driven = {}
+    linear = interpolates(case.simulator)
     for name, series in (drive or {}).items():
-        values = _held(np.asarray(series[index]))
-        # A step of the model ends at a measured sample, so what acts during the step is known at that sample.
-        values = np.append(values, values[-1]) if case.lead else values
+        values = np.asarray(series[index])
+        # A step of the model ends at a measured sample: what is held during the step is known at that sample.
+        if case.lead:
+            values = np.append(values[0], values) if linear else np.append(values, values[-1])
         if np.any(values) or case.simulator.variables[name].start != 0.0:
-            driven[name] = values
+            driven[name] = _lined(values, case.task.time) if linear else _held(values)
     names = [c.signal for c in case.channels]
     if not driven and not any(name in signal for name in (*names, *case.task.inputs)):
         return None
-    return disturbed_task(case.task, signal, names, driven, any_times=takes_any_times(case.simulator))
+    any_times = takes_any_times(case.simulator)
+    return disturbed_task(case.task, signal, names, driven, any_times=any_times, linear_drive=linear)
 
 
 def _held(values: FloatArray) -> FloatArray:
-    """Replace values by their mean until the next one differs by 3 % of the range.
+    """Replace values by their mean until the next one differs by 3 % of the range; zeros stay zeros.
 
     An FMU stops where an input changes. The integral of the input stays the same, so a slow response hardly
     changes.
     """
-    width = 0.03 * float(np.ptp(values))
-    begins, last = [0], float(values[0])
-    for k, value in enumerate(values.tolist()):
-        if abs(value - last) > width:
-            begins.append(k)
-            last = value
+    begins = [0, *_changes(values, 0.03)]
     length = np.diff([*begins, len(values)])
     return np.repeat(np.add.reduceat(values, begins) / length, length)
+
+
+def _lined(values: FloatArray, time: FloatArray) -> FloatArray:
+    """Replace values by lines between turning points and where they have changed by a tenth of the range."""
+    steps = np.diff(values)
+    turns = np.flatnonzero(steps[:-1] * steps[1:] < 0.0) + 1
+    changes = np.array(_changes(values, 0.1), dtype=np.intp)
+    leaves = changes[values[changes - 1] == 0.0] - 1  # zeros stay zeros
+    knots = np.unique(np.concatenate([[0], turns, leaves, changes, [len(values) - 1]]))
+    return np.interp(time, time[knots], values[knots])
+
+
+def _changes(values: FloatArray, share: float) -> list[int]:
+    """Return the samples that differ by a share of the range from the last such one, or where zeros begin or end."""
+    width = share * float(np.ptp(values))
+    found, last = [], float(values[0])
+    moves = np.flatnonzero(np.diff(values)) + 1
+    for k, value in zip(moves.tolist(), values[moves].tolist(), strict=True):
+        if abs(value - last) > width or (value == 0.0) != (last == 0.0):
+            found.append(k)
+            last = value
+    return found

@@ -58,12 +58,13 @@ class NoiseDraws:
     """(M, D) draws of the residual that noise alone would leave, with all experiments concatenated.
 
     `weight` is (M,): 1 / (number of repeats) within the signals' bandwidth, 0 beyond it. `free` is (M,): the share
-    of each component that nuisances leave.
+    of each component that nuisances leave. `energy` is (D,), the weighted one of each draw.
     """
 
     noise: FloatArray
     weight: FloatArray
     free: FloatArray
+    energy: FloatArray
 
     def null(self, basis: FloatArray, signatures: Sequence[FloatArray]) -> Null:
         """Return the null distributions of a model whose refitted parameters span `basis`.
@@ -75,11 +76,14 @@ class NoiseDraws:
         signatures
             Signatures of unit length, projected off that basis.
         """
-        left = project_off(self.noise, basis)
-        excess = (self.weight @ left**2 - self.weight @ self.free) / self.free[self.weight > 0.0].sum()
-        largest = np.zeros(left.shape[1])
+        # What the basis leaves of the draws is as large as the draws: its sums follow from a few products.
+        taken, weighted = basis.T @ self.noise, self.weight[:, None] * basis
+        left = self.energy + np.sum(taken * (basis.T @ weighted @ taken - 2.0 * (weighted.T @ self.noise)), axis=0)
+        excess = (left - self.weight @ self.free) / self.free[self.weight > 0.0].sum()
+        largest = np.zeros(len(left))
         for i in range(0, len(signatures), _TOGETHER):
-            scores = np.array(signatures[i : i + _TOGETHER]) @ left
+            own = np.array(signatures[i : i + _TOGETHER])
+            scores = own @ self.noise - (own @ basis) @ taken
             largest = np.maximum(largest, (scores**2).max(axis=0))
         return Null(read_only(excess), read_only(largest))
 
@@ -109,7 +113,8 @@ def draw_noise(
         begin += w.size
     weight = np.concatenate([band / n for band, n in zip(observed.in_band, observed.repeats, strict=True)])
     free = 1.0 - np.concatenate(observed.taken)
-    return NoiseDraws(read_only(noise), read_only(weight), read_only(free))
+    energy = np.concatenate([weight @ noise[:, i : i + _TOGETHER] ** 2 for i in range(0, draws, _TOGETHER)])
+    return NoiseDraws(*map(read_only, (noise, weight, free, energy)))
 
 
 def _contrasts(deviation: FloatArray, whiten: Callable[[FloatArray], FloatArray]) -> FloatArray:

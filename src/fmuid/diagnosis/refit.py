@@ -131,13 +131,15 @@ def refit(
     if not found:
         raise failure
     found.sort(key=lambda end: end[0])
+
+    def promising(end: _End) -> bool:
+        return len(unknowns) > 0 and campaign.promised(end[1]) > max(_ENOUGH, tolerance * end[0])
+
     if tangents is not None:  # at a kink, where exact slopes end, those of a plausible step may continue
-        for cost, x, _ in campaign.apart([end for end in found if end[0] <= about(found[0][0])]):
-            further = _search(campaign, x, max_iterations, tolerance, "near")
-            if further[0] < cost - max(_ENOUGH, tolerance * cost):
-                found.append(further)
+        for end in campaign.apart([end for end in found if end[0] <= about(found[0][0])]):
+            found += [_search(campaign, end[1], max_iterations, tolerance, "near")] if promising(end) else []
     end = min(found, key=lambda end: end[0])
-    if len(unknowns) and campaign.promised(end[1]) > max(_ENOUGH, tolerance * end[0]):
+    if promising(end):
         across = _search(campaign, end[1], max_iterations, tolerance, "wide")
         end = min(end, across, _search(campaign, across[1], max_iterations, tolerance, "near"), key=lambda e: e[0])
     cost, x, converged = end

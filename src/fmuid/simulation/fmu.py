@@ -26,6 +26,7 @@ from fmuid.core.campaign import Interface
 from fmuid.core.errors import FmuError, SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.simulation import resets, stepper
+from fmuid.simulation.branches import Branches
 from fmuid.simulation.fmu_description import DescribedInterface, FmuDescription, library_name, read_description
 from fmuid.simulation.fmu_library import FmuLibrary, ProcessSpentError
 from fmuid.simulation.fmu_plan import UNKNOWN_TOLERANCE, PreparedTask, PreparedTasks
@@ -89,6 +90,7 @@ class Fmu:
         self._set_before: dict[str, None] = {}
         self._differentiates: dict[frozenset[str], bool] = {}
         self._prepared = PreparedTasks()
+        self._branches = Branches()
 
     @property
     def variables(self) -> Mapping[str, Variable]:
@@ -129,6 +131,11 @@ class Fmu:
     def even_steps(self) -> bool:
         """Whether the FMU takes communication steps of one size only."""
         return self.interface == "co-simulation" and not self._described.any_step
+
+    @property
+    def interpolates_inputs(self) -> bool:
+        """Whether the FMU interpolates its inputs between communication points."""
+        return self.interface == "co-simulation" and self._described.interpolates_inputs
 
     @property
     def saves_state(self) -> bool:
@@ -291,7 +298,7 @@ class Fmu:
                 slots=self._slots,
                 library=library,
                 described=self._description,
-                linear_inputs=self.interface == "co-simulation" and self._described.interpolates_inputs,
+                linear_inputs=self.interpolates_inputs,
                 even_steps=self.even_steps,
             )
             new = [n for n in (*names, *task.start_values) if n not in self._set_before]
@@ -345,12 +352,14 @@ class Fmu:
         plan = prepared.plan
         predictions = prepared.outputs(n_times)
         self.engage(prepared)
+        self._branches.begin(prepared, predictions)
         fatal = False
         finished = False
         try:
             outcome = stepper.run_to_end(_run(), plan)
             if outcome == Outcome.DONE:
                 finished = True
+                self._branches.end(plan.instance, prepared, predictions)
                 return predictions
             failed = FUNCTIONS[plan.call] if outcome == Outcome.CALL_FAILED else None
             fatal = failed is not None and plan.status == _FATAL
@@ -384,6 +393,7 @@ class Fmu:
 
     def discard(self, fatal: bool = False) -> None:
         """Release the instance; after fmi2Fatal no function of the library may be called again."""
+        self._branches.clear(None if fatal else self._instance, self._library)
         if self._instance is not None and self._library is not None and not fatal:
             self._library.free(self._instance)
         self._instance, self._used = None, False

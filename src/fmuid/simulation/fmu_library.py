@@ -156,6 +156,11 @@ class FmuLibrary:
             None,
         )
 
+    def free_state(self, instance: int, state: int) -> None:
+        """Free a state that the FMU has given."""
+        address = self.functions[stepper.FUNCTIONS.index("FREE_FMU_STATE")]
+        ctypes.CFUNCTYPE(c_int, c_void_p, ctypes.POINTER(c_void_p))(address or 0)(instance, c_void_p(state))
+
     def function_name(self, place: str) -> str:
         """Return the FMI name of the function at `place`."""
         return _OWN.get(place) or f"fmi{self.version}{_NAMES_OF_VERSION[self.version].get(place, place)}"

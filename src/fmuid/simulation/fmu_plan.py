@@ -58,6 +58,7 @@ class PreparedTask:
         self.size = 8 * n * (2 * len(task.inputs) + 1)  # approximate bytes, including the task's own
         self._check_time(task.time, even_steps)
         inputs = self._inputs(variables)
+        self.inputs = inputs
         fixed = {k: v for k, v in task.start_values.items() if k not in names}
         back = [name for name in restored if name not in names and name not in fixed and slots[name].has_start]
         self._check_settable([*names, *fixed], variables)
@@ -78,7 +79,7 @@ class PreparedTask:
                 )
         plan = self.plan = Plan()
         plan.function = library.functions
-        plan.fmi, plan.model_exchange = library.version, library.model_exchange
+        plan.fmi, plan.model_exchange, plan.branch = library.version, library.model_exchange, -1
         plan.linear = task.interpolation == "linear"
         plan.tolerance_defined = task.tolerance is not None
         plan.tolerance = task.tolerance or 0.0
@@ -97,7 +98,7 @@ class PreparedTask:
             self._feed_back(task.feedback)
         if task.along:
             self._differentiate(task)
-        if plan.linear:
+        if plan.linear or task.linear:
             self._interpolate(variables, linear_inputs or library.model_exchange)
 
     def set_parameters(self, parameters: Mapping[str, float]) -> None:
@@ -291,7 +292,11 @@ class PreparedTask:
         self.size *= 1 + len(task.along)
 
     def _interpolate(self, variables: Mapping[str, Variable], linear_inputs: bool) -> None:
-        columns = [j for j, name in enumerate(self.task.inputs) if variables[name].variability == "continuous"]
+        columns = [
+            j
+            for j, name in enumerate(self.task.inputs)
+            if variables[name].variability == "continuous" and (self.plan.linear or name in self.task.linear)
+        ]
         if columns and not linear_inputs:
             raise FmuError(
                 "this FMU cannot interpolate its inputs between communication points",

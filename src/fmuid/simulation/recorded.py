@@ -132,7 +132,9 @@ def _of_values(values: Mapping[str, float]) -> bytes:
 
 def _of_task(task: Task) -> bytes:
     digest = hashlib.blake2b(digest_size=16)
-    digest.update(repr((task.outputs, task.interpolation, task.tolerance, sorted(task.inputs))).encode())
+    digest.update(
+        repr((task.outputs, task.interpolation, task.tolerance, sorted(task.inputs), task.linear)).encode()
+    )
     digest.update(_of_values(task.start_values))
     for direction in task.along:
         digest.update(b"|" + _of_values(direction))

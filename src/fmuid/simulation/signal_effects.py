@@ -184,7 +184,13 @@ class Disturbed:
 
 
 def disturbed_task(
-    task: Task, effects: Effects, outputs: Sequence[str], drive: Mapping[str, FloatArray], *, any_times: bool
+    task: Task,
+    effects: Effects,
+    outputs: Sequence[str],
+    drive: Mapping[str, FloatArray],
+    *,
+    any_times: bool,
+    linear_drive: bool = False,
 ) -> Disturbed:
     """Return the task with signal effects applied.
 
@@ -195,7 +201,8 @@ def disturbed_task(
     outputs
         The signals of the task's outputs.
     drive
-        (N,) samples of additional inputs, or replacements for the task's inputs.
+        (N,) samples of additional inputs, or replacements for the task's inputs; with `linear_drive` they are
+        linear between the samples even if the task's inputs are held.
     any_times
         Whether the model accepts additional communication points. Without them, a delayed input acts by its mean
         over each step, and outputs are interpolated linearly between samples.
@@ -206,7 +213,7 @@ def disturbed_task(
         for n, u in task.inputs.items()
         if n in effects
     }
-    courses |= {n: Course(task.time, u, linear) for n, u in drive.items()}
+    courses |= {n: Course(task.time, u, linear or linear_drive) for n, u in drive.items()}
     late = {
         row: effects[name]
         for row, name in enumerate(outputs)

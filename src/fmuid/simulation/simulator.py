@@ -76,6 +76,11 @@ class Task:
     Directions along which to differentiate, each a weight by parameter. The prediction then also contains the
     derivatives of the outputs, direction by direction, below the outputs: (1 + len(along)) * len(outputs) rows.
     Only for simulators for which `differentiates` is true.
+    linear
+        Inputs that are interpolated although the others are held, for simulators for which `interpolates` is true.
+    shared
+        The group of tasks that this one belongs to, and a sample: those of a group whose inputs are the same up to
+        a sample may be simulated up to there together. None if it belongs to none.
     feedback
         Output feedback, for FMUs with model exchange: outputs are then predictions from the preceding samples.
     """
@@ -88,6 +93,8 @@ class Task:
     tolerance: float | None = None
     along: tuple[Mapping[str, float], ...] = ()
     feedback: Feedback | None = None
+    linear: tuple[str, ...] = ()
+    shared: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", read_only(self.time))
@@ -130,6 +137,11 @@ def differentiates(simulator: Simulator, names: Collection[str]) -> bool:
     """Return whether a simulator differentiates its runs exactly with respect to `names` (see `Task.along`)."""
     method = getattr(simulator, "differentiates", None)
     return method is not None and bool(method(names))
+
+
+def interpolates(simulator: Simulator) -> bool:
+    """Return whether a simulator interpolates some of its inputs while it holds others (see `Task.linear`)."""
+    return bool(getattr(simulator, "interpolates_inputs", False))
 
 
 def takes_any_times(simulator: Simulator) -> bool:

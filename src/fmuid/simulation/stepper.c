@@ -280,7 +280,11 @@ static double seconds(void)
 /* Simulate, or go on where the last call paused; returns PAUSED after about `slice` seconds. */
 int32_t fmuid_run(Plan *plan, int32_t resume, double slice)
 {
-    if (!resume) {
+    if (!resume && plan->from) {
+        CALL(SET_FMU_STATE, int32_t (*)(Instance, void *), plan->instance, plan->from);
+        plan->reached = plan->begin;
+        plan->reached_time = plan->time[plan->begin];
+    } else if (!resume) {
         TRY(initialise(plan));
         if (plan->model_exchange) TRY(begin_model_exchange(plan));
         TRY(read_outputs(plan, 0));
@@ -290,6 +294,9 @@ int32_t fmuid_run(Plan *plan, int32_t resume, double slice)
     size_t end = plan->n_times - 1, stride = 1;
     for (size_t k = (size_t)plan->reached, next; k < end; k = next) {
         next = stride < end - k ? k + stride : end;
+        if ((int64_t)k < plan->branch && (int64_t)next > plan->branch) next = (size_t)plan->branch;
+        if ((int64_t)k == plan->branch && !plan->kept)
+            CALL(GET_FMU_STATE, int32_t (*)(Instance, void **), plan->instance, &plan->kept);
         TRY(steps(plan, k, next));
         /* Look at the clock often enough for Ctrl-C, seldom enough to cost nothing. */
         double now = seconds();

@@ -77,6 +77,11 @@ typedef struct {
     double step_size;
     double next_event;
     int32_t next_event_defined;
+    /* runs that share their beginning: where to go on from, and where to keep a state for others */
+    void *from;             /* state of the FMU at sample `begin`, up to which the outputs are there; NULL: from the start */
+    int64_t begin;
+    int64_t branch;         /* sample at which the state is kept, -1: nowhere */
+    void *kept;             /* the state, NULL until then */
     /* progress and outcome */
     int64_t reached;        /* last communication point whose outputs are there, -1 before initialisation */
     int32_t status;         /* fmi status of the call that failed */
