@@ -272,8 +272,10 @@ def _settled(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
         model = tightened(subject.model, [nominal.fit.values, *trials])
         if model is subject.model:
             break
-        subject = replace(subject, model=model)
-        nominal = fit_effects(subject, (), [nominal.fit.values]) or nominal
+        subject, before = replace(subject, model=model), nominal.fit.values
+        nominal = fit_effects(subject, (), [before]) or nominal
+        if all(abs(nominal.fit.values[u.name] - before[u.name]) <= u.step for u in subject.nominal):
+            break  # errors there are those here
     return subject, escaped(subject, (), nominal)
 
 

@@ -378,11 +378,11 @@ def _lined(values: FloatArray, time: FloatArray) -> FloatArray:
     changes = np.array(_changes(values, 0.1), dtype=np.intp)
     leaves = changes[values[changes - 1] == 0.0] - 1  # zeros stay zeros
     knots = np.unique(np.concatenate([[0], turns, leaves, changes, [len(values) - 1]]))
-    return np.interp(time, time[knots], values[knots])
+    return np.asarray(np.interp(time, time[knots], values[knots]))
 
 
 def _changes(values: FloatArray, share: float) -> list[int]:
-    """Return the samples that differ by a share of the range from the last such one, or where zeros begin or end."""
+    """Return the samples that differ by a share of the range from the last such one; where zeros begin and end."""
     width = share * float(np.ptp(values))
     found, last = [], float(values[0])
     moves = np.flatnonzero(np.diff(values)) + 1

@@ -131,14 +131,17 @@ def refit(
     if not found:
         raise failure
     found.sort(key=lambda end: end[0])
+    least = found[0][0]
 
     def promising(end: _End) -> bool:
-        return len(unknowns) > 0 and campaign.promised(end[1]) > max(_ENOUGH, tolerance * end[0])
+        fall = campaign.promised(end[1]) if len(unknowns) else 0.0
+        return fall > max(_ENOUGH, tolerance * end[0]) and end[0] - fall < least
 
     if tangents is not None:  # at a kink, where exact slopes end, those of a plausible step may continue
-        for end in campaign.apart([end for end in found if end[0] <= about(found[0][0])]):
+        for end in campaign.apart([end for end in found if end[0] <= about(least)]):
             found += [_search(campaign, end[1], max_iterations, tolerance, "near")] if promising(end) else []
     end = min(found, key=lambda end: end[0])
+    least = end[0]
     if promising(end):
         across = _search(campaign, end[1], max_iterations, tolerance, "wide")
         end = min(end, across, _search(campaign, across[1], max_iterations, tolerance, "near"), key=lambda e: e[0])

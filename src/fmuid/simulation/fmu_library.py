@@ -122,6 +122,7 @@ class FmuLibrary:
 
     def __init__(self, path: Path, version: int, model_exchange: bool, where: Path) -> None:
         self.version, self.model_exchange, self.where = version, model_exchange, where
+        self.layouts: dict[tuple[Any, ...], tuple[int, Any, list[Any]]] = {}
         if hasattr(os, "add_dll_directory"):
             os.add_dll_directory(str(path.parent))
         try:

@@ -23,6 +23,9 @@ UNKNOWN_TOLERANCE = 1e-6  # for FMUs that suggest none
 _MAX_PREPARED = 64 * 2**20  # bytes of prepared tasks kept in memory; the oldest is dropped first
 
 
+_MAX_LAYOUTS = 200  # of variables that tasks set and read
+
+
 class PreparedTask:
     """A `Plan` for one task and one set of parameter names, with the arrays it points to.
 
@@ -157,8 +160,30 @@ class PreparedTask:
         return address
 
     def _groups(self, names: Sequence[str], action: str, only: Sequence[int] | None = None) -> tuple[int, Any]:
-        """Lay out variables, all or `only` those columns of the row, as one call for each FMI type."""
+        """Return the layout of variables; tasks that set or read the same ones share it."""
+        key, known = (tuple(names), action, None if only is None else tuple(only)), self.library.layouts
+        if key not in known:
+            if len(known) == _MAX_LAYOUTS:
+                del known[next(iter(known))]
+            known[key] = self._laid_out(names, action, only)
+        count, array, kept = known[key]
+        self._kept.append(kept)
+        return count, ctypes.cast(array, ctypes.POINTER(Group))
+
+    def _laid_out(
+        self, names: Sequence[str], action: str, only: Sequence[int] | None
+    ) -> tuple[int, Any, list[Any]]:
+        """Lay out variables, all or `only` those columns of the row, as one call for each FMI type.
+
+        Return the number of groups, their array, and all that it points to.
+        """
         groups: list[Group] = []
+        kept: list[Any] = []
+
+        def pointer(array: NDArray[Any]) -> int:
+            kept.append(array)
+            return int(array.__array_interface__["data"][0])
+
         chosen = range(len(names)) if only is None else only
         for suffix in dict.fromkeys(self._slots[names[j]].suffix for j in chosen):
             columns = [j for j in chosen if self._slots[names[j]].suffix == suffix]
@@ -187,22 +212,19 @@ class PreparedTask:
             groups.append(
                 Group(
                     function=function,
-                    references=self._pointer(np.array(list(offsets), dtype=np.uint32)),
+                    references=pointer(np.array(list(offsets), dtype=np.uint32)),
                     n_references=len(offsets),
                     n_values=len(buffer),
                     type=storage,
                     direct=int(storage == 0 and len(columns) == len(names) == len(buffer) == len(offsets)),
                     n_columns=len(columns),
-                    column=self._pointer(np.array(columns, dtype=np.int32)),
-                    place=self._pointer(
-                        np.array([offsets[s.reference] + s.element for s in members], dtype=np.int32)
-                    ),
-                    buffer=self._pointer(values),
+                    column=pointer(np.array(columns, dtype=np.int32)),
+                    place=pointer(np.array([offsets[s.reference] + s.element for s in members], dtype=np.int32)),
+                    buffer=pointer(values),
                 )
             )
         array = (Group * max(1, len(groups)))(*groups)
-        self._kept.append(array)
-        return len(groups), ctypes.cast(array, ctypes.POINTER(Group))
+        return len(groups), array, [array, *kept]
 
     def _inputs(self, variables: Mapping[str, Variable]) -> FloatArray:
         """Return the inputs as columns, (N, n)."""

@@ -167,7 +167,8 @@ class Disturbed:
         differentiated
             The outputs that will be differentiated; before the first sample they continue their initial trend.
         """
-        out = np.array(outcome[:, np.searchsorted(self.time, self._samples)])
+        same = self.time is self._samples
+        out = np.array(outcome if same else outcome[:, np.searchsorted(self.time, self._samples)])
         width = (len(self.time) - 1) // (len(self._breaks) - 1)  # points per interval
         for row, effect in self._late.items():
             begin = self._samples[0]
@@ -273,7 +274,10 @@ def _limited(y: FloatArray, effect: Mapping[str, float]) -> FloatArray:
 
 def _joined(time: FloatArray, *others: FloatArray) -> FloatArray:
     """Return the points of `time` and the others between them, merging those that nearly coincide."""
-    between = np.unique(np.concatenate([np.zeros(0), *others]))
+    others = tuple(points for points in others if points is not time)
+    if not others:
+        return time
+    between = np.unique(np.concatenate(others))
     between = between[(between > time[0]) & (between < time[-1])]
     apart = _APART * float(np.min(np.diff(time)))
     place: NDArray[np.intp] = np.searchsorted(time, between)
