@@ -334,7 +334,7 @@ def _pattern(letter: str, sparsity: ca.Sparsity, *, often: bool) -> tuple[list[s
     }  # fmt: skip
     tables = {
         "START": start, "ROW": rows, "COLUMN": order.columns, "PLACE": order.places, "LU_START": order.start,
-        "LU_DIAGONAL": order.diagonal, "LU_ROW": order.rows,
+        "LU_DIAGONAL": order.diagonal, "LU_ROW": order.rows, "LU_UPDATED": list(map(int, order.updated)),
         "DIAGONAL": [k for j in range(n) for k in range(start[j], start[j + 1]) if rows[k] == j],
     }  # fmt: skip
     lines = [f"#define {name}_{what} {value}" for what, value in macros.items()]

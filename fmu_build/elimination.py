@@ -26,6 +26,8 @@ class Elimination:
     start, diagonal, rows
         The factors by column, in steps: column k has the rows ``rows[start[k]:start[k + 1]]``, ascending, and its
         pivot at ``diagonal[k]``.
+    updated
+        For each entry of the factors, whether the elimination of an earlier column changes it.
     multiplications
         Number of multiplications in one factorisation.
     """
@@ -35,6 +37,7 @@ class Elimination:
     start: tuple[int, ...]
     diagonal: tuple[int, ...]
     rows: tuple[int, ...]
+    updated: tuple[bool, ...]
     multiplications: int
 
 
@@ -105,6 +108,7 @@ def _symbolic(columns: list[list[int]], order: list[int], step_of_row: dict[int,
     n = len(columns)
     lower: list[list[int]] = []
     start, diagonal, rows, multiplications = [0], [], [], 0
+    updated: list[bool] = []
     for k, own in enumerate(columns):
         inside = {*own, k}
         todo = [row for row in inside if row < k]
@@ -116,10 +120,13 @@ def _symbolic(columns: list[list[int]], order: list[int], step_of_row: dict[int,
                         todo.append(row)
         filled = sorted(inside)
         above = sum(row < k for row in filled)
+        changed = {row for step in filled[:above] for row in lower[step]}
+        updated += [row in changed for row in filled]
         diagonal.append(start[-1] + above)
         rows += filled
         start.append(len(rows))
         lower.append(filled[above + 1 :])
         multiplications += len(lower[k]) + sum(len(lower[row]) for row in filled[:above])
     places = tuple(step_of_row[row] for row in range(n))
-    return Elimination(tuple(order), places, tuple(start), tuple(diagonal), tuple(rows), multiplications)
+    factors = tuple(start), tuple(diagonal), tuple(rows), tuple(updated)
+    return Elimination(tuple(order), places, *factors, multiplications)

@@ -13,7 +13,8 @@ struct Sensitivity {
     Direction *along; /* p, d, z and pz as they change, the rest is work memory */
     double *moves;    /* the same p, d and z in NP + ND + NZ rows of n, in one block with what follows ... */
     unsigned char moved[LENGTH(NP + ND + NZ)]; /* ... which of them change at all ... */
-    int elements;     /* ... and, if elements of arrays do, how many derivatives by those there are */
+    int active[LENGTH(MODEL_NSLOPE + MODEL_NELEMENT)], n_active; /* ... and which derivatives are by those ... */
+    int elements;     /* ... some of them by elements of arrays */
     double *start;    /* NX rows of n: at the beginning of the last step */
     double *stages;   /* N times RADAU rows of n: of each unknown at the collocation points */
     double *now;      /* NX rows of n: where the next step begins */

@@ -41,12 +41,18 @@ static int stage_slopes(Instance *me, double t, const double *x, double h, int i
     const size_t n = q->n;
     input_at(me, t);
     if (slopes_at(me, t, x, me->ut, jacobian, by_moved)) return 1;
-    for (int k = 0; k < MODEL_NSLOPE + q->elements; k++) {
-        const int column = MODEL_SLOPE_COLUMN[k], row = MODEL_SLOPE_ROW[k];
+    for (int a = 0; a < q->n_active; a++) {
+        const int k = q->active[a], row = MODEL_SLOPE_ROW[k];
         double *target = rows + ((size_t)MODEL_J_PLACE[row] * RADAU + i) * n;
-        if (q->moved[column]) add_row(n, row_factor(row, h) * by_moved[k], q->moves + column * n, target);
+        add_row(n, row_factor(row, h) * by_moved[k], q->moves + MODEL_SLOPE_COLUMN[k] * n, target);
     }
     return 0;
+}
+
+/* Blocks of J are diagonal until the elimination changes them: with b such a block, c -= a b */
+static inline void subtract_scaled(const double *restrict a, const double *restrict b, double *restrict c) {
+    for (int i = 0; i < RADAU; i++)
+        for (int j = 0; j < RADAU; j++) c[i * RADAU + j] -= a[i * RADAU + j] * b[j * (RADAU + 1)];
 }
 
 /* c -= a b */
@@ -54,6 +60,14 @@ static inline void subtract_product(const double *restrict a, const double *rest
     for (int i = 0; i < RADAU; i++)
         for (int j = 0; j < RADAU; j++)
             c[i * RADAU + j] -= a[i * RADAU] * b[j] + a[i * RADAU + 1] * b[RADAU + j] + a[i * RADAU + 2] * b[2 * RADAU + j];
+}
+
+/* c = a b, a diagonal block a unless it is `full` */
+static inline void product(int full, const double *restrict a, const double *restrict b, double *restrict c) {
+    for (int i = 0; i < RADAU; i++)
+        for (int j = 0; j < RADAU; j++)
+            c[i * RADAU + j] = full ? a[i * RADAU] * b[j] + a[i * RADAU + 1] * b[RADAU + j] + a[i * RADAU + 2] * b[2 * RADAU + j]
+                                    : a[i * (RADAU + 1)] * b[i * RADAU + j];
 }
 
 /* 1: singular */
@@ -103,18 +117,13 @@ static int planned_blocks(struct Sensitivity *q, double h, double (*jacobian)[LE
                 grown |= !(fabs(u[i]) <= bound[j]);
             }
             for (int r = MODEL_J_LU_DIAGONAL[j] + 1; r < MODEL_J_LU_START[j + 1]; r++)
-                subtract_product(lu + r * BLOCK, u, x + MODEL_J_LU_ROW[r] * BLOCK);
+                (MODEL_J_LU_UPDATED[s] ? subtract_product : subtract_scaled)(lu + r * BLOCK, u, x + MODEL_J_LU_ROW[r] * BLOCK);
         }
         grown |= invert(x + k * BLOCK, lu + diagonal * BLOCK);
         for (int r = diagonal + 1; r < end; r++) {
             const double *own = x + MODEL_J_LU_ROW[r] * BLOCK;
-            for (int i = 0; i < BLOCK; i++) {
-                grown |= !(fabs(own[i]) <= bound[MODEL_J_LU_ROW[r]]);
-                lu[r * BLOCK + i] = 0.0;
-            }
-            double negative[BLOCK];
-            for (int i = 0; i < BLOCK; i++) negative[i] = -own[i];
-            subtract_product(negative, lu + diagonal * BLOCK, lu + r * BLOCK);
+            for (int i = 0; i < BLOCK; i++) grown |= !(fabs(own[i]) <= bound[MODEL_J_LU_ROW[r]]);
+            product(MODEL_J_LU_UPDATED[r], own, lu + diagonal * BLOCK, lu + r * BLOCK);
         }
     }
     return grown;
@@ -142,8 +151,13 @@ static inline void solve_rows(const struct Sensitivity *q, size_t n, double *y, 
         for (int i = 0; i < BLOCK; i++) negative[i] = -lu[diagonal * BLOCK + i];
         for (size_t i = 0; i < m; i++) solved[i] = 0.0;
         subtract_rows(n, negative, y + k * m, solved);
-        for (int s = MODEL_J_LU_START[k]; s < diagonal; s++)
-            subtract_rows(n, lu + s * BLOCK, solved, y + MODEL_J_LU_ROW[s] * m);
+        for (int s = MODEL_J_LU_START[k]; s < diagonal; s++) {
+            const double *block = lu + s * BLOCK;
+            double *rows = y + MODEL_J_LU_ROW[s] * m;
+            if (MODEL_J_LU_UPDATED[s]) subtract_rows(n, block, solved, rows);
+            else
+                for (int i = 0; i < RADAU; i++) add_row(n, -block[i * (RADAU + 1)], solved + i * n, rows + i * n);
+        }
     }
 }
 
@@ -250,9 +264,9 @@ static int follow_system(Instance *me) {
     memset(y, 0, (NY + NX) * n * sizeof *y);
     if (slopes_at(me, now->t, now->x, now->u, jacobian, by_moved)) return 1;
 #define TARGET(row) ((row) < NX ? dx + (row) * n : y + ((row) - NX) * n)
-    for (int k = 0; k < MODEL_NSLOPE + q->elements; k++) {
-        const int column = MODEL_SLOPE_COLUMN[k], row = MODEL_SLOPE_ROW[k];
-        if (q->moved[column]) add_row(n, by_moved[k], q->moves + column * n, TARGET(row));
+    for (int a = 0; a < q->n_active; a++) {
+        const int k = q->active[a], row = MODEL_SLOPE_ROW[k];
+        add_row(n, by_moved[k], q->moves + MODEL_SLOPE_COLUMN[k] * n, TARGET(row));
     }
     for (int column = 0; column < NX; column++)
         for (int k = p->start[column]; k < p->start[column + 1]; k++)

@@ -71,6 +71,12 @@ static void go_on_along(struct Sensitivity *q) {
             q->moved[row] |= s->z[k] != 0.0;
         }
     }
+    q->n_active = q->elements = 0;
+    for (int k = 0; k < MODEL_NSLOPE + MODEL_NELEMENT; k++)
+        if (q->moved[MODEL_SLOPE_COLUMN[k]]) {
+            q->active[q->n_active++] = k;
+            q->elements |= k >= MODEL_NSLOPE;
+        }
     q->pieces = q->switches_known = 0;
 }
 
@@ -120,9 +126,6 @@ Status start_sensitivities(Instance *me) {
             q->moved[k] |= move != 0.0;
         }
     }
-    q->elements = 0;
-    for (int k = MODEL_NSLOPE; k < MODEL_NSLOPE + MODEL_NELEMENT; k++)
-        if (q->moved[MODEL_SLOPE_COLUMN[k]]) q->elements = MODEL_NELEMENT;
     go_on_along(q);
     return MODEL_HAS_EVENTS ? event_start_along(me, q->along, q->n) : STATUS_OK;
 }

@@ -142,7 +142,7 @@ Status set_input_slope(Instance *me, unsigned reference, double slope) {
 
 /* Does the input now differ from the one the last step was integrated with? */
 static int input_changed(Instance *me) {
-    static const double LINE = 1e-9; /* far below any tolerance */
+    static const double LINE = 1e-11; /* far below any tolerance */
     State *s = &me->s;
     const Step *step = &s->step;
     int changed = 0;

@@ -106,7 +106,7 @@ def test_order_five_with_dependence_on_time(fmu, slope):
     def end(steps, tolerance):
         one = fmu("forced").start(tolerance)
         for k in range(steps):
-            one.set(u=slope * k / steps + 1e-13 * (k % 2))  # a change that restarts, far below the errors
+            one.set(u=slope * k / steps + 1e-10 * (-1) ** k)  # a change that restarts, far below the errors
             one.c.setRealInputDerivatives([one.vr["u"]], [1], [slope])
             one.c.doStep(k / steps, 1 / steps)
         return one.get("x")
