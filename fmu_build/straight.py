@@ -12,7 +12,6 @@ from fmu_build.elimination import Elimination
 GROWTH = 1e5  # by how much an entry may outgrow the largest of its row: the digits that a solution may lose
 _MOST = 600  # entries of the factors and multiplications: beyond that, tables cost the compiler far less
 
-
 _LARGEST = "static inline double {name}_larger(double b, double a) {{ return fabs(a) > b ? fabs(a) : b; }}"
 
 

@@ -11,6 +11,7 @@ from fmu_build import build
 from fmuid.core.errors import SimulationError
 from fmuid.simulation import branches
 from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.fmu_library import FmuLibrary
 from fmuid.simulation.simulator import Task
 
 MODEL = """
@@ -61,8 +62,9 @@ def steps(monkeypatch):
     begin = branches.Branches.begin
 
     def watched(self, prepared, outputs):
-        begin(self, prepared, outputs)
+        key = begin(self, prepared, outputs)
         begun.append(prepared.plan.begin if prepared.plan.from_state else 0)
+        return key
 
     monkeypatch.setattr(branches.Branches, "begin", watched)
     return begun
@@ -94,6 +96,16 @@ def test_a_failed_run_leaves_nothing_behind(path, steps):
         y = fmu.simulate(task(200), {"k": 40.0, "limit": 1e9})
     assert steps[-1] == 0
     np.testing.assert_array_equal(y, alone(path, task(200), {"k": 40.0, "limit": 1e9}))
+
+
+def test_the_state_of_a_run_that_fails_later_is_freed(path, monkeypatch):
+    freed = []
+    free = FmuLibrary.free_state
+    monkeypatch.setattr(FmuLibrary, "free_state", lambda *given: (freed.append(given), free(*given)))
+    late = 0.5 * (np.abs(alone(path, task(20), {"k": 40.0})[0][:20]).max() + 0.02)
+    with Fmu(path) as fmu, pytest.raises(SimulationError, match="too far"):
+        fmu.simulate(task(20), {"k": 40.0, "limit": float(late)})
+    assert len(freed) == 1
 
 
 def test_only_so_many_states_are_kept(path):

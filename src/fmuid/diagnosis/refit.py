@@ -141,7 +141,6 @@ def refit(
         for end in campaign.apart([end for end in found if end[0] <= about(least)]):
             found += [_search(campaign, end[1], max_iterations, tolerance, "near")] if promising(end) else []
     end = min(found, key=lambda end: end[0])
-    least = end[0]
     if promising(end):
         across = _search(campaign, end[1], max_iterations, tolerance, "wide")
         end = min(end, across, _search(campaign, across[1], max_iterations, tolerance, "near"), key=lambda e: e[0])

@@ -16,6 +16,7 @@ from fmuid.simulation.fmu_plan import PreparedTask
 from fmuid.simulation.stepper import FUNCTIONS
 
 _MOST = 16  # states kept at a time
+_NEEDED = ("GET_FMU_STATE", "SET_FMU_STATE", "FREE_FMU_STATE", "SET_DIRECTIONS")  # the last: of `fmuid build`
 _Key = tuple[object, ...]
 
 
@@ -38,38 +39,45 @@ class Branches:
     def __init__(self) -> None:
         self._known: dict[_Key, _Branch] = {}
 
-    def begin(self, prepared: PreparedTask, outputs: FloatArray) -> None:
-        """Let the next run of a plan go on from the latest state that fits, and leave one for later runs."""
+    def begin(self, prepared: PreparedTask, outputs: FloatArray) -> _Key | None:
+        """Let the next run of a plan go on from the latest state that fits, and leave one for later runs.
+
+        Return what `end` needs; None if the run shares nothing.
+        """
         plan, task = prepared.plan, prepared.task
-        plan.from_state = plan.kept = None
-        plan.branch = -1
+        if task.shared is None:
+            return None
+        plan.from_state, plan.kept, plan.branch = None, None, -1
+        branch = task.shared[1]
         able = all(prepared.library.functions[FUNCTIONS.index(name)] for name in _NEEDED)
-        branch = 0 if task.shared is None else task.shared[1]
         if branch == 0 or not able or plan.n_times < len(task.time) or plan.n_directions:
-            return  # the first inputs act in the initialisation, too
-        known = self._known.get(_key(prepared))
+            return None  # the first inputs act in the initialisation, too
+        key, begun = _key(prepared), 0
+        known = self._known.get(key)
         if (
             known is not None
             and known.sample <= branch
             and np.array_equal(known.inputs, prepared.inputs[: known.sample])
         ):
-            outputs[:, : known.sample + 1] = known.outputs
-            plan.from_state, plan.begin = known.state, known.sample
-        if known is None or plan.from_state is None or known.sample < branch:
+            begun = known.sample
+            outputs[:, : begun + 1] = known.outputs
+            plan.from_state, plan.begin = known.state, begun
+        if begun < branch:
             plan.branch = branch
+        return key
 
-    def end(self, instance: int, prepared: PreparedTask, outputs: FloatArray) -> None:
-        """Keep the state that a complete run left."""
+    def end(self, key: _Key | None, prepared: PreparedTask, outputs: FloatArray | None) -> None:
+        """Keep the state that a run left; free it if the run has no complete `outputs`."""
         plan = prepared.plan
-        if plan.kept is None:
+        if key is None or plan.kept is None:
             return
-        key, sample = _key(prepared), plan.branch
-        if key not in self._known and len(self._known) == _MOST:
-            self._forget(instance, prepared.library, next(iter(self._known)))
-        elif key in self._known:
-            self._forget(instance, prepared.library, key)
-        inputs, before = prepared.inputs[:sample].copy(), outputs[:, : sample + 1].copy()
-        self._known[key] = _Branch(sample, plan.kept, inputs, before)
+        if outputs is None:
+            prepared.library.free_state(plan.instance, plan.kept)
+            return
+        if key in self._known or len(self._known) == _MOST:
+            self._forget(plan.instance, prepared.library, key if key in self._known else next(iter(self._known)))
+        inputs, before = prepared.inputs[: plan.branch].copy(), outputs[:, : plan.branch + 1].copy()
+        self._known[key] = _Branch(plan.branch, plan.kept, inputs, before)
 
     def clear(self, instance: int | None, library: FmuLibrary | None) -> None:
         """Forget all states; free them if there is an instance that can."""
@@ -83,11 +91,15 @@ class Branches:
         library.free_state(instance, self._known.pop(key).state)
 
 
-_NEEDED = ("GET_FMU_STATE", "SET_FMU_STATE", "FREE_FMU_STATE", "SET_DIRECTIONS")  # the last: of `fmuid build`
-
-
 def _key(prepared: PreparedTask) -> _Key:
     task = prepared.task
     assert task.shared is not None
-    own = task.time.tobytes(), prepared.starts.tobytes()
-    return task.shared[0], task.tolerance, task.outputs, tuple(task.inputs), prepared.names, own
+    names = tuple(task.inputs), task.linear, task.outputs, prepared.names, tuple(task.start_values)
+    return (
+        task.shared[0],
+        names,
+        task.interpolation,
+        task.tolerance,
+        task.time.tobytes(),
+        prepared.starts.tobytes(),
+    )

@@ -352,19 +352,20 @@ class Fmu:
         plan = prepared.plan
         predictions = prepared.outputs(n_times)
         self.engage(prepared)
-        self._branches.begin(prepared, predictions)
+        key = self._branches.begin(prepared, predictions)
         fatal = False
         finished = False
         try:
             outcome = stepper.run_to_end(_run(), plan)
             if outcome == Outcome.DONE:
                 finished = True
-                self._branches.end(plan.instance, prepared, predictions)
                 return predictions
             failed = FUNCTIONS[plan.call] if outcome == Outcome.CALL_FAILED else None
             fatal = failed is not None and plan.status == _FATAL
             error = self.failure(Outcome(outcome), prepared)
         finally:
+            if not fatal:
+                self._branches.end(key, prepared, predictions if finished else None)
             if not finished:  # also on Ctrl-C, because the state of the FMU is then unknown
                 self.discard(fatal)
         if failed == "RESET":

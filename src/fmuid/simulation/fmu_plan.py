@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,7 @@ from fmuid.simulation.stepper import DTYPES, FUNCTIONS, Group, Plan
 
 UNKNOWN_TOLERANCE = 1e-6  # for FMUs that suggest none
 _MAX_PREPARED = 64 * 2**20  # bytes of prepared tasks kept in memory; the oldest is dropped first
-
-
-_MAX_LAYOUTS = 200  # of variables that tasks set and read
+_MAX_LAYOUTS = 200  # layouts of variables, the same
 
 
 class PreparedTask:
@@ -155,9 +154,7 @@ class PreparedTask:
         return float(value)
 
     def _pointer(self, array: NDArray[Any]) -> int:
-        self._kept.append(array)
-        address: int = array.__array_interface__["data"][0]
-        return address
+        return _pointer_to(self._kept, array)
 
     def _groups(self, names: Sequence[str], action: str, only: Sequence[int] | None = None) -> tuple[int, Any]:
         """Return the layout of variables; tasks that set or read the same ones share it."""
@@ -179,11 +176,7 @@ class PreparedTask:
         """
         groups: list[Group] = []
         kept: list[Any] = []
-
-        def pointer(array: NDArray[Any]) -> int:
-            kept.append(array)
-            return int(array.__array_interface__["data"][0])
-
+        pointer = partial(_pointer_to, kept)
         chosen = range(len(names)) if only is None else only
         for suffix in dict.fromkeys(self._slots[names[j]].suffix for j in chosen):
             columns = [j for j in chosen if self._slots[names[j]].suffix == suffix]
@@ -335,6 +328,12 @@ class PreparedTask:
         )
         plan.slope_orders = self._pointer(np.ones(len(columns), dtype=np.int32))
         plan.slopes = self._pointer(np.zeros(max(1, len(columns))))
+
+
+def _pointer_to(kept: list[Any], array: NDArray[Any]) -> int:
+    """Return the address of an array, and keep it alive."""
+    kept.append(array)
+    return int(array.__array_interface__["data"][0])
 
 
 class PreparedTasks:

@@ -73,9 +73,10 @@ class Task:
         ``hold``: input sample k acts on [t_k, t_{k+1}); ``linear``: between the samples.
     tolerance
         Relative tolerance passed to the FMU, or None for its default.
-    Directions along which to differentiate, each a weight by parameter. The prediction then also contains the
-    derivatives of the outputs, direction by direction, below the outputs: (1 + len(along)) * len(outputs) rows.
-    Only for simulators for which `differentiates` is true.
+    along
+        Directions along which to differentiate, each a weight by parameter. The prediction then also contains the
+        derivatives of the outputs, direction by direction, below the outputs, so (1 + len(along)) * len(outputs)
+        rows. Only for simulators for which `differentiates` is true.
     linear
         Inputs that are interpolated although the others are held, for simulators for which `interpolates` is true.
     shared
