@@ -14,11 +14,12 @@ import numpy as np
 from benchmarks.abroad.logs import Recording, drawn_factors, write_logs
 from benchmarks.abroad.plant import Extra, Rig
 from benchmarks.abroad.rigs import FOUND_ON
+from benchmarks.abroad.shaker import SHAKER
 from benchmarks.discovery.laws import course, late, law, oscillator
 from fmuid.cli.app import run
 
-CASES = Path(__file__).parent / "cases.toml"
-_RIGS = {rig.name: rig for rig in FOUND_ON}
+_LISTS = [Path(__file__).parent / name for name in ("cases.toml", "shaker.toml")]
+_RIGS = {rig.name: rig for rig in (*FOUND_ON, SHAKER)}
 
 
 @dataclass(frozen=True)
@@ -50,9 +51,9 @@ class Case:
 
 
 def cases(first: int | None = None) -> tuple[Case, ...]:
-    """Return the frozen list, or its `first` expressible cases and a third as many of the others."""
-    tables = tomllib.loads(CASES.read_text())
-    found = [*((True, t) for t in tables["expressible"]), *((False, t) for t in tables["inexpressible"])]
+    """Return the frozen lists, or their `first` expressible cases and a third as many of the others."""
+    lists = [tomllib.loads(file.read_text()) for file in _LISTS]
+    found = [(kind == "expressible", t) for each in lists for kind in ("expressible", "inexpressible") for t in each[kind]]
     every = [Case(k, expressible, table) for k, (expressible, table) in enumerate(found)]
     parts = [c for c in every if c.expressible], [c for c in every if not c.expressible]
     most = (first, None if first is None else -(-first // 3))

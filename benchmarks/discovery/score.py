@@ -33,6 +33,10 @@ _PORTS: Mapping[tuple[str, str], tuple[str, float, Callable[[Course], Course]]] 
     ("BeltAxis", "carriage"): ("carriage", 1.0, lambda c: {"p": c["carriage.p"], "rate": c["carriage.rate"]}),
     ("BeltAxis", "rotor"): ("rotor", 1.0, lambda c: {"p": c["rotor.p"], "rate": c["rotor.rate"]}),
     ("BeltAxis", "belt"): ("belt", 1.0, lambda c: {"p": c["belt.p"], "rate": c["belt.rate"]}),
+    ("Shaker", "table"): ("table", 1.0, lambda c: {"p": c["table.p"], "rate": c["table.rate"]}),
+    ("Shaker", "suspension"): ("table", 1.0, lambda c: {"p": c["table.p"], "rate": c["table.rate"]}),
+    ("Shaker", "specimen"): ("specimen", 1.0, lambda c: {"p": c["specimen.p"], "rate": c["specimen.rate"]}),
+    ("Shaker", "mount"): ("mount", 1.0, lambda c: {"p": c["mount.p"], "rate": c["mount.rate"]}),
 }
 
 # What the nominal parameters do at a place: a law is found but for it.
@@ -55,6 +59,9 @@ _NOMINAL: Mapping[tuple[str, str], Callable[[Course], list[Floats]]] = {
     ],
     ("BeltAxis", "rotor"): lambda c: [_rate(c, "rotor.rate"), c["rotor.i"]],
     ("BeltAxis", "belt"): lambda c: [c["belt.p"], c["belt.rate"]],
+    ("Shaker", "table"): lambda c: [_rate(c, "table.rate"), c["table.p"], c["table.rate"], c["table.i"]],
+    ("Shaker", "specimen"): lambda c: [_rate(c, "specimen.rate")],
+    ("Shaker", "mount"): lambda c: [c["mount.p"], c["mount.rate"]],
 }
 
 
@@ -116,6 +123,7 @@ def difference(
 
 def _beyond(own: Floats, values: Floats) -> Floats:
     """Return what is left of values when a combination of columns is taken off."""
+    own = own[:, np.any(own != 0.0, axis=0)]  # a term may be at rest in a run
     scaled = own / np.linalg.norm(own, axis=0)
     return values - scaled @ np.linalg.lstsq(scaled, values, rcond=None)[0]
 
