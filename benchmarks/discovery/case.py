@@ -53,7 +53,12 @@ class Case:
 def cases(first: int | None = None) -> tuple[Case, ...]:
     """Return the frozen lists, or their `first` expressible cases and a third as many of the others."""
     lists = [tomllib.loads(file.read_text()) for file in _LISTS]
-    found = [(kind == "expressible", t) for each in lists for kind in ("expressible", "inexpressible") for t in each[kind]]
+    found = [
+        (kind == "expressible", t)
+        for each in lists
+        for kind in ("expressible", "inexpressible")
+        for t in each[kind]
+    ]
     every = [Case(k, expressible, table) for k, (expressible, table) in enumerate(found)]
     parts = [c for c in every if c.expressible], [c for c in every if not c.expressible]
     most = (first, None if first is None else -(-first // 3))

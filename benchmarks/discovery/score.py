@@ -32,11 +32,18 @@ _PORTS: Mapping[tuple[str, str], tuple[str, float, Callable[[Course], Course]]] 
     ("Circuit", "capacitor"): ("capacitor", -1.0, lambda c: {"p": -c["capacitor.p"]}),
     ("BeltAxis", "carriage"): ("carriage", 1.0, lambda c: {"p": c["carriage.p"], "rate": c["carriage.rate"]}),
     ("BeltAxis", "rotor"): ("rotor", 1.0, lambda c: {"p": c["rotor.p"], "rate": c["rotor.rate"]}),
+    ("BeltAxis", "pulley.rim"): ("carriage", 1.0, lambda c: {"p": c["carriage.p"], "rate": c["carriage.rate"]}),
     ("BeltAxis", "belt"): ("belt", 1.0, lambda c: {"p": c["belt.p"], "rate": c["belt.rate"]}),
     ("Shaker", "table"): ("table", 1.0, lambda c: {"p": c["table.p"], "rate": c["table.rate"]}),
     ("Shaker", "suspension"): ("table", 1.0, lambda c: {"p": c["table.p"], "rate": c["table.rate"]}),
     ("Shaker", "specimen"): ("specimen", 1.0, lambda c: {"p": c["specimen.p"], "rate": c["specimen.rate"]}),
     ("Shaker", "mount"): ("mount", 1.0, lambda c: {"p": c["mount.p"], "rate": c["mount.rate"]}),
+}
+
+# Places with a stiff part between them, which no run tells apart: what a flow at one does at the other.
+_RIGID: Mapping[tuple[str, str, str], Callable[[Course], float]] = {
+    ("BeltAxis", "rotor", "carriage"): lambda c: 1.0 / _along(c["rotor.rate"], c["carriage.rate"]),
+    ("BeltAxis", "carriage", "rotor"): lambda c: _along(c["rotor.rate"], c["carriage.rate"]),
 }
 
 # What the nominal parameters do at a place: a law is found but for it.
@@ -66,7 +73,12 @@ _NOMINAL: Mapping[tuple[str, str], Callable[[Course], list[Floats]]] = {
 
 
 # No run determines the scale that all flows and sections have in common: `fmuid init` holds this parameter.
-_COMMON_SCALE: Mapping[str, str] = {"Tanks": "lower"}
+_COMMON_SCALE: Mapping[str, str] = {"Tanks": "lower", "Shaker": "d"}
+
+
+def _along(x: Floats, y: Floats) -> float:
+    """Return the factor of y by x."""
+    return float(x @ y / (x @ x))
 
 
 def _rate(c: Course, name: str) -> Floats:
@@ -99,19 +111,28 @@ def difference(
     As it was found, and with its coefficients fitted to the true one. None if it acts at another place, or depends
     on what the score does not know.
     """
-    known = _PORTS.get((case.rig.model, law["port"]))
-    if known is None or known[0] != case.table["place"]:
+    known, there = _PORTS.get((case.rig.model, law["port"])), case.table["place"]
+    if known is None:
         return None, None
     place, sign, quantities = known
+    if place != there:
+        rigid = _RIGID.get((case.rig.model, place, there))
+        if rigid is None:
+            return None, None
+        sign *= rigid(course)
     inputs = {n.partition(".")[2]: v for n, v in course.items() if n.startswith(f"{place}.")}
     columns = {**inputs, **quantities(course), "time": course["time"]}
     columns |= {n: np.full(len(flow), p["value"]) for n, p in law["parameters"].items()}
     effect = law["effect"]
-    for name, state in effect.get("states", {}).items():
-        columns[name] = _state(state["derivative"], name, columns)
-    if not names_in(effect["expression"]) <= columns.keys():
+    states = effect.get("states", {})
+    used = {
+        n for text in (effect["expression"], *(s["derivative"] for s in states.values())) for n in names_in(text)
+    }
+    if not used <= columns.keys() | states.keys():
         return None, None
-    own = np.stack(_NOMINAL[case.rig.model, place](course), axis=1)
+    for name, state in states.items():
+        columns[name] = _state(state["derivative"], name, columns)
+    own = np.stack(_NOMINAL[case.rig.model, there](course), axis=1)
     sizes = [n for n in law["parameters"] if "size" in n]
     off = {n: np.zeros(len(flow)) for n in sizes}
     terms = [sign * evaluated(effect["expression"], {**columns, **off, n: columns[n]}) for n in sizes]

@@ -100,7 +100,7 @@ def diagnose(
         probabilities are calibrated for this model and set-up. The calibration is stored in the user's cache and
         reused; the default is the calibration shipped with the package.
     law
-        Whether to look for an equation where the verdict is *unknown* or *partial*.
+        Whether to look for an equation where the verdict leaves more than noise.
 
     Returns
     -------

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fmuid.core.campaign import Interpolation
-from fmuid.core.errors import FmuidError, ProblemError
+from fmuid.core.errors import FmuidError, ProblemError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import conversion, convertible
 from fmuid.simulation.runners import Runner, simulated
 from fmuid.simulation.segmented import Growth, Segmented, open_loop
-from fmuid.simulation.simulator import Simulator, Task, Variable
+from fmuid.simulation.simulator import Simulator, Task, Variable, differentiates
 
 _MAX_RUNS = 3
 _MAX_CANDIDATES = 60  # parameters whose effect is simulated
@@ -78,17 +79,15 @@ def first_choice(
     candidates = [v for v in parameters if v.start]
     tried = candidates[:_MAX_CANDIDATES]
     seen = [_seen(model, run, mapping, runner) for run in runs[:_MAX_RUNS]]
-    effects: dict[str, FloatArray] = {}
-    for k, candidate in enumerate(tried):
+    every = []
+    for k, one in enumerate(seen):
         if progress is not None:
-            progress(k / len(tried))
-        try:
-            effects[candidate.name] = np.concatenate([one.effect(candidate).ravel() for one in seen])
-        except FmuidError:
-            continue  # a structural or otherwise delicate parameter, unsuitable for a start
+            progress(k / len(seen))
+        every.append(one.effects(tried))
+    names = [v.name for v in tried if all(v.name in own for own in every)]
+    effects = {name: np.concatenate([own[name].ravel() for own in every]) for name in names}
     drawn = {v.name for v in tried if is_drawn(v)}
-    names = independent_columns(effects, last=drawn)
-    free = tuple(model.variables[n] for n in names)
+    free = tuple(model.variables[n] for n in independent_columns(effects, last=drawn))
     held: dict[str, list[Variable]] = {r: [] for r in (EXPLAINED, CONSTRUCTION, NO_EFFECT, NOT_TRIED, FROM_ZERO)}
     least = _LEAST_EFFECT * max((float(np.linalg.norm(e)) for e in effects.values()), default=0.0)
     for variable in parameters:
@@ -182,9 +181,27 @@ class _Seen:
         """Return the same run with linear interpolation of its inputs."""
         return _Seen(self._model, replace(self._task, interpolation="linear"), self._measured, self._runner)
 
-    def effect(self, parameter: Variable) -> FloatArray:
-        """Return the (outputs, N) change of the outputs with the parameter's relative change."""
-        # Central differences: redundant parameters look alike only as far as differences approximate derivatives.
+    def effects(self, parameters: Sequence[Variable]) -> dict[str, FloatArray]:
+        """Return the (outputs, N) change of the outputs with each parameter's relative change.
+
+        Redundant parameters look alike as far as derivatives are exact, which differences are not. Structural and
+        otherwise delicate parameters, with which the model cannot be simulated, are left out.
+        """
+        exact = [v for v in parameters if differentiates(self._model, [v.name])]
+        found: dict[str, FloatArray] = {}
+        if exact:
+            along = tuple({v.name: v.start or 0.0} for v in exact)
+            with suppress(SimulationError):
+                rows = simulated(self._runner, self._model, replace(self._task, along=along), {})
+                slopes = np.split(rows, len(exact) + 1)[1:]
+                found = {v.name: slope / self.scale for v, slope in zip(exact, slopes, strict=True)}
+        for parameter in parameters:
+            if parameter.name not in found:
+                with suppress(FmuidError):
+                    found[parameter.name] = self._difference(parameter)
+        return found
+
+    def _difference(self, parameter: Variable) -> FloatArray:
         above, below = (
             simulated(self._runner, self._model, self._task, {parameter.name: (parameter.start or 0.0) * factor})
             for factor in (1 + _STEP, 1 - _STEP)
@@ -195,7 +212,7 @@ class _Seen:
         """Return the squared error that one Gauss-Newton step leaves."""
         known = np.isfinite(self._measured)
         error = ((self._measured - self.nominal) / self.scale)[known]
-        columns = np.array([self.effect(v)[known] for v in free]).T
+        columns = np.array([effect[known] for effect in self.effects(free).values()]).T
         step = np.linalg.lstsq(columns, error, rcond=None)[0]
         return float(np.sum((error - columns @ step) ** 2))
 

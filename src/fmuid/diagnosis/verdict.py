@@ -376,7 +376,7 @@ class Diagnosis:
     power
         By effect, the smallest values of its parameters at which it would have been seen.
     law_found
-        The law found or the reason for none, where the verdict is *unknown* or *partial* and a law was looked for.
+        The law found, or the reason for none, where the verdict leaves more than noise and a law was looked for.
     machines
         Differences between machines, if runs of several were diagnosed.
     """

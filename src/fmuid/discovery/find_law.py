@@ -18,7 +18,8 @@ from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, without
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import advantage, closure, closure_interval
 from fmuid.diagnosis.diagnose import Found
-from fmuid.diagnosis.entry import likelier
+from fmuid.diagnosis.entry import entries, likelier
+from fmuid.diagnosis.horizon import approached, early
 from fmuid.diagnosis.null_distribution import NoiseDraws, draw_noise
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess
 from fmuid.diagnosis.scores import nominal_basis
@@ -26,7 +27,7 @@ from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Closure, Curve, LawFound, LawParameter
 from fmuid.discovery.injected import Law, entry, with_laws
 from fmuid.discovery.places import Spot, spot
-from fmuid.discovery.selection import Chosen, choose
+from fmuid.discovery.selection import Chosen, Proposal, choose, instead
 from fmuid.discovery.terms import HIDDEN, evaluated, names_in
 from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.simulator import Simulator
@@ -66,12 +67,13 @@ def find_law(
     say: Say = quiet,
     seed: int = 0,
 ) -> Discovery | None:
-    """Look for a law if a diagnosis is *unknown* or *partial*; return None for any other verdict.
+    """Look for a law where a diagnosis is *unknown* or *partial*, or its effects leave more than noise.
 
     The search selects a few terms of a library that explain the residual of the nominal model. It adds the best
     laws to the model at the port, rebuilds the model and refits it with all parameters. A law is extended as long
     as it leaves more than noise and further terms close enough of the rest on held-out experiments. If effects
-    explain a part, a law is first sought in their place, then in addition to them.
+    explain a part, a law is first sought in their place, then in addition to them. Where they are the verdict, it
+    must predict held-out experiments much better than they do. Returns None where no law is looked for.
 
     Parameters
     ----------
@@ -84,22 +86,27 @@ def find_law(
     seed
         Seed of the null distribution and the bootstrap.
     """
-    if found.diagnosis.verdict.kind not in ("unknown", "partial"):
+    verdict, subject = found.diagnosis.verdict, found.subject
+    effect = verdict.kind == "effect"
+    if verdict.kind not in ("unknown", "partial") and not (effect and verdict.rest is not None):
         return None
-    subject = found.subject
     setups = {case.setup for case in subject.model.cases}
     flats = {s: flat_model(source) for s in setups if s in models and (source := models[s].source) is not None}
     if set(flats) != setups:
         return _none("the campaign names no Modelica source of its model, so no law can be added to it")
     (predicted,) = subject.model.predict([found.nominal.fit.values])
     noise = draw_noise(subject.observed, None if isinstance(predicted, SimulationError) else predicted, seed=seed)
-    # In place of the effects that explain a part, then beside them.
-    bases = [found.nominal, *(found.surviving[:1] if found.diagnosis.verdict.kind == "partial" else ())]
+    named = () if verdict.kind == "unknown" else found.surviving[:1]
+    if not found.entered:  # the verdict did not need it
+        ports = tuple(subject.catalogue.ports.values())
+        found = replace(found, entered=entries(subject.model, subject.observed, named[0].fit, ports))
     reasons = []
-    for base in bases:
-        search = _Search(found, base, models, load, flats, noise)
+    for base in (found.nominal, *named):  # in place of the effects that explain a part, then beside them
+        search = _Search(found, base, models, load, flats, noise, seed)
         try:
             best, reason = search.best(say)
+            if effect and best is not None and not decide.worth_adding(named[0], best.fitted):
+                reason = reason or "no law explains the gap much better than the effects of the verdict"
             if best is not None and not reason:
                 best = search.named(search.pruned(best))
                 return Discovery(search.described(best, seed), best)
@@ -109,15 +116,18 @@ def find_law(
     return _none("; ".join(reasons))
 
 
-def _best(chosen: Sequence[Chosen], terms: int, most: int) -> list[Chosen]:
-    """Return the best choices with so many terms: half by held-out loss, half by fit.
+def _likeliest(chosen: Sequence[Chosen]) -> list[Chosen]:
+    """Return the best choices with one term and with two: half by held-out loss, half by fit.
 
     With few experiments, leaving one out says little where the rest is far from linear.
     """
-    own = [c for c in chosen if len(c.terms) == terms]
-    first = sorted(own, key=lambda c: c.held_out.mean)[: most - most // 2]
-    others = sorted((c for c in own if c not in first), key=lambda c: -c.drop)
-    return [*first, *others[: most // 2]]
+    found: list[Chosen] = []
+    for terms, most in enumerate(_TRIED, 1):
+        own = [c for c in chosen if len(c.terms) == terms]
+        first = sorted(own, key=lambda c: c.held_out.mean)[: most - most // 2]
+        others = sorted((c for c in own if c not in first), key=lambda c: -c.drop)
+        found += [*first, *others[: most // 2]]
+    return found
 
 
 def _none(reason: str) -> Discovery:
@@ -132,6 +142,7 @@ class _Search:
     load: Callable[[ModelSpec], Simulator]
     flats: Mapping[str, FlatModel]
     noise: NoiseDraws
+    seed: int
 
     def best(self, say: Say) -> tuple[Candidate | None, str]:
         """Return the best law, and the reason why it is refused, if it is."""
@@ -148,7 +159,19 @@ class _Search:
             best, spots = better, [self.along(better)]
         if best is None:
             return None, "no term of the library explains more than noise would"
+        best = self.simplified(best)
         return best, self.refused(best)
+
+    def simplified(self, law: Candidate) -> Candidate:
+        """Return the simplest law that does what a law does along the trajectories of the model that has it.
+
+        The model without it was far off, so that the terms that explained its residuals need not be the simplest.
+        """
+        place = self.along(law)
+        flow = replace(law.law, spot=place).courses(law.fitted.fit.values)
+        begin = {n: v for n, v in law.fitted.fit.values.items() if n in self.base.fit.values}
+        others = self._refitted(None, instead(place, flow), begin)
+        return self._simplest([law, *others])
 
     def along(self, law: Candidate) -> Spot:
         """Return the place of a law with its quantities along the trajectories of the model with the law."""
@@ -171,13 +194,49 @@ class _Search:
         subject = self.found.subject if law is None else law.subject
         before = self.base if law is None else law.fitted
         chosen = [c for s in spots for c in choose(subject, before.fit, s, self.noise, pairs=law is None)]
-        candidates = self._refitted(law, [c for n, most in enumerate(_TRIED, 1) for c in _best(chosen, n, most)])
+        candidates = self._refitted(law, _likeliest(chosen))
+        if law is None and not any(self.finished(c) for c in candidates):
+            candidates = [self._led_out(c) for c in (*candidates, *self._from_beginnings(spots))]
         if not candidates:
             return None
         best = self._simplest(candidates)
         return best if decide.worth_adding(before, best.fitted) else None
 
-    def _refitted(self, law: Candidate | None, chosen: Sequence[Chosen]) -> list[Candidate]:
+    def _from_beginnings(self, spots: Sequence[Spot]) -> list[Candidate]:
+        """Return laws that explain early parts of the runs, where the model has not drifted away yet."""
+        whole, base, flat = self.found.subject, self.base, next(iter(self.flats.values()))
+        part = early(whole)
+        again = None
+        if part is not None:
+            effects = [e for e in part.effects if e.id in base.effects]
+            again = fit_effects(part, effects, [base.fit.values, {**base.fit.values, **whole.starts}])
+        if part is None or again is None:
+            return []
+        (predicted,) = part.model.predict([again.fit.values])
+        noise = draw_noise(
+            part.observed, None if isinstance(predicted, SimulationError) else predicted, seed=self.seed
+        )
+        own = [spot(s.port.name, flat, part.model, again.fit.values) for s in spots]
+        chosen = [c for s in own if s is not None for c in choose(part, again.fit, s, noise)]
+        return self._refitted(None, _likeliest(chosen))
+
+    def _led_out(self, law: Candidate) -> Candidate:
+        """Return a law with a better fit, approached over growing horizons, if its fit is in a local minimum."""
+        subject, fitted, starts = law.subject, law.fitted, self.found.subject.starts
+        sizes = {name: fitted.fit.values[name] for name in law.law.sizes}
+        shapes = {u.name: u.start for u in law.effect.unknowns if u.name in law.effect.shapes}
+        trials = [sizes, {name: 0.3 * size for name, size in sizes.items()}]
+        near = approached(subject, fitted.fit.unknowns, {**fitted.fit.values, **starts, **shapes}, trials)
+        effects = [e for e in subject.effects if e.id in fitted.effects]
+        again = fit_effects(subject, effects, [near]) if near is not None else None
+        better = (
+            again is not None and again.fit.cost < fitted.fit.cost and not decide.strained(again, [law.effect])
+        )
+        return replace(law, fitted=again) if again is not None and better else law
+
+    def _refitted(
+        self, law: Candidate | None, chosen: Sequence[Proposal], begin: Mapping[str, float] | None = None
+    ) -> list[Candidate]:
         """Put laws into the model, each added while the others are off, and refit each with all parameters."""
         laws, starts = [], []
         for k, one in enumerate(chosen):
@@ -185,7 +244,7 @@ class _Search:
             terms = (*(law.law.terms if law is not None else ()), *one.terms)
             new = Law(one.spot, terms, f"{port}.tried{k + 1}")
             sizes = list(one.sizes)
-            values = dict(self.base.fit.values)
+            values = dict(begin or self.base.fit.values)
             if law is not None:
                 values = {n: law.fitted.fit.values[n] for n in values}
                 sizes = [law.fitted.fit.values[n] for n in law.law.sizes] + sizes
@@ -207,14 +266,23 @@ class _Search:
         return found
 
     def _simplest(self, candidates: Sequence[Candidate]) -> Candidate:
-        """Return the simplest of the laws that the data do not distinguish from the best one."""
+        """Return the simplest of the laws that the data do not distinguish from the best one.
+
+        A law that another one, no less simple, beats clearly on the experiments fitted is none of them. The others
+        predict held-out experiments about as well as the best one, or fit all of them better.
+        """
         observed = self.found.subject.observed
-        best = min(candidates, key=lambda c: c.fitted.held_out.mean)
+
+        def beyond(better: Candidate, worse: Candidate) -> bool:
+            return decide.separation(better.fitted, worse.fitted, observed) >= decide.SAME
+
+        left = [c for c in candidates if not any(d.law.rank <= c.law.rank and beyond(d, c) for d in candidates)]
+        best = min(left, key=lambda c: c.fitted.held_out.mean)
         most = decide.ABOUT_AS_WELL * best.fitted.held_out.gap + _NOTHING
         alike = [
             c
-            for c in candidates
-            if decide.separation(best.fitted, c.fitted, observed) < decide.SAME and c.fitted.held_out.gap <= most
+            for c in left
+            if not beyond(best, c) and (c.fitted.held_out.gap <= most or c.fitted.fit.cost <= best.fitted.fit.cost)
         ]
         return min(alike, key=lambda c: (c.law.rank, c.fitted.held_out.mean))
 
@@ -261,7 +329,7 @@ class _Search:
         taken = {n for flat in self.flats.values() for n in flat.variables}
         words = (f"law{k or ''}" for k in (0, *range(2, len(taken) + 3)))
         name = next(w for w in words if not any(n.startswith(f"{spot.port.name}.{w}_") for n in taken))
-        final = replace(law.law, base=f"{spot.port.name}.{name}")
+        final = replace(law.law, spot=self.along(law), base=f"{spot.port.name}.{name}")
         before = {u.name: values[u.name] for u in law.effect.unknowns}
         after = final.effect("", "").unknowns
         new = {old: u.name for old, u in zip(before, after, strict=True)}

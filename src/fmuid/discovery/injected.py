@@ -7,8 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from fmu_build.instrument import State
 from fmuid.core.campaign import ModelSpec
+from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.subject import Subject
@@ -71,6 +74,19 @@ class Law:
             State(self.state(k), _put_in(term.rate, self._meant(k)))
             for k, term in enumerate(self.terms)
             if term.rate
+        )
+
+    def courses(self, values: Mapping[str, float]) -> tuple[FloatArray, ...]:
+        """Return the (N,) flow along the time series of its place, in every experiment."""
+        return tuple(
+            np.sum(
+                [
+                    values[size] * term.course(c, t, {n: values[name] for n, name in self.shapes(k).items()})
+                    for k, (size, term) in enumerate(zip(self.sizes, self.terms, strict=True))
+                ],
+                axis=0,
+            )
+            for c, t in zip(self.spot.courses, self.spot.time, strict=True)
         )
 
     def formula(self, values: Mapping[str, float]) -> str:

@@ -26,19 +26,26 @@ from fmuid.discovery.terms import Term
 
 _DRIVEN = 0.05  # size at which a term's response is taken, as a share of the flow at the port
 _JUDGED = 40  # terms per place that are judged on held-out experiments
+_INSTEAD = 6  # terms that are tried in place of a law
 _BEGUN, _PARTNERS = 6, 4  # terms from which pairs are made, and partners tried for each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Chosen:
-    """Terms at a place with their coefficients (flows), and their losses on held-out experiments.
-
-    `drop` is the fall of the cost on the experiments that they were fitted to.
-    """
+class Proposal:
+    """Terms at a place with their coefficients (flows)."""
 
     spot: Spot
     terms: tuple[Term, ...]
     sizes: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chosen(Proposal):
+    """A proposal with its losses on held-out experiments.
+
+    `drop` is the fall of the cost on the experiments that it was fitted to.
+    """
+
     held_out: HeldOut
     drop: float
 
@@ -77,6 +84,36 @@ def choose(subject: Subject, base: Refit, spot: Spot, noise: NoiseDraws, *, pair
                 families.add(partner.term.family)
                 found.append(_judged(subject, base, spot, [own, partner], own.drop + drop))
     return _best_of_families(found)
+
+
+def instead(spot: Spot, flow: Sequence[FloatArray]) -> list[Proposal]:
+    """Return single terms that come near a flow at a place, the nearest of each family, beside its linear terms.
+
+    Parameters
+    ----------
+    spot
+        The place, along the trajectories of the model that has the flow.
+    flow
+        (N,) in every experiment.
+    """
+    target = np.concatenate(flow)
+    names = spot.courses[0]
+    beside = np.stack(
+        [np.ones(len(target)), *(np.concatenate([c[n] for c in spot.courses]) for n in names)], axis=1
+    )
+    basis = np.linalg.qr(beside)[0]
+    target = project_off(target, basis)
+    nearest: dict[str, tuple[float, Proposal]] = {}
+    for term in spot.terms:
+        course = np.concatenate([term.course(c, t) for c, t in zip(spot.courses, spot.time, strict=True)])
+        own = project_off(course, basis)
+        length = float(np.linalg.norm(own))
+        if length > 1e-3 * float(np.linalg.norm(course)):
+            size = float(own @ target) / length**2
+            left = float(np.linalg.norm(target - size * own))
+            if left < nearest.get(term.family, (np.inf,))[0]:
+                nearest[term.family] = left, Proposal(spot, (term,), (size,))
+    return [proposal for _, proposal in sorted(nearest.values(), key=lambda pair: pair[0])[:_INSTEAD]]
 
 
 def _columns(subject: Subject, base: Refit, spot: Spot) -> list[_Column]:
