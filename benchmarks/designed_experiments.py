@@ -1,9 +1,10 @@
 """Does a designed run settle what it says it will? ``python -m benchmarks.designed_experiments FOLDER``.
 
-Plants of the rigs abroad are driven so weakly that their diagnosis ends with "A or B". `fmuid design` looks for
-the run that settles it within the rig's full range; the case's own plant plays it once, and the campaign with that
-run is diagnosed again. Where the design says that no run settles it, one of the rig's own runs at full size has
-its try, too. Effects and sizes are those that often leave a diagnosis open; cases where they do not are left out.
+Plants of the rigs that rules are found on have an effect that another one resembles, and are driven weakly.
+Where their diagnosis ends with "A or B", `fmuid design` looks for the run that settles it within the rig's
+full range; the case's own plant plays it once, and the campaign with that run is diagnosed again. Where the
+design says that no run settles it, one of the rig's own runs at full size has its try, too. Left out are
+cases that a diagnosis settles at once, and those whose answers are the same by physics.
 """
 
 from __future__ import annotations
@@ -12,33 +13,22 @@ import argparse
 import json
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.abroad.belt_axis import BELT_AXIS
 from benchmarks.abroad.case import diagnose
-from benchmarks.abroad.circuit import CIRCUIT
+from benchmarks.abroad.gap import SizedPlant
 from benchmarks.abroad.logs import Recording, drawn_factors, write_logs
 from benchmarks.abroad.plant import Floats, Rig
-from benchmarks.abroad.tanks import TANKS
-from benchmarks.abroad.thermal_block import THERMAL_BLOCK
+from benchmarks.abroad.rehearsal_rigs import REHEARSED_ON
 from fmuid.cli.app import run
 
-OPEN = (  # rig, effect, and size of the rig's own inputs in the runs that are diagnosed first
-    (THERMAL_BLOCK, "lag@T_body", 0.2),
-    (CIRCUIT, "capacity@resistor.n", 0.2),
-    (BELT_AXIS, "delay@i", 0.2),
-    (THERMAL_BLOCK, "radiation@casing", 0.4),
-    (CIRCUIT, "voltage_drop@source", 0.4),
-    (CIRCUIT, "leakage@capacitor", 0.2),
-    (THERMAL_BLOCK, "lag@T_body", 0.1),
-    (TANKS, "lag@u", 0.2),
-    (CIRCUIT, "delay@u", 0.1),
-)
+_WEAK = 0.3  # of the rig's own inputs, in the runs that are diagnosed first
+_GAPS = (0.7, 3.0)  # noise floors that the effect leaves there
 REPEATS = 2
 _MARGIN = 0.3  # of what the rig's outputs do at full size: how far a designed run may go beyond
 
@@ -51,34 +41,44 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(20)))
     given = parser.parse_args()
     found: list[dict[str, Any]] = []
-    for rig, truth, size, seed in draws(given.seeds):
+    for rig, truth, seed in draws(given.seeds):
         if len(found) == given.cases:
             break
-        judged = case(rig, truth, size, seed, given.folder)
+        judged = case(rig, truth, seed, given.folder)
         if judged is not None:
             found.append(judged)
             print(line(judged), flush=True)
     print("\n".join(summary(found)))
 
 
-def draws(seeds: list[int]) -> Iterator[tuple[Rig, str, float, int]]:
-    """Yield rig, effect, size of the inputs and seed of every case that may be ambiguous."""
+def draws(seeds: list[int]) -> Iterator[tuple[Rig, str, int]]:
+    """Yield rig, effect and seed of every case that may be ambiguous: the effect has rivals."""
     for seed in seeds:
-        for rig, truth, size in OPEN:
-            yield rig, truth, size, seed
+        for rig in REHEARSED_ON:
+            for truth in rig.near:
+                yield rig, truth, seed
 
 
-def case(rig: Rig, truth: str, size: float, seed: int, folder: Path) -> dict[str, Any] | None:
+def _sized(rig: Rig, truth: str, seed: int) -> tuple[Rig, dict[str, Floats]]:
+    """Return the rig with the effect at the size of the case, and the inputs of the weak runs."""
+    names = list(rig.inputs)
+    weak = {n: _WEAK * rig.inputs[n] for n in (names[(seed + i) % len(names)] for i in (0, 1))}
+    factors = drawn_factors(rig, np.random.default_rng(seed))  # as `diagnose` draws them
+    gap = float(np.exp(np.random.default_rng([seed, 2]).uniform(*np.log(_GAPS))))
+    effect, _ = SizedPlant(replace(rig, inputs=weak), factors).sized(rig.effects[truth], gap)
+    return replace(rig, effects={truth: effect}), weak
+
+
+def case(rig: Rig, truth: str, seed: int, folder: Path) -> dict[str, Any] | None:
     """Return what came of a case; None if its first diagnosis is not ambiguous."""
-    place = folder / f"{rig.model}-{truth.replace('@', '-at-')}-{size}-{seed}"
+    place = folder / f"{rig.model}-{truth.replace('@', '-at-')}-{seed}"
     kept = place / "judged.json"
     if kept.is_file():
         judged: dict[str, Any] = json.loads(kept.read_text())
         return judged
+    rig, weak = _sized(rig, truth, seed)
     first = place / "outcome.json"
     if not first.is_file():
-        names = list(rig.inputs)
-        weak = {n: size * rig.inputs[n] for n in (names[(seed + i) % len(names)] for i in (0, 1))}
         outcome = diagnose(replace(rig, inputs=weak), truth, place, seed=seed, repeats=REPEATS)
         first.write_text(json.dumps(outcome.to_dict()))
     if json.loads(first.read_text())["kind"] != "ambiguous":
@@ -86,6 +86,8 @@ def case(rig: Rig, truth: str, size: float, seed: int, folder: Path) -> dict[str
     before = json.loads((place / "diagnosis" / "diagnosis.json").read_text())["verdict"]
     answers = [(*before["effects"], *others) for others in before["one_of"]]
     alike = {truth, *rig.same.get(truth, ())}
+    if {n for names in answers for n in names} <= alike:
+        return None
     _limit(rig, place / "campaign" / "campaign.toml")
     design = ["design", str(place / "diagnosis"), "--for", "diagnosis", "--out", str(place / "design")]
     if run([*design, "--evaluations", "100", "--workers", "0", "--quiet"]) != 0:
@@ -108,11 +110,10 @@ def case(rig: Rig, truth: str, size: float, seed: int, folder: Path) -> dict[str
         full = np.array(rig.inputs[name])
         full[[0, -1]] = u[0]  # from rest and back, as designed ones
         own = _again(rig, truth, seed, place, "full", rig.time, full)
-        others = {"by": name, "verdict": own["verdict"], "settled": _one_left(own)}
+        others = {"by": name, "verdict": own["verdict"], "settled": _one_left(own, answers)}
     judged = {
         "rig": rig.name,
         "truth": truth,
-        "size": size,
         "seed": seed,
         "answers": answers,
         "holds_truth": bool(right),
@@ -123,7 +124,7 @@ def case(rig: Rig, truth: str, size: float, seed: int, folder: Path) -> dict[str
         "pairs": pairs,
         "after": after["verdict"]["kind"],
         "named": _named(after),
-        "settled": _one_left(after),
+        "settled": _one_left(after, answers),
         "truth_kept": any(set(a) & alike for a in _named(after)),
         "own_run": others,
     }
@@ -177,8 +178,13 @@ def _named(answer: Mapping[str, Any]) -> list[list[str]]:
     return [verdict["effects"]] if verdict["effects"] else []
 
 
-def _one_left(answer: Mapping[str, Any]) -> bool:
-    return answer["verdict"]["kind"] in ("effect", "partial") and len(_named(answer)) == 1
+def _one_left(answer: Mapping[str, Any], before: Sequence[Sequence[str]]) -> bool:
+    """Return whether a diagnosis names one of the answers `before`, and tells it from the others."""
+    if answer["verdict"]["kind"] not in ("effect", "partial"):
+        return False
+    (named,) = _named(answer)
+    others = {n for names in before for n in names} - set(named)
+    return not any(set(c) & set(named) and set(c) & others for c in answer["alias_classes"])
 
 
 def _apart(answer: Mapping[str, Any], a: set[str], b: set[str]) -> bool:
@@ -197,7 +203,7 @@ def line(judged: Mapping[str, Any]) -> str:
     end = "settled" if judged["settled"] else judged["after"]
     kept = "truth kept" if judged["truth_kept"] else "truth lost" if judged["holds_truth"] else "truth not among"
     own = f", own run {'settles' if judged['own_run']['settled'] else 'neither'}" if judged["own_run"] else ""
-    case = f"{judged['rig']:14} {judged['truth']:22} {judged['size']:3} {judged['seed']:2}"
+    case = f"{judged['rig']:14} {judged['truth']:22} {judged['seed']:2}"
     return f"{case} {says:14} {end:10} {kept}{own}"
 
 

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from benchmarks.abroad.logs import Recording, write_logs
+from benchmarks.abroad.shaker import SHAKER
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.campaigns.first_choice import independent_columns, is_drawn
 from fmuid.campaigns.new_campaign import match_columns
@@ -144,6 +146,18 @@ def test_init_says_what_it_holds_and_why(
     text = Path("campaign/campaign.toml").read_text()
     assert '# [parameters."d"] # Friction\n# start = 0.0\n# unit = "N.m.s/rad"\n\n' in text
     assert text.index("# Fixed: does not affect any measured output.") < text.index('# [parameters."spare"]')
+
+
+def test_a_scale_that_all_parameters_share_is_held_although_the_model_resonates(
+    folder: Path, fmuid: Command
+) -> None:
+    factors = dict.fromkeys(SHAKER.parameters, 1.0)
+    logs = write_logs(SHAKER, factors, {}, folder, Recording(1), np.random.default_rng(0))
+    code, _, _ = fmuid("init", *logs, "--model", SHAKER.file, "--class", "Shaker", "--workers", "0")
+    assert code == 0
+    free = set(load_campaign("campaign").parameters)
+    # Forces, masses and stiffnesses twice as large do the same; the damping of the mount matters least.
+    assert free == {"coil.k", "table.m", "specimen.m", "suspension.c", "suspension.d", "mount.c"}
 
 
 @pytest.mark.parametrize("option", ["--unit", "--sigma"])

@@ -12,6 +12,7 @@ import pytest
 from benchmarks.abroad.logs import Recording, drawn_factors, write_logs
 from benchmarks.abroad.plant import Extra
 from benchmarks.abroad.thermal_block import THERMAL_BLOCK as BLOCK
+from benchmarks.discovery.case import cases, make_campaign
 from fmuid.cli.app import run
 
 SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
@@ -89,3 +90,15 @@ def test_a_course_that_nothing_in_the_model_knows_gets_no_equation_but_a_reason(
     assert answer["law_found"]["formula"] is None
     assert answer["law_found"]["reason"] in capsys.readouterr().out
     assert not (out / "corrected").exists()
+
+
+@pytest.mark.slow
+def test_a_law_is_looked_for_where_the_effect_that_is_named_leaves_more_than_noise(tmp_path):
+    case = cases()[1]  # an outflow with the cube of the level, much like a leakage
+    campaign, out = make_campaign(case, tmp_path / "case"), tmp_path / "diagnosis"
+    assert run(["diagnose", str(campaign), "--out", str(out), "--workers", "0", "--quiet"]) == 0
+    answer = json.loads((out / "diagnosis.json").read_text())
+    assert answer["verdict"]["kind"] == "effect"
+    assert answer["verdict"]["rest"]["gap"] > 0.1
+    assert answer["law_found"]["formula"].endswith("(p/0.2)^3")
+    assert answer["law_found"]["closure"]["held_out"] > answer["answers"][0]["closure"]["held_out"]
