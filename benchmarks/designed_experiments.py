@@ -72,10 +72,6 @@ def _sized(rig: Rig, truth: str, seed: int) -> tuple[Rig, dict[str, Floats]]:
 def case(rig: Rig, truth: str, seed: int, folder: Path) -> dict[str, Any] | None:
     """Return what came of a case; None if its first diagnosis is not ambiguous."""
     place = folder / f"{rig.model}-{truth.replace('@', '-at-')}-{seed}"
-    kept = place / "judged.json"
-    if kept.is_file():
-        judged: dict[str, Any] = json.loads(kept.read_text())
-        return judged
     rig, weak = _sized(rig, truth, seed)
     first = place / "outcome.json"
     if not first.is_file():
@@ -90,7 +86,8 @@ def case(rig: Rig, truth: str, seed: int, folder: Path) -> dict[str, Any] | None
         return None
     _limit(rig, place / "campaign" / "campaign.toml")
     design = ["design", str(place / "diagnosis"), "--for", "diagnosis", "--out", str(place / "design")]
-    if run([*design, "--evaluations", "100", "--workers", "0", "--quiet"]) != 0:
+    made = (place / "design" / "design.json").is_file()
+    if not made and run([*design, "--evaluations", "100", "--workers", "0", "--quiet"]) != 0:
         return None
     answer = json.loads((place / "design" / "design.json").read_text())
     time, u = np.loadtxt(place / "design" / "input.csv", delimiter=",", skiprows=1, unpack=True)
@@ -111,7 +108,7 @@ def case(rig: Rig, truth: str, seed: int, folder: Path) -> dict[str, Any] | None
         full[[0, -1]] = u[0]  # from rest and back, as designed ones
         own = _again(rig, truth, seed, place, "full", rig.time, full)
         others = {"by": name, "verdict": own["verdict"], "settled": _one_left(own, answers)}
-    judged = {
+    return {
         "rig": rig.name,
         "truth": truth,
         "seed": seed,
@@ -125,11 +122,10 @@ def case(rig: Rig, truth: str, seed: int, folder: Path) -> dict[str, Any] | None
         "after": after["verdict"]["kind"],
         "named": _named(after),
         "settled": _one_left(after, answers),
+        "alone": len(_named(after)) == 1,
         "truth_kept": any(set(a) & alike for a in _named(after)),
         "own_run": others,
     }
-    kept.write_text(json.dumps(judged, indent=1) + "\n")
-    return judged
 
 
 def _limit(rig: Rig, campaign: Path) -> None:
@@ -152,6 +148,10 @@ def _limit(rig: Rig, campaign: Path) -> None:
 def _again(rig: Rig, truth: str, seed: int, place: Path, name: str, time: Floats, u: Floats) -> dict[str, Any]:
     """Have the case's plant play a run, and diagnose the campaign with it."""
     folder = place / name
+    found = folder / "diagnosis" / "diagnosis.json"
+    if found.is_file():
+        known: dict[str, Any] = json.loads(found.read_text())
+        return known
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     factors = drawn_factors(rig, np.random.default_rng(seed))  # as `diagnose` draws them
@@ -164,9 +164,10 @@ def _again(rig: Rig, truth: str, seed: int, place: Path, name: str, time: Floats
     toml = folder / "campaign" / "campaign.toml"
     text = re.sub(r"(?m)^identification = .*$", 'identification = ["*"]', toml.read_text())
     toml.write_text(re.sub(r"(?m)^validation = .*$", "validation = []", text))
-    out = folder / "diagnosis"
-    run(["diagnose", str(folder / "campaign"), "--out", str(out), "--no-law", "--workers", "0", "--quiet"])
-    answer: dict[str, Any] = json.loads((out / "diagnosis.json").read_text())
+    run(
+        ["diagnose", str(folder / "campaign"), "--out", str(found.parent), "--no-law", "--workers", "0", "--quiet"]
+    )
+    answer: dict[str, Any] = json.loads(found.read_text())
     return answer
 
 
@@ -179,18 +180,22 @@ def _named(answer: Mapping[str, Any]) -> list[list[str]]:
 
 
 def _one_left(answer: Mapping[str, Any], before: Sequence[Sequence[str]]) -> bool:
-    """Return whether a diagnosis names one of the answers `before`, and tells it from the others."""
-    if answer["verdict"]["kind"] not in ("effect", "partial"):
+    """Return whether a diagnosis has only one of the answers `before`, and tells it from the others.
+
+    A run that shows more may raise another question beside the one that it was designed for.
+    """
+    named = [set(n) for n in _named(answer)]
+    left = [set(b) for b in before if any(set(b) <= n for n in named)]
+    if len(left) != 1 or not all(left[0] <= n for n in named):
         return False
-    (named,) = _named(answer)
-    others = {n for names in before for n in names} - set(named)
-    return not any(set(c) & set(named) and set(c) & others for c in answer["alias_classes"])
+    others = {n for names in before for n in names} - left[0]
+    return not any(set(c) & left[0] and set(c) & others for c in answer["alias_classes"])
 
 
 def _apart(answer: Mapping[str, Any], a: set[str], b: set[str]) -> bool:
     """Return whether a diagnosis no longer has both of two answers."""
     named = [set(n) for n in _named(answer)]
-    return not (a in named and b in named)
+    return not (any(a <= n for n in named) and any(b <= n for n in named))
 
 
 def line(judged: Mapping[str, Any]) -> str:
@@ -217,7 +222,11 @@ def summary(found: list[dict[str, Any]]) -> list[str]:
     ):
         settled = [f for f in own if f["settled"]]
         kept = sum(f["truth_kept"] for f in settled)
-        rows.append(f"predicted to be {words}: {len(own)}; settled {len(settled)}, with the truth left {kept}")
+        alone = sum(f["alone"] for f in settled)
+        rows.append(
+            f"predicted to be {words}: {len(own)}; settled {len(settled)}, with the truth left {kept}; "
+            f"no other question left {alone}"
+        )
     hopeless = [f for f in found if f["hopeless"]]
     right = sum(not f["settled"] and not f["own_run"]["settled"] for f in hopeless)
     rows.append(f"no run was said to settle {len(hopeless)}: right in {right}")
