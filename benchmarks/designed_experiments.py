@@ -106,7 +106,7 @@ def case(rig: Rig, truth: str, seed: int, folder: Path) -> dict[str, Any] | None
         name = next(n for n in rig.inputs if not list(place.glob(f"{n}_*.csv")))
         full = np.array(rig.inputs[name])
         full[[0, -1]] = u[0]  # from rest and back, as designed ones
-        own = _again(rig, truth, seed, place, "full", rig.time, full)
+        own = _again(rig, truth, seed, place, "at_full_size", rig.time, full)
         others = {"by": name, "verdict": own["verdict"], "settled": _one_left(own, answers)}
     return {
         "rig": rig.name,

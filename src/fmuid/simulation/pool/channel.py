@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import pickle
+import select
 import socket
 import struct
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -25,13 +27,21 @@ class Channel:
         """Signal the end of messages to the other end."""
         self._socket.close()
 
-    def send(self, packed: bytes, buffers: list[pickle.PickleBuffer] | None = None) -> None:
+    def send(self, packed: bytes, buffers: Sequence[pickle.PickleBuffer] = ()) -> None:
         """Send a pickled object and its out-of-band buffers; OSError if the other end is gone."""
-        raw = [buffer.raw() for buffer in buffers or ()]
+        raw = [buffer.raw() for buffer in buffers]
         sizes = struct.pack(f"<{len(raw)}Q", *(view.nbytes for view in raw))
         self._socket.sendall(_HEAD.pack(len(packed) + len(sizes), len(raw)) + packed + sizes)
         for view in raw:
             self._socket.sendall(view)
+
+    def send_all(self, messages: Sequence[bytes]) -> None:
+        """Send pickled objects at once; OSError if the other end is gone."""
+        self._socket.sendall(b"".join(_HEAD.pack(len(packed), 0) + packed for packed in messages))
+
+    def waits(self) -> bool:
+        """Return whether the next message, or the end, is there already."""
+        return bool(select.select([self._socket], [], [], 0.0)[0])
 
     def receive(self) -> tuple[memoryview, list[memoryview]]:
         """Wait for a pickled object and its buffers; EOFError or OSError if the other end is gone."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import multiprocessing
 import os
 import pickle
@@ -11,6 +12,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,7 @@ from fmuid.simulation.pool.parcels import unpacked
 from fmuid.simulation.runners import simulate
 
 _WEIGH_INTERVAL = 0.02  # s between checks of the memory
+_TOGETHER = 0.004  # s for which answers are collected, if there is more to do
 HOLD, JOB, CALL = range(3)
 """Kinds of message: keep an object under a number, simulate with kept objects, call a function."""
 
@@ -49,7 +52,7 @@ def main(connection: Channel, folder: str) -> None:
     resets.keep_notes(Path(folder))
     threading.Thread(target=_leave_with_parent, args=(folder,), daemon=True).start()
     with suppress(EOFError, OSError):  # the pool has dismissed this worker, or has ended
-        _serve(connection)
+        _serve(connection, Path(folder))
     if sys.stdout is not None:  # it may be closed
         sys.stdout.flush()
     parent = multiprocessing.parent_process()
@@ -58,17 +61,26 @@ def main(connection: Channel, folder: str) -> None:
     os._exit(0)  # exit handlers of FMUs have crashed more than one process
 
 
-def _serve(connection: Channel) -> None:
+def _serve(connection: Channel, folder: Path) -> None:
     kept: dict[int, Any] = {}
+    answers: list[tuple[bool, Any]] = []  # not sent yet
     memory, weighed = resident_memory(os.getpid()), time.monotonic()
-    _send(connection, True, None, memory)
+    sent = weighed
+    begun = Begun(folder, new=True)
+    _send(connection, [(True, None)], memory)
     while True:
+        # Answers of short evaluations are sent together, because every message interrupts the other end.
+        if answers and (time.monotonic() - sent > _TOGETHER or not connection.waits()):
+            _send(connection, answers, memory)
+            answers, sent = [], time.monotonic()
         message, _ = connection.receive()
+        begun.add()
         try:
             kind, *content = pickle.loads(message)
             if kind == HOLD:
                 number, held = content
                 kept[number] = unpacked(held)
+                begun.add(-1)
                 continue
             if kind == JOB:
                 simulator, task, parameters = content
@@ -81,23 +93,52 @@ def _serve(connection: Channel) -> None:
             fine = True
         except BaseException as error:
             fine, result = False, error
+        answers.append((fine, result))
         if time.monotonic() - weighed > _WEIGH_INTERVAL:
             memory, weighed = resident_memory(os.getpid()), time.monotonic()
-        _send(connection, fine, result, memory)
 
 
-def _send(connection: Channel, fine: bool, content: Any, memory: int) -> None:
+class Begun:
+    """Number of evaluations that a worker process has begun, which outlives it."""
+
+    def __init__(self, folder: Path, *, new: bool = False) -> None:
+        file = folder / "begun"
+        if new:
+            file.write_bytes(bytes(8))
+        with file.open("r+b") as opened:
+            self._memory = mmap.mmap(opened.fileno(), 8)
+        self._count = int.from_bytes(self._memory[:8], "little")
+
+    @property
+    def count(self) -> int:
+        """The number."""
+        return self._count
+
+    def add(self, more: int = 1) -> None:
+        """Note another one."""
+        self._count += more
+        self._memory[:8] = self._count.to_bytes(8, "little")
+
+
+def _send(connection: Channel, answers: Sequence[tuple[bool, Any]], memory: int) -> None:
     buffers: list[pickle.PickleBuffer] = []
     try:
-        message = pickle.dumps((fine, content, memory), pickle.HIGHEST_PROTOCOL, buffer_callback=buffers.append)
-        if not fine:
-            pickle.loads(message, buffers=buffers)  # some exceptions can be packed but not unpacked
+        if not all(fine for fine, _ in answers):
+            raise ValueError  # errors are tried one by one
+        message = pickle.dumps((answers, memory), pickle.HIGHEST_PROTOCOL, buffer_callback=buffers.append)
     except Exception:
-        problem = FmuidError(
-            f"a worker's answer cannot be sent: {content!r:.200}", fix="return values that can be pickled"
-        )
-        message, buffers = pickle.dumps((False, problem, memory)), []
+        message, buffers = pickle.dumps(([_sendable(*a) for a in answers], memory), pickle.HIGHEST_PROTOCOL), []
     connection.send(message, buffers)
+
+
+def _sendable(fine: bool, content: Any) -> tuple[bool, Any]:
+    """Return an answer, or the error that it cannot be sent: some exceptions can be packed but not unpacked."""
+    try:
+        pickle.loads(pickle.dumps(content))
+    except Exception:
+        what = f"a worker's answer cannot be sent: {content!r:.200}"
+        return False, FmuidError(what, fix="return values that can be pickled")
+    return fine, content
 
 
 def _leave_with_parent(folder: str) -> None:

@@ -21,6 +21,8 @@ from multiprocessing import connection as mp_connection
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.scratch import Scratch
 from fmuid.simulation import resets
@@ -28,11 +30,12 @@ from fmuid.simulation.fmu_variables import in_words
 from fmuid.simulation.pool import worker_process
 from fmuid.simulation.pool.channel import Channel, channels
 from fmuid.simulation.pool.start_method import start_method
-from fmuid.simulation.pool.worker_process import resident_memory
+from fmuid.simulation.pool.worker_process import Begun, resident_memory
 
 _START_LIMIT = 60.0  # s for a worker to start
 _MEMORY_INTERVAL = 0.1  # s between checks of the memory of busy workers
-_AHEAD = 2  # evaluations queued at a worker, so that it never waits for the next
+_AHEAD = (2, 64)  # evaluations queued at a worker, so that it never waits for the next: at least, at most
+_AHEAD_FOR = 8e-3  # s that these take, as far as the worker's pace is known
 _SMALL = 16_384  # bytes that can be sent to a busy worker without waiting for it
 _MAX_FAILED_STARTS = 3
 
@@ -100,6 +103,7 @@ class Worker:
     started: float = field(default_factory=time.monotonic)
     ready: bool = False
     begun: float = 0.0  # start time of the evaluation at the head
+    pace: float = np.inf  # s that an evaluation has lately taken
     calls: deque[Call] = field(default_factory=deque)
     held: set[int] = field(default_factory=set)
     done: int = 0
@@ -212,12 +216,25 @@ class Supervisor:
         busy = sum(bool(w.calls) for w in self._team)
         while len(self._team) < min(self._size, busy + waiting):
             self._recruit()
-        for depth in range(_AHEAD):  # every worker gets a first call before any gets a second
-            for worker in list(self._team):
-                if worker.ready and not worker.retiring and len(worker.calls) == depth:
-                    call = self._next(worker, depth)
-                    if call is not None:
-                        self._give(worker, call)
+        able = [w for w in self._team if w.ready and not w.retiring]
+        given: dict[int, list[bytes]] = {}
+        for depth in range(_AHEAD[1]):  # every worker gets a first call before any gets a second
+            deeper = [w for w in able if len(w.calls) == depth < self._ahead(w)]
+            for worker in deeper:
+                call = self._next(worker, depth)
+                if call is not None:
+                    given.setdefault(id(worker), []).extend(self._taken(worker, call))
+            if not deeper:
+                break
+        for worker in able:
+            if id(worker) in given:
+                with suppress(OSError):  # it is dead, as its connection will show in a moment
+                    worker.connection.send_all(given[id(worker)])
+
+    def _ahead(self, worker: Worker) -> float:
+        """Return how many calls may wait at a worker."""
+        most = np.inf if self._limits.evaluations is None else self._limits.evaluations - worker.done
+        return min(max(_AHEAD[0], _AHEAD_FOR / worker.pace), max(most, 1))
 
     def _next(self, worker: Worker, depth: int) -> Call | None:
         with self._lock:
@@ -233,18 +250,14 @@ class Supervisor:
                     return call
         return None
 
-    def _give(self, worker: Worker, call: Call) -> None:
+    def _taken(self, worker: Worker, call: Call) -> list[bytes]:
+        """Give a worker a call; return the messages that it needs."""
         if not worker.calls:
             worker.begun = time.monotonic()
         worker.calls.append(call)
-        try:
-            for number in call.holds:
-                if number not in worker.held:
-                    worker.connection.send(self.messages[number])
-                    worker.held.add(number)
-            worker.connection.send(call.message)
-        except OSError:
-            pass  # it is dead, as its connection will show in a moment
+        new = [number for number in call.holds if number not in worker.held]
+        worker.held.update(new)
+        return [*(self.messages[number] for number in new), call.message]
 
     def _receive(self, worker: Worker) -> None:
         try:
@@ -252,18 +265,21 @@ class Supervisor:
         except (EOFError, OSError):
             self._bury(worker)
             return
-        fine, content, memory = pickle.loads(message, buffers=buffers)
+        answers, memory = pickle.loads(message, buffers=buffers)
         if not worker.ready:
             worker.ready, self._failed_starts = True, 0
             return
-        call = worker.calls.popleft()
-        worker.begun = time.monotonic()
-        worker.done += 1
+        now = time.monotonic()
+        worker.pace = (now - worker.begun) / len(answers)
+        worker.begun = now
         worker.first_memory = worker.first_memory or memory
-        if fine:
-            call.future.set_result(content)
-        else:
-            call.future.set_exception(content)
+        for fine, content in answers:
+            call = worker.calls.popleft()
+            worker.done += 1
+            if fine:
+                call.future.set_result(content)
+            else:
+                call.future.set_exception(content)
         grown = memory - worker.first_memory > self._limits.growth
         if grown or (self._limits.evaluations is not None and worker.done >= self._limits.evaluations):
             worker.retiring = True
@@ -283,7 +299,10 @@ class Supervisor:
         code = worker.process.exitcode
         if not worker.ready:
             self._failed_starts += 1
-        head = worker.calls.popleft() if worker.calls else None
+        finished = self._unanswered(worker)
+        head = worker.calls[finished] if worker.calls else None
+        if head is not None:
+            del worker.calls[finished]
         self._take_back(worker)
         in_reset = resets.ended(worker.folder)
         self._dismiss(worker)
@@ -297,6 +316,14 @@ class Supervisor:
                 self._pending.appendleft(head)
             return
         head.future.set_exception(self._verdict(worker, head, code))
+
+    def _unanswered(self, worker: Worker) -> int:
+        """Return how many calls of a dead worker were done, though their answers were not sent."""
+        if not worker.calls:
+            return 0
+        with suppress(OSError, ValueError):
+            return min(max(Begun(worker.folder).count - 1 - worker.done, 0), len(worker.calls) - 1)
+        return 0
 
     def _verdict(self, worker: Worker, call: Call, code: int | None) -> SimulationError:
         if worker.killed == "time":
