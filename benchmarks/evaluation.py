@@ -8,12 +8,14 @@ import multiprocessing
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import chain
 import numpy as np
 from identification_speed import ROOT
 from integrator import prbs
@@ -34,6 +36,7 @@ from fmuid.simulation.runners import Job, Runner, in_process
 from fmuid.simulation.simulator import Task
 
 _HELP = ("-c", "import sys; from fmuid.cli import main; sys.argv = ['fmuid', '--help']; sys.exit(main())")
+_LONG = 600  # masses of a chain whose run takes some 50 ms
 CAMPAIGN = ROOT / "campaigns" / "force_feedback"
 
 
@@ -154,15 +157,16 @@ def _with_more(problem: Problem, n: int) -> Problem:
 
 @dataclass(frozen=True)
 class Parallel:
-    """Times in s of the same jobs, and how much faster than one worker each is."""
+    """Times in s of the same jobs, how long one of them takes, and how much faster than one worker they are."""
 
     what: str
     times: Times
+    run: float
     gain: float
 
 
 def parallel(repeats: int, *, dask: bool = True) -> tuple[list[Parallel], str]:
-    """Twenty runs of the actuator under an eccentric load: here, in one and in two workers, on a Dask cluster.
+    """Simulate short runs of the actuator in worker processes, and long ones of a chain on Dask clusters.
 
     Returns
     -------
@@ -171,29 +175,26 @@ def parallel(repeats: int, *, dask: bool = True) -> tuple[list[Parallel], str]:
     """
     fmu = load_fmu(ROOT / "build" / "fmus" / "EccentricLoad.fmu")
     t = 5e-3 * np.arange(6001)
-    jobs: list[Job] = [
-        (
-            fmu,
-            Task(t, {"w_ref": (10.0 + k) * np.minimum(1.0, t)}, ("i_motor", "tau_sensor")),
-            {"d_S": 2.0 + 0.1 * k},
-        )
-        for k in range(20)
-    ]
+    task = Task(t, {"w_ref": 20.0 * np.minimum(1.0, t)}, ("i_motor", "tau_sensor"))
+    short: list[Job] = [(fmu, task, {"d_S": 2.0 + 1e-3 * k}) for k in range(400)]
+    run = in_turn({"": lambda: in_process(short)}, repeats, time.perf_counter)[""]
+    alone = run.median / len(short)
     found: dict[str, Times] = {}
-    found["in this process"] = in_turn({"": lambda: in_process(jobs)}, repeats, time.perf_counter)[""]
     for workers in (1, 2):
         with WorkerPool(workers) as pool:
+            pool.run(short[:20])  # the workers start
             found[f"{workers} worker{'s' * (workers > 1)}"] = in_turn(
-                {"": lambda: pool.run(jobs)}, repeats, time.perf_counter
+                {"": lambda: pool.run(short)}, repeats, time.perf_counter
             )[""]
+    one = found["1 worker"].median
+    rows = [Parallel("this process", run, alone, one / run.median)]
+    rows += [Parallel(what, times, alone, one / times.median) for what, times in found.items()]
     missing = ""
     if dask:
         try:
-            found["Dask, 2 local workers"] = _on_dask(jobs, repeats)
+            rows += _on_dask(repeats)
         except (ImportError, FmuidError, OSError) as error:
             missing = f"{type(error).__name__}: {error}"
-    one = found["1 worker"].median
-    rows = [Parallel(what, times, one / times.median) for what, times in found.items()]
     return [*rows, _ceiling(repeats)], missing
 
 
@@ -205,26 +206,36 @@ def _ceiling(repeats: int) -> Parallel:
             repeats,
             time.perf_counter,
         )
-    return Parallel("two bare loops, beside one", times[2], 2.0 * times[1].median / times[2].median)
+    gain = 2.0 * times[1].median / times[2].median
+    return Parallel("two bare loops, beside one", times[2], times[1].median, gain)
 
 
 def _loop(_: int) -> int:
     return sum(k * k for k in range(400_000))
 
 
-def _on_dask(jobs: list[Job], repeats: int) -> Times:
+def _on_dask(repeats: int) -> list[Parallel]:
     from distributed import LocalCluster
 
     from fmuid.simulation.pool.remote import dask_executor, on_executor
 
-    with (
-        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        dask_executor(cluster.scheduler_address) as executor,
-    ):
-        run: Runner = on_executor(executor)
-        for _ in range(3):  # the workers start their processes, and it is seen how long a simulation takes
-            run(jobs)
-        return in_turn({"": lambda: run(jobs)}, repeats, time.perf_counter)[""]
+    found: list[Times] = []
+    with tempfile.TemporaryDirectory() as folder:
+        fmu, _ = chain.build(_LONG, Path(folder))
+        task = Task(chain.TIME, {"u": chain.force()}, ("y",))
+        long: list[Job] = [(fmu, task, {"d": 0.5 + 1e-3 * k}) for k in range(40)]
+        alone = in_turn({"": lambda: in_process(long[:5])}, 3, time.perf_counter)[""].median / 5
+        for workers in (1, 2):
+            with (
+                LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
+                dask_executor(cluster.scheduler_address) as executor,
+            ):
+                run: Runner = on_executor(executor)
+                for _ in range(3):  # the workers start their processes, and it is seen how long a run takes
+                    run(long[:10])
+                found.append(in_turn({"": lambda run=run: run(long)}, repeats, time.perf_counter)[""])  # type: ignore[misc]
+    names = ("Dask, 1 local worker", "Dask, 2 local workers")
+    return [Parallel(n, t, alone, found[0].median / t.median) for n, t in zip(names, found, strict=True)]
 
 
 def memory(evaluations: int) -> tuple[int, float]:

@@ -35,6 +35,7 @@ from fmuid.simulation.simulator import Simulator
 CLOSURE_THAT_HOLDS = 0.8  # share of the held-out gap that a law must close to count as found
 _PLACES = 4  # number of places examined: those where a course over time is likeliest
 _TRIED = (6, 4)  # laws per round that are refitted in the rebuilt model: with one further term, and with two
+_LED_OUT = 4  # laws that are approached over growing horizons: those that fit best
 _TERMS = 3  # largest number of terms in a law
 _INTERVAL = 1.96  # standard errors: 95 %
 _POINTS = 101  # number of points of a curve
@@ -196,7 +197,8 @@ class _Search:
         chosen = [c for s in spots for c in choose(subject, before.fit, s, self.noise, pairs=law is None)]
         candidates = self._refitted(law, _likeliest(chosen))
         if law is None and not any(self.finished(c) for c in candidates):
-            candidates = [self._led_out(c) for c in (*candidates, *self._from_beginnings(spots))]
+            candidates = sorted([*candidates, *self._from_beginnings(spots)], key=lambda c: c.fitted.fit.cost)
+            candidates = [*map(self._led_out, candidates[:_LED_OUT]), *candidates[_LED_OUT:]]
         if not candidates:
             return None
         best = self._simplest(candidates)
