@@ -49,20 +49,13 @@ def test_held_out_losses_are_those_of_fits_to_the_other_experiments():
     assert held.loss[3] > 3 * held.loss[0] > 0
 
 
-class Identity:
-    """A whitener of noise that is white already, and of unit variance."""
-
-    def __call__(self, residual):
-        return residual
-
-
 def recorded(*deviations, bands=None, groups=None):
     """Experiments with the given (R, N) deviations of their runs from the mean."""
     runs = [SimpleNamespace(n_repeats=len(d), deviations=np.array(d, dtype=float)[:, None]) for d in deviations]
     whole = [np.ones(r.deviations.shape[2], bool) for r in runs]
     return SimpleNamespace(
         runs=runs,
-        whiteners=[Identity() for _ in runs],
+        scatter=[r.deviations[:, 0] for r in runs],
         in_band=[np.array(b, bool) for b in bands] if bands else whole,
         repeats=np.array([float(r.n_repeats) for r in runs]),
         folds=tuple((e, slice(None)) for e in range(len(runs))),

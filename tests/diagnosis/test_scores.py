@@ -12,22 +12,12 @@ from fmuid.diagnosis.refit import Refit, Unknown
 from fmuid.diagnosis.scores import Score, nominal_basis, score_effects, stack, without_aliases
 
 
-class Identity:
-    """A whitener of noise that is white already, and of unit variance."""
-
-    def __init__(self, size):
-        self.size = size
-
-    def __call__(self, residual):
-        return residual
-
-
 def recorded(*deviations):
     """Experiments with the given (R, N) deviations of their runs from the mean; predictions are residuals."""
     runs = [SimpleNamespace(n_repeats=len(d), deviations=np.array(d, dtype=float)[:, None]) for d in deviations]
     return SimpleNamespace(
         runs=runs,
-        whiteners=[Identity(r.deviations.shape[2]) for r in runs],
+        scatter=[r.deviations[:, 0] for r in runs],
         repeats=np.array([float(r.n_repeats) for r in runs]),
         residuals=tuple,
     )
@@ -279,7 +269,8 @@ def test_laws_that_bend_are_compared_once_more_where_both_move_as_much():
 
 def test_an_effect_is_the_same_as_itself_whatever_is_rounded():
     for angle in np.linspace(0.0, 3.0, 100):
-        assert scores._equal(score("a", angle), score("b", angle), None)
+        a, b = score("a", angle), score("b", angle)
+        assert scores._equal(a, b, float(a.signature @ b.signature))
 
 
 def test_classes_join_effects_wherever_they_stand():

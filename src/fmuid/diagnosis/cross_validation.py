@@ -125,9 +125,9 @@ def losses(
     """
     per_run, loss, size = [], [], []
     for k, (whole, (e, rows)) in enumerate(zip(residuals, observed.folds, strict=True)):
-        run, whiten, band = observed.runs[e], observed.whiteners[e], observed.in_band[e][rows]
+        run, band = observed.runs[e], observed.in_band[e][rows]
         r = whole[band]
-        deviation = whiten(run.deviations).reshape(run.n_repeats, -1)[:, rows][:, band]
+        deviation = observed.scatter[e][:, rows][:, band]
         # residual of run k = residual of the mean - its deviation from the mean
         per_run.append(read_only(np.mean((r - deviation) ** 2, axis=1) - 1.0))
         fitted = observed.taken[e][rows][band].sum() + (0.0 if taken is None else np.sum(taken[k][band] ** 2))

@@ -133,6 +133,12 @@ class Observed:
         """(E,) number of runs of each experiment."""
         return np.array([float(r.n_repeats) for r in self.runs])
 
+    @cached_property
+    def scatter(self) -> tuple[FloatArray, ...]:
+        """(R, M) whitened deviations of each experiment's repeats from their mean."""
+        own = zip(self.runs, self.whiteners, strict=True)
+        return tuple(w(run.deviations).reshape(run.n_repeats, -1) for run, w in own)
+
     def residuals(self, predictions: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
         """Return prediction minus the mean of the repeats, whitened: one (C * N,) vector per experiment."""
         return self.whiten([p - r.mean for p, r in zip(predictions, self.runs, strict=True)])

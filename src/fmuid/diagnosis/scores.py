@@ -147,49 +147,47 @@ def without_aliases(
     """
     by_id = {s.effect: s for s in scores}
     order = sorted(effects, key=lambda e: (not e.usual, len(e.unknowns), not e.id.startswith("value@")))
-    shown = [(e, by_id[e.id]) for e in order if e.id in by_id and by_id[e.id].signature is not None]
-    near = [
-        (a, effect, b)
-        for i, (effect, b) in enumerate(shown)
-        for _, a in sorted(shown[:i], key=lambda other: -abs(_cosine(other[1], b)))[:_COMPARED]
-        if abs(_cosine(a, b)) > _NEARLY and (effect.two_sided or _cosine(a, b) > 0.0)
-    ]
-    sizes = [
-        (effect, effect.scaled(b.trial, float(np.copysign(a.length / b.length, _cosine(a, b)))))
-        for a, effect, b in near
-    ]
-    matched = {
-        (a.effect, b.effect): m for (a, _, b), m in zip(near, _scored(predict, observed, base, sizes), strict=True)
-    }
-    kept: dict[str, Score] = {}
-    for _, score in shown:
-        same = next((n for n, k in kept.items() if _equal(k, score, matched.get((n, score.effect)))), None)
+    shown = [(e, s) for e in order if (s := by_id.get(e.id)) is not None and s.signature is not None]
+    signatures = np.array([s.signature for _, s in shown])
+    cosines = signatures @ signatures.T
+    near: dict[tuple[int, int], float] = {}
+    for i, (effect, _) in enumerate(shown):
+        for k in np.argsort(-np.abs(cosines[i, :i]), kind="stable")[:_COMPARED]:
+            if abs(cosines[i, k]) > _NEARLY and (effect.two_sided or cosines[i, k] > 0.0):
+                near[i, int(k)] = float(cosines[i, k])
+    sizes = []
+    for (i, k), cosine in near.items():
+        effect, score = shown[i]
+        sizes.append((effect, effect.scaled(score.trial, np.copysign(shown[k][1].length / score.length, cosine))))
+    for (i, k), matched in zip(near, _scored(predict, observed, base, sizes), strict=True):
+        if matched is not None and matched.signature is not None:
+            again = abs(float(signatures[k] @ matched.signature))
+            cosines[i, k] = max(abs(cosines[i, k]), again)
+    kept: dict[int, Score] = {}
+    for i, (_, score) in enumerate(shown):
+        same = next((k for k, one in kept.items() if _equal(one, score, float(cosines[i, k]))), None)
         if same is None:
-            kept[score.effect] = score
+            kept[i] = score
         else:
             kept[same] = replace(kept[same], same=(*kept[same].same, score))
-    return tuple(kept.get(s.effect, s) for s in scores if s.effect in kept or s.signature is None)
+    left = {score.effect: score for score in kept.values()}
+    return tuple(left.get(s.effect, s) for s in scores if s.effect in left or s.signature is None)
 
 
-def _cosine(a: Score, b: Score) -> float:
-    return 0.0 if a.signature is None or b.signature is None else float(a.signature @ b.signature)
-
-
-def _equal(a: Score, b: Score, matched: Score | None) -> bool:
+def _equal(a: Score, b: Score, cosine: float) -> bool:
     explained = max(np.sqrt(a.drop), np.sqrt(b.drop), SEEN)
-    cosine = max(abs(_cosine(a, b)), 0.0 if matched is None else abs(_cosine(a, matched)))
     return bool(explained * np.sqrt(max(0.0, 1.0 - cosine**2)) < 1.0)
 
 
 def _per_run(signature: FloatArray, amount: float, observed: Observed) -> float:
     """Return amount over its standard error from run to run, moderated towards that of the noise floor (1)."""
     total, dof, begin = 0.0, 0.0, 0
-    for run, w in zip(observed.runs, observed.whiteners, strict=True):
-        part = signature[begin : begin + w.size]
-        begin += w.size
+    for run, scatter in zip(observed.runs, observed.scatter, strict=True):
+        part = signature[begin : begin + scatter.shape[1]]
+        begin += scatter.shape[1]
         if run.n_repeats < 2:
             continue
-        each = w(run.deviations).reshape(run.n_repeats, -1) @ part
+        each = scatter @ part
         total += float(each @ each)
         dof += run.n_repeats - 1
         # Each run's projection has variance |part|^2 under the floor; they sum to (R - 1) over the experiments.
