@@ -343,21 +343,21 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
     own = [at[n] for n in best.names] if best is not None else []
     named_at_all = best is not None and bool(plausible) and decide.names(nominal, best, finished=done)
     sure = best is not None and named_at_all and decide.beyond_doubt(nominal, best, finished=done)
-    imitated = False
-    if best is not None and named_at_all and len(own) > len(set(own)) == 1:
-        say(f"free functions at {own[0]}", 0.7)  # one unnamed law of one variable may take the place of two
-        imitated = decide.lumped(best, _decoys(subject, found, own[0]))
     entered: Mapping[str, Entry] = {}
-    part: _Part | None = None
-    if not sure or imitated:
-        say("where it enters", 0.8)
+    imitated, part = False, None
+    if not sure:
+        say("where it enters", 0.7)
         entered = _entered(subject, nominal)
         # Each run has a course of its own, so machines that differ would pass for something unknown.
         alike = len({case.machine for case in subject.model.cases}) == 1
-        imitated = imitated or (alike and not done and best is not None and likelier(entered, nominal, best))
+        imitated = alike and not done and best is not None and likelier(entered, nominal, best)
         if best is not None and named_at_all and not (imitated or done):
             part = _sure_part(subject, nominal, best, alike=alike)
             imitated = part is None
+    if best is not None and named_at_all and not imitated and len(own) > len(set(own)) == 1:
+        say(f"free functions at {own[0]}", 0.8)  # one unnamed law of one variable may take the place of two
+        imitated = decide.lumped(best, _decoys(subject, found, own[0]))
+        entered = _entered(subject, nominal) if imitated and not entered else entered
     if best is None or not named_at_all or imitated:
         # Without repeats, a gap that no effect explains may be slow noise.
         kind: Kind = "insufficient" if observed.bounded else "unknown"
