@@ -180,16 +180,16 @@ def _named(answer: Mapping[str, Any]) -> list[list[str]]:
 
 
 def _one_left(answer: Mapping[str, Any], before: Sequence[Sequence[str]]) -> bool:
-    """Return whether a diagnosis has only one of the answers `before`, and tells it from the others.
+    """Return whether a diagnosis has one answer alone, or one of those `before`, and tells it from the others.
 
     A run that shows more may raise another question beside the one that it was designed for.
     """
     named = [set(n) for n in _named(answer)]
-    left = [set(b) for b in before if any(set(b) <= n for n in named)]
-    if len(left) != 1 or not all(left[0] <= n for n in named):
+    kept = named if len(named) == 1 else [set(b) for b in before if any(set(b) <= n for n in named)]
+    if len(kept) != 1 or not all(kept[0] <= n for n in named):
         return False
-    others = {n for names in before for n in names} - left[0]
-    return not any(set(c) & left[0] and set(c) & others for c in answer["alias_classes"])
+    others = {n for names in before for n in names} - kept[0]
+    return not any(set(c) & kept[0] and set(c) & others for c in answer["alias_classes"])
 
 
 def _apart(answer: Mapping[str, Any], a: set[str], b: set[str]) -> bool:
