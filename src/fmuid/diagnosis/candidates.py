@@ -120,12 +120,17 @@ def score_early(subject: Subject, fitted: Fitted) -> tuple[Score, ...]:
 
     Empty where runs cannot be shortened.
     """
+    part, again = refitted_early(subject, fitted)
+    return () if again is None else score_further(part, again)
+
+
+def refitted_early(subject: Subject, fitted: Fitted) -> tuple[Subject, Fitted | None]:
+    """Return the subject with only early parts of the runs, and `fitted` refitted to these; None if it cannot be."""
     part = early(subject)
     if part is None:
-        return ()
+        return subject, None
     effects = [e for e in subject.effects if e.id in fitted.effects]
-    again = fit_effects(part, effects, [fitted.fit.values, {**fitted.fit.values, **subject.starts}])
-    return () if again is None else score_further(part, again)
+    return part, fit_effects(part, effects, [fitted.fit.values, {**fitted.fit.values, **subject.starts}])
 
 
 def _promise(score: Score, basis: FloatArray, residual: FloatArray) -> float:

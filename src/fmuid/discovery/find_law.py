@@ -14,12 +14,12 @@ from fmuid.core.campaign import ModelSpec
 from fmuid.core.errors import SimulationError
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
-from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, without
+from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, refitted_early, without
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import advantage, closure, closure_interval
 from fmuid.diagnosis.diagnose import Found
 from fmuid.diagnosis.entry import entries, likelier
-from fmuid.diagnosis.horizon import approached, early
+from fmuid.diagnosis.horizon import approached
 from fmuid.diagnosis.null_distribution import NoiseDraws, draw_noise
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess
 from fmuid.diagnosis.scores import nominal_basis
@@ -95,10 +95,9 @@ def find_law(
     flats = {s: flat_model(source) for s in setups if s in models and (source := models[s].source) is not None}
     if set(flats) != setups:
         return _none("the campaign names no Modelica source of its model, so no law can be added to it")
-    (predicted,) = subject.model.predict([found.nominal.fit.values])
-    noise = draw_noise(subject.observed, None if isinstance(predicted, SimulationError) else predicted, seed=seed)
+    noise = _noise(subject, found.nominal, seed)
     named = () if verdict.kind == "unknown" else found.surviving[:1]
-    if not found.entered:  # the verdict did not need it
+    if named and not found.entered:  # the verdict did not need it
         ports = tuple(subject.catalogue.ports.values())
         found = replace(found, entered=entries(subject.model, subject.observed, named[0].fit, ports))
     reasons = []
@@ -115,6 +114,11 @@ def find_law(
             reason = str(error)
         reasons.append(reason if not base.effects else f"beside {base.id}, {reason}")
     return _none("; ".join(reasons))
+
+
+def _noise(subject: Subject, fitted: Fitted, seed: int) -> NoiseDraws:
+    (predicted,) = subject.model.predict([fitted.fit.values])
+    return draw_noise(subject.observed, None if isinstance(predicted, SimulationError) else predicted, seed=seed)
 
 
 def _likeliest(chosen: Sequence[Chosen]) -> list[Chosen]:
@@ -206,18 +210,10 @@ class _Search:
 
     def _from_beginnings(self, spots: Sequence[Spot]) -> list[Candidate]:
         """Return laws that explain early parts of the runs, where the model has not drifted away yet."""
-        whole, base, flat = self.found.subject, self.base, next(iter(self.flats.values()))
-        part = early(whole)
-        again = None
-        if part is not None:
-            effects = [e for e in part.effects if e.id in base.effects]
-            again = fit_effects(part, effects, [base.fit.values, {**base.fit.values, **whole.starts}])
-        if part is None or again is None:
+        part, again = refitted_early(self.found.subject, self.base)
+        if again is None:
             return []
-        (predicted,) = part.model.predict([again.fit.values])
-        noise = draw_noise(
-            part.observed, None if isinstance(predicted, SimulationError) else predicted, seed=self.seed
-        )
+        noise, flat = _noise(part, again, self.seed), next(iter(self.flats.values()))
         own = [spot(s.port.name, flat, part.model, again.fit.values) for s in spots]
         chosen = [c for s in own if s is not None for c in choose(part, again.fit, s, noise)]
         return self._refitted(None, _likeliest(chosen))
