@@ -125,7 +125,7 @@ def score_early(subject: Subject, fitted: Fitted) -> tuple[Score, ...]:
 
 
 def refitted_early(subject: Subject, fitted: Fitted) -> tuple[Subject, Fitted | None]:
-    """Return the subject with only early parts of the runs, and `fitted` refitted to these; None if it cannot be."""
+    """Return the subject with only early parts of the runs, and `fitted` refitted to these, None if impossible."""
     part = early(subject)
     if part is None:
         return subject, None

@@ -35,7 +35,7 @@ from fmuid.simulation.simulator import Simulator
 CLOSURE_THAT_HOLDS = 0.8  # share of the held-out gap that a law must close to count as found
 _PLACES = 4  # number of places examined: those where a course over time is likeliest
 _TRIED = (6, 4)  # laws per round that are refitted in the rebuilt model: with one further term, and with two
-_LED_OUT = 4  # laws that are approached over growing horizons: those that fit best
+_LED_OUT = 2  # laws that are approached over growing horizons: those that fit best
 _TERMS = 3  # largest number of terms in a law
 _INTERVAL = 1.96  # standard errors: 95 %
 _POINTS = 101  # number of points of a curve
@@ -223,8 +223,7 @@ class _Search:
         subject, fitted, starts = law.subject, law.fitted, self.found.subject.starts
         sizes = {name: fitted.fit.values[name] for name in law.law.sizes}
         shapes = {u.name: u.start for u in law.effect.unknowns if u.name in law.effect.shapes}
-        trials = [sizes, {name: 0.3 * size for name, size in sizes.items()}]
-        near = approached(subject, fitted.fit.unknowns, {**fitted.fit.values, **starts, **shapes}, trials)
+        near = approached(subject, fitted.fit.unknowns, {**fitted.fit.values, **starts, **shapes}, [sizes])
         effects = [e for e in subject.effects if e.id in fitted.effects]
         again = fit_effects(subject, effects, [near]) if near is not None else None
         better = (
