@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from plants import EFFECTS, NOMINAL, PORTS, REGIMES, TWIN, plant
 
+from fmuid.core.errors import SimulationError
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis.candidates import fit_effects, score_further
 from fmuid.diagnosis.catalogue import Effect
@@ -200,6 +201,22 @@ def test_a_refit_is_at_least_as_good_as_every_start():
     assert both.cost <= min(
         refit(predict, observed, unknown, starts=[s], max_iterations=0).cost for s in ({}, {"w": 6.8})
     )
+
+
+def test_a_refit_goes_around_values_with_which_the_model_grows_without_limit():
+    time = np.linspace(0.0, 1.0, 200)
+    rng = np.random.default_rng(0)
+    values = np.exp(2.0 * time) + 0.01 * rng.standard_normal((3, 1, 200))
+    observed = Observed.from_runs([RepeatedRuns("run", "bench", time, ("y",), values)])
+
+    def predict(points):
+        return [(np.exp(p["k"] * time)[None],) for p in points]
+
+    # Where the squares of the predictions are no longer numbers, a refit cannot begin, but others go on.
+    unknown = [Unknown("k", 400.0, -9.0, 700.0, 0.01)]
+    with pytest.raises(SimulationError, match="grow beyond all numbers"):
+        refit(predict, observed, unknown)
+    assert refit(predict, observed, unknown, starts=[{}, {"k": 1.0}]).values["k"] == pytest.approx(2.0, rel=1e-2)
 
 
 def test_a_refit_gets_over_ripples_of_the_cost():

@@ -229,6 +229,13 @@ def _search(
     return cost, best, True
 
 
+def _with_squares(parts: tuple[FloatArray, ...]) -> tuple[FloatArray, ...] | SimulationError:
+    """Return residuals, or the error that their squares are no numbers: a model may grow without limit."""
+    with np.errstate(over="ignore"):
+        finite = all(np.isfinite(p @ p) for p in parts)
+    return parts if finite else SimulationError("predictions grow beyond all numbers")
+
+
 class _ExhaustedError(Exception):
     """The budget of Jacobians is used up."""
 
@@ -265,7 +272,7 @@ class _Campaign:
         """Return the residuals of every experiment at each point, or the error for a point without them."""
         self.evaluations += len(points)
         return [
-            outcome if isinstance(outcome, SimulationError) else self._observed.residuals(outcome)
+            outcome if isinstance(outcome, SimulationError) else _with_squares(self._observed.residuals(outcome))
             for outcome in self._predict([self.values(p) for p in points])
         ]
 
