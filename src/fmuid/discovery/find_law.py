@@ -303,9 +303,8 @@ class _Search:
         text = f"the best law, {formula}, closes {closed:.2f} of the gap on experiments left out"
         if gained <= error or (closed < CLOSURE_THAT_HOLDS and not weak):
             return f"{text}, too little (it takes {CLOSURE_THAT_HOLDS:g})"
-        unknown = closed < decide.CLOSURE_BEYOND_DOUBT and not self.finished(law)
-        if unknown and likelier(self.found.entered, self.found.nominal, law.fitted):
-            return f"{text}, but something else there is far likelier"
+        if not self.finished(law) and likelier(self.found.entered, self.found.nominal, law.fitted):
+            return f"{text}, but leaves {law.fitted.gap:.2g} times the noise, and something else is far likelier"
         return ""
 
     def pruned(self, law: Candidate) -> Candidate:
