@@ -212,6 +212,41 @@ def test_a_pool_that_nobody_closed_ends_with_the_interpreter(tmp_path):
     assert not list((tmp_path / "tmp").glob("fmuid-workers-*"))
 
 
+LONG_BOTH_WAYS = """
+import socket, time
+import numpy as np
+from fmuid.simulation.pool import worker_supervision
+from fmuid.simulation.pool.workers import WorkerPool
+from fmuid.simulation.simulator import Task
+class Model:
+    variables = {}
+    def simulate(self, task, parameters):
+        end = time.perf_counter() + 3e-4
+        while time.perf_counter() < end:
+            pass
+        return np.zeros((1, 5000))
+made = worker_supervision.channels
+def narrow():
+    ends = made()
+    for end in ends:
+        end._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16384)
+    return ends
+if __name__ == "__main__":
+    worker_supervision.channels = narrow
+    model, task = Model(), Task(np.arange(3.0), {}, ("y",))
+    with WorkerPool(1) as pool:
+        found = pool.run([(model, task, {f"parameter_{k}": float(i) for k in range(600)}) for i in range(400)])
+    print(len(found), {y.shape for y in found})
+"""
+
+
+def test_long_messages_and_long_answers_never_wait_for_each_other(tmp_path):
+    (tmp_path / "long.py").write_text(LONG_BOTH_WAYS)
+    command = [sys.executable, tmp_path / "long.py"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "400 {(1, 5000)}\n", "")
+
+
 POWERS = """
 import os, signal, sys
 from fmuid.simulation.pool import start_method

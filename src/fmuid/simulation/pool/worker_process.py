@@ -122,12 +122,11 @@ class Begun:
 
 def _send(connection: Channel, answers: Sequence[tuple[bool, Any]], memory: int) -> None:
     buffers: list[pickle.PickleBuffer] = []
+    sure = [(True, content) if fine else _sendable(fine, content) for fine, content in answers]
     try:
-        if not all(fine for fine, _ in answers):
-            raise ValueError  # errors are tried one by one
-        message = pickle.dumps((answers, memory), pickle.HIGHEST_PROTOCOL, buffer_callback=buffers.append)
+        message = pickle.dumps((sure, memory), pickle.HIGHEST_PROTOCOL, buffer_callback=buffers.append)
     except Exception:
-        message, buffers = pickle.dumps(([_sendable(*a) for a in answers], memory), pickle.HIGHEST_PROTOCOL), []
+        message, buffers = pickle.dumps(([_sendable(*a) for a in sure], memory), pickle.HIGHEST_PROTOCOL), []
     connection.send(message, buffers)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import math
 import multiprocessing
 import os
 import pickle
@@ -21,8 +22,6 @@ from multiprocessing import connection as mp_connection
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.scratch import Scratch
 from fmuid.simulation import resets
@@ -36,6 +35,7 @@ _START_LIMIT = 60.0  # s for a worker to start
 _MEMORY_INTERVAL = 0.1  # s between checks of the memory of busy workers
 _AHEAD = (2, 64)  # evaluations queued at a worker, so that it never waits for the next: at least, at most
 _AHEAD_FOR = 8e-3  # s that these take, as far as the worker's pace is known
+_TICK = 1e-6  # s, where the clock is too coarse to see an evaluation
 _SMALL = 16_384  # bytes that can be sent to a busy worker without waiting for it
 _MAX_FAILED_STARTS = 3
 
@@ -103,7 +103,7 @@ class Worker:
     started: float = field(default_factory=time.monotonic)
     ready: bool = False
     begun: float = 0.0  # start time of the evaluation at the head
-    pace: float = np.inf  # s that an evaluation has lately taken
+    pace: float = math.inf  # s that an evaluation has lately taken
     calls: deque[Call] = field(default_factory=deque)
     held: set[int] = field(default_factory=set)
     done: int = 0
@@ -233,7 +233,7 @@ class Supervisor:
 
     def _ahead(self, worker: Worker) -> float:
         """Return how many calls may wait at a worker."""
-        most = np.inf if self._limits.evaluations is None else self._limits.evaluations - worker.done
+        most = math.inf if self._limits.evaluations is None else self._limits.evaluations - worker.done
         return min(max(_AHEAD[0], _AHEAD_FOR / worker.pace), max(most, 1))
 
     def _next(self, worker: Worker, depth: int) -> Call | None:
@@ -242,8 +242,8 @@ class Supervisor:
                 call = self._pending[0]
                 if call.retried and (worker.done or depth):  # needs a new worker
                     return None
-                # A busy worker does not read, so only messages that fit into the pipe may be sent to it.
-                if depth and (len(call.message) > _SMALL or not worker.held.issuperset(call.holds)):
+                # A busy worker does not read, so only messages that fit into the pipe together may be sent to it.
+                if depth * len(call.message) > _SMALL or (depth and not worker.held.issuperset(call.holds)):
                     return None
                 self._pending.popleft()
                 if call.future.running() or call.future.set_running_or_notify_cancel():
@@ -270,7 +270,7 @@ class Supervisor:
             worker.ready, self._failed_starts = True, 0
             return
         now = time.monotonic()
-        worker.pace = (now - worker.begun) / len(answers)
+        worker.pace = max(now - worker.begun, _TICK) / len(answers)
         worker.begun = now
         worker.first_memory = worker.first_memory or memory
         for fine, content in answers:
