@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -79,11 +80,9 @@ def first_choice(
     candidates = [v for v in parameters if v.start]
     tried = candidates[:_MAX_CANDIDATES]
     seen = [_seen(model, run, mapping, runner) for run in runs[:_MAX_RUNS]]
-    every = []
-    for k, one in enumerate(seen):
-        if progress is not None:
-            progress(k / len(seen))
-        every.append(one.effects(tried))
+    steps, done = len(seen) * len(tried), itertools.count()
+    tell = None if progress is None else lambda: progress(next(done) / steps)
+    every = [one.effects(tried, tell) for one in seen]
     names = [v.name for v in tried if all(v.name in own for own in every)]
     effects = {name: np.concatenate([own[name].ravel() for own in every]) for name in names}
     drawn = {v.name for v in tried if is_drawn(v)}
@@ -181,11 +180,14 @@ class _Seen:
         """Return the same run with linear interpolation of its inputs."""
         return _Seen(self._model, replace(self._task, interpolation="linear"), self._measured, self._runner)
 
-    def effects(self, parameters: Sequence[Variable]) -> dict[str, FloatArray]:
+    def effects(
+        self, parameters: Sequence[Variable], tell: Callable[[], object] | None = None
+    ) -> dict[str, FloatArray]:
         """Return the (outputs, N) change of the outputs with each parameter's relative change.
 
         Redundant parameters look alike as far as derivatives are exact, which differences are not. Structural and
-        otherwise delicate parameters, with which the model cannot be simulated, are left out.
+        otherwise delicate parameters, with which the model cannot be simulated, are left out. `tell` is called for
+        every parameter.
         """
         exact = [v for v in parameters if differentiates(self._model, [v.name])]
         found: dict[str, FloatArray] = {}
@@ -196,6 +198,8 @@ class _Seen:
                 slopes = np.split(rows, len(exact) + 1)[1:]
                 found = {v.name: slope / self.scale for v, slope in zip(exact, slopes, strict=True)}
         for parameter in parameters:
+            if tell is not None:
+                tell()
             if parameter.name not in found:
                 with suppress(FmuidError):
                     found[parameter.name] = self._difference(parameter)

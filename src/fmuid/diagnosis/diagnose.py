@@ -347,7 +347,7 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
     imitated, part = False, None
     if not sure:
         say("where it enters", 0.7)
-        entered = _entered(subject, nominal)
+        entered = where_it_enters(subject, nominal)
         # Each run has a course of its own, so machines that differ would pass for something unknown.
         alike = len({case.machine for case in subject.model.cases}) == 1
         imitated = alike and not done and best is not None and likelier(entered, nominal, best)
@@ -357,7 +357,8 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
     if best is not None and named_at_all and not imitated and len(own) > len(set(own)) == 1:
         say(f"free functions at {own[0]}", 0.8)  # one unnamed law of one variable may take the place of two
         imitated = decide.lumped(best, _decoys(subject, found, own[0]))
-        entered = _entered(subject, nominal) if imitated and not entered else entered
+        if imitated and sure:
+            entered = where_it_enters(subject, nominal)
     if best is None or not named_at_all or imitated:
         # Without repeats, a gap that no effect explains may be slow noise.
         kind: Kind = "insufficient" if observed.bounded else "unknown"
@@ -394,7 +395,7 @@ class _Part:
     entered: tuple[str, ...]
 
 
-def _entered(subject: Subject, fitted: Fitted) -> dict[str, Entry]:
+def where_it_enters(subject: Subject, fitted: Fitted) -> dict[str, Entry]:
     """Return what a course over time at each port explains of what a model leaves."""
     return entries(subject.model, subject.observed, fitted.fit, tuple(subject.catalogue.ports.values()))
 
@@ -407,7 +408,7 @@ def _sure_part(subject: Subject, nominal: Fitted, best: Fitted, *, alike: bool) 
     what they leave. The value of a held parameter acts wherever its component does. If the machines are not all
     `alike`, the rest may also be how they differ.
     """
-    entered = places(_entered(subject, best))
+    entered = places(where_it_enters(subject, best))
     acting = {e.id: {e.port, e.port.rpartition(".")[0] * e.id.startswith("value@")} for e in subject.effects}
     resembling = alike and closure(nominal.held_out, best.held_out) < decide.CLOSURE_OF_ITS_KIND
     doubtful = [n for n in best.effects if resembling and acting[n] & set(entered)]
@@ -417,7 +418,7 @@ def _sure_part(subject: Subject, nominal: Fitted, best: Fitted, *, alike: bool) 
         part = without(subject, part, name) if part is not None else None
     if part is None or closure(nominal.held_out, part.held_out) < decide.CLOSURE_THAT_NAMES:
         return None
-    return _Part(replace(part, names=names), places(_entered(subject, part)) if doubtful else entered)
+    return _Part(replace(part, names=names), places(where_it_enters(subject, part)) if doubtful else entered)
 
 
 def _where_left(

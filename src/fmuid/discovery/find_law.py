@@ -17,8 +17,8 @@ from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, refitted_early, without
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import advantage, closure, closure_interval
-from fmuid.diagnosis.diagnose import Found
-from fmuid.diagnosis.entry import entries, likelier
+from fmuid.diagnosis.diagnose import Found, where_it_enters
+from fmuid.diagnosis.entry import likelier
 from fmuid.diagnosis.horizon import approached
 from fmuid.diagnosis.null_distribution import NoiseDraws, draw_noise
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess
@@ -98,8 +98,7 @@ def find_law(
     noise = _noise(subject, found.nominal, seed)
     named = () if verdict.kind == "unknown" else found.surviving[:1]
     if named and not found.entered:  # the verdict did not need it
-        ports = tuple(subject.catalogue.ports.values())
-        found = replace(found, entered=entries(subject.model, subject.observed, named[0].fit, ports))
+        found = replace(found, entered=where_it_enters(subject, named[0]))
     reasons = []
     for base in (found.nominal, *named):  # in place of the effects that explain a part, then beside them
         search = _Search(found, base, models, load, flats, noise, seed)

@@ -142,7 +142,7 @@ def _distinct(
     kept: list[Term] = []
     known = np.empty((len(terms), sum(map(len, time))))
     for term in sorted(terms, key=lambda t: t.rank):
-        course = np.concatenate([term.course(c, t) for c, t in zip(courses, time, strict=True)])
+        course = term.whole_course(courses, time)
         length = float(np.linalg.norm(course))
         if not np.isfinite(length) or length < 1e-6 * np.sqrt(len(course)):
             continue

@@ -105,7 +105,7 @@ def instead(spot: Spot, flow: Sequence[FloatArray]) -> list[Proposal]:
     target = project_off(target, basis)
     nearest: dict[str, tuple[float, Proposal]] = {}
     for term in spot.terms:
-        course = np.concatenate([term.course(c, t) for c, t in zip(spot.courses, spot.time, strict=True)])
+        course = term.whole_course(spot.courses, spot.time)
         own = project_off(course, basis)
         length = float(np.linalg.norm(own))
         if length > 1e-3 * float(np.linalg.norm(course)):

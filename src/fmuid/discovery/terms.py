@@ -113,6 +113,10 @@ class Term:
             columns[HIDDEN] = _lagged(self.rate, columns, time)
         return evaluated(self.text, columns)
 
+    def whole_course(self, courses: Sequence[Mapping[str, FloatArray]], time: Sequence[FloatArray]) -> FloatArray:
+        """Return the values along the time series of every experiment, one after the other."""
+        return np.concatenate([self.course(c, t) for c, t in zip(courses, time, strict=True)])
+
     def state(
         self, quantities: Mapping[str, FloatArray], time: FloatArray, values: Mapping[str, float]
     ) -> FloatArray:
