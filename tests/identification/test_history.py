@@ -6,10 +6,13 @@ import sys
 import textwrap
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
+from types import FrameType, SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,8 +32,9 @@ from fmuid import (
     read_history,
 )
 from fmuid.core.folder_lock import LockedError, claim
-from fmuid.core.journal import JournalError, records
+from fmuid.core.journal import Journal, JournalError, records
 from fmuid.identification.history import _MAGIC, JOURNAL, History, HistoryError
+from fmuid.identification.recorded_rows import Row, Rows
 
 # A run that identifies the mass-spring-damper with a slow model, to be killed from outside.
 SCRIPT = """
@@ -350,3 +354,68 @@ def test_only_what_a_dead_process_left_is_removed_and_nothing_of_a_run_below(tmp
         with claim(tmp_path):
             assert not any(file.exists() for file in left)
             assert others.exists()
+
+
+def interrupted_at(step: int, action: Callable[[], object], module: str) -> bool:
+    """Run `action` with a Ctrl-C before its instruction number `step` in `module`; return whether it came."""
+    left = step
+
+    def trace(frame: FrameType, event: str, _: object) -> Any:
+        nonlocal left
+        if not frame.f_code.co_filename.endswith(module):
+            return None
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            left -= 1
+            if left == 0:
+                raise KeyboardInterrupt
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        action()
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(before)
+    return False
+
+
+def test_ctrl_c_at_any_instruction_leaves_whole_rows() -> None:
+    def row(k: int, failure: str | None = None) -> Row:
+        point, values = np.array([k, -k], dtype=float), {"a": float(k), "b": 2.0 * k}
+        return Row(point, values, point + 1, np.zeros(0), 3.0 * k, failure, "search", 0.1, k == 1)
+
+    step = 1
+    while True:
+        rows = Rows()
+        rows.append(row(1))
+        came = interrupted_at(step, partial(rows.append, row(2, "failed")), "recorded_rows.py")
+        assert rows.parameters(["a"]).ravel().tolist() == [1.0, 2.0][: len(rows)]
+        assert rows.failed.tolist() == [False, True][: len(rows)]
+        rows.append(row(3))
+        assert rows[-1].parameters == {"a": 3.0, "b": 6.0}
+        assert rows.failed.tolist()[-1] is False
+        assert rows.improved.tolist() == [True, False, False][: len(rows)]
+        if not came:
+            break
+        step += 1
+    assert step > 50
+
+
+def test_ctrl_c_at_any_instruction_leaves_whole_records(tmp_path: Path) -> None:
+    path, magic, step = tmp_path / "journal", b"some journal\n", 1
+    while True:
+        journal = Journal(path, magic)
+        journal.append("first")
+        came = interrupted_at(step, partial(journal.append, "second, a longer one"), "journal.py")
+        position = journal.append("third")
+        assert journal.read(position) == "third"
+        journal.close()
+        found = [content for content, _, _ in records(path, magic)]
+        assert found in (["first", "third"], ["first", "second, a longer one", "third"])
+        if not came:
+            break
+        step += 1
+    assert step > 50

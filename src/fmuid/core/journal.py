@@ -48,7 +48,6 @@ class Journal:
         self._end = len(magic) if end is None else end
         self._file = path.open("r+b", buffering=0)
         self._file.truncate(self._end)
-        self._file.seek(self._end)
 
     @property
     def closed(self) -> bool:
@@ -67,7 +66,9 @@ class Journal:
         begin = self._end
         # Unbuffered, because data accepted by the kernel survives the death of the process.
         record = memoryview(_HEAD.pack(len(data), zlib.crc32(data)) + data)
+        end = begin + len(record)
         try:
+            self._file.seek(begin)  # Ctrl-C may have left more of an earlier record
             while record:  # a disk that becomes full takes only a part
                 record = record[os.write(self._file.fileno(), record) :]
             if lasting:
@@ -75,12 +76,11 @@ class Journal:
         except BaseException as error:
             with suppress(OSError):  # nothing may follow half a record
                 os.ftruncate(self._file.fileno(), begin)
-                self._file.seek(begin)
             if not isinstance(error, OSError):
                 raise
             self._file.close()
             raise _unwritable(self.path, error) from None
-        self._end += _HEAD.size + len(data)
+        self._end = end
         return begin
 
     def read(self, position: int) -> Any:

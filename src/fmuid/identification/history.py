@@ -214,9 +214,9 @@ class History:
             evaluation.predictions if improved else (),
         )
         rows = self.stages[stage].rows
-        if stage in self._known:
-            self._known[stage][row.search.tobytes()] = len(rows)
         rows.append(row)
+        if stage in self._known:
+            self._known[stage][row.search.tobytes()] = len(rows) - 1
         self._append("row", {"stage": stage, **_packed(row)})
 
     def recall(self, stage: str, x: FloatArray, residuals: bool) -> Evaluation | None:

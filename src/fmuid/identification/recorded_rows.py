@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import accumulate
-from typing import Any, overload
+from itertools import accumulate, chain
+from typing import Any, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.evaluation import Evaluation
+
+_T = TypeVar("_T")
 
 SEARCHED = ("search", "derivative")
 """Purposes of the evaluations of a search; other purposes belong to analyses of its result."""
@@ -117,18 +120,15 @@ class Rows(Sequence[Row]):
             self._ends = ends
         if ends != self._ends:
             raise ValueError(f"an evaluation with {ends} columns after one with {self._ends}")
-        for part in parts:
-            self._numbers.extend(part)
-        if len(row.search) > free:
-            self._further[number] = row.search[free:]
+        # Ctrl-C may come between any two steps: a row exists once its purpose is there, and what an interrupted
+        # one has left is replaced.
+        _keep(self._further, number, row.search[free:] if len(row.search) > free else None)
+        _keep(self._failures, number, row.failure)
+        _keep(self._residuals, number, row.residuals)
+        _keep(self._predictions, number, row.predictions or None)
+        self._numbers[number * ends[-1] :] = array("d", chain.from_iterable(parts))
+        self._improved[number:] = bytes((row.improved,))
         self._purposes.append(row.purpose)
-        self._improved.append(row.improved)
-        if row.failure is not None:
-            self._failures[number] = row.failure
-        if row.residuals is not None:
-            self._residuals[number] = row.residuals
-        if row.predictions:
-            self._predictions[number] = row.predictions
 
     def __len__(self) -> int:
         return len(self._purposes)
@@ -200,14 +200,12 @@ class Rows(Sequence[Row]):
     @property
     def failed(self) -> NDArray[np.bool_]:
         """(n,) whether it failed."""
-        failed = np.zeros(len(self), dtype=bool)
-        failed[list(self._failures)] = True
-        return failed
+        return np.array([number in self._failures for number in range(len(self))], dtype=bool)
 
     @property
     def improved(self) -> NDArray[np.bool_]:
         """(n,) whether it was the best so far."""
-        return np.array(self._improved, dtype=bool)
+        return np.array(self._improved[: len(self)], dtype=bool)
 
     @property
     def failures(self) -> list[str]:
@@ -231,5 +229,13 @@ class Rows(Sequence[Row]):
         if not len(self):
             return np.zeros((0, 0))
         begin = self._ends[part - 1] if part else 0
-        lines = np.frombuffer(self._numbers).reshape(len(self), self._ends[-1])
+        shape = len(self), self._ends[-1]
+        lines = np.frombuffer(self._numbers, count=math.prod(shape)).reshape(shape)
         return lines[:, begin : self._ends[part]].copy()  # the array cannot grow while a view of it exists
+
+
+def _keep(kept: dict[int, _T], number: int, value: _T | None) -> None:
+    """Enter the value of a row, or drop an old one."""
+    kept.pop(number, None)
+    if value is not None:
+        kept[number] = value
