@@ -102,7 +102,7 @@ def case(rig: Rig, truth: str, seed: int, folder: Path) -> dict[str, Any] | None
     ]
     right = [a for a in answers if set(a) & alike]
     others = {}
-    if not answer["settled_for"]:
+    if answer["hopeless"]:
         name = next(n for n in rig.inputs if not list(place.glob(f"{n}_*.csv")))
         full = np.array(rig.inputs[name])
         full[[0, -1]] = u[0]  # from rest and back, as designed ones
@@ -116,8 +116,8 @@ def case(rig: Rig, truth: str, seed: int, folder: Path) -> dict[str, Any] | None
         "holds_truth": bool(right),
         "predicted": answer["separation_sigma"],
         "settles": answer["settled"],
-        "settles_if_right": any(set(a) & alike for a in answer["settled_for"]),
-        "hopeless": not answer["settled_for"],
+        "hopeless": answer["hopeless"],
+        "chance": max((c["alone"] for c in answer["chances"] if set(c["right"]) & alike), default=None),
         "pairs": pairs,
         "after": after["verdict"]["kind"],
         "named": _named(after),
@@ -200,11 +200,12 @@ def _apart(answer: Mapping[str, Any], a: set[str], b: set[str]) -> bool:
 
 def line(judged: Mapping[str, Any]) -> str:
     """Return a row of the table."""
-    says = (
-        "no run settles"
-        if judged["hopeless"]
-        else f"{judged['predicted']:6.2f} sigma" + " for some" * (not judged["settles"])
-    )
+    if judged["hopeless"]:
+        says = "no run settles"
+    elif judged["settles"]:
+        says = f"{judged['predicted']:6.2f} sigma"
+    else:
+        says = "chance " + ("of others" if judged["chance"] is None else f"{judged['chance']:.2f}")
     end = "settled" if judged["settled"] else judged["after"]
     kept = "truth kept" if judged["truth_kept"] else "truth lost" if judged["holds_truth"] else "truth not among"
     own = f", own run {'settles' if judged['own_run']['settled'] else 'neither'}" if judged["own_run"] else ""
@@ -215,16 +216,18 @@ def line(judged: Mapping[str, Any]) -> str:
 def summary(found: list[dict[str, Any]]) -> list[str]:
     """Return what the cases amount to."""
     rows = [f"{len(found)} ambiguous cases, the truth among the answers of {sum(f['holds_truth'] for f in found)}"]
+    perhaps = [f for f in found if not f["settles"] and not f["hopeless"] and f["chance"] is not None]
     for words, own in (
         ("settled whichever answer is right", [f for f in found if f["settles"]]),
-        ("settled if the true answer is right", [f for f in found if f["settles_if_right"]]),
-        ("settled for another answer only", [f for f in found if not (f["settles_if_right"] or f["hopeless"])]),
+        ("settled with a probability of at least 0.9", [f for f in perhaps if f["chance"] >= 0.9]),
+        ("settled with a lower probability", [f for f in perhaps if f["chance"] < 0.9]),
     ):
         settled = [f for f in own if f["settled"]]
         kept = sum(f["truth_kept"] for f in settled)
         alone = sum(f["alone"] for f in settled)
+        expected = f"{sum(f['chance'] or 0.0 for f in own):.1f} expected, "
         rows.append(
-            f"predicted to be {words}: {len(own)}; settled {len(settled)}, with the truth left {kept}; "
+            f"predicted to be {words}: {len(own)}; {expected}settled {len(settled)}, with the truth left {kept}; "
             f"no other question left {alone}"
         )
     hopeless = [f for f in found if f["hopeless"]]

@@ -235,13 +235,18 @@ def _of_parameters(made: ParameterDesign) -> dict[str, Any]:
 
 def _of_diagnosis(made: DiagnosisDesign) -> dict[str, Any]:
     facts = _run_facts(made.planned, made.excitation)
-    settled = [_words(rival.names) for rival in made.settled_for]
+    settled = made.settled_for
     if len(settled) == len(made.rivals):
         facts.append((_SETTLES, "yes, whichever answer is right", "good"))
-    elif settled:
-        facts.append((_SETTLES, f"only if the right answer is {' or '.join(settled)}"))
-    else:
+    elif made.hopeless:
         facts.append((_SETTLES, "no run within these limits settles it", "warn"))
+    else:
+        chances = [
+            f"{'yes' if rival in settled else f'with a probability of {100 * chance:.0f} %'}"
+            f" if the right answer is {_words(rival.names)}"
+            for rival, chance in zip(made.rivals, made.chances, strict=True)
+        ]
+        facts.append((_SETTLES, "; ".join(chances)))
     closest = sorted(made.pairs, key=lambda pair: pair[2])
     for a, b, s in closest[:_SHOWN]:
         facts.append((f"{_words(a.names)} or {_words(b.names)}", f"{s:.3g} sigma"))
@@ -252,7 +257,12 @@ def _of_diagnosis(made: DiagnosisDesign) -> dict[str, Any]:
         facts.append((_FURTHER[further.kind], f"{further.what}: {further.separation:.3g} sigma"))
     return {
         "settled": len(settled) == len(made.rivals),
-        "settled_for": [list(rival.names) for rival in made.settled_for],
+        "settled_for": [list(rival.names) for rival in settled],
+        "hopeless": made.hopeless,
+        "chances": [
+            {"right": list(rival.names), "alone": float(chance)}
+            for rival, chance in zip(made.rivals, made.chances, strict=True)
+        ],
         "separation_sigma": made.least,
         "needed_sigma": SETTLED,
         "pairs": [{"between": [list(a.names), list(b.names)], "separation_sigma": s} for a, b, s in made.pairs],

@@ -45,7 +45,7 @@ class Judged:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Excitation:
-    """The best excitation found: (inputs, N) samples, their evaluation, and a description."""
+    """An excitation: (inputs, N) samples, their evaluation, a description, and the evaluations of its search."""
 
     samples: FloatArray
     judged: Judged
@@ -62,12 +62,12 @@ def search(
     evaluations: int,
     seed: int = 0,
     say: Callable[[float], None] = lambda _: None,
-) -> Excitation:
-    """Return the excitation of least cost that stays within every limit.
+) -> list[Excitation]:
+    """Return the excitation of least cost of every family, best first, if it stays within every limit.
 
     Every family starts from the same number of points of a Sobol' sequence; an excitation that violates a limit is
     scaled down. Subplex improves the best of each family, then the best of all. If interrupted, the search returns
-    the best excitation so far.
+    the best excitations so far.
 
     Parameters
     ----------
@@ -110,16 +110,20 @@ def search(
         interrupted = True
         if not tried or min(j.total for j, _, _ in tried) >= _BARRIER:
             raise
-    judged, k, x = min(tried, key=lambda t: t[0].total)
-    if judged.violation > 0.0:
+    least = {k: min((t for t in tried if t[1] == k), key=lambda t: t[0].total) for k in {k for _, k, _ in tried}}
+    best = sorted(least.values(), key=lambda t: t[0].total)
+    if (judged := best[0][0]).violation > 0.0:
         reason = f"each one exceeds {judged.worst}" if np.isfinite(judged.violation) else "none could be simulated"
         raise FmuidError(
             f"none of {len(tried)} excitations stays within every limit: {reason}",
             where="[limits]",
             fix="widen it, or shorten the run",
         )
-    shape = shapes[k]
-    return Excitation(shape(x, time), judged, shape.words(x, time), len(tried), interrupted)
+    return [
+        Excitation(shapes[k](x, time), judged, shapes[k].words(x, time), len(tried), interrupted)
+        for judged, k, x in best
+        if judged.violation <= 0.0
+    ]
 
 
 def _begin(shape: Shape, count: int, seed: int, cost: Callable[[FloatArray], float]) -> None:

@@ -135,7 +135,7 @@ def design_for_parameters(
     families = shapes(campaign.design, [d.bounds for d in planned.driven], seed=seed)
     planned = planned.solved_well_enough(families, [values])
     criterion = Information(planned, unknowns, _draws(unknowns, known, seed), known, optimality)
-    found = search(
+    found, *_ = search(
         families,
         planned.time,
         criterion,

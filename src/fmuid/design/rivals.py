@@ -21,16 +21,26 @@ from fmuid.core.progress import Say, quiet
 from fmuid.design.excitation import shapes
 from fmuid.design.excitation_search import Excitation, Judged, search
 from fmuid.design.planned import Planned, planned_run
+from fmuid.design.rehearsal import rehearsed
 from fmuid.diagnosis.candidates import Fitted, fit_effects
 from fmuid.diagnosis.catalogue import Sensor
 from fmuid.diagnosis.decide import SAME
 from fmuid.diagnosis.extended_model import CampaignModel, Prediction
-from fmuid.diagnosis.next_experiment import Rival, distance_matrix, distances, rival_of, separations, with_sensors
+from fmuid.diagnosis.next_experiment import (
+    Rival,
+    chances,
+    distance_matrix,
+    distances,
+    rival_of,
+    separations,
+    with_sensors,
+)
 from fmuid.diagnosis.slopes import linear_at, predicted
 from fmuid.diagnosis.subject import Subject
 from fmuid.identification.problem.cases import Case
 
 SETTLED = SAME
+HOPELESS = 0.1  # probability that an answer alone is left
 _DRAWS = 3  # draws of every rival's parameters, including the estimate
 _MOST = 6  # largest number of rivals
 _WIDER = 2.0  # factor by which limits are widened to show the effect
@@ -57,6 +67,8 @@ class DiagnosisDesign:
     ----------
     separations
         (R, R) standard deviations by which a diagnosis will prefer the first, if it is right, to the second.
+    chances
+        (R,) probability that each rival alone is left, if it is right.
     beyond
         Other changes that would help.
     """
@@ -65,6 +77,7 @@ class DiagnosisDesign:
     excitation: Excitation
     rivals: tuple[Rival, ...]
     separations: FloatArray
+    chances: FloatArray
     beyond: tuple[Beyond, ...] = ()
 
     @property
@@ -86,6 +99,11 @@ class DiagnosisDesign:
         """The rivals that would remain alone after the run if they were right."""
         own = np.where(np.eye(len(self.rivals), dtype=bool), np.inf, self.separations)
         return [rival for rival, row in zip(self.rivals, own, strict=True) if row.min() >= SETTLED]
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether several answers will be left whichever is right, in nine cases out of ten."""
+        return bool(np.max(self.chances) < HOPELESS)
 
 
 def rivals_of(subject: Subject, answer: Mapping[str, object]) -> list[Fitted]:
@@ -178,28 +196,57 @@ def design_for_diagnosis(
     rivals = tuple(rival_of(f, subject.observed, draws=_DRAWS, seed=seed + k) for k, f in enumerate(answers))
     families = shapes(campaign.design, [d.bounds for d in planned.driven], seed=seed)
     planned = planned.solved_well_enough(families, [r.values for r in rivals])
-    criterion = Apart(planned, rivals)
     found = search(
         families,
         planned.time,
-        criterion,
+        Apart(planned, rivals),
         evaluations=evaluations,
         seed=seed,
-        say=lambda share: say("trying excitations", 0.1 + 0.8 * share),
+        say=lambda share: say("trying excitations", 0.1 + 0.7 * share),
     )
-    designed = DiagnosisDesign(planned, found, rivals, separations(criterion.distances(found.samples), rivals))
-    if found.interrupted or designed.least >= SETTLED:
+    say("refitting the answers to the best excitations", 0.82)
+    designed = _best(Apart(planned, rivals, subject), found[:1] if found[0].interrupted else found)
+    if designed.excitation.interrupted or designed.least >= SETTLED:
         return designed
     say("looking for other changes that would help", 0.92)
     return replace(designed, beyond=tuple(_beyond(designed, subject, campaign)))
 
 
+def _best(criterion: Apart, found: Sequence[Excitation]) -> DiagnosisDesign:
+    """Return the design with the excitation that separates the rivals best.
+
+    Raises
+    ------
+    SimulationError
+        A run failed under each of them.
+    """
+    designs, failure = [], None
+    for excitation in found:
+        try:
+            apart = criterion.distances(excitation.samples)
+        except SimulationError as error:
+            failure = error
+            continue
+        rivals = criterion.rivals
+        made = DiagnosisDesign(
+            criterion.planned, excitation, rivals, separations(apart, rivals), chances(apart, rivals)
+        )
+        designs.append((_misjudged(apart), made))
+    if not designs and failure is not None:
+        raise failure
+    return min(designs, key=lambda d: d[0])[1]
+
+
 @dataclass(frozen=True, eq=False)
 class Apart:
-    """Separation of rivals by an excitation, as the cost of a search: how often a wrong one fits better."""
+    """Separation of rivals by an excitation, as the cost of a search: how often a wrong one fits better.
+
+    The search takes rivals for linear in their parameters; with a `subject`, distances count what refits find.
+    """
 
     planned: Planned
     rivals: tuple[Rival, ...]
+    subject: Subject | None = None
 
     def __call__(self, samples: FloatArray) -> Judged:
         """Return the cost and the violation of limits of (inputs, N) samples."""
@@ -209,28 +256,31 @@ class Apart:
             violation, worst = self.planned.violation(model, points, predicted(model, points))
             if violation > 0.0:
                 return Judged(np.inf, violation, worst)
-            apart = self._distances(model)
+            apart = self._linear(model)
         except SimulationError:
             return Judged(np.inf, np.inf)
         return Judged(_misjudged(apart))
 
     def distances(self, samples: FloatArray) -> FloatArray:
-        """Return the (R, R) distances of the rivals under (inputs, N) samples.
+        """Return the (R, draws, R) distances of the rivals under (inputs, N) samples.
 
         Raises
         ------
         SimulationError
             A run failed.
         """
-        return self._distances(self.planned.under(samples))
+        apart = self._linear(self.planned.under(samples))
+        if self.subject is None:
+            return apart
+        return np.minimum(apart, rehearsed(self.planned, samples, self.rivals, self.subject)[:, None, :])
 
-    def _distances(self, model: CampaignModel) -> FloatArray:
+    def _linear(self, model: CampaignModel) -> FloatArray:
         return distances(model, self.rivals, lambda d: self.planned.whiten(d[0]))[0]
 
 
 def _misjudged(apart: FloatArray) -> float:
     """Return the log of the probability that the wrong one of two rivals fits better, averaged over all pairs."""
-    pairs = apart[~np.eye(len(apart), dtype=bool)]
+    pairs = apart.min(axis=1)[~np.eye(len(apart), dtype=bool)]
     return float(logsumexp(log_ndtr(-0.5 * pairs)) - np.log(len(pairs)))
 
 
@@ -241,7 +291,7 @@ def _least(found: FloatArray) -> float:
 def _beyond(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) -> list[Beyond]:
     """Return changes that separate rivals which no excitation within the limits separates, best first."""
     planned, samples, rivals = designed.planned, designed.excitation.samples, designed.rivals
-    criterion = Apart(planned, rivals)
+    criterion = Apart(planned, rivals, subject)
     found = _sensors(designed, subject, campaign)
     for s in planned.settable:
         for value in (s.lower, s.upper):
@@ -252,7 +302,7 @@ def _beyond(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) -> 
                 setting = {n: to for n, to in planned.case.setting.items() if to[0] != s.variable}
                 case = replace(planned.case, task=task, setting=setting)
                 moved = replace(planned, model=replace(planned.model, cases=(case,)))
-                found += _tried("setting", f"{s.name} = {value:g}", Apart(moved, rivals), samples)
+                found += _tried("setting", f"{s.name} = {value:g}", Apart(moved, rivals, subject), samples)
     rest = np.array([[d.bounds.rest] for d in planned.driven])
     names = " and ".join(d.name for d in planned.driven)
     found += _tried(
@@ -285,7 +335,8 @@ def _not_read(case: Case, subject: Subject, campaign: Campaign) -> list[Sensor]:
 def _sensors(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) -> list[Beyond]:
     """Return the outputs without a sensor, with the noise that the user gives or the noise that would suffice."""
     planned, rivals = designed.planned, designed.rivals
-    case = planned.driven_case(designed.excitation.samples)
+    samples = designed.excitation.samples
+    case = planned.driven_case(samples)
     sensors = _not_read(case, subject, campaign)
     if not sensors:
         return []
@@ -300,12 +351,15 @@ def _sensors(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) ->
     if len(drawn) < sum(len(r.draws) for r in rivals):
         return []
     n, weight, found = len(case.channels), np.sqrt(planned.repeats), []
+    far, near = (Apart(planned, rivals, refitted).distances(samples) for refitted in (None, subject))
+    closer = far**2 - near**2  # what refits take from the separation by the sensors that there are
 
     def least(row: int, sigma: float) -> float:
         def whiten(d: Prediction) -> FloatArray:
             return np.concatenate([planned.whiten(d[0][:n]), weight * d[0][row] / sigma])
 
-        return _least(separations(distance_matrix(linear, drawn, rivals, whiten), rivals))
+        apart = distance_matrix(linear, drawn, rivals, whiten) ** 2 - closer
+        return _least(separations(np.sqrt(np.maximum(apart, 0.0)), rivals))
 
     for row, sensor in enumerate(sensors, n):
         what = f"a sensor of {sensor.description or sensor.name}"

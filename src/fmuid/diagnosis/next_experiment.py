@@ -10,15 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import permutations
 
 import numpy as np
+from scipy.special import ndtr
 
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.level import NoiseLevel
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.catalogue import Sensor
-from fmuid.diagnosis.decide import SAME, spread
+from fmuid.diagnosis.decide import OPEN, SAME, spread
 from fmuid.diagnosis.extended_model import CampaignModel, Prediction
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Unknown
@@ -89,27 +91,63 @@ def rival_of(fitted: Fitted, observed: Observed, *, draws: int = 1, seed: int = 
 def separations(apart: FloatArray, rivals: Sequence[Rival]) -> FloatArray:
     """Return by how many standard deviations a diagnosis will prefer the right one of two rivals, or more.
 
-    It does so in nine cases out of ten, using the recorded runs and the new one. A distance D in the new run makes
-    the costs differ by D^2 on average, with a standard deviation of 2 D (see `decide.separation`).
+    It does so in nine cases out of ten, whichever draw of its parameters is true, using the recorded runs and the
+    new one. A distance D in the new run makes the costs differ by D^2 on average, with a standard deviation of 2 D
+    (see `decide.separation`).
 
     Parameters
     ----------
     apart
-        (R, R) distances in the new run.
+        (R, draws, R) distances in the new run.
 
     Returns
     -------
     (R, R): preference for the first rival, if it is right, over the second.
     """
-    found = np.zeros_like(apart)
-    for a, right in enumerate(rivals):
-        for b, wrong in enumerate(rivals):
-            so_far = float(wrong.residual @ wrong.residual - right.residual @ right.residual)
-            distance = float(np.hypot(np.linalg.norm(right.residual - wrong.residual), apart[a, b]))
-            if distance > 0.0:
-                gained = so_far + apart[a, b] ** 2 - 2.0 * _NINE_OF_TEN * apart[a, b]
-                found[a, b] = max(0.0, gained / (2.0 * distance * spread(min(right.left, wrong.left))))
+    found = np.zeros((len(rivals), len(rivals)))
+    least = apart.min(axis=1)
+    for (a, right), (b, wrong) in permutations(enumerate(rivals), 2):
+        so_far, distance = _so_far(right, wrong)
+        distance = float(np.hypot(distance, least[a, b]))
+        if distance > 0.0:
+            gained = so_far + least[a, b] ** 2 - 2.0 * _NINE_OF_TEN * least[a, b]
+            found[a, b] = max(0.0, gained / (2.0 * distance * _wider(right, wrong)))
     return found
+
+
+def chances(apart: FloatArray, rivals: Sequence[Rival]) -> FloatArray:
+    """Return for each rival the probability that a diagnosis leaves no other one open if it is right.
+
+    An answer is left open unless the odds against it exceed `decide.OPEN` (see `decide.log_odds`). The probability
+    is averaged over the draws of the parameters.
+
+    Parameters
+    ----------
+    apart
+        (R, draws, R) distances in the new run.
+    """
+    found = np.ones(len(rivals))
+    for (a, right), (b, wrong) in permutations(enumerate(rivals), 2):
+        so_far, distance = _so_far(right, wrong)
+        new = apart[a, :, b]
+        wider = _wider(right, wrong)
+        price = 0.5 * np.log(len(right.residual)) * (len(wrong.unknowns) - len(right.unknowns))
+        least = wider * np.sqrt(2.0 * max(0.0, np.log(OPEN) - price))
+        needed = least * np.maximum(least, np.hypot(distance, new)) if least else np.full(len(new), -np.inf)
+        with np.errstate(divide="ignore"):
+            sure = ndtr((so_far + new**2 - needed) / (2.0 * new))
+        found[a] = min(found[a], float(np.mean(sure)))
+    return found
+
+
+def _so_far(right: Rival, wrong: Rival) -> tuple[float, float]:
+    """Return by how much the cost of `wrong` exceeds that of `right` in the recorded runs, and their distance."""
+    costs = [float(r.residual @ r.residual) for r in (right, wrong)]
+    return costs[1] - costs[0], float(np.linalg.norm(right.residual - wrong.residual))
+
+
+def _wider(a: Rival, b: Rival) -> float:
+    return spread(min(a.left, b.left))
 
 
 def distances(
@@ -120,7 +158,7 @@ def distances(
     Returns
     -------
     array
-        (R, R): distance from the first rival, if it is true, to the second; the least over the draws of the first.
+        (R, draws, R): distance from each draw of the first rival, if it is true, to the second.
     list of Prediction
         Predictions of every draw of every rival, in their order.
 
@@ -137,8 +175,8 @@ def distances(
 def distance_matrix(
     linear: Sequence[Linear], drawn: Sequence[Prediction], rivals: Sequence[Rival], whiten: Whiten
 ) -> FloatArray:
-    """Return the (R, R) distances computed from simulations; see `distances`."""
-    found = np.zeros((len(rivals), len(rivals)))
+    """Return the (R, draws, R) distances computed from simulations; see `distances`."""
+    found = np.zeros((len(rivals), len(rivals[0].draws), len(rivals)))
     of = [k for k, rival in enumerate(rivals) for _ in rival.draws]
     for b, (wrong, here) in enumerate(zip(rivals, linear, strict=True)):
         differences = np.stack(
@@ -157,9 +195,7 @@ def distance_matrix(
         basis, _ = np.linalg.qr(bent / np.where(size > 0.0, size, 1.0))
         whole = np.vstack([differences, np.zeros((len(bent) - len(differences), differences.shape[1]))])
         left = np.linalg.norm(whole - basis @ (basis.T @ whole), axis=0)
-        others = [a for a in of if a != b]
-        for a in set(others):
-            found[a, b] = min(x for x, other in zip(left.tolist(), others, strict=True) if other == a)
+        found[np.arange(len(rivals)) != b, :, b] = left.reshape(len(rivals) - 1, -1)
     return found
 
 
@@ -219,7 +255,7 @@ def sensor_to_add(subject: Subject, alike: Sequence[Fitted], *, beyond: float = 
 
 def _new(apart: FloatArray, rivals: Sequence[Rival]) -> float:
     """Return the smaller separation of two rivals; 0 if a further run adds only chance."""
-    distinct = min(apart[0, 1], apart[1, 0]) > 2.0 * _NINE_OF_TEN
+    distinct = min(apart[0, :, 1].min(), apart[1, :, 0].min()) > 2.0 * _NINE_OF_TEN
     found = separations(apart, rivals)
     return float(min(found[0, 1], found[1, 0])) if distinct else 0.0
 
