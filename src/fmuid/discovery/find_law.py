@@ -33,6 +33,7 @@ from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.simulator import Simulator
 
 CLOSURE_THAT_HOLDS = 0.8  # share of the held-out gap that a law must close to count as found
+_LEFT = 1.0  # noise floors that a law may leave: beyond, its rest is seen in a single run, and it is not the law
 _PLACES = 4  # number of places examined: those where a course over time is likeliest
 _TRIED = (6, 4)  # laws per round that are refitted in the rebuilt model: with one further term, and with two
 _LED_OUT = 2  # laws that are approached over growing horizons: those that fit best
@@ -302,8 +303,11 @@ class _Search:
         text = f"the best law, {formula}, closes {closed:.2f} of the gap on experiments left out"
         if gained <= error or (closed < CLOSURE_THAT_HOLDS and not weak):
             return f"{text}, too little (it takes {CLOSURE_THAT_HOLDS:g})"
+        left = f"{text}, but leaves {law.fitted.gap:.2g} times the noise"
+        if law.fitted.gap > _LEFT:
+            return left
         if not self.finished(law) and likelier(self.found.entered, self.found.nominal, law.fitted):
-            return f"{text}, but leaves {law.fitted.gap:.2g} times the noise, and something else is far likelier"
+            return f"{left}, and something else is far likelier"
         return ""
 
     def pruned(self, law: Candidate) -> Candidate:
