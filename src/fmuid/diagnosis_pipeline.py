@@ -222,7 +222,7 @@ def _files(campaign: Campaign, subject: Subject) -> list[Path]:
     """Return the files that a diagnosis depends on: models, those that carry the effects, and the catalogue."""
     models = {file for model in campaign.models.values() for file in model.files}
     models |= {carrier(file, subject.catalogue) for file in models}
-    return [*sorted(models), *([] if campaign.effects is None else [campaign.effects.catalogue])]
+    return [*sorted(models), *([] if campaign.effects is None else [campaign.effects.file])]
 
 
 def answer_of(found: Found, campaign: Campaign | None = None) -> dict[str, Any]:

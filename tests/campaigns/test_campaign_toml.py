@@ -358,11 +358,6 @@ WRONG: dict[str, tuple[str, str, str]] = {
         'measurements = "measured.h5"',
         "measured.h5: no such file; check the path",
     ),
-    "effects_without_catalogue": (
-        "[published]",
-        "[effects]\n[published]",
-        "campaign.toml [effects]: has no 'catalogue'; write catalogue = ...",
-    ),
 }
 
 

@@ -17,11 +17,16 @@ from fmu_build.errors import ModelicaError
 from fmu_build.idle import without_branches
 from fmu_build.instrument import Added, Term, instrument
 from fmu_build.model_ports import domain_of, find_ports, held_parameters
+from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.cli.app import run
 from fmuid.core.campaign import ModelSource, ModelSpec
+from fmuid.core.experiments import Experiment, Measurements, Signal
+from fmuid.data.measurements import write_measurements
 from fmuid.diagnosis.catalogue import load_catalogue
-from fmuid.diagnosis.made_catalogue import SIZES, Place, catalogue_text, laws, possible_laws
+from fmuid.diagnosis.made_catalogue import SIZES, Place, catalogue_text, laws, possible_laws, with_catalogue
+from fmuid.diagnosis.subject import subject_of
 from fmuid.diagnosis.variants import Variants, carrier, term_of
+from fmuid.simulation.coupled.loading import load_simulator
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.model_source import built_model, built_with_terms
 from fmuid.simulation.simulator import Task
@@ -286,6 +291,68 @@ def test_a_campaign_from_a_model_lists_its_effects_without_a_line_edited(tmp_pat
     assert run(["import", str(other), *taken]) == 0
     assert "bench" not in (folder / "campaign.toml").read_text()
     assert run(["effects", str(folder), "--workers", "0"]) == 0
+
+
+TANK = """
+model Tank
+  input Real u(unit = "m3/s");
+  output Real h(unit = "m", start = 0, fixed = true) "Level";
+  parameter Real A(unit = "m2") = 2;
+  parameter Real k(unit = "m2/s") = 0.1;
+equation
+  A*der(h) = u - k*h;
+end Tank;
+"""
+TANKS = """
+[campaign]
+name = "tanks"
+[models.levels]
+source = "Tank.mo"
+[models.rates]
+source = "Tank.mo"
+map = { rise = "gradient(h)", inflow = "u" }
+[parameters.A]
+start = 2
+lower = 1
+upper = 4
+[parameters.k]
+start = 0.1
+lower = 0.01
+upper = 1
+[effects]
+nominal = ["A"]
+"""
+
+
+def test_setups_with_other_signals_share_a_catalogue(tmp_path, monkeypatch):
+    """One setup reads a level, another also how fast it rises; an effect couples signals that were read together."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "Tank.mo").write_text(TANK)
+    (tmp_path / "campaign.toml").write_text(TANKS)
+    time, random = np.linspace(0.0, 60.0, 121), np.random.default_rng(2)
+    inflow = np.where(time > 5.0, 0.05, 0.0)
+    level = 0.5 * (1 - np.exp(-0.05 * np.maximum(time - 5.0, 0.0))) + 1e-4 * random.standard_normal((3, 121))
+    runs = {}
+    for k, h in enumerate(level):
+        signals = [Signal("u", inflow, "m3/s", "input"), Signal("h", h, "m", "output")]
+        runs[f"l{k}"] = Experiment(f"l{k}", "levels", time, {s.name: s for s in signals})
+        rise = Signal("rise", 1e3 * np.gradient(h, time), "mm/s", "output")
+        signals = [Signal("inflow", 2 * inflow, "m3/s", "input"), rise, Signal("h", 2 * h, "m", "output")]
+        runs[f"r{k}"] = Experiment(f"r{k}", "rates", time, {s.name: s for s in signals})
+    write_measurements(Measurements(runs), tmp_path / "measurements.h5")
+    campaign = with_catalogue(load_campaign(tmp_path), load_simulator)
+    effects = load_catalogue(campaign.effects.file).effects
+    assert {u.name for u in effects["crosstalk@rise"].unknowns} == {"rise.crosstalk[u]", "rise.crosstalk[h]"}
+    assert {u.name for u in effects["crosstalk@h"].unknowns} == {"h.crosstalk[u]", "h.crosstalk[rise]"}
+    assert effects["offset@u"].trials[1]["u.offset"] == pytest.approx(0.05 * 0.1)  # of the largest range
+    assert 0.5 < effects["offset@rise"].trials[1]["rise.offset"] / (0.05 * np.ptp(level[0][10:22]) / 6.0) < 2.0
+    assert effects["offset@rise"].units["rise.offset"] == "(m)/s"
+    assert "value@k" in effects  # only A is refitted in any case
+    assert "value@A" not in effects
+    subject = subject_of(campaign, load_simulator, experiments=["l*"])
+    assert [u.name for u in subject.nominal] == ["A"]
+    assert {u.name for u in subject.by_id["crosstalk@h"].unknowns} == {"h.crosstalk[u]"}
+    assert not [name for name in subject.by_id if name.endswith("@rise")]
 
 
 @pytest.mark.slow

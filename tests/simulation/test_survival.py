@@ -32,7 +32,7 @@ from fmuid import (
     read_history,
     write_measurements,
 )
-from fmuid.campaigns.signal_catalogue import signal_catalogue
+from fmuid.campaigns.signal_catalogue import RecordedSetup, signal_catalogue
 from fmuid.cli import main
 from fmuid.identification.history import JOURNAL
 
@@ -134,7 +134,8 @@ class Diagnosis:
         folder.mkdir()
         write_measurements(Measurements(runs), folder / "measurements.h5")
         head, *effects = re.split(
-            r'(?m)^(?=\[effects\."[^"]*"\]$)', signal_catalogue([*runs.values()], {}, model.variables)
+            r'(?m)^(?=\[effects\."[^"]*"\]$)',
+            signal_catalogue([RecordedSetup([*runs.values()], {}, model.variables)]),
         )
         few = [effect for effect in effects if effect.startswith(('[effects."gain', '[effects."offset'))]
         (folder / "effects.toml").write_text("".join([head, *few]))

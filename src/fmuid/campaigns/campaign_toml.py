@@ -137,7 +137,7 @@ class _RolesTable(Table):
 
 
 class _EffectsTable(Table):
-    catalogue: str
+    catalogue: str | None = None
     nominal: list[str] | None = None
     tie: dict[str, str] = {}
     experiments: list[str] = []
@@ -389,7 +389,8 @@ def _effects(
             )
     unseen = tuple(name for name in measurements.experiments if name not in validation)
     experiments = expand(table.experiments or ["*"], measurements, unseen, f"{where} experiments")
-    return EffectsSpec(folder / table.catalogue, tuple(nominal), frozen_mapping(table.tie), experiments)
+    catalogue = None if table.catalogue is None else folder / table.catalogue
+    return EffectsSpec(catalogue, tuple(nominal), frozen_mapping(table.tie), experiments)
 
 
 def _design(document: _Document, models: Collection[str], file: str) -> DesignSpec:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -41,33 +42,37 @@ _WORDS = {
         "Coupling between channels, cross-axis sensitivity",
     ),
 }
+_RATE = re.compile(r"gradient\((.*)\)")  # a signal that is compared with the slope of a variable
 _HARD = 100.0  # a practically abrupt limit
 _TWO_SIDED = ("gain", "offset", "drift", "crosstalk")
 
 
-def signal_catalogue(runs: Iterable[Experiment], mapping: Mapping[str, str], model: Mapping[str, Variable]) -> str:
+class RecordedSetup(NamedTuple):
+    """The recorded runs of a setup, its signal -> variable where the names differ, and its model's variables."""
+
+    runs: Sequence[Experiment]
+    mapping: Mapping[str, str]
+    model: Mapping[str, Variable]
+
+
+def signal_catalogue(setups: Sequence[RecordedSetup]) -> str:
     """Return the text of a catalogue with effects for every signal that is not always zero.
 
     Trials are 2 and 10 % of scale, 1 and 5 % of the range, and one to twenty-five sample times.
-
-    Parameters
-    ----------
-    runs
-        The recorded runs; signals in any unit.
-    mapping
-        Signal -> variable of the FMU, where the names differ.
-    model
-        The FMU's variables.
 
     Raises
     ------
     UnitError
         A signal's unit cannot be converted to the variable's.
     """
-    runs = list(runs)
+    runs = [run for setup in setups for run in setup.runs]
     step = min(float(np.median(np.diff(run.time))) for run in runs)
     duration = max(float(run.time[-1] - run.time[0]) for run in runs)
-    signals = _signals(runs, mapping, model)
+    recorded = [_signals(*setup) for setup in setups]
+    signals: dict[str, _Signal] = {}
+    for name, s in (item for own in recorded for item in own.items()):
+        same = signals.get(name, s)
+        signals[name] = s._replace(range=max(s.range, same.range), largest=max(s.largest, same.largest))
     ports, regimes, effects = [], [], []
     for s in signals.values():
         ports += [
@@ -84,7 +89,11 @@ def signal_catalogue(runs: Iterable[Experiment], mapping: Mapping[str, str], mod
             ]
         ports += [f"unit = {toml_text(s.unit)}", ""]
         others = [
-            o for o in signals.values() if o is not s and (s.causality == "output" or o.causality == "input")
+            o
+            for o in signals.values()
+            if o is not s
+            and (s.causality == "output" or o.causality == "input")
+            and any({o.name, s.name} <= own.keys() for own in recorded)
         ]
         for (kind, law), (description, source) in _WORDS.items():
             sizes = _sizes(law, s, others, step, duration)
@@ -106,18 +115,21 @@ class _Signal(NamedTuple):
 
 
 def _signals(
-    runs: Iterable[Experiment], mapping: Mapping[str, str], model: Mapping[str, Variable]
+    runs: Sequence[Experiment], mapping: Mapping[str, str], model: Mapping[str, Variable]
 ) -> dict[str, _Signal]:
-    runs, found = list(runs), {}
+    found = {}
     for name, causality in dict.fromkeys((n, s.causality) for run in runs for n, s in run.signals.items()):
-        variable = model[mapping.get(name, name)]
+        target = mapping.get(name, name)
+        rate = _RATE.fullmatch(target)
+        variable = model[target if rate is None else rate[1]]
+        unit = variable.unit if rate is None else f"({variable.unit or '1'})/s"
         recorded = [run.signals[name] for run in runs if name in run.signals]
-        values = np.concatenate([conversion(s.unit, variable.unit)(s.values) for s in recorded])
+        values = np.concatenate([conversion(s.unit, unit)(s.values) for s in recorded])
         largest = float(np.nanmax(np.abs(values)))
         size = float(np.nanmax(values) - np.nanmin(values)) or largest
         own = variable.name if causality == "input" else name
         if size > 0.0:
-            found[own] = _Signal(own, causality, variable, variable.unit or "1", size, largest)
+            found[own] = _Signal(own, causality, variable, unit or "1", size, largest)
     return found
 
 

@@ -280,13 +280,19 @@ class EffectsSpec:
 
     `nominal` names the campaign parameters of the base model; they are refitted with every effect. `tie` sets
     FMU variables (also slices such as ``lossTable[:,4:5]``) to expressions of campaign parameters.
-    `experiments` are the runs to use.
+    `experiments` are the runs to use. Without a `catalogue`, one is made from the models.
     """
 
-    catalogue: Path
+    catalogue: Path | None = None
     nominal: tuple[str, ...] = ()
     tie: Mapping[str, str] = field(default_factory=dict)
     experiments: tuple[str, ...] = ()
+
+    @property
+    def file(self) -> Path:
+        """The file of the catalogue, once there is one."""
+        assert self.catalogue is not None
+        return self.catalogue
 
 
 Family = Literal["multisine", "chirp", "steps", "prbs"]

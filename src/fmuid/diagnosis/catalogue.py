@@ -6,8 +6,8 @@ The file format: ``docs/formats.md``.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -84,6 +84,17 @@ class Effect:
                 value = neutral + factor * (trial[u.name] - neutral)
                 values[u.name] = float(np.clip(value, u.lower, u.upper)) if clipped else value
         return values
+
+    def without(self, names: Collection[str]) -> Effect:
+        """Return the effect without some of its parameters, and without the trials that concern them."""
+        return replace(
+            self,
+            unknowns=tuple(u for u in self.unknowns if u.name not in names),
+            neutral={n: v for n, v in self.neutral.items() if n not in names},
+            trials=tuple(trial for trial in self.trials if not trial.keys() & set(names)),
+            shapes=self.shapes - set(names),
+            units={n: u for n, u in self.units.items() if n not in names},
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -136,7 +136,7 @@ class _Document:
         inside = [e.id for e in self.effects if e.expression]
         if not inside:
             return
-        raw = read_toml(self.campaign.effects.catalogue)
+        raw = read_toml(self.campaign.effects.file)
         found: dict[str, Any] = {"effects": {}, "ports": {}}
         for source in (m.source for m in self.campaign.models.values()):
             if source is not None and source.effects is not None:  # effects of an earlier diagnosis
@@ -218,10 +218,11 @@ class _Document:
         raw["parameters"] = parameters
         raw["stages"] = {"corrected": self._stage([*nominal, *(u.name for u in own)], tie)}
         if "effects" in raw:
-            assert campaign.effects is not None
-            catalogue = campaign.file.parent / raw["effects"]["catalogue"] if campaign.file else Path()
-            free = [*nominal, *(u.name for u in own)]
-            raw["effects"] = {**raw["effects"], "catalogue": self._path(catalogue), "nominal": free}
+            chosen: dict[str, Any] = {**raw["effects"], "nominal": [*nominal, *(u.name for u in own)]}
+            if "catalogue" in chosen:
+                catalogue = campaign.file.parent / chosen["catalogue"] if campaign.file else Path()
+                chosen["catalogue"] = self._path(catalogue)
+            raw["effects"] = chosen
         order = ("campaign", "signals", "models", "parameters", "settings", "roles", "stages", "effects")
         return {key: raw[key] for key in (*order, *raw) if key in raw}
 

@@ -17,7 +17,7 @@ import numpy as np
 from fmu_build.flat_model import FlatModel
 from fmu_build.instrument import Acts
 from fmu_build.model_ports import Port, find_ports, held_parameters
-from fmuid.campaigns.signal_catalogue import signal_catalogue
+from fmuid.campaigns.signal_catalogue import RecordedSetup, signal_catalogue
 from fmuid.core.campaign import Campaign, EffectsSpec, ModelSource, ModelSpec
 from fmuid.core.errors import CampaignError
 from fmuid.core.experiments import Experiment
@@ -348,7 +348,7 @@ def with_catalogue(
     """
     spec = campaign.effects
     setups = _sources(campaign)
-    if spec is not None:
+    if spec is not None and spec.catalogue is not None:
         text = spec.catalogue.read_text() if spec.catalogue.is_file() else ""
         catalogue = load_catalogue(spec.catalogue)
         if not any(e.expression for e in catalogue.effects.values()):
@@ -361,10 +361,9 @@ def with_catalogue(
             )
     else:
         text = made_catalogue(campaign, load, runner=runner)
-        free = tuple(p.name for p in campaign.parameters.values() if p.free)
         file = user_cache() / "catalogues" / f"{_digest(text)}.toml"
         write_atomically(file, text)
-        spec = EffectsSpec(file, free, {}, tuple(e.id for e in _seen(campaign)))
+        spec = replace(_spec(campaign), catalogue=file)
         catalogue = load_catalogue(file)
     carriers, models = {}, dict(campaign.models)
     for name, setup in setups.items():
@@ -382,7 +381,7 @@ def with_catalogue(
 def with_effect(campaign: Campaign, id: str, table: Mapping[str, Any]) -> Campaign:
     """Return a campaign with one more effect, a table of a catalogue; `with_catalogue` then builds its models."""
     assert campaign.effects is not None
-    tables = {key: table for key, table in read_toml(campaign.effects.catalogue).items() if key != "models"}
+    tables = {key: table for key, table in read_toml(campaign.effects.file).items() if key != "models"}
     text = toml_document({**tables, "effects": {**tables["effects"], id: table}})
     file = user_cache() / "catalogues" / f"{_digest(text)}.toml"
     write_atomically(file, text)
@@ -408,6 +407,14 @@ def _sources(campaign: Campaign) -> dict[str, _Setup]:
     }
 
 
+def _spec(campaign: Campaign) -> EffectsSpec:
+    """Return what is diagnosed: the campaign's own choice, or all free parameters and runs."""
+    if campaign.effects is not None:
+        return campaign.effects
+    free = tuple(p.name for p in campaign.parameters.values() if p.free)
+    return EffectsSpec(None, free, experiments=tuple(e.id for e in _seen(campaign)))
+
+
 def _seen(campaign: Campaign) -> list[Experiment]:
     """Return the runs of models that are not reserved for validation."""
     return [e for e in campaign.measurements if e.id not in campaign.validation and e.setup in campaign.models]
@@ -421,17 +428,14 @@ def made_catalogue(
     chosen = _seen(campaign)
     parts: list[Place] = []
     held: dict[str, Held] = {}
-    signals = ""
+    recorded: list[RecordedSetup] = []
     fixed = campaign.start_values
-    nominal = {
-        m.variable(p.name) for p in campaign.parameters.values() if p.free for m in campaign.models.values()
-    }
+    nominal = {m.variable(name) for name in _spec(campaign).nominal for m in campaign.models.values()}
     for name in dict.fromkeys(e.setup for e in chosen):
         model = campaign.models[name]
         runs = [e for e in chosen if e.setup == name]
         simulator = load(model)
-        if not signals:
-            signals = signal_catalogue(runs, model.map, simulator.variables)
+        recorded.append(RecordedSetup(runs, model.map, simulator.variables))
         cases = in_segments(campaign, runs, {name: simulator}, fixed)
         simulated = CampaignModel(cases, runner, fixed)
         if name in setups:
@@ -455,7 +459,7 @@ def made_catalogue(
             if not known and value and parameter not in held:
                 held[parameter] = Held(value, unit, None if spec is None else spec.tolerance)
     unique = {place.port.name: place for place in reversed(parts)}
-    return catalogue_text([p for p in parts if unique[p.port.name] is p], held, signals)
+    return catalogue_text([p for p in parts if unique[p.port.name] is p], held, signal_catalogue(recorded))
 
 
 def _held_value(name: str, model: CampaignModel, fixed: Mapping[str, float]) -> float | None:

@@ -105,22 +105,23 @@ def subject_of(
     cases = model.cases
     signals = {c.signal for case in cases for c in case.channels} | {n for case in cases for n in case.task.inputs}
     known |= signal_parameters(signals)
+    elsewhere = _elsewhere(campaign) - known
     effects = tuple(
-        e
+        e.without(elsewhere)
         for e in _not_nominal(campaign, catalogue)
         if any(u.name in known for u in e.unknowns) and e.id not in modelled
     )
     if modelled and not effects:
         raise FmuError(
             f"every effect is already in the model: {', '.join(modelled.values())}",
-            where=spec.catalogue,
+            where=spec.file,
             fix="set their parameters to neutral values, or add effects",
         )
     missing = [u.name for e in effects for u in e.unknowns if u.name not in known]
     if missing or not effects:
         raise FmuError(
             f"no FMU has '{missing[0]}'" if missing else "no FMU has the parameters of any effect",
-            where=spec.catalogue,
+            where=spec.file,
             fix=suggestion(missing[0], known) if missing else "name the FMUs that carry the effects in [models]",
         )
     model, findings = solved_well_enough(model, campaign, begin, reference)
@@ -133,6 +134,13 @@ def subject_of(
     findings += findings_of(model, stages)
     observed = with_states(Observed.from_runs(model.runs), model, begin)
     return Subject(model, observed, nominal, catalogue, effects, recordings, modelled, findings, outliers)
+
+
+def _elsewhere(campaign: Campaign) -> set[str]:
+    """Return the effect parameters of all signals of the campaign, whether or not they are in the runs in use."""
+    runs = [e for e in campaign.measurements if e.setup in campaign.models]
+    inputs = {campaign.models[e.setup].variable(name) for e in runs for name in e.inputs}
+    return signal_parameters({name for e in runs for name in e.outputs} | inputs)
 
 
 def solved_well_enough(
@@ -210,7 +218,7 @@ def model_of(
     own values put into the model, with these values.
     """
     spec = _spec(campaign)
-    catalogue = load_catalogue(spec.catalogue)
+    catalogue = load_catalogue(spec.file)
     setups = list(dict.fromkeys(e.setup for e in chosen))
     models = {s: _with_effects(campaign, s, catalogue) for s in setups}
     campaign = replace(campaign, models={**campaign.models, **models})
