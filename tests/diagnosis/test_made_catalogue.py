@@ -24,6 +24,7 @@ from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
 from fmuid.diagnosis.catalogue import load_catalogue
 from fmuid.diagnosis.made_catalogue import SIZES, Place, catalogue_text, laws, possible_laws, with_catalogue
+from fmuid.diagnosis.regimes import trajectories
 from fmuid.diagnosis.subject import subject_of
 from fmuid.diagnosis.variants import Variants, carrier, term_of
 from fmuid.simulation.coupled.loading import load_simulator
@@ -353,6 +354,61 @@ def test_setups_with_other_signals_share_a_catalogue(tmp_path, monkeypatch):
     assert [u.name for u in subject.nominal] == ["A"]
     assert {u.name for u in subject.by_id["crosstalk@h"].unknowns} == {"h.crosstalk[u]"}
     assert not [name for name in subject.by_id if name.endswith("@rise")]
+
+
+ROOMS = """
+model Room
+  input Real P(unit = "W");
+  output Real T(unit = "K");
+  Rigs.Heater heater;
+  Rigs.Mass body;
+equation
+  heater.P = P;
+  connect(heater.port, body.port);
+  T = body.T;
+end Room;
+model TwoRooms
+  extends Room;
+  Rigs.Wall wall;
+  Rigs.Mass sink(C = 3000);
+equation
+  connect(body.port, wall.a);
+  connect(wall.b, sink.port);
+end TwoRooms;
+"""
+HEATED = """
+[campaign]
+name = "rooms"
+[models.one]
+source = "Rooms.mo"
+class = "Room"
+[models.two]
+source = "Rooms.mo"
+class = "TwoRooms"
+"""
+
+
+def test_setups_may_have_models_with_other_places(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "Rooms.mo").write_text(RIGS.read_text() + ROOMS)
+    (tmp_path / "campaign.toml").write_text(HEATED)
+    time, random, runs = np.linspace(0.0, 600.0, 121), np.random.default_rng(2), {}
+    for setup, power in (("one", 2.0), ("two", 50.0)):
+        for k in range(3):
+            heat = Signal("P", np.where(time > 60.0, power * (1 + k), 0.0), "W", "input")
+            warm = Signal("T", 293.15 + 0.1 * random.standard_normal(121), "K", "output")
+            runs[f"{setup}{k}"] = Experiment(f"{setup}{k}", setup, time, {"P": heat, "T": warm})
+    write_measurements(Measurements(runs), tmp_path / "measurements.h5")
+    campaign = with_catalogue(load_campaign(tmp_path), load_simulator)
+    ports = load_catalogue(campaign.effects.file).ports
+    assert ports["body"].magnitude == pytest.approx(1.5)  # a hundredth of the largest flow in any setup
+    both = subject_of(campaign, load_simulator)
+    assert "loss@sink" in both.by_id
+    assert "body potential" in both.catalogue.regimes
+    assert "sink potential" not in both.catalogue.regimes  # half of the runs have no such place
+    assert len(trajectories(both.model, both.starts, both.catalogue.regimes)["body potential"]) == 6
+    alone = subject_of(campaign, load_simulator, experiments=["two*"])
+    assert "sink potential" in alone.catalogue.regimes
 
 
 @pytest.mark.slow

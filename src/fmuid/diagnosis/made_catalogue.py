@@ -458,8 +458,17 @@ def made_catalogue(
             known = parameter in nominal or (spec is not None and spec.known)
             if not known and value and parameter not in held:
                 held[parameter] = Held(value, unit, None if spec is None else spec.tolerance)
-    unique = {place.port.name: place for place in reversed(parts)}
-    return catalogue_text([p for p in parts if unique[p.port.name] is p], held, signal_catalogue(recorded))
+    return catalogue_text(_merged(parts), held, signal_catalogue(recorded))
+
+
+def _merged(parts: Sequence[Place]) -> list[Place]:
+    """Return every port once, with its largest sizes in any setup."""
+    found: dict[str, Place] = {}
+    for place in parts:
+        same = found.get(place.port.name, place)
+        largest = {k: max(v, place.sizes.get(k, v)) for k, v in same.sizes.items()}
+        found[place.port.name] = Place(same.port, {**place.sizes, **largest, "Z": same.sizes["Z"]})
+    return list(found.values())
 
 
 def _held_value(name: str, model: CampaignModel, fixed: Mapping[str, float]) -> float | None:

@@ -225,6 +225,10 @@ def model_of(
     simulators = {s: load(models[s]) for s in setups}
     cases = in_segments(campaign, chosen, simulators, campaign.start_values)
     known = {name for s in simulators.values() for name in s.variables}
+    # A gap is examined along what every model in use has; a variable that none has is a mistake, told later.
+    common = set.intersection(*(set(s.variables) for s in simulators.values()))
+    regimes = {n: r for n, r in catalogue.regimes.items() if r.variable in common or r.variable not in known}
+    catalogue = replace(catalogue, regimes=regimes)
     tie = {
         name: parse(text, where="[effects] tie")
         for target, text in spec.tie.items()
