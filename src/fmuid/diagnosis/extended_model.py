@@ -106,7 +106,7 @@ class CampaignModel:
     def predict_driven(
         self, values: Mapping[str, float], drives: Sequence[Mapping[str, Sequence[FloatArray]]]
     ) -> list[Prediction | SimulationError]:
-        """Return predictions at `values` with additional inputs driven.
+        """Return predictions at `values` with additional inputs driven, in the runs whose model has them.
 
         Each drive maps an input to (N,) samples for every experiment.
         """
@@ -250,7 +250,11 @@ class CampaignModel:
     def _simulate(
         self, wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]]
     ) -> list[Prediction | SimulationError]:
-        every = [_Wanted(k, case, values, drive) for values, drive in wanted for k, case in enumerate(self.cases)]
+        every = [
+            _Wanted(k, case, values, drive and {n: u for n, u in drive.items() if n in case.simulator.variables})
+            for values, drive in wanted
+            for k, case in enumerate(self.cases)
+        ]
         outcomes, results = iter(self._sensed(every)), list[Prediction | SimulationError]()
         for _ in wanted:
             rows, failed = [], None

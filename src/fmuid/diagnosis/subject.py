@@ -228,7 +228,8 @@ def model_of(
     # A gap is examined along what every model in use has; a variable that none has is a mistake, told later.
     common = set.intersection(*(set(s.variables) for s in simulators.values()))
     regimes = {n: r for n, r in catalogue.regimes.items() if r.variable in common or r.variable not in known}
-    catalogue = replace(catalogue, regimes=regimes)
+    ports = {n: p for n, p in catalogue.ports.items() if not p.added or p.input in known}
+    catalogue = replace(catalogue, regimes=regimes, ports=ports)
     tie = {
         name: parse(text, where="[effects] tie")
         for target, text in spec.tie.items()
