@@ -8,8 +8,8 @@ rigid connection between stores: it may be separated. A *signal* is a causal con
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal as Choice
 
@@ -55,6 +55,9 @@ class Port:
         flows, where the model has them.
     compliant, rigid
         Whether a branch leaves its two potentials independent; whether it binds them, with stores at both ends.
+    slides
+        Whether a compliant branch passes a flow, of force or torque, that does not depend on where its ends are: a
+        motor, a bearing, a brake.
     same
         Other names of the same place: connectors of the same rigid node.
     """
@@ -68,6 +71,7 @@ class Port:
     probes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     compliant: bool = False
     rigid: bool = False
+    slides: bool = False
     same: tuple[str, ...] = ()
 
 
@@ -205,6 +209,7 @@ class _Finder:
 
     def ports(self) -> tuple[Port, ...]:
         branches = list(self._branches())
+        branches = [self._loaded(b, branches) if b.slides else b for b in branches]
         return (*self._nodes(branches), *branches, *self._joints(branches), *self._signals())
 
     def _rates(self, potential: str) -> dict[str, Expression]:
@@ -250,19 +255,36 @@ class _Finder:
             self._probes(potential, flows), same=tuple(p for p in part if p != chosen),
         )  # fmt: skip
 
+    def _loaded(self, branch: Port, branches: list[Port]) -> Port:
+        """Return a sliding branch with the load that it passes on."""
+        own = {self.classes.find(self.physical[path][1]) for path in branch.connectors}
+        nodes = [p for p, (_, v, _) in self.physical.items() if self.classes.find(v) in own]
+        near = self._compliant_neighbour(nodes, branches)
+        if near is None:
+            return branch
+        return replace(branch, quantities={**branch.quantities, "load": near.quantities["through"]})
+
     def _compliant_neighbour(self, group: list[str], branches: list[Port]) -> Port | None:
-        """Return the compliant branch next to a node, or behind rigid branches (its flow differs by a ratio)."""
-        joined = set(group)
+        """Return the compliant branch next to a node, or behind rigid components (its flow differs by a ratio).
+
+        A spring that is fixed at its other end is a mounting, which carries a load only if nothing else does.
+        """
+        joined, mounting, domain = set(group), None, self.physical[group[0]][0]
+        alike = MECHANICAL if domain in MECHANICAL else (domain,)
+        springs = [b for b in branches if b.compliant and not b.slides and b.domain in alike]
         while True:
-            for branch in branches:
-                if branch.compliant and joined & set(branch.connectors):
-                    return branch
-            near = {self.flat.connectors[path].component for path in joined} & self._binding
+            for branch in springs:
+                if joined & set(branch.connectors):
+                    ends = {self.classes.find(self.physical[path][1]) for path in branch.connectors}
+                    if not ends & self.fixed:
+                        return branch
+                    mounting = mounting or branch
+            near = {self.flat.connectors[path].component for path in joined} & self._binding.keys()
             own = [path for path in self.physical if self.flat.connectors[path].component in near]
             reached = {self.classes.find(self.physical[path][1]) for path in own}
             wider = joined | {p for p, (_, v, _) in self.physical.items() if self.classes.find(v) in reached}
             if wider == joined:
-                return None
+                return mounting
             joined = wider
 
     def _units(self, path: str) -> tuple[str, str]:
@@ -325,6 +347,7 @@ class _Finder:
                    if all(self.derived.get(self.classes.find(p)) for p in (a, b)) else {}),
                 compliant=(compliant := self._compliant(component, (a, b))),
                 rigid=not compliant and all(self._reaches_store(path) for path in paths),
+                slides=domain in MECHANICAL and compliant and not self._elastic(component, (a, b)),
             )  # fmt: skip
 
     def _joints(self, branches: list[Port]) -> Iterator[Port]:
@@ -345,18 +368,18 @@ class _Finder:
                     break
 
     @cached_property
-    def _binding(self) -> frozenset[str]:
-        """Components that bind the potentials of their connectors to each other."""
+    def _binding(self) -> Mapping[str, int]:
+        """Components that bind the potentials of their connectors to each other, with the number of these."""
         of: dict[str, list[str]] = {}
         for path, (_, potential, _) in self.physical.items():
             of.setdefault(self.flat.connectors[path].component, []).append(potential)
-        return frozenset(
-            component
+        return {
+            component: len(potentials)
             for component, potentials in of.items()
-            if component and len(potentials) == 2
-            and (self.classes.find(potentials[0]) == self.classes.find(potentials[1])
-                 or not self._compliant(component, (potentials[0], potentials[1])))
-        )  # fmt: skip
+            if component and len(potentials) > 1
+            and (len({self.classes.find(p) for p in potentials}) == 1
+                 or not self._compliant(component, potentials))
+        }  # fmt: skip
 
     def _sets(self) -> dict[int, list[str]]:
         """Return the physical connectors of each flow balance."""
@@ -379,7 +402,7 @@ class _Finder:
                 waiting += [(p, True) for p in sets.get(self.balances[here], ()) if p != here]
             elif self._stores(here):
                 return True
-            elif component in self._binding:
+            elif self._binding.get(component) == 2:
                 own = [p for p in self.physical if self.flat.connectors[p].component == component]
                 waiting += [(p, False) for p in own if p != here and p in self.balances]
         return False
@@ -401,15 +424,9 @@ class _Finder:
                 return Unary(left.at, "-", rate)
         return None
 
-    def _compliant(self, component: str, potentials: tuple[str, str]) -> bool:
+    def _compliant(self, component: str, potentials: Sequence[str]) -> bool:
         """Return whether no equation of a component binds its potentials alone."""
-        known = set(potentials)
-        waiting = [e for _, e in self.flat.equations_of(component)]
-        waiting += [
-            Equation(variable(v.name), v.binding, waiting[0].origin, v.at)
-            for v in self.flat.variables.values()
-            if waiting and v.component == component and v.binding is not None and v.variability == "continuous"
-        ]
+        known, waiting = set(potentials), self._inside(component)
         progress = True
         while progress:
             progress = False
@@ -430,6 +447,37 @@ class _Finder:
                 waiting.remove(equation)
                 progress = True
         return True
+
+    def _inside(self, component: str) -> list[Equation]:
+        """Return the equations of a component, with those of its declarations."""
+        own = [e for _, e in self.flat.equations_of(component)]
+        return own + [
+            Equation(variable(v.name), v.binding, own[0].origin, v.at)
+            for v in self.flat.variables.values()
+            if own and v.component == component and v.binding is not None and v.variability == "continuous"
+        ]
+
+    def _elastic(self, component: str, potentials: tuple[str, str]) -> bool:
+        """Return whether a compliant component's flow depends on its potentials, not on their rates alone."""
+        positions, waiting = set(potentials), self._inside(component)
+        progress = True
+        while progress:
+            progress = False
+            for equation in list(waiting):
+                sides = (equation.left, equation.right)
+                calls = [c for c in walk(sides) if isinstance(c, Call) and _differentiated(c) is not None]
+                inside = {id(c.arguments[0]) for c in calls}
+                names = {flat_name(r) for r in references(sides) if id(r) not in inside}
+                declared = {n: self.flat.variables[n] for n in names & self.flat.variables.keys()}
+                others = {n for n, v in declared.items() if v.variability == "continuous"} - positions
+                if not names & positions:
+                    continue
+                if len(others) > 1 or any(declared[n].flow for n in others):
+                    return True
+                positions |= others
+                waiting.remove(equation)
+                progress = True
+        return False
 
     def _signals(self) -> Iterator[Port]:
         taken = set()

@@ -81,6 +81,70 @@ def test_a_gear_is_no_compliant_branch_and_a_measured_flow_tells_the_ends_of_a_n
     assert not any({"gear.b", "table.b"} <= {*p.connectors, *p.same} for p in ports.values())
 
 
+WINCH = """
+model Hydraulic "A motor whose torque depends on the pressure alone"
+  Rigs.Flange a;
+  Rigs.Flange b;
+  input Real pressure(unit = "Pa");
+  Real twist(unit = "rad") = b.phi - a.phi;
+  Real speed(unit = "rad/s");
+equation
+  speed = der(twist);
+  b.tau = -1e-6*pressure + 0.01*speed;
+  a.tau + b.tau = 0;
+end Hydraulic;
+model Differential "Of three shafts, one turns with the sum of the others"
+  Rigs.Flange a;
+  Rigs.Flange b;
+  Rigs.Flange c;
+equation
+  a.phi = 50*b.phi + c.phi;
+  b.tau = -50*a.tau;
+  c.tau = -a.tau;
+end Differential;
+model Frame
+  Rigs.Flange a;
+equation
+  a.phi = 0;
+end Frame;
+model Winch
+  input Real pressure(unit = "Pa");
+  Frame frame;
+  Rigs.Shaft mounting;
+  Rigs.Inertia housing(J = 1);
+  Hydraulic motor;
+  Rigs.Inertia rotor(J = 0.01);
+  Differential gear;
+  Rigs.Shaft rope;
+  Rigs.Inertia drum(J = 2);
+equation
+  motor.pressure = pressure;
+  connect(frame.a, mounting.a);
+  connect(mounting.b, housing.a);
+  connect(housing.b, motor.a);
+  connect(motor.b, rotor.a);
+  connect(rotor.b, gear.a);
+  connect(gear.c, housing.b);
+  connect(gear.b, rope.a);
+  connect(rope.b, drum.a);
+end Winch;
+"""
+
+
+def test_friction_acts_in_a_motor_and_grows_with_the_load_behind_its_gear(tmp_path):
+    (tmp_path / "Winch.mo").write_text(RIGS.read_text() + WINCH)
+    winch = load(tmp_path / "Winch.mo", "Winch")
+    ports = {port.name: port for port in find_ports(winch)}
+    assert [name for name, port in ports.items() if port.slides] == ["motor"]
+    for name in ("motor", "rotor", "housing"):  # the mounting carries the reaction, the rope the load
+        assert ".".join(part.name for part in ports[name].quantities["load"].parts) == "rope.a.tau", name
+    laws_at = possible_laws(winch)
+    assert {"viscous", "load_friction", "presliding", "cogging"} <= set(laws_at["motor"])
+    assert not {"hardening", "backlash"} & set(laws_at["motor"])
+    assert "hardening" in laws_at["rope"]
+    assert "load_friction" not in laws_at["rope"]
+
+
 def test_laws_follow_the_domain():
     assert domain_of("rad", "N.m") == "rotational"
     assert domain_of("K", "W") == "thermal"

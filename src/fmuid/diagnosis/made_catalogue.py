@@ -78,12 +78,18 @@ class _Law(Table):
         """Return the expression in a domain."""
         return self.expression if isinstance(self.expression, str) else self.expression[domain]
 
+    def slides_at(self, port: Port) -> bool:
+        """Return whether the law is one of sliding, and the port a branch that slides."""
+        return port.slides and "slide" in self.on
+
     def may_act(self, port: Port) -> bool:
         """Return whether the law is for a port of this domain and kind, and the port has what it uses."""
-        if port.domain not in self.domains or port.kind not in self.on:
+        if port.domain not in self.domains or not (port.kind in self.on or self.slides_at(port)):
             return False
         cuts = self.acts == "cut"
-        if (self.compliant and not port.compliant) or (cuts and port.kind == "branch" and not port.rigid):
+        if (self.compliant and (port.slides or not port.compliant)) or (
+            cuts and port.kind == "branch" and not port.rigid
+        ):
             return False
         given = {*port.quantities, "time", *self.parameters, *self.states, *SIZES}
         given |= {"rate"} if cuts else {"position"} if port.kind == "branch" else set()
@@ -207,7 +213,7 @@ def _effect_lines(name: str, law: _Law, place: Place) -> list[str]:
         f"acts = {toml_text(law.acts)}",
         f"expression = {toml_text(expression)}",
         *(["two_sided = true"] if law.two_sided else []),
-        *(["usual = false"] if port.kind != law.on[0] else []),
+        *(["usual = false"] if port.kind != law.on[0] and not law.slides_at(port) else []),
         *(["variant = true"] if law.variant else []),
         f"trials = [{', '.join(_inline(t) for t in trials)}]",
         f"{table}.parameters]",
