@@ -13,7 +13,7 @@ import numpy as np
 
 from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import FlatModel, number
-from fmu_build.model_ports import constant
+from fmu_build.model_ports import constant, find_ports
 from fmu_build.modelica_text import modelica_text
 from fmuid.core.campaign import SEPARATOR, Campaign, ModelSource, ModelSpec, without_owner
 from fmuid.core.files import write_atomically
@@ -151,15 +151,17 @@ class _Document:
     def _spec(self, setup: str) -> ModelSpec:
         """Return the model of a setup that has the effects inside it."""
         model = self.campaign.models[setup]
-        if model.source is None or not any(e.expression for e in self.effects):
-            if model.source is not None:
-                self.sources[setup] = model.source, flat_model(model.source)
-                return model
+        if model.source is None:
             catalogue = self.subject.catalogue
             if model.coupling is None:
                 return replace(model, fmu=carrier(model.fmu, catalogue))
             parts = {n: carrier(file, catalogue) for n, file in model.coupling.components.items()}
             return replace(model, coupling=replace(model.coupling, components=parts))
+        plain = flat_model(model.source)
+        places = {port.name for port in find_ports(plain)}
+        if not any(e.expression and e.port in places for e in self.effects):
+            self.sources[setup] = model.source, plain
+            return model
         source = replace(model.source, effects=self.folder / EFFECTS)
         self.sources[setup] = source, flat_model(source)
         return replace(model, source=source, fmu=built_model(source))
