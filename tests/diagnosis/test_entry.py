@@ -9,10 +9,10 @@ from fmuid.diagnosis.entry import entries, places, with_knots
 from fmuid.diagnosis.ports import Port
 
 
-def found(subject, knots=None):
+def found(subject, knots=None, **options):
     nominal = fit_effects(subject, (), [{}])
     at = (subject.model, subject.observed, nominal.fit, tuple(PORTS.values()))
-    return places(entries(*at)) if knots is None else with_knots(*at, knots)
+    return places(entries(*at)) if knots is None else with_knots(*at, np.linspace(0.0, 1.0, knots), **options)
 
 
 @pytest.mark.parametrize("hidden", [{"hill": 0.3}, {"grip": 0.2}])
@@ -35,11 +35,19 @@ def test_a_course_that_differs_from_run_to_run_is_found_too():
 
 def test_a_fast_course_gets_finer_knots():
     subject = misread(plant({}), lambda _, t: 0.02 * np.sign(np.sin(2 * np.pi * 7.0 * t)))
-    coarse, fine = (found(subject, knots)["reading"] for knots in (24, 72))
+    coarse, fine = (found(subject, knots)["reading"] for knots in (24, 70))
     assert coarse.explained < 0.6
     assert fine.explained > 0.75
     assert fine.left < 0.5 * coarse.left
     assert found(subject) == ("reading",)
+
+
+def test_responses_to_fewer_knots_are_used_again():
+    subject = plant({"hill": 0.3})
+    alone, again = found(subject, 25), found(subject, 25, among=np.linspace(0.0, 1.0, 9))
+    for port, entry in alone.items():
+        assert again[port].evidence == pytest.approx(entry.evidence, rel=0.01)
+        assert again[port].explained == pytest.approx(entry.explained, abs=0.01)
 
 
 def test_what_a_complete_model_leaves_enters_nowhere():

@@ -23,7 +23,10 @@ from fmuid.diagnosis.ports import Port, hats, moved_by
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import nominal_basis
 
-_KNOTS = (24, 72)  # of a course in each experiment; the finer ones if the coarser ones leave too much
+_KNOTS = (
+    24,
+    70,
+)  # of a course in each experiment; the finer ones, a third apart, if the coarser ones leave too much
 _ENOUGH = 0.75  # share of the excess energy that a course has to explain for its port to be judged by it
 _ALL = 0.95  # of that energy: a single place accounts for nearly all
 _LENGTHS = (0.0, 1.0, 3.0)  # knots over which a course may be smooth
@@ -83,20 +86,34 @@ def _beaten(evidence: float, best: Entry) -> bool:
 
 def entries(model: CampaignModel, observed: Observed, base: Refit, ports: Sequence[Port]) -> dict[str, Entry]:
     """Return what a course over time explains of the residuals of `base`, at every port that can be simulated."""
-    found: dict[str, Entry] = {}
-    for knots in _KNOTS:
-        found = with_knots(model, observed, base, ports, knots)
-        if any(e.explained >= _ENOUGH for e in found.values()):
-            break
-    return found
+    coarse, fine = (np.linspace(0.0, 1.0, knots) for knots in _KNOTS)
+    found = with_knots(model, observed, base, ports, coarse)
+    if any(e.explained >= _ENOUGH for e in found.values()):
+        return found
+    return with_knots(model, observed, base, ports, fine, among=coarse)
 
 
 def with_knots(
-    model: CampaignModel, observed: Observed, base: Refit, ports: Sequence[Port], knots: int
+    model: CampaignModel,
+    observed: Observed,
+    base: Refit,
+    ports: Sequence[Port],
+    at: FloatArray,
+    *,
+    among: FloatArray | None = None,
 ) -> dict[str, Entry]:
-    """Return what a course with so many knots explains at every port that can be simulated."""
+    """Return what a course with knots `at` shares of a run explains at every port that can be simulated.
+
+    If responses to a course with only the knots `among` these are known, they are used again: with those to the
+    other knots, they span the same responses (hierarchical basis).
+    """
     since = [case.time - case.time[0] for case in model.cases]
-    courses = hats([t / float(t[-1]) for t in since], np.linspace(0.0, 1.0, knots))
+    knots, shares = len(at), [t / float(t[-1]) for t in since]
+    courses, nodal = hats(shares, at), np.eye(knots)
+    if among is not None:
+        known = np.abs(at[:, None] - among).min(axis=1) < 1e-9
+        courses = (*hats(shares, among), *(c for c, old in zip(courses, known, strict=True) if not old))
+        nodal = np.linalg.inv(np.vstack([[h for (h,) in hats([at], among)], nodal[~known]]).T)
     weights = np.sqrt(observed.repeats)
     residuals = [w * r for w, r in zip(weights, base.residuals, strict=True)]
     basis = nominal_basis(base, observed)
@@ -109,10 +126,11 @@ def with_knots(
         moved = [m for m in moved_by(model, observed, base, port, courses) if m is not None]
         if len(moved) < knots:
             continue
-        columns = [w * np.stack(own, axis=1) for w, own in zip(weights, zip(*moved, strict=True), strict=True)]
-        shared = np.hstack([q.T @ c for q, c in zip(parts, columns, strict=True)])
-        gram = block_diag(*(c.T @ c for c in columns)) - shared.T @ shared
-        slope = np.concatenate([c.T @ r for c, r in zip(columns, residuals, strict=True)]) - shared.T @ fitted
+        columns = [w * np.stack(m, axis=1) for w, m in zip(weights, zip(*moved, strict=True), strict=True)]
+        shared = np.hstack([q.T @ c @ nodal for q, c in zip(parts, columns, strict=True)])
+        gram = block_diag(*(nodal.T @ (c.T @ c) @ nodal for c in columns)) - shared.T @ shared
+        own = [nodal.T @ (c.T @ r) for c, r in zip(columns, residuals, strict=True)]
+        slope = np.concatenate(own) - shared.T @ fitted
         evidence, explained = max(_evidence(gram, slope, knots, length) for length in _LENGTHS)
         left = max(0.0, (energy - explained) / count - 1.0)
         found[port.name] = Entry(evidence, left, 1.0 - left / max(energy / count - 1.0, left, 1e-12))
