@@ -211,7 +211,8 @@ def _beside(law: Mapping[str, Any]) -> str:
 
 def _closest(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     """Return what comes closest to an explanation when nothing explains the gap."""
-    judged = [a for a in diagnosis["answers"] if a.get("closure")]
+    sets = [*diagnosis["answers"], *({**e, "effects": [e["id"]]} for e in diagnosis["effects"])]
+    judged = [a for a in sets if a.get("closure")]
     found = []
     if judged:
         best = max(judged, key=lambda a: a["closure"]["held_out"])
