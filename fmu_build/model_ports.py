@@ -209,7 +209,10 @@ class _Finder:
 
     def ports(self) -> tuple[Port, ...]:
         branches = list(self._branches())
-        branches = [self._loaded(b, branches) if b.slides else b for b in branches]
+        branches = [
+            replace(b, quantities={**b.quantities, **self._load(b.connectors, branches)}) if b.slides else b
+            for b in branches
+        ]
         return (*self._nodes(branches), *branches, *self._joints(branches), *self._signals())
 
     def _rates(self, potential: str) -> dict[str, Expression]:
@@ -245,47 +248,44 @@ class _Finder:
         own = [p for p in self.physical if self.flat.connectors[p].component == component]
         name = component if component and set(own) <= set(part) else chosen
         domain, potential, _ = self.physical[chosen]
-        quantities: dict[str, Expression] = {"p": variable(potential), **self._rates(potential)}
-        neighbour = self._compliant_neighbour(group, branches)
-        if neighbour is not None:
-            quantities["load"] = neighbour.quantities["through"]
+        quantities = {"p": variable(potential), **self._rates(potential), **self._load(group, branches)}
         flows = tuple(self.physical[p][2] for p in group)
         return Port(
             name, "node", domain, (chosen,), self._units(chosen), quantities,
             self._probes(potential, flows), same=tuple(p for p in part if p != chosen),
         )  # fmt: skip
 
-    def _loaded(self, branch: Port, branches: list[Port]) -> Port:
-        """Return a sliding branch with the load that it passes on."""
-        own = {self.classes.find(self.physical[path][1]) for path in branch.connectors}
-        nodes = [p for p, (_, v, _) in self.physical.items() if self.classes.find(v) in own]
-        near = self._compliant_neighbour(nodes, branches)
-        if near is None:
-            return branch
-        return replace(branch, quantities={**branch.quantities, "load": near.quantities["through"]})
+    def _load(self, group: Sequence[str], branches: list[Port]) -> dict[str, Expression]:
+        """Return the flow through the compliant branch next to connectors, if there is one.
 
-    def _compliant_neighbour(self, group: list[str], branches: list[Port]) -> Port | None:
-        """Return the compliant branch next to a node, or behind rigid components (its flow differs by a ratio).
-
-        A spring that is fixed at its other end is a mounting, which carries a load only if nothing else does.
+        It may be behind rigid components, where its flow differs by a ratio. A spring that is fixed at its other
+        end is a mounting, which carries a load only if nothing else does.
         """
-        joined, mounting, domain = set(group), None, self.physical[group[0]][0]
+        domain, mounting = self.physical[group[0]][0], dict[str, Expression]()
         alike = MECHANICAL if domain in MECHANICAL else (domain,)
         springs = [b for b in branches if b.compliant and not b.slides and b.domain in alike]
+        joined = self._sharing(group)
         while True:
             for branch in springs:
                 if joined & set(branch.connectors):
-                    ends = {self.classes.find(self.physical[path][1]) for path in branch.connectors}
-                    if not ends & self.fixed:
-                        return branch
-                    mounting = mounting or branch
+                    load = {"load": branch.quantities["through"]}
+                    if not {self._potential(path) for path in branch.connectors} & self.fixed:
+                        return load
+                    mounting = mounting or load
             near = {self.flat.connectors[path].component for path in joined} & self._binding.keys()
-            own = [path for path in self.physical if self.flat.connectors[path].component in near]
-            reached = {self.classes.find(self.physical[path][1]) for path in own}
-            wider = joined | {p for p, (_, v, _) in self.physical.items() if self.classes.find(v) in reached}
+            wider = joined | self._sharing([p for p in self.physical if self.flat.connectors[p].component in near])
             if wider == joined:
                 return mounting
             joined = wider
+
+    def _potential(self, path: str) -> str:
+        """Return the class of a connector's potential."""
+        return self.classes.find(self.physical[path][1])
+
+    def _sharing(self, paths: Sequence[str]) -> set[str]:
+        """Return the connectors that share a potential with one of these."""
+        reached = {self._potential(path) for path in paths}
+        return {path for path in self.physical if self._potential(path) in reached}
 
     def _units(self, path: str) -> tuple[str, str]:
         _, potential, flow = self.physical[path]
@@ -299,7 +299,7 @@ class _Finder:
     def _stores(self, path: str) -> bool:
         """Return whether the component of a connector differentiates a function of its potential itself."""
         component = self.flat.connectors[path].component
-        own = self.classes.find(self.physical[path][1])
+        own = self._potential(path)
         near = {own, self.classes.find(self.derived.get(own) or own)}
         inside = [
             node
@@ -402,7 +402,7 @@ class _Finder:
                 waiting += [(p, True) for p in sets.get(self.balances[here], ()) if p != here]
             elif self._stores(here):
                 return True
-            elif self._binding.get(component) == 2:
+            elif self._binding.get(component) == 2:  # of three shafts, none is tied to another one alone
                 own = [p for p in self.physical if self.flat.connectors[p].component == component]
                 waiting += [(p, False) for p in own if p != here and p in self.balances]
         return False
@@ -468,10 +468,10 @@ class _Finder:
                 calls = [c for c in walk(sides) if isinstance(c, Call) and _differentiated(c) is not None]
                 inside = {id(c.arguments[0]) for c in calls}
                 names = {flat_name(r) for r in references(sides) if id(r) not in inside}
-                declared = {n: self.flat.variables[n] for n in names & self.flat.variables.keys()}
-                others = {n for n, v in declared.items() if v.variability == "continuous"} - positions
                 if not names & positions:
                     continue
+                declared = {n: self.flat.variables[n] for n in names & self.flat.variables.keys()}
+                others = {n for n, v in declared.items() if v.variability == "continuous"} - positions
                 if len(others) > 1 or any(declared[n].flow for n in others):
                     return True
                 positions |= others

@@ -78,7 +78,7 @@ class Check:
 
         any_case = next((self.out / "campaigns").glob("*/measurements.h5"))
         effects = load_campaign(self.template, measurements=any_case).effects
-        return () if effects is None else tuple(load_catalogue(effects.catalogue).ports)
+        return () if effects is None else tuple(load_catalogue(effects.file).ports)
 
     def _answer(self, name: str, folder: str = "answers") -> Path:
         return self.out / folder / f"{name}.json"

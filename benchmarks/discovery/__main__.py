@@ -42,9 +42,9 @@ other shapes were found, and four things were changed: a law is also looked for 
 effect that leaves more than noise; where no law leaves as little as noise, early parts of the runs are tried; a
 simpler law that does the same along the trajectories of the model with the law takes its place; and `fmuid
 init` finds redundant parameters by exact derivatives. All cases of this page were diagnosed after that; of the
-shaker's, two had been seen before. That a law may leave one noise floor at most was added when all had been
-seen. It refuses two that had been found: one that left 400 floors of 4,000, beside a random walk of the carriage's
-force (63), and one of another shape that left 13 (59). No other law leaves more than 0.7.
+shaker's, two had been seen before. The rule that a law may leave at most one noise floor was added after all
+cases had been seen. It refuses two laws that had been found: one that left 400 floors of 4,000, beside a random
+walk of the carriage's force (63), and one of another shape that left 13 (59). No other law leaves more than 0.7.
 
 *Asked* are those whose verdict leaves more than noise; elsewhere no law is looked for. A law has the *right
 form* if its terms are the true ones (with coefficients fitted anew, within 1 % of the true law), or if it is

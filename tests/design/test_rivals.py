@@ -157,7 +157,7 @@ def test_an_answer_is_left_alone_as_often_as_was_said() -> None:
         rivals = tuple(rival_of(f, subject.observed, draws=3, seed=seed) for f in answers)
         apart = Apart(planned, rivals, subject).distances(u)
         said.append(chances(apart, rivals)[0])
-        designed = DiagnosisDesign(planned, Excitation(u, Judged(0.0), "", 1), rivals, apart[:, 0], apart[:, 0, 0])
+        designed = DiagnosisDesign(planned, Excitation(u, Judged(0.0), "", 1), rivals, apart)
         after = played(subject, designed, truth, seed=100 + seed, noise=4.0)
         right, wrong = fitted(after, "quadratic", "tilt")
         kept.append(decide.log_odds(right, wrong, after.observed) > np.log(decide.OPEN))

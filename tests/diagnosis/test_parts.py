@@ -183,12 +183,16 @@ def test_a_parameter_never_leaves_its_bounds():
     assert fit.converged
 
 
+def one_run(time, course, noise=0.01):
+    """Three repeats of a run."""
+    values = course + noise * np.random.default_rng(0).standard_normal((3, 1, len(time)))
+    return Observed.from_runs([RepeatedRuns("run", "bench", time, ("y",), values)])
+
+
 def test_a_refit_is_at_least_as_good_as_every_start():
     """A frequency has many local minima: from near the truth it is found, from afar it is not."""
     time = np.linspace(0.0, 3.0, 200)
-    rng = np.random.default_rng(0)
-    values = np.sin(7.0 * time) + 0.01 * rng.standard_normal((3, 1, 200))
-    observed = Observed.from_runs([RepeatedRuns("run", "bench", time, ("y",), values)])
+    observed = one_run(time, np.sin(7.0 * time))
 
     def predict(points):
         return [(np.sin(p["w"] * time)[None],) for p in points]
@@ -205,9 +209,7 @@ def test_a_refit_is_at_least_as_good_as_every_start():
 
 def test_a_refit_goes_around_values_with_which_the_model_grows_without_limit():
     time = np.linspace(0.0, 1.0, 200)
-    rng = np.random.default_rng(0)
-    values = np.exp(2.0 * time) + 0.01 * rng.standard_normal((3, 1, 200))
-    observed = Observed.from_runs([RepeatedRuns("run", "bench", time, ("y",), values)])
+    observed = one_run(time, np.exp(2.0 * time))
 
     def predict(points):
         return [(np.exp(p["k"] * time)[None],) for p in points]
@@ -222,14 +224,12 @@ def test_a_refit_goes_around_values_with_which_the_model_grows_without_limit():
 def test_a_refit_gets_over_ripples_of_the_cost():
     """What hits and sticks makes ripples that local slopes see and no step keeps; the trend leads to the truth."""
     time = np.linspace(0.0, 1.0, 200)
-    rng = np.random.default_rng(0)
 
     def model(k, d):
         ripple = 0.03 * np.sin(2 * np.pi * k / 0.023) * np.cos(40.0 * time)
         return k * time + d * time**2 + ripple * (abs(k - 2.0) > 0.03)
 
-    values = model(2.0, -0.5) + 0.001 * rng.standard_normal((3, 1, 200))
-    observed = Observed.from_runs([RepeatedRuns("run", "bench", time, ("y",), values)])
+    observed = one_run(time, model(2.0, -0.5), noise=0.001)
 
     def predict(points):
         return [(model(p["k"], p["d"])[None],) for p in points]

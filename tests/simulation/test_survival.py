@@ -34,6 +34,7 @@ from fmuid import (
 )
 from fmuid.campaigns.signal_catalogue import RecordedSetup, signal_catalogue
 from fmuid.cli import main
+from fmuid.core.campaign import ModelSpec
 from fmuid.identification.history import JOURNAL
 
 TIME = np.arange(301) * 1e-3
@@ -135,7 +136,7 @@ class Diagnosis:
         write_measurements(Measurements(runs), folder / "measurements.h5")
         head, *effects = re.split(
             r'(?m)^(?=\[effects\."[^"]*"\]$)',
-            signal_catalogue([RecordedSetup([*runs.values()], {}, model.variables)]),
+            signal_catalogue([RecordedSetup([*runs.values()], ModelSpec("bench", fmu), model.variables)]),
         )
         few = [effect for effect in effects if effect.startswith(('[effects."gain', '[effects."offset'))]
         (folder / "effects.toml").write_text("".join([head, *few]))

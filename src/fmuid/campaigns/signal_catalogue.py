@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from fmuid.core.campaign import ModelSpec
 from fmuid.core.experiments import Experiment
 from fmuid.core.toml_tables import toml_text
 from fmuid.core.units import conversion
@@ -42,17 +42,16 @@ _WORDS = {
         "Coupling between channels, cross-axis sensitivity",
     ),
 }
-_RATE = re.compile(r"gradient\((.*)\)")  # a signal that is compared with the slope of a variable
 _HARD = 100.0  # a practically abrupt limit
 _TWO_SIDED = ("gain", "offset", "drift", "crosstalk")
 
 
 class RecordedSetup(NamedTuple):
-    """The recorded runs of a setup, its signal -> variable where the names differ, and its model's variables."""
+    """The recorded runs of a setup, and its model with the variables of its FMU."""
 
     runs: Sequence[Experiment]
-    mapping: Mapping[str, str]
-    model: Mapping[str, Variable]
+    model: ModelSpec
+    variables: Mapping[str, Variable]
 
 
 def signal_catalogue(setups: Sequence[RecordedSetup]) -> str:
@@ -115,14 +114,12 @@ class _Signal(NamedTuple):
 
 
 def _signals(
-    runs: Sequence[Experiment], mapping: Mapping[str, str], model: Mapping[str, Variable]
+    runs: Sequence[Experiment], model: ModelSpec, variables: Mapping[str, Variable]
 ) -> dict[str, _Signal]:
     found = {}
     for name, causality in dict.fromkeys((n, s.causality) for run in runs for n, s in run.signals.items()):
-        target = mapping.get(name, name)
-        rate = _RATE.fullmatch(target)
-        variable = model[target if rate is None else rate[1]]
-        unit = variable.unit if rate is None else f"({variable.unit or '1'})/s"
+        variable = variables[model.variable(name)]
+        unit = f"({variable.unit or '1'})/s" if model.differentiates(name) else variable.unit
         recorded = [run.signals[name] for run in runs if name in run.signals]
         values = np.concatenate([conversion(s.unit, unit)(s.values) for s in recorded])
         largest = float(np.nanmax(np.abs(values)))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
@@ -65,10 +66,8 @@ class DiagnosisDesign:
 
     Attributes
     ----------
-    separations
-        (R, R) standard deviations by which a diagnosis will prefer the first, if it is right, to the second.
-    chances
-        (R,) probability that each rival alone is left, if it is right.
+    apart
+        (R, draws, R) distances of the rivals when they are refitted.
     beyond
         Other changes that would help.
     """
@@ -76,9 +75,18 @@ class DiagnosisDesign:
     planned: Planned
     excitation: Excitation
     rivals: tuple[Rival, ...]
-    separations: FloatArray
-    chances: FloatArray
+    apart: FloatArray
     beyond: tuple[Beyond, ...] = ()
+
+    @cached_property
+    def separations(self) -> FloatArray:
+        """(R, R) standard deviations by which a diagnosis will prefer the first, if right, to the second."""
+        return separations(self.apart, self.rivals)
+
+    @cached_property
+    def chances(self) -> FloatArray:
+        """(R,) probability that each rival alone is left, if it is right."""
+        return chances(self.apart, self.rivals)
 
     @property
     def pairs(self) -> list[tuple[Rival, Rival, float]]:
@@ -227,14 +235,10 @@ def _best(criterion: Apart, found: Sequence[Excitation]) -> DiagnosisDesign:
         except SimulationError as error:
             failure = error
             continue
-        rivals = criterion.rivals
-        made = DiagnosisDesign(
-            criterion.planned, excitation, rivals, separations(apart, rivals), chances(apart, rivals)
-        )
-        designs.append((_misjudged(apart), made))
+        designs.append(DiagnosisDesign(criterion.planned, excitation, criterion.rivals, apart))
     if not designs and failure is not None:
         raise failure
-    return min(designs, key=lambda d: d[0])[1]
+    return min(designs, key=lambda d: _misjudged(d.apart))
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,8 +339,7 @@ def _not_read(case: Case, subject: Subject, campaign: Campaign) -> list[Sensor]:
 def _sensors(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) -> list[Beyond]:
     """Return the outputs without a sensor, with the noise that the user gives or the noise that would suffice."""
     planned, rivals = designed.planned, designed.rivals
-    samples = designed.excitation.samples
-    case = planned.driven_case(samples)
+    case = planned.driven_case(designed.excitation.samples)
     sensors = _not_read(case, subject, campaign)
     if not sensors:
         return []
@@ -351,8 +354,8 @@ def _sensors(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) ->
     if len(drawn) < sum(len(r.draws) for r in rivals):
         return []
     n, weight, found = len(case.channels), np.sqrt(planned.repeats), []
-    far, near = (Apart(planned, rivals, refitted).distances(samples) for refitted in (None, subject))
-    closer = far**2 - near**2  # what refits take from the separation by the sensors that there are
+    far = distance_matrix(linear, drawn, rivals, lambda d: planned.whiten(d[0][:n]))
+    closer = far**2 - designed.apart**2  # what refits take from the separation by the sensors that there are
 
     def least(row: int, sigma: float) -> float:
         def whiten(d: Prediction) -> FloatArray:

@@ -441,7 +441,7 @@ def made_catalogue(
         model = campaign.models[name]
         runs = [e for e in chosen if e.setup == name]
         simulator = load(model)
-        recorded.append(RecordedSetup(runs, model.map, simulator.variables))
+        recorded.append(RecordedSetup(runs, model, simulator.variables))
         cases = in_segments(campaign, runs, {name: simulator}, fixed)
         simulated = CampaignModel(cases, runner, fixed)
         if name in setups:

@@ -277,7 +277,7 @@ def _without(case: Case, variables: Collection[str]) -> Case:
 
 
 def _spec(campaign: Campaign) -> EffectsSpec:
-    if campaign.effects is None:
+    if campaign.effects is None or campaign.effects.catalogue is None:
         raise CampaignError(
             "the campaign names no catalogue of effects",
             where=f"{campaign.folder / 'campaign.toml'}",
