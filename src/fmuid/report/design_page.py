@@ -66,7 +66,15 @@ def write_design_page(
     if any(len(signal.lines) > 1 for signal in outputs):
         apart = tuple(_panel(_less_the_first(signal)) for signal in outputs)
         first = next(iter(outputs[0].lines))
-        figures.append(LineFigure("difference", "Differences", apart, f"Minus the prediction of {first}.", 1))
+        figures.append(
+            LineFigure(
+                "difference",
+                "Differences",
+                apart,
+                f"Minus the prediction of {first}, before any answer is refitted to the run.",
+                1,
+            )
+        )
     document = Document(
         f"Designed experiment: {campaign}",
         "The input is in input.csv, beside this page.",
