@@ -127,7 +127,7 @@ def _hidden_by_noise(
     for other, unit in rivals.items():
         rival, reached = plant.sized(unit, gap)
         if np.isfinite(reached) and plant.separation(effect, rival, recordings) < _TOLD_APART:
-            yield other
+            yield from (other, *case.rig.same.get(other, ()))
 
 
 def _rounds(values: Sequence[_T], rng: np.random.Generator) -> Iterator[_T]:

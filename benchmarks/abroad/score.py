@@ -7,13 +7,14 @@ Effects that a case's recordings cannot tell apart count as one. *Sizeable* is a
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from benchmarks.blind.blind_score import FLOOR, LARGE, Figure, Scored, share
+from benchmarks.blind.renamed import renamed
 
 _KNOWN = ("one", "two", "held")
 _BINS = 10  # of the probability, each with as many cases
@@ -54,37 +55,7 @@ def scored(label: Mapping[str, Any], answer: Mapping[str, Any], closure: float |
     if label["kind"] == "held" and label["effects"][0].partition("@")[2] in answer["free"]:
         label = {**label, "kind": "none", "effects": [], "gaps": [], "gap": 0.0}
     name = {other: effect for effect, others in label["same"].items() for other in others}
-    verdict = answer["verdict"]
-    effects = _named(verdict["effects"], name)
-    one_of = list({frozenset(o): o for o in (_named(names, name) for names in verdict["one_of"])}.values())
-    kind = verdict["kind"]
-    if kind == "ambiguous" and len(one_of) == 1:
-        kind, effects, one_of = "effect", _named((*effects, *one_of[0]), name), []
-    inclusion: dict[str, float] = {}
-    for e in answer["effects"]:
-        own = name.get(e["id"], e["id"])
-        inclusion[own] = min(inclusion.get(own, 0.0) + e["probability"], 1.0)
-    alike = {
-        **answer,
-        "verdict": {**verdict, "kind": kind, "effects": list(effects), "one_of": [list(o) for o in one_of]},
-        "answers": _merged([{**a, "effects": list(_named(a["effects"], name))} for a in answer["answers"]]),
-        "effects": [{"id": n, "probability": p} for n, p in inclusion.items()],
-    }
-    return Scored(label, alike, closure)
-
-
-def _merged(answers: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Join answers that are the same set of effects; their probabilities add up."""
-    found: dict[frozenset[str], Mapping[str, Any]] = {}
-    for a in answers:
-        own = frozenset(a["effects"])
-        before = found.get(own, {**a, "probability": 0.0})
-        found[own] = {**before, "probability": before["probability"] + a["probability"]}
-    return list(found.values())
-
-
-def _named(names: Iterable[str], name: Mapping[str, str]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(name.get(n, n) for n in names))
+    return Scored(label, renamed(answer, name), closure)
 
 
 def sets(case: Scored) -> list[set[str]]:

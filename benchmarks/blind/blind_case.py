@@ -20,9 +20,16 @@ def diagnose_blind(template: Path | None, measurements: Path, target: Path) -> s
     from benchmarks.blind.baselines import baseline_answers
     from benchmarks.sealed import verdict_in_words
     from fmuid.campaigns.campaign_toml import load_campaign
+    from fmuid.diagnosis.made_catalogue import with_catalogue
     from fmuid.diagnosis_pipeline import answer_of, diagnose
+    from fmuid.simulation.coupled.loading import load_simulator
 
-    found = diagnose(load_campaign(template or measurements.parent, measurements=measurements), workers=0)
+    campaign = with_catalogue(
+        load_campaign(template or measurements.parent, measurements=measurements), load_simulator
+    )
+    assert campaign.effects is not None
+    write_atomically(target.with_suffix(".toml"), campaign.effects.file.read_text())
+    found = diagnose(campaign, workers=0, law=False)
     baselines = {name: list(effects) for name, effects in baseline_answers(found).items()}
     answer = {**answer_of(found), "baselines": baselines}
     write_atomically(target, json.dumps(answer, indent=1, allow_nan=False) + "\n")

@@ -16,11 +16,12 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from benchmarks.blind.blind_score import Outcome, Scored
+from benchmarks.blind.made import PLACES, scored
 from benchmarks.study_command import ended
 from benchmarks.virtual_rig.blind import DIGEST, LABELS, kept_seed, make_blind_campaigns, truth_of
 from benchmarks.virtual_rig.blind_cases import plan_cases
@@ -68,17 +69,26 @@ class Check:
         answers = {n: json.loads(p.read_text()) for n in labels if (p := self._answer(n)).is_file()}
         closures = self._closures(answers)
         second = self._second_round({n: a for n, a in answers.items() if a.get("next_experiment")})
-        cases = tuple(Scored(labels[n], a, closures.get(n), second.get(n)) for n, a in answers.items())
+        score = Scored if self._written else scored
+        cases = tuple(score(labels[n], a, closures.get(n), second.get(n)) for n, a in answers.items())
         digest = (self.out / "campaigns" / DIGEST).read_text().split()[0]
         return Outcome(cases, self._ports(), len(labels), self.count, self._seed, digest, closed)
 
-    def _ports(self) -> tuple[str, ...]:
+    @property
+    def _written(self) -> bool:
+        """Whether the cases are held against a written catalogue."""
         from fmuid.campaigns.campaign_toml import load_campaign
-        from fmuid.diagnosis.catalogue import load_catalogue
 
         any_case = next((self.out / "campaigns").glob("*/measurements.h5"))
         effects = load_campaign(self.template, measurements=any_case).effects
-        return () if effects is None else tuple(load_catalogue(effects.file).ports)
+        return effects is not None and effects.catalogue is not None
+
+    def _ports(self) -> tuple[str, ...]:
+        from fmuid.diagnosis.catalogue import load_catalogue
+
+        if not self._written:
+            return tuple(PLACES)
+        return tuple(load_catalogue(next((self.out / "answers").glob("*.toml"))).ports)
 
     def _answer(self, name: str, folder: str = "answers") -> Path:
         return self.out / folder / f"{name}.json"
@@ -120,6 +130,9 @@ class Check:
                 kept = self._answer(name, "held_out")
                 if not kept.is_file():
                     campaign = load_campaign(self.template, measurements=self.labels / name / "held_out.h5")
+                    assert campaign.effects is not None
+                    effects = replace(campaign.effects, catalogue=self._answer(name).with_suffix(".toml"))
+                    campaign = replace(campaign, effects=effects)
                     gaps = validate_diagnosis(answer, campaign, runner=pool.run).gaps
                     write_atomically(kept, json.dumps(gaps) + "\n")
                 closures[name] = closure(*json.loads(kept.read_text())["all"])

@@ -144,6 +144,19 @@ def test_friction_acts_in_a_motor_and_grows_with_the_load_behind_its_gear(tmp_pa
     assert "load_friction" not in laws_at["rope"]
 
 
+@pytest.mark.parametrize("load", [-20.0, -0.5, 0.5, 20.0])
+@pytest.mark.parametrize("rate", [-5.0, 5.0])
+def test_friction_under_load_is_that_of_a_gear_with_two_efficiencies(load, rate):
+    eta1, eta2, bearing = 0.9, 0.8, 1.0  # table 1 of the paper, less the bearing friction without load
+    driving, driven = 1 / eta1 - 1, 1 - eta2
+    forward = load * np.sign(rate)
+    lost = driving * (forward + bearing) if forward > -bearing else -driven * (forward + bearing)
+    shape = {"size": (driving + driven) / 2, "skew": (driving - driven) / (driving + driven), "preload": bearing}
+    expression = laws()["load_friction"].of("rotational")
+    found = eval(expression, {"tanh": np.tanh, "abs": abs}, {**shape, "V": 10.0, "load": load, "rate": rate})
+    assert found == pytest.approx(lost * np.sign(rate))
+
+
 def test_laws_follow_the_domain():
     assert domain_of("rad", "N.m") == "rotational"
     assert domain_of("K", "W") == "thermal"

@@ -119,7 +119,7 @@ def _signals(
     found = {}
     for name, causality in dict.fromkeys((n, s.causality) for run in runs for n, s in run.signals.items()):
         variable = variables[model.variable(name)]
-        unit = f"({variable.unit or '1'})/s" if model.differentiates(name) else variable.unit
+        unit = model.unit(name, variable.unit)
         recorded = [run.signals[name] for run in runs if name in run.signals]
         values = np.concatenate([conversion(s.unit, unit)(s.values) for s in recorded])
         largest = float(np.nanmax(np.abs(values)))

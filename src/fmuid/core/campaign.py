@@ -80,6 +80,10 @@ class ModelSpec:
         target = self.map.get(name, name)
         return target.startswith("gradient(") and target.endswith(")")
 
+    def unit(self, name: str, of_variable: str | None) -> str | None:
+        """Return the unit in which `name` is compared, given that of its FMU variable."""
+        return f"({of_variable or '1'})/s" if self.differentiates(name) else of_variable
+
 
 @dataclass(frozen=True, slots=True)
 class Prior:

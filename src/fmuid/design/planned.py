@@ -222,8 +222,7 @@ def unrecorded_run(
                 where=f"{campaign.file or campaign.folder} [design] sigma",
                 fix=suggestion(variable, [v.name for v in variables.values() if v.causality == "output"]),
             )
-        unit = variables[variable].unit or "1"
-        unit = written or (f"({unit})/s" if model.differentiates(name) else unit)
+        unit = written or model.unit(name, variables[variable].unit) or "1"
         signals[name] = Signal(name, np.zeros(len(time)), unit, "output", sigma)
     inputs = [v for v in variables.values() if v.causality == "input"]
     for name in driven:
@@ -357,9 +356,7 @@ def _resolved(
             raise FmuError(
                 f"{model.fmu.name} has no variable '{variable}'", where=where, fix=suggestion(name, known)
             )
-        unit = variables[variable].unit
-        if model.differentiates(name):
-            unit = f"{unit or '1'}/s"
+        unit = model.unit(name, variables[variable].unit)
         convert = conversion_at(limit.unit, unit, where)
         low, high = sorted(convert.factor * b + convert.offset for b in (limit.lower, limit.upper))
         match variables[variable].causality:

@@ -227,7 +227,7 @@ def _effect_lines(name: str, law: _Law, place: Place) -> list[str]:
         least, most = value(p.least), value(p.most)
         kind = "neutral" if p.off is not None else "start"
         first = value(p.off if p.off is not None else p.start or "0")
-        step = 2e-3 * value(p.scale) if p.scale else 0.02 * first
+        step = 2e-3 * value(p.scale) if p.scale else 0.02 * first or 2e-3 * (most - least)
         numbers = {kind: first, "lower": least, "upper": most, "step": step}
         inside = ", ".join(f"{k} = {v:.6g}" for k, v in numbers.items())
         lines.append(f"{toml_text(own[key])} = {{ {inside}, unit = {toml_text(p.unit.format(**units))} }}")

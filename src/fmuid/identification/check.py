@@ -308,9 +308,7 @@ def _match_signal(signal: Signal, model: ModelSpec, variables: Mapping[str, Vari
             where=where,
             fix=suggestion(signal.name, [v.name for v in variables.values() if v.causality == "output"]),
         )
-    if model.differentiates(signal.name):
-        variable = replace(variable, unit=f"{variable.unit or '1'}/s")
-    _match_unit(signal.unit, variable, where)
+    _match_unit(signal.unit, replace(variable, unit=model.unit(signal.name, variable.unit)), where)
 
 
 def _match_names(campaign: Campaign, simulators: Mapping[str, Simulator]) -> None:

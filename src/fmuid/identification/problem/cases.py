@@ -284,9 +284,7 @@ def _channel(
     first, model = group[0], campaign.models[group[0].setup]
     where = f"signal '{name}' of experiment '{first.id}'"
     variable = _variable(model, name, simulator, f"experiment '{first.id}'")
-    unit = simulator.variables[variable].unit
-    if model.differentiates(name):
-        unit = f"{unit or '1'}/s"
+    unit = model.unit(name, simulator.variables[variable].unit)
     convert = conversion_at(first.outputs[name].unit, unit, where)
     repeats = known * convert(np.array([e.outputs[name].values for e in group]))
     given = [e.outputs[name].sigma for e in group]

@@ -1,0 +1,68 @@
+"""Answers with a made catalogue, scored in the names of the virtual rig."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.blind.made import scored
+
+
+def case(effects, ports, *, kind="one", shapes=None):
+    return {"kind": kind, "effects": effects, "ports": ports, "shapes": shapes or [{}], "gap": 3.0, "gaps": [3.0]}
+
+
+def answer(*sets, ports, model=()):
+    names = list(dict.fromkeys(n for s in sets for n in s))
+    alone = len(sets) == 1
+    return {
+        "verdict": {
+            "kind": "effect" if alone else "ambiguous",
+            "effects": list(sets[0]) if alone else [],
+            "one_of": [] if alone else [list(s) for s in sets],
+            "port": ports[0],
+            "ports": list(ports),
+        },
+        "answers": [{"effects": list(s), "probability": 0.9 / len(sets)} for s in sets],
+        "effects": [{"id": n, "probability": 0.9 / len(names)} for n in names],
+        "model": dict(model),
+    }
+
+
+def test_two_names_of_one_cause_are_one_answer():
+    said = answer(("asymmetry@motor",), ("offset@motor.i",), ports=("motor", "motor.i"))
+    found = scored(case(["coulomb_asymmetry"], ["gear_friction"]), said)
+    assert found.right
+    assert found.ranked[0] == ("coulomb_asymmetry", pytest.approx(0.9))
+    assert found.answer["verdict"]["port"] == "gear_friction"
+
+
+def test_other_causes_stay_apart():
+    said = answer(("asymmetry@motor",), ("lag@tau_sensor",), ports=("motor", "tau_sensor"))
+    found = scored(case(["coulomb_asymmetry"], ["gear_friction"]), said)
+    assert found.kind == "ambiguous"
+    assert not found.right
+
+
+@pytest.mark.parametrize(
+    ("effect", "shape", "order", "right"),
+    [
+        ("kinematic_error", {}, 2.001, True),
+        ("kinematic_error", {}, 6.0, False),
+        ("cogging", {"cogging_order": 6.0}, 6.02, True),
+        ("cogging", {"cogging_order": 6.0}, 2.0, False),
+        ("gear_ripple", {"gear_ripple_order": 3.0}, 3.0, True),
+        ("gear_ripple", {"gear_ripple_order": 3.0}, 7.0, False),
+    ],
+)
+def test_a_ripple_is_told_by_its_order(effect, shape, order, right):
+    said = answer(("cogging@rotor",), ports=("rotor",), model={"rotor.cogging_order": order})
+    kind = "outside" if effect == "gear_ripple" else "one"
+    assert scored(case([effect], ["motor_torque"], kind=kind, shapes=[shape]), said).right is right
+
+
+def test_what_no_catalogue_has_stays_outside():
+    said = answer(("viscous@motor",), ports=("motor",))
+    assert not scored(case(["rotor_rub"], ["gear_friction"], kind="outside"), said).right
+    assert scored(
+        case(["windage"], ["gear_friction"], kind="outside"), answer(("quadratic@rotor",), ports=("rotor",))
+    ).right
