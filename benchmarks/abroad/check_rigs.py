@@ -336,7 +336,7 @@ def _pneumatic_cylinder() -> Rig:
         ("u",),
         ("p", "s"),
         {"chamber": Place(0, 1e5, 1e5), "piston": Place(1, 0.05, 0.5)},
-        substeps=8,
+        substeps=48,
     )
     t = times(0.006, 500)
     runs = {

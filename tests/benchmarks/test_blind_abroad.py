@@ -141,6 +141,20 @@ def test_a_delay_is_told_from_a_lag_the_better_the_more_it_is_repeated():
     assert plant.separation(delay, delay, 1) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("model", "effect"), [("PneumaticCylinder", "stribeck@piston"), ("BallScrew", "stribeck@table")]
+)
+def test_friction_that_sticks_does_not_depend_on_the_plants_steps(model, effect):
+    rig = BY_MODEL[model]
+    factors = dict.fromkeys(rig.parameters, 1.0)
+    sized, gap = SizedPlant(rig, factors).sized(rig.effects[effect], 8.0)
+    finer = replace(rig.simulate, substeps=4 * rig.simulate.substeps)
+    u = next(iter(rig.inputs.values()))
+    one, other = (simulate(factors, sized, rig.time, u) for simulate in (rig.simulate, finer))
+    assert gap > 7.0
+    assert np.sqrt(np.mean(((one - other) / np.array(rig.noise)[:, None]) ** 2)) < 0.1
+
+
 # ---- the grid ----
 
 

@@ -21,7 +21,8 @@ const char *extra_name(int kind) { return kind < KINDS ? names[kind] : 0; }
 static double sign_of(double v, double narrow) { return v / sqrt(v * v + narrow * narrow); }
 
 static double flow_of(const Moment *at, const Extra *e, const double *z, double *dz, double p, double v, double load) {
-    const double s = e->size, narrow = 0.005 * e->rate, way = sign_of(v, narrow);
+    /* Friction sticks; brushes and diodes start to conduct more gently. */
+    const double s = e->size, narrow = (e->kind == VOLTAGE_DROP ? 5e-3 : 5e-4) * e->rate, way = sign_of(v, narrow);
     switch ((int)e->kind) {
     case VISCOUS: return s * v;
     case VOLTAGE_DROP: /* of a current */
