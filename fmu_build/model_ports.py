@@ -259,9 +259,12 @@ class _Finder:
         """Return the flow through the compliant branch next to connectors, if there is one.
 
         It may be behind rigid components, where its flow differs by a ratio. A spring that is fixed at its other
-        end is a mounting, which carries a load only if nothing else does.
+        end carries a load only if nothing else does: a shaft that is held, or else the mounting of what a motor or
+        bearing stands on.
         """
-        domain, mounting = self.physical[group[0]][0], dict[str, Expression]()
+        domain = self.physical[group[0]][0]
+        held, mounting = dict[str, Expression](), dict[str, Expression]()
+        moving = {self._potential(path) for b in branches if b.slides for path in b.connectors}
         alike = MECHANICAL if domain in MECHANICAL else (domain,)
         springs = [b for b in branches if b.compliant and not b.slides and b.domain in alike]
         joined = self._sharing(group)
@@ -269,13 +272,17 @@ class _Finder:
             for branch in springs:
                 if joined & set(branch.connectors):
                     load = {"load": branch.quantities["through"]}
-                    if not {self._potential(path) for path in branch.connectors} & self.fixed:
+                    ends = {self._potential(path) for path in branch.connectors}
+                    if not ends & self.fixed:
                         return load
-                    mounting = mounting or load
+                    if ends & moving:
+                        mounting = mounting or load
+                    else:
+                        held = held or load
             near = {self.flat.connectors[path].component for path in joined} & self._binding.keys()
             wider = joined | self._sharing([p for p in self.physical if self.flat.connectors[p].component in near])
             if wider == joined:
-                return mounting
+                return held or mounting
             joined = wider
 
     def _potential(self, path: str) -> str:

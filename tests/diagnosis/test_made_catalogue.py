@@ -137,6 +137,11 @@ def test_friction_acts_in_a_motor_and_grows_with_the_load_behind_its_gear(tmp_pa
     assert [name for name, port in ports.items() if port.slides] == ["motor"]
     for name in ("motor", "rotor", "housing"):  # the mounting carries the reaction, the rope the load
         assert ".".join(part.name for part in ports[name].quantities["load"].parts) == "rope.a.tau", name
+    held = WINCH.replace("Rigs.Inertia drum(J = 2)", "Frame drum")
+    (tmp_path / "Winch.mo").write_text(RIGS.read_text() + held)
+    ports = {port.name: port for port in find_ports(load(tmp_path / "Winch.mo", "Winch"))}
+    for name in ("motor", "rotor", "housing"):  # also where the rope is held as the mounting is
+        assert ".".join(part.name for part in ports[name].quantities["load"].parts) == "rope.a.tau", name
     laws_at = possible_laws(winch)
     assert {"viscous", "load_friction", "presliding", "cogging"} <= set(laws_at["motor"])
     assert not {"hardening", "backlash"} & set(laws_at["motor"])
