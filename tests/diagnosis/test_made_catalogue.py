@@ -174,6 +174,15 @@ def test_laws_follow_the_domain():
     assert "outflow" in possible_laws(flat("Tanks"))["upper"]
 
 
+def test_only_what_has_a_mass_has_a_weight():
+    models = Path(__file__).parents[2] / "benchmarks" / "abroad" / "models"
+    belt = load(models / "BeltAxis.mo", "BeltAxis")
+    laws_at = possible_laws(belt)
+    assert "weight" in laws_at["carriage"]
+    assert "pulley.rim" in {port.name for port in find_ports(belt)}
+    assert "weight" not in laws_at.get("pulley.rim", ())
+
+
 def test_every_law_says_where_it_comes_from():
     for name, law in laws().items():
         assert all((law.words, law.origin, law.source)), name

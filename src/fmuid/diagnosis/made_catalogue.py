@@ -71,6 +71,7 @@ class _Law(Table):
     states: dict[str, _LawState] = msgspec.field(default_factory=dict)
     two_sided: bool = False
     compliant: bool = False
+    body: bool = False
     variant: bool = False
     trials: list[dict[str, str]] | None = None
 
@@ -90,6 +91,8 @@ class _Law(Table):
         if (self.compliant and (port.slides or not port.compliant)) or (
             cuts and port.kind == "branch" and not port.rigid
         ):
+            return False
+        if self.body and "acceleration" not in port.quantities:
             return False
         given = {*port.quantities, "time", *self.parameters, *self.states, *SIZES}
         given |= {"rate"} if cuts else {"position"} if port.kind == "branch" else set()
