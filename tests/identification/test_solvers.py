@@ -1,4 +1,7 @@
 import threading
+from functools import partial
+from itertools import count
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +19,7 @@ from fmuid import (
 )
 from fmuid.core.errors import ProblemError
 from fmuid.core.formulas import parse
+from fmuid.identification.problem import estimation_problem
 from fmuid.identification.problem.combination import Combination, Constraint
 from fmuid.identification.problem.criteria import register
 from fmuid.identification.problem.search_space import expanded
@@ -75,8 +79,10 @@ def test_a_chain_polishes_what_a_global_search_found(analytic):
 
 
 @pytest.mark.parametrize("budget", [StopRules(evaluations=300), StopRules(seconds=0.4)])
-def test_a_budget_leaves_every_link_of_a_chain_its_share(analytic, budget):
+def test_a_budget_leaves_every_link_of_a_chain_its_share(analytic, budget, monkeypatch):
     """ESCH never ends by itself."""
+    ticks = SimpleNamespace(perf_counter=partial(next, count(step=1e-3)))  # an evaluation takes a millisecond
+    monkeypatch.setattr(estimation_problem, "clock", ticks)
     problem = curve(analytic, rugged, ["a"], np.zeros(5), specs=[ParameterSpec("a", 3.0, -4.7, 5.3)])
     stage = identify(problem, solver="esch > bobyqa", stop=budget, with_uncertainty=False).stages[0]
     assert stage["a"].value == pytest.approx(0.0, abs=1e-6)
