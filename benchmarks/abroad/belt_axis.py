@@ -76,5 +76,5 @@ BELT_AXIS = Rig(
     },
     ("k", "r", "J", "c", "m", "viscous"),
     _simulate,
-    {"weight@carriage": ("weight@pulley.rim",), "value@belt.d": ("viscous@belt",)},
+    {"value@belt.d": ("viscous@belt",)},
 )

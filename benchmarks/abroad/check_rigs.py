@@ -130,7 +130,7 @@ def _ball_screw() -> Rig:
         held=("table.stop",),
         outside=_OUTSIDE[plant.name],
         redundant=("screw.d", "table.d"),
-        same={"weight@table": ("weight@screw.thread", "offset@i")},
+        same={"weight@table": ("offset@i",)},
         near={
             "weight@table": (
                 "asymmetry@table",

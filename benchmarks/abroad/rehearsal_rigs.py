@@ -69,7 +69,7 @@ def _belt_axis() -> Rig:
             "chaos@rotor",
             "slip@carriage",
         ),
-        same={"weight@carriage": ("weight@pulley.rim", "offset@i"), "value@belt.d": ("viscous@belt",)},
+        same={"weight@carriage": ("offset@i",), "value@belt.d": ("viscous@belt",)},
         near={
             "weight@carriage": ("asymmetry@carriage", "asymmetry@rotor"),
             "asymmetry@carriage": ("weight@carriage", "asymmetry@rotor", "offset@i"),

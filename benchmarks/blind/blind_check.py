@@ -63,32 +63,27 @@ class Check:
 
     def run(self) -> Outcome:
         """Carry it out."""
+        from fmuid.diagnosis.catalogue import load_catalogue
+
         self._make()
         closed = self._diagnose(self.out / "campaigns", self.out / "answers")
         labels = checked_labels(self.labels, self.out / "campaigns" / DIGEST)
         answers = {n: json.loads(p.read_text()) for n in labels if (p := self._answer(n)).is_file()}
         closures = self._closures(answers)
         second = self._second_round({n: a for n, a in answers.items() if a.get("next_experiment")})
-        score = Scored if self._written else scored
+        catalogue = self._catalogue()
+        score, ports = (scored, PLACES) if catalogue is None else (Scored, load_catalogue(catalogue).ports)
         cases = tuple(score(labels[n], a, closures.get(n), second.get(n)) for n, a in answers.items())
         digest = (self.out / "campaigns" / DIGEST).read_text().split()[0]
-        return Outcome(cases, self._ports(), len(labels), self.count, self._seed, digest, closed)
+        return Outcome(cases, tuple(ports), len(labels), self.count, self._seed, digest, closed)
 
-    @property
-    def _written(self) -> bool:
-        """Whether the cases are held against a written catalogue."""
+    def _catalogue(self) -> Path | None:
+        """Return the written catalogue that the cases are held against; None if each makes its own."""
         from fmuid.campaigns.campaign_toml import load_campaign
 
         any_case = next((self.out / "campaigns").glob("*/measurements.h5"))
         effects = load_campaign(self.template, measurements=any_case).effects
-        return effects is not None and effects.catalogue is not None
-
-    def _ports(self) -> tuple[str, ...]:
-        from fmuid.diagnosis.catalogue import load_catalogue
-
-        if not self._written:
-            return tuple(PLACES)
-        return tuple(load_catalogue(next((self.out / "answers").glob("*.toml"))).ports)
+        return None if effects is None else effects.catalogue
 
     def _answer(self, name: str, folder: str = "answers") -> Path:
         return self.out / folder / f"{name}.json"
@@ -130,9 +125,9 @@ class Check:
                 kept = self._answer(name, "held_out")
                 if not kept.is_file():
                     campaign = load_campaign(self.template, measurements=self.labels / name / "held_out.h5")
-                    assert campaign.effects is not None
-                    effects = replace(campaign.effects, catalogue=self._answer(name).with_suffix(".toml"))
-                    campaign = replace(campaign, effects=effects)
+                    made = self._answer(name).with_suffix(".toml")
+                    if campaign.effects is not None and made.is_file():
+                        campaign = replace(campaign, effects=replace(campaign.effects, catalogue=made))
                     gaps = validate_diagnosis(answer, campaign, runner=pool.run).gaps
                     write_atomically(kept, json.dumps(gaps) + "\n")
                 closures[name] = closure(*json.loads(kept.read_text())["all"])

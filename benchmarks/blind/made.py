@@ -29,7 +29,7 @@ _SAME: Mapping[str, tuple[str, ...]] = {
     "sensor_offset": ("offset@tau_sensor",),
     "sensor_gain": ("gain@tau_sensor",),
     "sensor_lag": ("lag@tau_sensor",),
-    "imbalance": ("imbalance@load", "imbalance@gear.F"),
+    "imbalance": ("imbalance@load",),
     "windage": ("quadratic@motor", "quadratic@rotor"),
     "friction_patch": ("position_friction@motor", "position_friction@rotor"),
     "crosstalk": ("crosstalk@tau_sensor",),
@@ -37,7 +37,6 @@ _SAME: Mapping[str, tuple[str, ...]] = {
 }
 _RIPPLE = ("cogging@motor", "cogging@rotor")
 _ORDERS: Mapping[str, str] = {"gear_ripple": "gear_ripple_order", "cogging": "cogging_order"}
-_MADE = (*_SAME, "cogging", "kinematic_error", "gear_ripple")
 
 PLACES: Mapping[str, tuple[str, ...]] = {
     "gear_friction": _BEARINGS,
@@ -58,7 +57,7 @@ def scored(
 ) -> Scored:
     """Return a case to be scored in the label's names; effects that made catalogues have are not outside."""
     kind = label["kind"]
-    if kind == "outside" and set(label["effects"]) <= set(_MADE):
+    if kind == "outside" and set(label["effects"]) <= {*_SAME, *_ORDERS}:
         kind = "one"
     return Scored({**label, "kind": kind}, _told(label, answer), closure, second and _told(label, second))
 
