@@ -22,7 +22,7 @@ def run_module(usage: str, arguments: Sequence[str], command: Callable[[Sequence
     words = usage.split()[1:]
     least = sum(not w.startswith("[") for w in words)
     most = float("inf") if usage.endswith("...]") else len(words)
-    if not least <= len(arguments) <= most or arguments[0].startswith("-"):
+    if not least <= len(arguments) <= most or any(a.startswith("-") for a in arguments[:1]):
         print(f"usage: python -m {usage}", file=sys.stderr)
         return 2
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from importlib.resources import files
 
 import jsonschema
@@ -13,7 +14,10 @@ from benchmarks.abroad.logs import Recording, drawn_factors, write_logs
 from benchmarks.abroad.plant import Extra
 from benchmarks.abroad.thermal_block import THERMAL_BLOCK as BLOCK
 from benchmarks.discovery.case import cases, make_campaign
+from fmu_build.instrument import State
 from fmuid.cli.app import run
+from fmuid.diagnosis.catalogue import Effect
+from fmuid.discovery.injected import of_second_order
 
 SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
 
@@ -102,3 +106,32 @@ def test_a_law_is_looked_for_where_the_effect_that_is_named_leaves_more_than_noi
     assert answer["verdict"]["rest"]["gap"] > 0.1
     assert answer["law_found"]["formula"].endswith("(p/0.2)^3")
     assert answer["law_found"]["closure"]["held_out"] > answer["answers"][0]["closure"]["held_out"]
+
+
+@pytest.mark.slow
+def test_a_memory_that_a_longer_delay_may_be_is_no_law(tmp_path):
+    late = next(c for c in cases() if c.number == 76)  # a line of twelve lags
+    campaign, out = make_campaign(late, tmp_path / "case"), tmp_path / "diagnosis"
+    assert run(["diagnose", str(campaign), "--out", str(out), "--workers", "0", "--quiet"]) == 0
+    answer = json.loads((out / "diagnosis.json").read_text())
+    assert answer["verdict"]["kind"] == "unknown"
+    assert answer["law_found"]["formula"] is None
+    assert "do not tell its first-order memory from one of second order" in answer["law_found"]["reason"]
+
+
+def test_of_second_order_a_lag_is_two_of_half_the_time_and_what_has_none_stays_alone():
+    states = (State("b.hidden", "((p/5) - b.hidden)/b.law_lag", "0.1"), State("b.heat", "abs(p)/300"))
+    law = replace(_effect(), expression="b.law_size*b.hidden + b.heat", states=states)
+    slower = of_second_order(law)
+    assert slower is not None
+    assert [(s.name, s.derivative, s.start) for s in slower.states] == [
+        ("b.hidden_before", "((p/5) - b.hidden_before)/(b.law_lag/2)", "0.1"),
+        ("b.hidden", "(b.hidden_before - b.hidden)/(b.law_lag/2)", "0.1"),
+        ("b.heat", "abs(p)/300", "0"),
+    ]
+    assert slower.expression == law.expression
+    assert of_second_order(replace(law, states=states[1:])) is None
+
+
+def _effect() -> Effect:
+    return Effect("law@b", "a law", "b", (), {}, (), "nowhere")

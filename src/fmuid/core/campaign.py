@@ -299,7 +299,7 @@ class EffectsSpec:
         return self.catalogue
 
 
-Family = Literal["multisine", "chirp", "steps", "prbs"]
+Family = Literal["multisine", "chirp", "steps", "prbs", "binary"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -334,7 +334,8 @@ class DesignSpec:
     setup
         The setup to design for; None for the first recorded setup, or the first model if nothing is recorded.
     families
-        Families of excitations to try.
+        Families of excitations to try; ``binary``, an optimised sequence, only if the parameters' information is
+        what counts and the model is linear in its inputs.
     phases
         Whether the phases of a multisine are drawn at random or searched as well.
     sample_time
@@ -348,7 +349,7 @@ class DesignSpec:
     limits: Mapping[str, Limit] = field(default_factory=dict)
     duration: float | None = None
     setup: str | None = None
-    families: tuple[Family, ...] = ("multisine", "chirp", "steps", "prbs")
+    families: tuple[Family, ...] = ("multisine", "chirp", "steps", "prbs", "binary")
     phases: Literal["random", "optimised"] = "random"
     sample_time: float | None = None
     repeats: int = 1

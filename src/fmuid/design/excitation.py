@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Protocol
 
 import numpy as np
 
@@ -30,6 +31,24 @@ class Bounds:
     upper: float
     rate: float
     rest: float
+
+
+class Signals(Protocol):
+    """Excitations of one or more inputs, each defined by some numbers in [0, 1]."""
+
+    @property
+    def bounds(self) -> tuple[Bounds, ...]:
+        """Bounds of each input."""
+
+    @property
+    def size(self) -> int:
+        """How many numbers define one excitation; the first one of each input is its size."""
+
+    def __call__(self, x: FloatArray, time: FloatArray) -> FloatArray:
+        """Return the (inputs, N) samples defined by (size,) numbers."""
+
+    def words(self, x: FloatArray, time: FloatArray) -> str:
+        """Return a description of the excitation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,13 +108,14 @@ class Shape:
                 return f"chirp from {first:.3g} to {last:.3g} Hz"
             case "steps":
                 return f"{_LEVELS} steps of {(time[-1] - time[0]) / _LEVELS:.3g} s"
-            case "prbs":
+            case _:
                 return f"pseudo-random binary sequence, a bit lasts {_clock(part[2], time):.3g} s"
 
 
 def shapes(spec: DesignSpec, bounds: Sequence[Bounds], *, seed: int) -> tuple[Shape, ...]:
-    """Return the families that a design may use."""
-    return tuple(Shape(f, tuple(bounds), spec.phases == "optimised", seed) for f in dict.fromkeys(spec.families))
+    """Return the families of a design that are defined by a few numbers."""
+    chosen = [f for f in dict.fromkeys(spec.families) if f in _MADE]
+    return tuple(Shape(f, tuple(bounds), spec.phases == "optimised", seed) for f in chosen)
 
 
 def _frequency(x: float, time: FloatArray) -> float:
@@ -159,7 +179,7 @@ def _from_rest(values: FloatArray, time: FloatArray, b: Bounds) -> FloatArray:
 
 def _steps(part: FloatArray, time: FloatArray, b: Bounds, _: np.random.Generator) -> FloatArray:
     levels = b.rest + part[0] * (b.lower + part[1:] * (b.upper - b.lower) - b.rest)
-    return _held(levels, np.asarray(np.linspace(0.0, float(time[-1]), _LEVELS + 1)), time, b)
+    return held(levels, np.asarray(np.linspace(0.0, float(time[-1]), _LEVELS + 1)), time, b)
 
 
 def _prbs(part: FloatArray, time: FloatArray, b: Bounds, _: np.random.Generator) -> FloatArray:
@@ -170,7 +190,7 @@ def _prbs(part: FloatArray, time: FloatArray, b: Bounds, _: np.random.Generator)
     count = int(np.ceil(time[-1] / clock))
     bits = _bits()
     chosen = bits[(np.arange(count) + int(part[3] * (len(bits) - 1))) % len(bits)]
-    return _held(np.asarray(np.where(chosen > 0, high, low)), np.asarray(clock * np.arange(count + 1)), time, b)
+    return held(np.asarray(np.where(chosen > 0, high, low)), np.asarray(clock * np.arange(count + 1)), time, b)
 
 
 @cache
@@ -180,7 +200,7 @@ def _bits() -> FloatArray:
     return np.asarray(max_len_seq(_ORDER)[0], dtype=np.float64)
 
 
-def _held(levels: FloatArray, edges: FloatArray, time: FloatArray, b: Bounds) -> FloatArray:
+def held(levels: FloatArray, edges: FloatArray, time: FloatArray, b: Bounds) -> FloatArray:
     """Return levels held between `edges`, with ramps where steps would be too steep."""
     if not np.isfinite(b.rate):
         index = np.clip(np.searchsorted(edges, time * (1 + 1e-12), side="right") - 1, 0, len(levels) - 1)

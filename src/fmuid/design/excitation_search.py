@@ -9,7 +9,7 @@ import numpy as np
 
 from fmuid.core.errors import FmuidError
 from fmuid.core.immutable import FloatArray
-from fmuid.design.excitation import Shape
+from fmuid.design.excitation import Signals
 from fmuid.identification.solvers.nlopt_solver import minimised
 
 _BARRIER = 1e3  # exceeds every cost of a run within limits
@@ -55,7 +55,7 @@ class Excitation:
 
 
 def search(
-    shapes: Sequence[Shape],
+    shapes: Sequence[Signals],
     time: FloatArray,
     judge: Callable[[FloatArray], Judged],
     *,
@@ -126,7 +126,7 @@ def search(
     ]
 
 
-def _begin(shape: Shape, count: int, seed: int, cost: Callable[[FloatArray], float]) -> None:
+def _begin(shape: Signals, count: int, seed: int, cost: Callable[[FloatArray], float]) -> None:
     """Try `count` points of a Sobol' sequence; one that exceeds a limit is tried again at smaller sizes."""
     from scipy.stats import qmc  # takes a second to import
 

@@ -19,7 +19,8 @@ from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray
 from fmuid.core.progress import Say, quiet
 from fmuid.data.noise.spectrum import SetupNoise, estimate_noise
-from fmuid.design.excitation import shapes
+from fmuid.design.binary import Response, binary_sequence
+from fmuid.design.excitation import Signals, shapes
 from fmuid.design.excitation_search import Excitation, Judged, search
 from fmuid.design.planned import Planned, planned_run, template_of
 from fmuid.diagnosis.extended_model import CampaignModel
@@ -132,9 +133,14 @@ def design_for_parameters(
     information, noise = _recorded(model, unknowns, values)
     known = sum(information.values(), _beforehand(campaign, unknowns))
     planned = planned_run(campaign, model, template, noise.get(_kind(template)))
-    families = shapes(campaign.design, [d.bounds for d in planned.driven], seed=seed)
+    bounds = tuple(d.bounds for d in planned.driven)
+    families: tuple[Signals, ...] = shapes(campaign.design, bounds, seed=seed)
     planned = planned.solved_well_enough(families, [values])
     criterion = Information(planned, unknowns, _draws(unknowns, known, seed), known, optimality)
+    if "binary" in campaign.design.families:
+        say("the best binary sequence", 0.03)
+        sequence = binary_sequence(criterion.response(values), bounds, planned.time, seed=seed)
+        families += () if sequence is None else (sequence,)
     found, *_ = search(
         families,
         planned.time,
@@ -200,6 +206,17 @@ class Information:
             found.append(np.asarray(jacobian.T @ jacobian))
         return found
 
+    def response(self, values: Mapping[str, float]) -> Response:
+        """Return what the response at these values tells about the parameters, relative to their sizes."""
+        sizes = _sizes(self.unknowns)
+
+        def slopes(samples: FloatArray) -> FloatArray:
+            (here,) = linear_at(self.planned.under(samples), [values], [self.unknowns])
+            return np.stack([s * here.slopes[u.name][0] for s, u in zip(sizes, self.unknowns, strict=True)])
+
+        cost = _volume if self.optimality == "D" else _squares
+        return Response(slopes, self.planned.whiten, self.known * np.outer(sizes, sizes), cost)
+
     def cost_of(self, information: FloatArray) -> float:
         """Return the cost of the total information, (P, P) in the parameters' units."""
         sizes = _sizes(self.unknowns)
@@ -207,6 +224,15 @@ class Information:
         if self.optimality == "D":
             return float(-0.5 * np.linalg.slogdet(relative)[1] / len(sizes))
         return float(0.5 * np.log(np.trace(np.linalg.pinv(relative, hermitian=True)) / len(sizes)))
+
+
+def _volume(information: FloatArray) -> tuple[float, FloatArray]:
+    return -float(np.linalg.slogdet(information)[1]), np.asarray(np.linalg.inv(information), dtype=np.float64)
+
+
+def _squares(information: FloatArray) -> tuple[float, FloatArray]:
+    covariance = np.linalg.inv(information)
+    return float(np.trace(covariance)), np.asarray(covariance @ covariance, dtype=np.float64)
 
 
 def posed_stage(campaign: Campaign, stage: str | None) -> StageSpec:

@@ -16,7 +16,7 @@ from fmuid.core.units import Conversion
 from fmuid.data.noise.level import conversion_at
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.data.noise.spectrum import SetupNoise, Whitener, estimate_noise, whitener
-from fmuid.design.excitation import Bounds, Shape
+from fmuid.design.excitation import Bounds, Signals
 from fmuid.diagnosis.extended_model import CampaignModel, Prediction
 from fmuid.identification.problem.cases import Case, from_campaign
 from fmuid.identification.problem.solver_error import solver_accuracy
@@ -120,7 +120,7 @@ class Planned:
             own = {name: np.append(u, u[-1]) for name, u in own.items()}
         return replace(self.case, task=replace(self.case.task, inputs={**self.case.task.inputs, **own}))
 
-    def solved_well_enough(self, shapes: Sequence[Shape], points: Sequence[Mapping[str, float]]) -> Planned:
+    def solved_well_enough(self, shapes: Sequence[Signals], points: Sequence[Mapping[str, float]]) -> Planned:
         """Return the run with a solver tolerance whose errors no measurement would show for any excitation.
 
         One excitation of each shape is tried at every point.

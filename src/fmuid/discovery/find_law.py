@@ -25,7 +25,7 @@ from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess
 from fmuid.diagnosis.scores import nominal_basis
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Closure, Curve, LawFound, LawParameter
-from fmuid.discovery.injected import Law, entry, with_laws
+from fmuid.discovery.injected import Law, entry, of_second_order, with_laws
 from fmuid.discovery.places import Spot, spot
 from fmuid.discovery.selection import Chosen, Proposal, choose, instead
 from fmuid.discovery.terms import HIDDEN, evaluated, names_in
@@ -308,7 +308,21 @@ class _Search:
             return left
         if not self.finished(law) and likelier(self.found.entered, self.found.nominal, law.fitted):
             return f"{left}, and something else is far likelier"
+        if not self.memory_known(law):
+            return f"{text}, but the data do not tell its first-order memory from one of second order"
         return ""
+
+    def memory_known(self, law: Candidate) -> bool:
+        """Return whether the data prefer a law's first-order memory to one of second order with the same delay.
+
+        Where they do not, any slow response does, a long delay among them, and the equation is not known.
+        """
+        slower = of_second_order(law.effect)
+        if slower is None:
+            return True
+        subject = with_laws(self.found.subject, self.models, self.load, [slower], self.base.effects)
+        fitted = fit_effects(subject, subject.effects, [law.fitted.fit.values])
+        return fitted is None or decide.log_odds(law.fitted, fitted, subject.observed) >= np.log(decide.OPEN)
 
     def pruned(self, law: Candidate) -> Candidate:
         """Leave out the effects beside a law that it has made unnecessary."""

@@ -167,6 +167,19 @@ def entry(effect: Effect) -> dict[str, Any]:
     }
 
 
+def of_second_order(effect: Effect) -> Effect | None:
+    """Return a law with two lags of half the time in a row for each one that it has; None if it has none."""
+    states: list[State] = []
+    for state in effect.states:
+        driven, lags, time = state.derivative[1:].partition(f" - {state.name})/")
+        if lags:
+            before = State(f"{state.name}_before", f"({driven} - {state.name}_before)/({time}/2)", state.start)
+            states += [before, replace(state, derivative=f"({before.name} - {state.name})/({time}/2)")]
+        else:
+            states.append(state)
+    return replace(effect, states=tuple(states)) if len(states) > len(effect.states) else None
+
+
 def with_laws(
     subject: Subject,
     models: Mapping[str, ModelSpec],
