@@ -200,7 +200,7 @@ def write_case(case: Case, truth: Mapping[str, Any], folder: Path, *, seed: int)
     """Write logs, model and how to call ``fmuid init``: what a user would have, and no more."""
     folder.mkdir(parents=True, exist_ok=True)
     rig, how = case.rig, case.recording
-    rng = np.random.default_rng([seed, case.number, 1])
+    rng = np.random.default_rng([seed, case.drawn, 1])  # a twin has the noise of its case
     logs = write_logs(rig, truth["factors"], truth["sizes"], folder, how, rng)
     idle = case.twin == "idle"
     text = rig.file.read_text() + (_SPARE.format(model=rig.model) if idle else "")

@@ -55,6 +55,12 @@ def _white(y: Floats, sigma: Floats, rng: np.random.Generator) -> Floats:
     return np.asarray(y + rng.normal(size=y.shape) * sigma)
 
 
+def _averaged(white: Floats, every: int) -> Floats:
+    """Return noise of the same spectral density at a lower rate, of unit variance again."""
+    starts = np.arange(0, white.shape[1], every)
+    return np.asarray(np.add.reduceat(white, starts, axis=1) / np.sqrt(np.diff([*starts, white.shape[1]])))
+
+
 def _coloured(y: Floats, sigma: Floats, rng: np.random.Generator) -> Floats:
     keep = np.exp(-1.0 / _MEMORY)
     drive = rng.normal(size=y.shape)
@@ -85,7 +91,7 @@ def _spikes(y: Floats, sigma: Floats, rng: np.random.Generator) -> Floats:
 
 
 _KINDS: Mapping[Noise, Callable[[Floats, Floats, np.random.Generator], Floats]] = {
-    "white": _white, "coloured": _coloured, "heteroscedastic": _heteroscedastic, "quantised": _quantised,
+    "coloured": _coloured, "heteroscedastic": _heteroscedastic, "quantised": _quantised,
     "drift": _drift, "spikes": _spikes, "inputs": _white,
 }  # fmt: skip
 
@@ -108,10 +114,14 @@ def write_logs(
     files = []
     for name, u in rig.inputs.items():
         more = () if extras is None else (extras[name],)
-        y = rig.simulate(factors, effect, rig.time, u, *more)[:, :: recording.every]
+        full = rig.simulate(factors, effect, rig.time, u, *more)
+        y = full[:, :: recording.every]
         given = np.atleast_2d(u)[:, :: recording.every]
         for k in range(recording.repeats):
-            noisy = _KINDS[recording.noise](y, sigma, rng)
+            if recording.noise == "white":  # of one generator, the same information at every rate
+                noisy = np.asarray(y + _averaged(rng.normal(size=full.shape), recording.every) * sigma)
+            else:
+                noisy = _KINDS[recording.noise](y, sigma, rng)
             read = given
             if recording.noise == "inputs":
                 read = given + rng.normal(size=given.shape) * INPUT_NOISE * np.ptp(given, axis=1, keepdims=True)

@@ -190,6 +190,25 @@ def test_a_twin_is_the_same_plant_with_the_same_information():
         )
 
 
+def test_a_twin_at_another_rate_has_the_noise_of_its_case(tmp_path):
+    """At half the rate each sample has the mean of two noises, so the information is the same."""
+    short = replace(BUCK, inputs=dict(list(BUCK.inputs.items())[:1]))
+    (u,) = short.inputs.values()
+    clean = short.simulate(dict.fromkeys(short.parameters, 1.0), {}, short.time, u)
+    noises = []
+    for how in (Recording(1), Recording(1, every=2, quieter=2**0.5)):
+        (tmp_path / f"{how.every}").mkdir()
+        factors = dict.fromkeys(short.parameters, 1.0)
+        (log,) = write_logs(short, factors, {}, tmp_path / f"{how.every}", how, np.random.default_rng(3))
+        read = np.loadtxt(log, delimiter=",", skiprows=1).T[-len(clean) :]
+        noises.append(read - clean[:, :: how.every])
+    fast, slow = noises
+    pairs = fast[:, : 2 * (fast.shape[1] // 2)].reshape(len(fast), -1, 2).mean(axis=2)
+    sigma = np.asarray(short.noise)[:, None]
+    assert slow[:, : pairs.shape[1]] / sigma == pytest.approx(pairs / sigma, abs=1e-4)
+    assert np.std(slow / sigma) == pytest.approx(2**-0.5, rel=0.15)
+
+
 def test_a_cases_folder_tells_what_a_user_has_and_no_more(tmp_path):
     case = next(c for c in plan(5) if c.rig is BUCK and c.stratum == "one" and c.recording.repeats == 2)
     truth = label(case, 5)
