@@ -25,7 +25,7 @@ from fmuid.data.measurements import write_measurements
 from fmuid.diagnosis.catalogue import load_catalogue
 from fmuid.diagnosis.made_catalogue import SIZES, Place, catalogue_text, laws, possible_laws, with_catalogue
 from fmuid.diagnosis.subject import subject_of
-from fmuid.diagnosis.variants import Variants, carrier, term_of
+from fmuid.diagnosis.variants import Variants, carrier, terms_of
 from fmuid.simulation.coupled.loading import load_simulator
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.model_source import built_model, built_with_terms
@@ -51,7 +51,7 @@ def every_law(model, folder):
 def everything(model, folder):
     """Every law at every port that makes no variant, as terms and the parameters that they use."""
     catalogue = every_law(model, folder)
-    terms = [term_of(e, e.id) for e in catalogue.effects.values() if not e.variant]
+    terms = [t for e in catalogue.effects.values() if not e.variant for t in terms_of(e, e.id)]
     added = [Added(u.name, e.neutral[u.name]) for e in catalogue.effects.values() for u in e.unknowns]
     for port in catalogue.ports.values():
         if port.input is not None:
@@ -332,6 +332,38 @@ def test_an_elasticity_at_a_rigid_connection_is_a_model_of_its_own(geared):
     step = Task(time, {"tau": np.full(time.size, 0.1)}, task.outputs, tolerance=1e-8)
     found, rigid = (s.simulate(step, v)[1] for s, v in ((simulator, values), (plain, {})))
     assert np.abs(found - truth).max() < 0.02 * np.abs(rigid - truth).max()
+
+
+@pytest.mark.parametrize("pull", [0.0, 0.4, 1.0])
+def test_play_parts_and_its_damping_pulls_only_as_much_as_is_said(geared, pull):
+    """The drive of two masses, whose shaft has play, by explicit steps of its own."""
+    _, _, simulator, _ = geared
+    gap, damping, gain = 0.02, 1.0, 3.0
+    step, every, stop = 1e-4, 50, 2.0
+
+    def slope(t, x):
+        twist, rate = x[1] - x[0], x[3] - x[2]
+        wind = twist - max(min(twist, gap), -gap)
+        torque = 50 * wind + damping * rate * (wind != 0)
+        if torque * wind < 0:
+            torque *= pull
+        bound = 1e-2 / gain**2  # the table turns behind a rigid gear
+        return np.array([x[2], x[3], (0.3 * np.sin(9 * t) + torque) / 2e-3, -torque / (5e-3 + bound)])
+
+    x, rows = np.zeros(4), []
+    for n in range(round(stop / step) + 1):
+        if n % every == 0:
+            rows.append(x.copy())
+        k1 = slope(n * step, x)
+        x = x + step * slope((n + 0.5) * step, x + 0.5 * step * k1)
+    time = step * every * np.arange(len(rows))
+    fine = np.linspace(0.0, stop, 20 * (len(rows) - 1) + 1)
+    values = {"shaft.backlash_gap": gap, "shaft.backlash_pull": pull, "shaft.d": damping}
+    task = Task(fine, {"tau": 0.3 * np.sin(9 * fine)}, ("w_motor", "w_load"), tolerance=1e-7)
+    found = simulator.simulate(task, values)[:, ::20]
+    truth = np.array(rows).T[2:]
+    assert np.allclose(time, fine[::20])
+    assert np.abs(found - truth).max() < 0.02 * np.ptp(truth)
 
 
 def drive_log(file, *, coulomb, pace=4):

@@ -17,6 +17,7 @@ def table() -> str:
     for name, law in laws().items():
         given = law.expression
         formula = given if isinstance(given, str) else "; ".join(f"{d}: {e}" for d, e in given.items())
+        formula += f"; flow {law.flow}" if law.flow else ""
         formula += "".join(f"; der({s}) = {v.derivative}" for s, v in law.states.items())
         rows.append(f"| `{name}` | {law.words} | `{formula}` | {law.origin} | {law.source} |")
     return "\n".join([*rows, ""])

@@ -186,9 +186,8 @@ def _superposed(response: Response, levels: Levels, seed: int) -> FloatArray | N
 
     low = slopes(None)
     parts = []
-    for k in range(
-        inputs
-    ):  # the first level and the last one are shorter, because the run begins and ends at rest
+    for k in range(inputs):
+        # The first level and the last one are shorter, because the run begins and ends at rest.
         first, second, last = (0.5 * (slopes((k, j)) - low) for j in (0, 1, count - 1))
         parts.append(first)
         for j in range(count - 2):

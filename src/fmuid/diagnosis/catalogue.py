@@ -44,6 +44,8 @@ class Effect:
     acts, expression
         How the effect acts at a port of the model's source, and the Modelica expression added there; empty if the
         model already has the effect (see `fmu_build.instrument`).
+    flow
+        Flow that acts beside a drop of potential; empty if none does.
     states
         States of the expression.
     usual
@@ -71,6 +73,7 @@ class Effect:
     shapes: frozenset[str] = frozenset()
     acts: Acts = "flow"
     expression: str = ""
+    flow: str = ""
     states: tuple[State, ...] = ()
     usual: bool = True
     variant: bool = False
@@ -144,6 +147,7 @@ class _Effect(Table):
     two_sided: bool = False
     acts: Acts = "flow"
     expression: str = ""
+    flow: str = ""
     states: dict[str, _State] = msgspec.field(default_factory=dict)
     usual: bool = True
     variant: bool = False
@@ -262,6 +266,7 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
         shapes=frozenset(key for key, p in raw.parameters.items() if p.neutral is None),
         acts=raw.acts,
         expression=raw.expression,
+        flow=raw.flow,
         states=tuple(State(key, s.derivative, s.start, s.unit) for key, s in raw.states.items()),
         usual=raw.usual,
         variant=raw.variant or bool(raw.states) or raw.acts == "cut",

@@ -68,6 +68,7 @@ class _Law(Table):
     acts: Acts
     expression: str | dict[str, str]
     parameters: dict[str, _LawParameter]
+    flow: str = ""
     states: dict[str, _LawState] = msgspec.field(default_factory=dict)
     two_sided: bool = False
     compliant: bool = False
@@ -96,7 +97,8 @@ class _Law(Table):
             return False
         given = {*port.quantities, "time", *self.parameters, *self.states, *SIZES}
         given |= {"rate"} if cuts else {"position"} if port.kind == "branch" else set()
-        used = [self.of(port.domain), *(t for s in self.states.values() for t in (s.derivative, s.start))]
+        of_states = (text for s in self.states.values() for text in (s.derivative, s.start))
+        used = [self.of(port.domain), self.flow, *of_states]
         return all(_names(text) <= given for text in used)
 
     def may_be_sized(self, sizes: Collection[str]) -> bool:
@@ -135,7 +137,7 @@ def fitting(place: Place) -> Iterator[tuple[str, _Law]]:
 def _names(modelica: str) -> set[str]:
     """Return the names of variables in a Modelica expression."""
     found = re.findall(r"(?<!\w)([A-Za-z_]\w*)\s*(\(?)", modelica)
-    return {name for name, called in found if not called} - {"if", "then", "else", "and", "or", "not"}
+    return {name for name, called in found if not called} - {"if", "then", "else", "elseif", "and", "or", "not"}
 
 
 def catalogue_text(places: Sequence[Place], held: Mapping[str, Held], signals: str) -> str:
@@ -215,6 +217,7 @@ def _effect_lines(name: str, law: _Law, place: Place) -> list[str]:
         f"port = {toml_text(port.name)}",
         f"acts = {toml_text(law.acts)}",
         f"expression = {toml_text(expression)}",
+        *([f"flow = {toml_text(_put_in(law.flow, meant))}"] if law.flow else []),
         *(["two_sided = true"] if law.two_sided else []),
         *(["usual = false"] if port.kind != law.on[0] and not law.slides_at(port) else []),
         *(["variant = true"] if law.variant else []),

@@ -60,7 +60,7 @@ def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Co
         if effect.expression and effect.port in known and effect.id not in inside:
             where = f"[effects.{effect.id!r}] expression"
             if not effect.variant or effect.id in tried:
-                terms.append(term_of(effect, where))
+                terms += terms_of(effect, where)
             added += [
                 Added(u.name, effect.neutral[u.name], effect.units.get(u.name, ""), effect.description)
                 for u in effect.unknowns
@@ -73,16 +73,19 @@ def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Co
     return built_with_terms(source, flat, terms, added)
 
 
-def term_of(effect: Effect, where: str) -> Term:
-    """Return the term that adds an effect: while it is off, it vanishes at no cost and its states stand still."""
+def terms_of(effect: Effect, where: str) -> list[Term]:
+    """Return the terms that add an effect: while it is off, they vanish at no cost and its states stand still."""
     sizes = [u.name for u in effect.unknowns if u.name not in effect.shapes]
     neutral = [(name, effect.neutral[name]) for name in sizes]
     on = " or ".join(f"abs({name} - {off!r}) > 0" if off else f"abs({name}) > 0" for name, off in neutral)
     if not on or effect.acts == "cut":
-        return Term(effect.port, effect.acts, effect.expression, where, effect.states)
+        return [Term(effect.port, effect.acts, effect.expression, where, effect.states)]
     off = "p" if effect.acts == "signal" else "0"
     states = tuple(replace(s, derivative=f"noEvent(if {on} then {s.derivative} else 0)") for s in effect.states)
-    return Term(effect.port, effect.acts, f"noEvent(if {on} then {effect.expression} else {off})", where, states)
+    first = Term(effect.port, effect.acts, f"noEvent(if {on} then {effect.expression} else {off})", where, states)
+    if not effect.flow:
+        return [first]
+    return [first, Term(effect.port, "flow", f"noEvent(if {on} then {effect.flow} else 0)", where)]
 
 
 @dataclass(frozen=True, eq=False)
