@@ -14,7 +14,9 @@ import json
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -39,24 +41,31 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--cases", type=int, default=40, help="ambiguous ones")
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(20)))
+    parser.add_argument("--workers", type=int, help="cases at the same time; one per processor by default")
     given = parser.parse_args()
     found: list[dict[str, Any]] = []
-    for rig, truth, seed in draws(given.seeds):
-        if len(found) == given.cases:
-            break
-        judged = case(rig, truth, seed, given.folder)
-        if judged is not None:
-            found.append(judged)
-            print(line(judged), flush=True)
+    with ProcessPoolExecutor(given.workers) as pool:
+        for judged in pool.map(_judged, draws(given.seeds), repeat(given.folder)):
+            if judged is not None:
+                found.append(judged)
+                print(line(judged), flush=True)
+            if len(found) == given.cases:
+                pool.shutdown(wait=False, cancel_futures=True)
+                break
     print("\n".join(summary(found)))
 
 
-def draws(seeds: list[int]) -> Iterator[tuple[Rig, str, int]]:
+def draws(seeds: list[int]) -> Iterator[tuple[str, str, int]]:
     """Yield rig, effect and seed of every case that may be ambiguous: the effect has rivals."""
     for seed in seeds:
         for rig in REHEARSED_ON:
             for truth in rig.near:
-                yield rig, truth, seed
+                yield rig.name, truth, seed
+
+
+def _judged(drawn: tuple[str, str, int], folder: Path) -> dict[str, Any] | None:
+    name, truth, seed = drawn
+    return case(next(rig for rig in REHEARSED_ON if rig.name == name), truth, seed, folder)
 
 
 def _sized(rig: Rig, truth: str, seed: int) -> tuple[Rig, dict[str, Floats]]:

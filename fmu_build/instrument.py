@@ -47,6 +47,9 @@ class Term:
     states
         Its own states. They affect the choice of steps, so a model with such a term gives the plain model's
         results only within the tolerance.
+    reaction
+        Of a drop that depends on ``position``: a flow out of the node at the branch's first connector. Without
+        loss of power, it is minus the flow through the branch times the derivative of the drop by the position.
     """
 
     port: str
@@ -54,6 +57,7 @@ class Term:
     expression: str
     where: str = ""
     states: tuple[State, ...] = ()
+    reaction: str = ""
 
 
 @dataclass(frozen=True)
@@ -173,7 +177,12 @@ def _with_drop(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
     first, equation = next(iter(changed.items()))
     drop = Binary(ADDED, "-", node, _total(flat, terms, quantities))
     changed[first] = (replace(equation[0], left=variable(inner), right=drop),)
-    return _with_states(flat.with_equations(changed), terms, quantities)
+    flat = flat.with_equations(changed)
+    reactions = [replace(term, expression=term.reaction) for term in terms if term.reaction]
+    if reactions:
+        i = next(i for i, e in flat.flow_balances() if port.connectors[0] in e.origin.connectors)
+        flat = flat.with_term(i, _total(flat, reactions, quantities))
+    return _with_states(flat, terms, quantities)
 
 
 def _with_cut(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:

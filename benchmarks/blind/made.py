@@ -35,8 +35,15 @@ _SAME: Mapping[str, tuple[str, ...]] = {
     "crosstalk": ("crosstalk@tau_sensor",),
     "load_brush": ("coulomb@load",),
 }
-_RIPPLE = ("cogging@motor", "cogging@rotor")
+# Ripples by the periods of the Flexspline's or rotor's turn that their parameter counts.
+_RIPPLE: Mapping[str, tuple[str, float]] = {
+    "cogging@motor": ("motor.cogging_order", 1.0),
+    "cogging@rotor": ("rotor.cogging_order", 1.0),
+    "kinematic_error@flexspline": ("flexspline.kinematic_error_order", 50.0),  # the gear's ratio
+}
 _ORDERS: Mapping[str, str] = {"gear_ripple": "gear_ripple_order", "cogging": "cogging_order"}
+_FOREIGN = ("kinematic_error", "cogging")  # a law, and the effect that it does not stand for whatever its order
+_ERRORS = ("kinematic_error", "gear_ripple")  # of the gear: they move the Flexspline and work back on the motor
 
 PLACES: Mapping[str, tuple[str, ...]] = {
     "gear_friction": _BEARINGS,
@@ -64,21 +71,25 @@ def scored(
 
 def _told(label: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]:
     name = {own: rig for rig, alike in _SAME.items() for own in alike}
-    for own in _RIPPLE:
-        order = answer["model"].get(f"{own.partition('@')[2]}.cogging_order")
-        name[own] = "cogging" if order is None else _ripple(label, float(order))
+    for own, (parameter, turns) in _RIPPLE.items():
+        order = answer["model"].get(parameter)
+        law = own.partition("@")[0]
+        name[own] = law if order is None else _ripple(label, law, float(order) / turns)
     place = {own: port for port in label["ports"] for own in PLACES.get(port, ())}
+    for effect, port in zip(label["effects"], label["ports"], strict=True):
+        if effect in _ERRORS:
+            place["flexspline"] = port
     verdict = answer["verdict"]
     ports = list(dict.fromkeys(place.get(p, p) for p in verdict["ports"]))
     port = place.get(verdict["port"], verdict["port"])
     return renamed({**answer, "verdict": {**verdict, "port": port, "ports": ports}}, name)
 
 
-def _ripple(label: Mapping[str, Any], order: float) -> str:
-    """Return what a ripple of the motor's torque, of so many periods a turn, is called on the rig."""
+def _ripple(label: Mapping[str, Any], law: str, order: float) -> str:
+    """Return what a ripple of so many periods per turn of the rotor is called on the rig."""
     if abs(order - 2.0) < 0.1:  # a transmission error works back on the motor twice a turn
         return "kinematic_error"
     for effect, shape in zip(label["effects"], label["shapes"], strict=True):
-        if effect in _ORDERS and abs(shape[_ORDERS[effect]] - order) < 0.1:
+        if effect in _ORDERS and abs(shape[_ORDERS[effect]] - order) < 0.1 and (law, effect) != _FOREIGN:
             return str(effect)
-    return "cogging" if "gear_ripple" not in label["effects"] else "another ripple"
+    return "cogging" if law == "cogging" and "gear_ripple" not in label["effects"] else "another ripple"

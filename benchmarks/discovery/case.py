@@ -18,7 +18,7 @@ from benchmarks.abroad.shaker import SHAKER
 from benchmarks.discovery.laws import course, late, law, oscillator
 from fmuid.cli.app import run
 
-_LISTS = [Path(__file__).parent / name for name in ("cases.toml", "shaker.toml")]
+_LISTS = [Path(__file__).parent / name for name in ("cases.toml", "shaker.toml", "unseen.toml")]
 _RIGS = {rig.name: rig for rig in (*FOUND_ON, SHAKER)}
 
 
@@ -57,7 +57,7 @@ def cases(first: int | None = None) -> tuple[Case, ...]:
         (kind == "expressible", t)
         for each in lists
         for kind in ("expressible", "inexpressible")
-        for t in each[kind]
+        for t in each.get(kind, ())
     ]
     every = [Case(k, expressible, table) for k, (expressible, table) in enumerate(found)]
     parts = [c for c in every if c.expressible], [c for c in every if not c.expressible]

@@ -60,6 +60,18 @@ def test_a_ripple_is_told_by_its_order(effect, shape, order, right):
     assert scored(case([effect], ["motor_torque"], kind=kind, shapes=[shape]), said).right is right
 
 
+@pytest.mark.parametrize(("order", "right"), [(100.1, True), (50.0, False)])
+def test_an_error_of_the_gear_is_told_by_its_order_at_the_flexspline(order, right):
+    said = answer(
+        ("kinematic_error@flexspline",),
+        ports=("flexspline",),
+        model={"flexspline.kinematic_error_order": order},
+    )
+    found = scored(case(["kinematic_error"], ["gear_friction"]), said)
+    assert found.right is right
+    assert found.answer["verdict"]["port"] == "gear_friction"
+
+
 def test_what_no_catalogue_has_stays_outside():
     said = answer(("viscous@motor",), ports=("motor",))
     assert not scored(case(["rotor_rub"], ["gear_friction"], kind="outside"), said).right

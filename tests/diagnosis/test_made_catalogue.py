@@ -16,19 +16,28 @@ from fmu_build.codegen import PARAMETERS
 from fmu_build.errors import ModelicaError
 from fmu_build.idle import without_branches
 from fmu_build.instrument import Added, Term, instrument
-from fmu_build.model_ports import domain_of, find_ports, held_parameters
+from fmu_build.model_ports import Port, domain_of, find_ports, held_parameters
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.cli.app import run
 from fmuid.core.campaign import ModelSource, ModelSpec
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
 from fmuid.diagnosis.catalogue import load_catalogue
-from fmuid.diagnosis.made_catalogue import SIZES, Place, catalogue_text, laws, possible_laws, with_catalogue
+from fmuid.diagnosis.made_catalogue import (
+    SIZES,
+    Place,
+    catalogue_text,
+    laws,
+    possible_laws,
+    sized,
+    with_catalogue,
+)
 from fmuid.diagnosis.subject import subject_of
 from fmuid.diagnosis.variants import Variants, carrier, terms_of
 from fmuid.simulation.coupled.loading import load_simulator
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.model_source import built_model, built_with_terms
+from fmuid.simulation.signal_effects import disturbed_readings
 from fmuid.simulation.simulator import Task
 
 RIGS = Path(__file__).parents[1] / "fmu_build" / "models" / "Rigs.mo"
@@ -160,6 +169,57 @@ def test_friction_under_load_is_that_of_a_gear_with_two_efficiencies(load, rate)
     expression = laws()["load_friction"].of("rotational")
     found = eval(expression, {"tanh": np.tanh, "abs": abs}, {**shape, "V": 10.0, "load": load, "rate": rate})
     assert found == pytest.approx(lost * np.sign(rate))
+
+
+def law_at(name, domain="rotational", **values):
+    functions = {"tanh": np.tanh, "exp": np.exp, "abs": abs, "max": max, "min": min}
+    return eval(laws()[name].of(domain).replace("^", "**"), functions, values)
+
+
+@pytest.mark.parametrize("deflection", [-0.8, -0.1, 0.1, 0.8])
+def test_a_spring_hardens_as_a_cube_or_from_contact_to_contact(deflection):
+    p = deflection
+    cubic = law_at("hardening", p=p, P=1.0, size=5.0, onset=0.0, power=3.0)
+    assert cubic == pytest.approx(5 * p**3)
+    second = law_at("hardening", p=p, P=2.0, size=5.0, onset=0.3, power=1.0)
+    assert second == pytest.approx(5 * np.sign(p) * max(abs(p) - 0.3, 0.0))
+
+
+def test_friction_falls_with_the_warmth_until_none_is_left():
+    at = {"size": -2.0, "dry": 1.0, "rate": 5.0, "V": 10.0}
+    assert law_at("thermal_friction", warmth=0.3, drop=0.01, **at) == pytest.approx(-0.6, rel=1e-2)
+    strong = law_at("thermal_friction", warmth=0.9, drop=4.0, **{**at, "size": -4.0})
+    assert 1.0 + strong == pytest.approx(np.exp(-4.0 * 0.9))  # of a friction of 1
+
+
+@pytest.mark.parametrize("value", [-2.0, 0.0, 0.7, 3.0])
+@pytest.mark.parametrize("hardness", [1.5, 4.0, 100.0])
+def test_a_signal_inside_the_model_saturates_as_a_measured_one_does(value, hardness):
+    inside = law_at("saturation", "signal", p=value, size=0.8, hardness=hardness)
+    outside = disturbed_readings(
+        np.full((1, 3), value), ("a",), {"a": {"compression": 0.8, "hardness": hardness}}, np.arange(3.0), {}
+    )
+    assert inside == pytest.approx(outside[0, 1], rel=1e-4, abs=1e-6)
+
+
+def test_the_turns_of_a_shaft_are_counted_through_gears_alone():
+    def node(name):
+        return Port(name, "node", "rotational", (name,), ("rad", "N.m"), {}, {"p": (name,), "flow": ("f",)})
+
+    spring = Port(
+        "spring", "branch", "rotational", ("slow", "end"), ("rad", "N.m"), {}, {"p": ("slow", "end"), "flow": ("f",)},
+        compliant=True,
+    )  # fmt: skip
+    time = np.linspace(0.0, 1.0, 400)
+    turn = time + 0.1 * np.sin(9 * time)
+    runs = [
+        {"slow": k * turn, "fast": 30.0 * k * turn, "free": 500 * time**3, "end": 0 * time, "f": 1 + time}
+        for k in (0.01, 1.0)
+    ]
+    places = sized([node("slow"), node("fast"), node("free"), spring], [time, time], runs)
+    (found,) = (place.sizes for place in places if place.port.name == "spring")
+    assert found["N"] == pytest.approx(30.0)
+    assert found["W"] == pytest.approx(np.ptp(turn))
 
 
 def test_laws_follow_the_domain():
@@ -364,6 +424,27 @@ def test_play_parts_and_its_damping_pulls_only_as_much_as_is_said(geared, pull):
     truth = np.array(rows).T[2:]
     assert np.allclose(time, fine[::20])
     assert np.abs(found - truth).max() < 0.02 * np.ptp(truth)
+
+
+def test_a_kinematic_error_turns_the_load_and_works_back_without_loss(geared):
+    _, _, simulator, _ = geared
+    cosine, sine, order, stiffness, damping = 0.03, 0.05, 3.0, 50.0, 0.01
+
+    def slope(_, x):
+        ahead = cosine * (np.cos(order * x[0]) - 1) + sine * np.sin(order * x[0])
+        ratio = order * (sine * np.cos(order * x[0]) - cosine * np.sin(order * x[0]))
+        torque = stiffness * (x[1] - x[0] + ahead) + damping * (x[3] - x[2] * (1 - ratio))
+        driven = 0.05 + torque * (1 - ratio)  # what the spring takes, over the speed
+        return [x[2], x[3], driven / 2e-3, -torque / (5e-3 + 1e-2 / 9)]
+
+    time = np.linspace(0.0, 1.0, 501)
+    truth = solve_ivp(slope, (0.0, 1.0), np.zeros(4), t_eval=time, rtol=1e-9, atol=1e-9, method="Radau").y[2:]
+    base = "shaft.kinematic_error"
+    values = {f"{base}_cosine": cosine, f"{base}_sine": sine, f"{base}_order": order}
+    task = Task(time, {"tau": np.full(time.size, 0.05)}, ("w_motor", "w_load"), tolerance=1e-7)
+    found, plain = simulator.simulate(task, values), simulator.simulate(task, {})
+    assert np.abs(plain - truth).max() > 0.1
+    assert np.abs(found - truth).max() < 0.02 * np.abs(plain - truth).max()
 
 
 def drive_log(file, *, coulomb, pace=4):

@@ -44,8 +44,8 @@ class Effect:
     acts, expression
         How the effect acts at a port of the model's source, and the Modelica expression added there; empty if the
         model already has the effect (see `fmu_build.instrument`).
-    flow
-        Flow that acts beside a drop of potential; empty if none does.
+    flow, reaction
+        Flow that acts beside a drop of potential, through the branch or out of its first node; empty if none does.
     states
         States of the expression.
     usual
@@ -74,6 +74,7 @@ class Effect:
     acts: Acts = "flow"
     expression: str = ""
     flow: str = ""
+    reaction: str = ""
     states: tuple[State, ...] = ()
     usual: bool = True
     variant: bool = False
@@ -148,6 +149,7 @@ class _Effect(Table):
     acts: Acts = "flow"
     expression: str = ""
     flow: str = ""
+    reaction: str = ""
     states: dict[str, _State] = msgspec.field(default_factory=dict)
     usual: bool = True
     variant: bool = False
@@ -267,6 +269,7 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
         acts=raw.acts,
         expression=raw.expression,
         flow=raw.flow,
+        reaction=raw.reaction,
         states=tuple(State(key, s.derivative, s.start, s.unit) for key, s in raw.states.items()),
         usual=raw.usual,
         variant=raw.variant or bool(raw.states) or raw.acts == "cut",

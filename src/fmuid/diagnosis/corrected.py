@@ -179,6 +179,7 @@ class _Document:
             if effect.expression:
                 lines.append(f"    {effect.acts} at {effect.port}: {effect.expression}")
                 lines += [f"    and flow: {effect.flow}"] if effect.flow else []
+                lines += [f"    and flow out of its first node: {effect.reaction}"] if effect.reaction else []
             elif all(self._of_a_signal(u.name) for u in effect.unknowns):
                 lines.append("    acts between the model and its signals, so it is not part of this source")
         return modelica_text(replace(flat, variables=variables), f"{_stem(source)}Corrected", lines)

@@ -33,10 +33,11 @@ from fmuid.simulation.model_source import built_model, flat_model
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
-SIZES = "PMZVAFTL"
+SIZES = "PMZVAFTLWN"
 SHARES = (0.01, 0.05, 0.2)  # sizes at which a law is tried, as shares of the nominal flow
 _MAGNITUDE = 0.01  # disturbance at which a port's response is taken, as a share of the nominal flow
 _OFF = (1.05, 1.2)  # trial factors on a held value
+_TOGETHER = 0.9999  # squared correlation of angles from which two shafts count as geared to each other
 _TOLERATED = 10.0  # standard deviations by which a held value may be wrong
 _HEAD = """\
 # What the model may lack, for `fmuid diagnose`: laws at the ports of its source, its signals and held parameters.
@@ -69,6 +70,7 @@ class _Law(Table):
     expression: str | dict[str, str]
     parameters: dict[str, _LawParameter]
     flow: str = ""
+    reaction: str = ""
     states: dict[str, _LawState] = msgspec.field(default_factory=dict)
     two_sided: bool = False
     compliant: bool = False
@@ -98,7 +100,7 @@ class _Law(Table):
         given = {*port.quantities, "time", *self.parameters, *self.states, *SIZES}
         given |= {"rate"} if cuts else {"position"} if port.kind == "branch" else set()
         of_states = (text for s in self.states.values() for text in (s.derivative, s.start))
-        used = [self.of(port.domain), self.flow, *of_states]
+        used = [self.of(port.domain), self.flow, self.reaction, *of_states]
         return all(_names(text) <= given for text in used)
 
     def may_be_sized(self, sizes: Collection[str]) -> bool:
@@ -207,7 +209,8 @@ def _effect_lines(name: str, law: _Law, place: Place) -> list[str]:
             for share in SHARES
         ]
     else:
-        trials = [{own[k]: value(v) for k, v in trial.items()} for trial in law.trials]
+        every = [{own[k]: value(v) for k, v in trial.items()} for trial in law.trials]
+        trials = [trial for i, trial in enumerate(every) if trial not in every[:i]]
     units = {"p": port.units[0], "f": port.units[1]}
     table = f"[effects.{toml_text(f'{name}@{port.name}')}"
     lines = [
@@ -218,6 +221,7 @@ def _effect_lines(name: str, law: _Law, place: Place) -> list[str]:
         f"acts = {toml_text(law.acts)}",
         f"expression = {toml_text(expression)}",
         *([f"flow = {toml_text(_put_in(law.flow, meant))}"] if law.flow else []),
+        *([f"reaction = {toml_text(_put_in(law.reaction, meant))}"] if law.reaction else []),
         *(["two_sided = true"] if law.two_sided else []),
         *(["usual = false"] if port.kind != law.on[0] and not law.slides_at(port) else []),
         *(["variant = true"] if law.variant else []),
@@ -327,10 +331,31 @@ def sized(
             near = [b for b in ports if b.kind == "branch" and b.quantities.get("through") == load]
             names = [n for b in near for n in b.probes["flow"][:1]]
             sizes["L"] = max((float(np.abs(c[n]).max()) for c in courses for n in names if n in c), default=0.0)
+        if port.kind == "branch" and port.domain == "rotational":
+            sizes["W"], sizes["N"] = _turns(port, ports, courses)
         own_sizes = {k: v for k, v in sizes.items() if v > 0.0 or k == "Z"}
         if "P" in own_sizes and (port.kind == "signal" or "F" in own_sizes):
             found.append(Place(port, own_sizes))
     return found
+
+
+def _turns(
+    branch: Port, ports: Sequence[Port], courses: Sequence[Mapping[str, FloatArray]]
+) -> tuple[float, float]:
+    """Return the angle through which a branch's first node turns, and how much faster the fastest shaft turns.
+
+    Shafts that turn in proportion to it count, in the run in which it turns most.
+    """
+    shafts = [p.probes["p"][0] for p in ports if p.kind == "node" and p.domain == "rotational"]
+    first = branch.probes["p"][0]
+    course = max((c for c in courses if first in c), key=lambda c: float(np.ptp(c[first])))
+    own = course[first] - course[first].mean()
+    energy, ratio = float(own @ own), 1.0
+    for other in (course[s] - course[s].mean() for s in shafts if s in course):
+        together = abs(float(own @ other))
+        if together**2 > _TOGETHER * energy * float(other @ other) > 0.0:
+            ratio = max(ratio, together / energy)
+    return float(np.ptp(own)), ratio
 
 
 @dataclass(frozen=True, slots=True)
@@ -479,7 +504,12 @@ def _merged(parts: Sequence[Place]) -> list[Place]:
     for place in parts:
         same = found.get(place.port.name, place)
         largest = {k: max(v, place.sizes.get(k, v)) for k, v in same.sizes.items()}
-        found[place.port.name] = Place(same.port, {**place.sizes, **largest, "Z": same.sizes["Z"]})
+        sizes = {**place.sizes, **largest, "Z": same.sizes["Z"]}
+        if place.sizes.get("W", 0.0) < sizes.get("W", 0.0):  # a ratio is most precise where most turns
+            sizes["N"] = same.sizes["N"]
+        elif "N" in place.sizes:
+            sizes["N"] = place.sizes["N"]
+        found[place.port.name] = Place(same.port, sizes)
     return list(found.values())
 
 

@@ -80,12 +80,14 @@ def terms_of(effect: Effect, where: str) -> list[Term]:
     on = " or ".join(f"abs({name} - {off!r}) > 0" if off else f"abs({name}) > 0" for name, off in neutral)
     if not on or effect.acts == "cut":
         return [Term(effect.port, effect.acts, effect.expression, where, effect.states)]
-    off = "p" if effect.acts == "signal" else "0"
-    states = tuple(replace(s, derivative=f"noEvent(if {on} then {s.derivative} else 0)") for s in effect.states)
-    first = Term(effect.port, effect.acts, f"noEvent(if {on} then {effect.expression} else {off})", where, states)
-    if not effect.flow:
-        return [first]
-    return [first, Term(effect.port, "flow", f"noEvent(if {on} then {effect.flow} else 0)", where)]
+
+    def gated(text: str, off: str = "0") -> str:
+        return f"noEvent(if {on} then {text} else {off})" if text else ""
+
+    states = tuple(replace(s, derivative=gated(s.derivative)) for s in effect.states)
+    value = gated(effect.expression, "p" if effect.acts == "signal" else "0")
+    first = Term(effect.port, effect.acts, value, where, states, gated(effect.reaction))
+    return [first, Term(effect.port, "flow", gated(effect.flow), where)] if effect.flow else [first]
 
 
 @dataclass(frozen=True, eq=False)
