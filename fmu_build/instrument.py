@@ -11,7 +11,7 @@ from typing import cast
 from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import ADDED, Equation, FlatModel, Variable, number, variable
 from fmu_build.front.parser import expression as parse_expression
-from fmu_build.model_ports import Port, find_ports, flat_name
+from fmu_build.model_ports import Port, fed_inputs, find_ports, flat_name
 from fmu_build.suggest import suggestion
 from fmu_build.syntax import Binary, Call, Expression, Part, Reference, Unary, references, transform
 
@@ -260,14 +260,10 @@ def _partner(equation: Equation, inner: str) -> Expression:
 def _with_signal(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
     """Insert laws into a causal connection, one after the other."""
     (name,) = port.connectors
-    i, equation = next(
-        (i, e)
-        for i, e in flat.equalities()
-        if name in [flat_name(side) for side in (e.left, e.right) if isinstance(side, Reference)]
-    )
+    i = next(i for i, fed, _ in fed_inputs(flat) if fed == name)
     value: Expression = port.quantities["p"]
     for term in terms:
         quantities = {**port.quantities, "p": value}
         flat = _with_states(flat, [term], quantities)
         value = _expression(flat, term, quantities)
-    return flat.with_equations({i: (replace(equation, left=variable(name), right=value),)})
+    return flat.with_equations({i: (replace(flat.equations[i], left=variable(name), right=value),)})

@@ -60,6 +60,8 @@ class Port:
         motor, a bearing, a brake.
     same
         Other names of the same place: connectors of the same rigid node.
+    passed
+        Whether a signal is an input of the model that is only passed on.
     """
 
     name: str
@@ -73,6 +75,7 @@ class Port:
     rigid: bool = False
     slides: bool = False
     same: tuple[str, ...] = ()
+    passed: bool = False
 
 
 def find_ports(flat: FlatModel) -> tuple[Port, ...]:
@@ -124,6 +127,29 @@ def flat_name(reference: Reference) -> str:
         inside = [str(s.value) if isinstance(s, Literal) else "?" for s in part.subscripts]
         parts.append(f"{part.name}[{','.join(inside)}]" if inside else part.name)
     return ".".join(parts)
+
+
+def fed_inputs(flat: FlatModel) -> Iterator[tuple[int, str, Expression]]:
+    """Yield every component's input that a connection or an equation sets equal to one other variable.
+
+    As number of the equation, name of the input, and the other variable.
+    """
+    for i, equation in enumerate(flat.equations):
+        sides = (equation.left, equation.right)
+        if equation.origin.kind not in ("potential", "class") or not all(isinstance(s, Reference) for s in sides):
+            continue
+        for end, other in (sides[::-1], sides):
+            name = flat_name(end)  # type: ignore[arg-type]
+            v = flat.variables.get(name)
+            if (
+                v is not None
+                and v.direction == "input"
+                and v.causality is None
+                and v.type == "Real"
+                and not v.shape
+            ):
+                yield i, name, other
+                break
 
 
 class _Classes:
@@ -487,20 +513,16 @@ class _Finder:
         return False
 
     def _signals(self) -> Iterator[Port]:
-        taken = set()
-        for _, equation in self.flat.equalities():
-            if not isinstance(equation.left, Reference) or not isinstance(equation.right, Reference):
-                continue
-            for end, other in ((equation.right, equation.left), (equation.left, equation.right)):
-                name = flat_name(end)
-                v = self.flat.variables.get(name)
-                inner = v is not None and v.direction == "input" and v.causality is None and v.type == "Real"
-                if inner and not v.shape and name not in taken:  # type: ignore[union-attr]
-                    taken.add(name)
-                    unit = self._unit(name) or self._unit(flat_name(other)) or "1"
-                    quantities: dict[str, Expression] = {"p": other}
-                    yield Port(name, "signal", "signal", (name,), (unit, unit), quantities, {"p": (name,)})
-                    break
+        given = {self.classes.find(v.name) for v in self.flat.variables.values() if v.causality == "input"}
+        fed: dict[str, Expression] = {}
+        for _, name, other in fed_inputs(self.flat):
+            fed.setdefault(name, other)
+        for name, other in fed.items():
+            unit = self._unit(name) or self._unit(flat_name(other)) or "1"  # type: ignore[arg-type]
+            yield Port(
+                name, "signal", "signal", (name,), (unit, unit), {"p": other}, {"p": (name,)},
+                passed=self.classes.find(name) in given,
+            )  # fmt: skip
 
 
 def _difference(a: Expression, b: Expression) -> Expression:

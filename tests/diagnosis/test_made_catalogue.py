@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +54,9 @@ def every_law(model, folder):
     """The catalogue of every law at every port."""
     sizes = dict.fromkeys(SIZES, 1.0)
     file = folder / "effects.toml"
-    file.write_text(catalogue_text([Place(port, sizes) for port in find_ports(model)], {}, HEAD))
+    file.write_text(
+        catalogue_text([Place(port, sizes) for port in find_ports(model) if not port.passed], {}, HEAD)
+    )
     return load_catalogue(file)
 
 
@@ -75,7 +78,9 @@ def test_the_ports_of_a_drive_are_found_and_named_after_its_components():
         "rotor": "node",
         "load": "node",
         "shaft": "branch",
+        "motor.tau": "signal",
     }
+    assert [name for name, port in ports.items() if port.passed] == ["motor.tau"]
     assert set(ports["rotor"].same) == {"motor.shaft", "rotor.b", "shaft.a"}
     assert ports["shaft"].compliant
     assert {v.name for v in held_parameters(flat("TwoMass"))} == {"rotor.J", "load.J", "shaft.c", "shaft.d"}
@@ -557,6 +562,81 @@ def test_setups_with_other_signals_share_a_catalogue(tmp_path, monkeypatch):
     assert [u.name for u in subject.nominal] == ["A"]
     assert {u.name for u in subject.by_id["crosstalk@h"].unknowns} == {"h.crosstalk[u]"}
     assert not [name for name in subject.by_id if name.endswith("@rise")]
+
+
+LOOPS = """
+block Plant
+  input Real u(unit = "V");
+  output Real x(unit = "V", start = 0, fixed = true);
+equation
+  der(x) = u - x;
+end Plant;
+model Open
+  input Real u(unit = "V");
+  output Real y(unit = "V");
+  Plant plant;
+equation
+  plant.u = u;
+  y = plant.x;
+end Open;
+block Gain
+  input Real e(unit = "V");
+  output Real y(unit = "V");
+equation
+  y = 5*e;
+end Gain;
+model Closed
+  input Real r(unit = "V");
+  output Real y(unit = "V");
+  Gain gain;
+  Plant plant;
+equation
+  gain.e = r - y;
+  plant.u = gain.y;
+  y = plant.x;
+end Closed;
+"""
+LOOPED = """
+[campaign]
+name = "loops"
+[models.open]
+source = "Loops.mo"
+class = "Open"
+[models.closed]
+source = "Loops.mo"
+class = "Closed"
+"""
+
+
+def test_what_one_setup_passes_on_and_another_computes_is_one_place(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "Loops.mo").write_text(LOOPS)
+    (tmp_path / "campaign.toml").write_text(LOOPED)
+    time = np.linspace(0.0, 10.0, 101)
+    given, y = np.where(time > 1.0, 1.0, 0.0), 1 - np.exp(-np.maximum(time - 1.0, 0.0))
+
+    def recorded(setup, name):
+        signals = {name: Signal(name, given, "V", "input"), "y": Signal("y", y, "V", "output")}
+        return Experiment(setup, setup, time, signals)
+
+    write_measurements(
+        Measurements({"open": recorded("open", "u"), "closed": recorded("closed", "r")}),
+        tmp_path / "measurements.h5",
+    )
+    campaign = with_catalogue(load_campaign(tmp_path), load_simulator)
+    effects = load_catalogue(campaign.effects.file).effects
+    assert "saturation@plant.u" in effects
+    task = Task(time, {"u": given}, ("y",))
+    values = {"plant.u.saturation": 2.0, "plant.u.saturation_hardness": 100.0}
+    model = replace(
+        campaign.models["open"], fmu=carrier(campaign.models["open"].source, load_catalogue(campaign.effects.file))
+    )
+    plain, limited = (load_fmu(model.fmu).simulate(task, v)[0, -1] for v in ({}, values))
+    assert plain == pytest.approx(1.0, rel=1e-3)
+    assert limited == pytest.approx(0.5, rel=1e-2)
+    write_measurements(Measurements({"open": recorded("open", "u")}), tmp_path / "measurements.h5")
+    alone = with_catalogue(load_campaign(tmp_path), load_simulator)
+    assert not [name for name in load_catalogue(alone.effects.file).effects if name.endswith("@plant.u")]
 
 
 ROOMS = """

@@ -499,9 +499,13 @@ def made_catalogue(
 
 
 def _merged(parts: Sequence[Place]) -> list[Place]:
-    """Return every port once, with its largest sizes in any setup."""
+    """Return every port once, with its largest sizes in any setup.
+
+    Where all setups only pass an input on, its laws are those of the input.
+    """
     found: dict[str, Place] = {}
-    for place in parts:
+    inside = {place.port.name for place in parts if not place.port.passed}
+    for place in (place for place in parts if place.port.name in inside):
         same = found.get(place.port.name, place)
         largest = {k: max(v, place.sizes.get(k, v)) for k, v in same.sizes.items()}
         sizes = {**place.sizes, **largest, "Z": same.sizes["Z"]}
@@ -528,5 +532,6 @@ def _held_value(name: str, model: CampaignModel, fixed: Mapping[str, float]) -> 
 def possible_laws(flat: FlatModel) -> dict[str, list[str]]:
     """Return the names of the laws that may act at each port of a model, whatever its sizes."""
     sizes = dict.fromkeys(SIZES, 1.0)
-    found = {port.name: [name for name, _ in fitting(Place(port, sizes))] for port in find_ports(flat)}
+    ports = (port for port in find_ports(flat) if not port.passed)
+    found = {port.name: [name for name, _ in fitting(Place(port, sizes))] for port in ports}
     return {name: names for name, names in found.items() if names}
