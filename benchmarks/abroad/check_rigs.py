@@ -261,7 +261,7 @@ def _heat_exchanger() -> Rig:
         near={
             "loss@hot": ("radiation@hot",),
             "radiation@hot": ("loss@hot",),
-            "offset@T_in": ("gain@T_in",),
+            "offset@T_in": ("gain@T_in", "dead_zone@T_in"),
             "offset@T_hot": ("gain@T_hot",),
             "delay@T_in": ("lag@T_in",),
             "lag@T_in": ("delay@T_in",),

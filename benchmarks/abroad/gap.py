@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from benchmarks.abroad.compiled import SHAPE
+from benchmarks.abroad.logs import Noise, decorrelated
 from benchmarks.abroad.plant import Floats, Rig
 from fmuid.core.errors import SimulationError
 
@@ -97,18 +98,24 @@ class SizedPlant:
         except SimulationError:
             return np.full(len(measured), 1e6)
 
-    def separation(self, effect: Mapping[str, float], other: Mapping[str, float], recordings: float) -> float:
+    def separation(
+        self, effect: Mapping[str, float], other: Mapping[str, float], recordings: float, noise: Noise = "white"
+    ) -> float:
         """Return by how many standard deviations an effect differs from the best size of another beside it.
 
-        Both responses are taken to be linear in small changes, and the noise to be white.
+        Both responses are taken to be linear in small changes.
         """
-        one, two = (self._left(e) for e in (effect, other))
+        shape = (len(self._runs), len(self._rig.noise), -1)
+
+        def white(x: Floats) -> Floats:
+            return decorrelated(x.reshape(shape), noise).ravel()
+
+        columns = np.column_stack([white(column) for column in self._columns.T])
+        inverse = np.linalg.pinv(columns)
+        moved = [white(self._whitened({}, e) - self._plain) for e in (effect, other)]
+        one, two = (x - columns @ (inverse @ x) for x in moved)
         apart = one - two * float(one @ two) / max(float(two @ two), 1e-300)
         return float(np.linalg.norm(apart)) * float(np.sqrt(recordings))
-
-    def _left(self, effect: Mapping[str, float]) -> Floats:
-        moved = self._whitened({}, effect) - self._plain
-        return np.asarray(moved - self._columns @ (self._inverse @ moved))
 
     def sized(
         self, unit: Mapping[str, float], target: float, *, sign: float = 1.0, shape: float = 1.0

@@ -122,11 +122,12 @@ def _hidden_by_noise(
 ) -> Iterator[str]:
     """Yield the effects that this case's recordings cannot tell from one of its own."""
     how = case.recording
-    recordings = how.repeats * how.quieter**2 / how.every
+    repeats = 1 if how.noise == "quantised" else how.repeats  # rounding repeats with the signal
+    recordings = repeats * how.quieter**2 / how.every
     rivals = case.rig.near.get(name, {}) if gap > _NOTHING else {}
     for other, unit in rivals.items():
         rival, reached = plant.sized(unit, gap)
-        if np.isfinite(reached) and plant.separation(effect, rival, recordings) < _TOLD_APART:
+        if np.isfinite(reached) and plant.separation(effect, rival, recordings, how.noise) < _TOLD_APART:
             yield from (other, *case.rig.same.get(other, ()))
 
 

@@ -84,13 +84,26 @@ def _drift(y: Floats, sigma: Floats, rng: np.random.Generator) -> Floats:
     return _white(np.asarray(y + run_level * sigma), sigma, rng)
 
 
+def decorrelated(y: Floats, noise: Noise) -> Floats:
+    """Return readings (..., N), in standard deviations, transformed such that their noise would be white."""
+    if noise == "coloured":
+        keep = np.exp(-1.0 / _MEMORY)
+        after = (y[..., 1:] - keep * y[..., :-1]) / np.sqrt(1.0 - keep**2)
+        return np.concatenate([y[..., :1], after], axis=-1)
+    if noise == "drift":
+        courses = np.stack([np.ones(y.shape[-1]), np.linspace(0.0, 1.0, y.shape[-1])], axis=1)
+        u, s, _ = np.linalg.svd(courses, full_matrices=False)
+        return np.asarray(y - (y @ u) * (1.0 - 1.0 / np.sqrt(1.0 + s**2)) @ u.T)
+    return y
+
+
 def _spikes(y: Floats, sigma: Floats, rng: np.random.Generator) -> Floats:
     where = rng.random(y.shape) < _SPIKED
     size = rng.uniform(10.0, 40.0, y.shape) * rng.choice([-1.0, 1.0], y.shape)
     return _white(np.asarray(y + where * size * sigma), sigma, rng)
 
 
-_KINDS: Mapping[Noise, Callable[[Floats, Floats, np.random.Generator], Floats]] = {
+KINDS: Mapping[Noise, Callable[[Floats, Floats, np.random.Generator], Floats]] = {
     "coloured": _coloured, "heteroscedastic": _heteroscedastic, "quantised": _quantised,
     "drift": _drift, "spikes": _spikes, "inputs": _white,
 }  # fmt: skip
@@ -121,7 +134,7 @@ def write_logs(
             if recording.noise == "white":  # of one generator, the same information at every rate
                 noisy = np.asarray(y + _averaged(rng.normal(size=full.shape), recording.every) * sigma)
             else:
-                noisy = _KINDS[recording.noise](y, sigma, rng)
+                noisy = KINDS[recording.noise](y, sigma, rng)
             read = given
             if recording.noise == "inputs":
                 read = given + rng.normal(size=given.shape) * INPUT_NOISE * np.ptp(given, axis=1, keepdims=True)

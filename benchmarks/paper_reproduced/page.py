@@ -28,7 +28,7 @@ _PAPER_ROWS = {
     20: (0.854, 0.847, 0.0565, 0.049),
 }
 _SPEEDS = (0, 10, 15, 20, 30, 100, 300)
-_KINDS = ("η_mf1", "η_mf2", "τ_bf1 / (N.m)", "τ_bf2 / (N.m)")
+KINDS = ("η_mf1", "η_mf2", "τ_bf1 / (N.m)", "τ_bf2 / (N.m)")
 _ITERATIONS = {"linear": 18, "first_10": 103}
 
 
@@ -102,7 +102,7 @@ def _at_ten(ours: Result) -> str:
 
 def _first(ours: Result) -> list[tuple[str, str, str, str, str]]:
     stage, rows = _stage(ours, "first_10"), []
-    for k, (kind, published) in enumerate(zip(_KINDS, _PAPER_FIRST, strict=True)):
+    for k, (kind, published) in enumerate(zip(KINDS, _PAPER_FIRST, strict=True)):
         e = stage[f"lossTable[2,{k + 2}]"]
         error = "–" if e.standard_error is None else f"{e.standard_error:.2g}"
         rows.append((kind, "1" if k < 2 else "0.09", f"{published:g}", f"{e.value:.4f}", error))

@@ -70,7 +70,7 @@ def staircase(time: FloatArray, *, values: Sequence[float], dwell: float, rise: 
     return np.asarray(np.interp(time, knots, levels))
 
 
-_KINDS: Mapping[str, Callable[..., FloatArray]] = {f.__name__: f for f in (step, sine, prbs, polyline, staircase)}
+KINDS: Mapping[str, Callable[..., FloatArray]] = {f.__name__: f for f in (step, sine, prbs, polyline, staircase)}
 
 
 def samples(kind: str, time: FloatArray, options: Mapping[str, Any], where: str) -> FloatArray:
@@ -81,10 +81,10 @@ def samples(kind: str, time: FloatArray, options: Mapping[str, Any], where: str)
     CampaignError
         There is no such kind, or its options are wrong.
     """
-    if kind not in _KINDS:
-        raise CampaignError(f"no input kind '{kind}'", where=where, fix=suggestion(kind, _KINDS))
+    if kind not in KINDS:
+        raise CampaignError(f"no input kind '{kind}'", where=where, fix=suggestion(kind, KINDS))
     try:
-        values = _KINDS[kind](time, **options)
+        values = KINDS[kind](time, **options)
     except (TypeError, ValueError, KeyError) as error:
         raise CampaignError(f"the input's options are wrong: {error}", where=where) from None
     return np.asarray(values, dtype=np.float64)

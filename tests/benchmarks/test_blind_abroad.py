@@ -16,7 +16,7 @@ from benchmarks.abroad.check_rigs import CHECKED_ON
 from benchmarks.abroad.compiled import SHAPE
 from benchmarks.abroad.gap import SizedPlant
 from benchmarks.abroad.grid import label, plan
-from benchmarks.abroad.logs import NOISES, Recording, drawn_factors, write_logs
+from benchmarks.abroad.logs import KINDS, NOISES, Recording, decorrelated, drawn_factors, write_logs
 from benchmarks.abroad.page import page
 from benchmarks.abroad.rehearsal_rigs import REHEARSED_ON
 from benchmarks.abroad.rigs import FOUND_ON
@@ -46,6 +46,24 @@ def cache(tmp_path_factory):
 
 
 # ---- plants ----
+
+
+@pytest.mark.parametrize("noise", ["coloured", "drift"])
+def test_what_noise_has_in_common_from_sample_to_sample_is_taken_away(noise):
+    random = np.random.default_rng(1)
+    recorded = np.stack([KINDS[noise](np.zeros((1, 12)), np.ones((1, 1)), random)[0] for _ in range(5000)])
+    covariance = np.cov(decorrelated(recorded, noise).T)
+    assert np.abs(covariance - np.eye(12)).max() < 0.1
+    assert np.abs(np.cov(recorded.T) - np.eye(12)).max() > 0.4
+
+
+def test_a_constant_is_told_from_a_slope_as_well_as_the_noise_allows():
+    rig = BY_MODEL["HeatExchanger"]
+    plant = SizedPlant(rig, dict.fromkeys(rig.parameters, 1.0))
+    offset = {"offset@T_in": -2.0}
+    assert plant.separation(offset, {"dead_zone@T_in": 2.0}, 3.0) < 1e-3  # a temperature far from zero
+    white, coloured = (plant.separation(offset, {"gain@T_in": 0.006}, 3.0, n) for n in ("white", "coloured"))
+    assert white > 2.0 * coloured > 0.0
 
 
 def test_the_rigs_of_the_check_are_not_those_that_rules_were_found_on():
