@@ -180,11 +180,11 @@ class _Finder:
         self.classes = _Classes()
         self.derived: dict[str, str] = {}  # class of a variable -> a variable that is its derivative ("" if none)
         fixed = self._join_equals()
+        self._find_derivatives()
         variables = flat.variables.values()
         self.fixed = {self.classes.find(name) for name in fixed}
         self.fixed |= {self.classes.find(v.name) for v in variables if v.variability in ("constant", "parameter")}
         self.prescribed = self.fixed | {self.classes.find(v.name) for v in variables if v.causality == "input"}
-        self._find_derivatives()
         self.physical = {
             c.path: found for c in flat.connectors.values() if (found := self._physics(c)) is not None
         }
@@ -204,14 +204,24 @@ class _Finder:
         return fixed
 
     def _find_derivatives(self) -> None:
+        """Find the derivative of each variable; variables that are derivatives of the same one are equal."""
+        named = [
+            (inner, flat_name(left))
+            for left, right in self._equalities()
+            if (inner := _differentiated(right)) is not None and isinstance(left, Reference)
+        ]
+        joined = True
+        while joined:
+            joined, first = False, dict[str, str]()
+            for inner, name in named:
+                same = first.setdefault(self.classes.find(inner), name)
+                if self.classes.find(same) != self.classes.find(name):
+                    self.classes.join(same, name)
+                    joined = True
         for equation in self.flat.equations:
             for name in filter(None, map(_differentiated, walk((equation.left, equation.right)))):
                 self.derived.setdefault(self.classes.find(name), "")
-        for left, right in self._equalities():
-            inner = _differentiated(right)
-            if inner is not None and isinstance(left, Reference):
-                own = self.classes.find(inner)
-                self.derived[own] = self.derived[own] or flat_name(left)
+        self.derived |= first
 
     def _equalities(self) -> Iterator[tuple[Expression, Expression]]:
         for equation in self.flat.equations:

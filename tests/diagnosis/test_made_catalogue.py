@@ -248,6 +248,15 @@ def test_only_what_has_a_mass_has_a_weight():
     assert "weight" not in laws_at.get("pulley.rim", ())
 
 
+def test_speeds_that_two_components_compute_for_themselves_are_one():
+    """The servo's friction differentiates the angle of the arm that it holds; so does the arm."""
+    modelica = Path(__file__).parents[2] / "modelica"
+    servo = load(modelica / "Pendulum" / "Setups" / "TorqueDriven.mo", "Pendulum.Setups.TorqueDriven")
+    laws_at = possible_laws(servo)
+    assert {"inertia", "imbalance"} <= set(laws_at["arm"])
+    assert "compliance" in laws_at["gear"]
+
+
 def test_every_law_says_where_it_comes_from():
     for name, law in laws().items():
         assert all((law.words, law.origin, law.source)), name
