@@ -21,7 +21,7 @@ DEVELOPER := $(VENV)/.developer
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 ACTUATOR := FixedShaft FreeShaft EccentricLoad
-SETUPS := $(foreach setup,$(ACTUATOR) LinearAxisOpenLoop LinearAxisClosedLoop,$(setup) $(setup)WithEffects)
+SETUPS := $(ACTUATOR) $(ACTUATOR:%=%WithEffects)
 PENDULUM := $(foreach setup,TorqueDriven PositionDriven,build/fmus/$(setup).fmu build/fmus/$(setup)WithEffects.fmu)
 # The actuator and its speed controller as separate FMUs, to be coupled (docs/coupled.md).
 COUPLED := build/fmus/EccentricLoadPlant.fmu build/fmus/SpeedController.fmu
@@ -99,7 +99,7 @@ identify-linear: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 identify-friction: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/fmuid identify $(FORCE_FEEDBACK) $(FRICTION) --out runs/friction
 
-identify-emps: $(FMUS) campaigns/emps/measurements.h5
+identify-emps: campaigns/emps/measurements.h5
 	$(BIN)/fmuid identify campaigns/emps --out runs/emps
 
 # Then compare the friction laws on the runs used and on those reserved for validation.
@@ -149,7 +149,7 @@ paper: build/fmus/FreeShaft.fmu build/fmus/EccentricLoad.fmu campaigns/paper/mea
 diagnose: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/fmuid diagnose $(FORCE_FEEDBACK) --out runs/diagnosis
 
-diagnose-emps: $(FMUS) campaigns/emps/measurements.h5
+diagnose-emps: campaigns/emps/measurements.h5
 	$(BIN)/fmuid diagnose campaigns/emps --out runs/emps-diagnosis
 
 diagnose-go1: $(PENDULUM) campaigns/go1/measurements.h5

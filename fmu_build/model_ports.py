@@ -62,6 +62,8 @@ class Port:
         Other names of the same place: connectors of the same rigid node.
     passed
         Whether a signal is an input of the model that is only passed on.
+    loops
+        Whether the load is that of a rigid gear, which depends on accelerations: laws of it make algebraic loops.
     """
 
     name: str
@@ -76,6 +78,7 @@ class Port:
     slides: bool = False
     same: tuple[str, ...] = ()
     passed: bool = False
+    loops: bool = False
 
 
 def find_ports(flat: FlatModel) -> tuple[Port, ...]:
@@ -246,8 +249,9 @@ class _Finder:
     def ports(self) -> tuple[Port, ...]:
         branches = list(self._branches())
         branches = [
-            replace(b, quantities={**b.quantities, **self._load(b.connectors, branches)}) if b.slides else b
+            replace(b, quantities={**b.quantities, **load}, loops=loops) if b.slides else b
             for b in branches
+            for load, loops in [self._load(b.connectors, branches)]
         ]
         return (*self._nodes(branches), *branches, *self._joints(branches), *self._signals())
 
@@ -284,19 +288,20 @@ class _Finder:
         own = [p for p in self.physical if self.flat.connectors[p].component == component]
         name = component if component and set(own) <= set(part) else chosen
         domain, potential, _ = self.physical[chosen]
-        quantities = {"p": variable(potential), **self._rates(potential), **self._load(group, branches)}
+        load, loops = self._load(group, branches)
+        quantities = {"p": variable(potential), **self._rates(potential), **load}
         flows = tuple(self.physical[p][2] for p in group)
         return Port(
             name, "node", domain, (chosen,), self._units(chosen), quantities,
-            self._probes(potential, flows), same=tuple(p for p in part if p != chosen),
+            self._probes(potential, flows), same=tuple(p for p in part if p != chosen), loops=loops,
         )  # fmt: skip
 
-    def _load(self, group: Sequence[str], branches: list[Port]) -> dict[str, Expression]:
-        """Return the flow through the compliant branch next to connectors, if there is one.
+    def _load(self, group: Sequence[str], branches: list[Port]) -> tuple[dict[str, Expression], bool]:
+        """Return the flow through the compliant branch next to connectors, or else that of a rigid gear, if any.
 
-        It may be behind rigid components, where its flow differs by a ratio. A spring that is fixed at its other
-        end carries a load only if nothing else does: a shaft that is held, or else the mounting of what a motor or
-        bearing stands on.
+        Also whether it is that of a gear. The branch may be behind rigid components, where its flow differs by a
+        ratio. A spring that is fixed at its other end carries a load only if nothing else does: a shaft that is
+        held, or else the mounting of what a motor or bearing stands on.
         """
         domain = self.physical[group[0]][0]
         held, mounting = dict[str, Expression](), dict[str, Expression]()
@@ -310,7 +315,7 @@ class _Finder:
                     load = {"load": branch.quantities["through"]}
                     ends = {self._potential(path) for path in branch.connectors}
                     if not ends & self.fixed:
-                        return load
+                        return load, False
                     if ends & moving:
                         mounting = mounting or load
                     else:
@@ -318,8 +323,12 @@ class _Finder:
             near = {self.flat.connectors[path].component for path in joined} & self._binding.keys()
             wider = joined | self._sharing([p for p in self.physical if self.flat.connectors[p].component in near])
             if wider == joined:
-                return held or mounting
+                break
             joined = wider
+        gears = [b for b in branches if b.rigid and b.domain == domain and joined & set(b.connectors)]
+        if held or mounting or not gears:
+            return held or mounting, False
+        return {"load": gears[0].quantities["through"]}, True
 
     def _potential(self, path: str) -> str:
         """Return the class of a connector's potential."""

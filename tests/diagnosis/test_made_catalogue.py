@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from fmu_build import compile_flat, load
 from fmu_build.codegen import PARAMETERS
@@ -255,6 +256,42 @@ def test_speeds_that_two_components_compute_for_themselves_are_one():
     laws_at = possible_laws(servo)
     assert {"inertia", "imbalance"} <= set(laws_at["arm"])
     assert "compliance" in laws_at["gear"]
+
+
+def test_friction_under_load_has_the_torque_of_a_rigid_gear_where_nothing_gives_way(tmp_path):
+    """A servo lifts an arm: friction takes a share of what its gear transmits, which depends on what friction takes."""
+    modelica = Path(__file__).parents[2] / "modelica"
+    servo = load(modelica / "Pendulum" / "Setups" / "TorqueDriven.mo", "Pendulum.Setups.TorqueDriven")
+    ports = {port.name: port for port in find_ports(servo)}
+    assert ports["arm"].loops
+    source = ModelSource(modelica / "Pendulum" / "Setups" / "TorqueDriven.mo", "Pendulum.Setups.TorqueDriven")
+    catalogue = every_law(servo, tmp_path)
+    assert catalogue.effects["load_friction@arm"].variant
+    assert not catalogue.effects["viscous@arm"].variant
+    model = ModelSpec("servo", carrier(source, catalogue), source=source)
+    variants = Variants({"servo": model}, catalogue, lambda m: load_fmu(m.fmu))
+    ratio, rotor, weight = 6.33, 1.25e-4, (1 + 0.078 / 2) * 9.80665 * 0.15
+    arm = 0.15**2 + 0.078 * 0.15**2 / 3
+    torque, viscous, share = 0.25, 0.6, 0.5
+
+    def slope(_, x):
+        def rest(a):  # of the torques at the arm, at an acceleration
+            dry = share * abs(torque - rotor * ratio * a) * np.tanh(x[1] / 1e-3)
+            return ratio * torque - weight * np.sin(x[0]) - viscous * x[1] - dry - (arm + ratio**2 * rotor) * a
+
+        return [x[1], brentq(rest, -1e4, 1e4)]
+
+    time = np.linspace(0.0, 1.0, 201)
+    truth = solve_ivp(slope, (0.0, 1.0), [0.0, 0.0], t_eval=time, rtol=1e-8, atol=1e-10, method="Radau").y[1]
+    values = {"friction.K_c": 0.0, "friction.K_v": viscous}
+    task = Task(time, {"tau_ref": np.full(time.size, torque)}, ("w",), tolerance=1e-7)
+    loaded = {**values, "arm.load_friction": share}
+    found, plain = (
+        variants.simulator("servo", loaded).simulate(task, loaded)[0],
+        load_fmu(model.fmu).simulate(task, values)[0],
+    )
+    assert np.abs(plain - truth).max() > 0.05 * np.ptp(truth)
+    assert np.abs(found - truth).max() < 2e-3 * np.ptp(truth)
 
 
 def test_every_law_says_where_it_comes_from():

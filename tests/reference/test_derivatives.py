@@ -9,7 +9,7 @@ import fmpy.fmi2
 import numpy as np
 import pytest
 
-from tests.conftest import SETUPS
+from tests.conftest import ACTUATOR, SETUPS
 
 
 class Model:
@@ -60,7 +60,7 @@ def close(exact, left, right, step):
     return np.abs(exact - difference) <= 1e-6 * np.abs(difference) + rounding
 
 
-@pytest.mark.parametrize("name", [*SETUPS, *(f"{s}WithEffects" for s in SETUPS)])
+@pytest.mark.parametrize("name", [*SETUPS, *(f"{s}WithEffects" for s in ACTUATOR)])
 def test_by_every_state_input_and_parameter(fmus, effect_fmus, name, tmp_path):
     model = Model((effect_fmus if name in effect_fmus else fmus)[name], tmp_path)
     rng = np.random.default_rng(7)

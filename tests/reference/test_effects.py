@@ -15,31 +15,20 @@ from tests.conftest import MODELICA
 from tests.reference import experiments as e
 from tests.reference.plain_fmpy import simulate_fmu
 
-CATALOGUES = {
-    name: tomllib.loads((MODELICA / "Drives" / name).read_text()) for name in ("effects.toml", "effects_axis.toml")
-}
-CATALOGUE = {setup: catalogue for catalogue in CATALOGUES.values() for setup in catalogue["models"]}
+FILE = MODELICA / "Drives" / "effects.toml"
+CATALOGUE = tomllib.loads(FILE.read_text())
 TASKS = {
     "FixedShaft": e.fixed_shaft("prbs"),
     "FreeShaft": e.free_shaft(),
     "EccentricLoad": e.eccentric_load(),
-    "LinearAxisOpenLoop": e.axis_open_loop(),
-    "LinearAxisClosedLoop": e.axis_closed_loop(),
 }
-AXIS = {"offset": -3.0}
-
-
-def driven(catalogue: str) -> list[str]:
-    """Setups of a catalogue that run by themselves; a plant in a coupled model has its tests there."""
-    return [setup for setup in CATALOGUES[catalogue]["models"] if setup in TASKS]
 
 
 def simulate(fmus, setup: str, values=None, inputs=None, tolerance: float = 1e-7):
     """Return the outputs of a setup with its effects, plain values and further ones set, further inputs driven."""
     task = TASKS[setup]
     task = replace(task, inputs={**task.inputs, **(inputs or {})})
-    plain = AXIS if setup.startswith("Linear") else e.CONSTANT_FRICTION
-    return simulate_fmu(fmus[f"{setup}WithEffects"], task, {**plain, **(values or {})}, tolerance)
+    return simulate_fmu(fmus[f"{setup}WithEffects"], task, {**e.CONSTANT_FRICTION, **(values or {})}, tolerance)
 
 
 @pytest.fixture(scope="module")
@@ -49,25 +38,23 @@ def neutral(effect_fmus):
 
 @pytest.mark.parametrize("name", TASKS)
 def test_neutral_equals_the_plain_model(fmus, effect_fmus, name):
-    values = AXIS if name.startswith("Linear") else e.LOSSY
-    plain = simulate_fmu(fmus[name], TASKS[name], values, tolerance=1e-10)
-    with_effects = simulate_fmu(effect_fmus[CATALOGUE[name]["models"][name]], TASKS[name], values, tolerance=1e-10)
+    plain = simulate_fmu(fmus[name], TASKS[name], e.LOSSY, tolerance=1e-10)
+    with_effects = simulate_fmu(effect_fmus[CATALOGUE["models"][name]], TASKS[name], e.LOSSY, tolerance=1e-10)
 
     for ours, theirs in zip(with_effects, plain, strict=True):
         assert ours == pytest.approx(theirs, abs=1e-9 * np.ptp(theirs))
 
 
 def test_catalogue_is_what_the_specification_lists():
-    assert set(CATALOGUES["effects.toml"]["effects"]) == {
+    assert set(CATALOGUE["effects"]) == {
         *("viscous", "stribeck", "coulomb_asymmetry", "mesh_loss", "presliding", "backlash", "hardening"),
         *("hysteresis", "kinematic_error", "cogging", "current_lag", "saturation", "sensor_offset"),
         *("sensor_gain", "sensor_lag", "imbalance", "thermal_friction", "delay"),
     }
 
 
-@pytest.mark.parametrize("catalogue", CATALOGUES)
-def test_catalogue_is_read(catalogue):
-    loaded = load_catalogue(MODELICA / "Drives" / catalogue)
+def test_catalogue_is_read():
+    loaded = load_catalogue(FILE)
 
     for effect in loaded.effects.values():
         assert effect.port in loaded.ports
@@ -77,20 +64,19 @@ def test_catalogue_is_read(catalogue):
 
 @pytest.mark.parametrize("setup", TASKS)
 def test_catalogue_matches_the_fmus(effect_fmus, setup):
-    catalogue = CATALOGUE[setup]
-    description = fmpy.read_model_description(str(effect_fmus[catalogue["models"][setup]]))
+    description = fmpy.read_model_description(str(effect_fmus[CATALOGUE["models"][setup]]))
     variables = {v.name: v for v in description.modelVariables}
 
     def unit_of(name: str) -> str | None:
         variable = variables[name]
         return variable.unit or (variable.declaredType.unit if variable.declaredType else None)
 
-    for port in catalogue["ports"].values():
+    for port in CATALOGUE["ports"].values():
         name = port.get("input") or port["output"]
         assert variables[name].causality == ("input" if "input" in port else "output")
         assert unit_of(name) == port["unit"]
         assert float(variables[name].start or 0.0) == 0.0
-    for effect in catalogue["effects"].values():
+    for effect in CATALOGUE["effects"].values():
         for name, parameter in effect["parameters"].items():
             off = parameter.get("neutral", parameter.get("start"))
             assert variables[name].causality == "parameter"
@@ -100,20 +86,17 @@ def test_catalogue_matches_the_fmus(effect_fmus, setup):
 
 # Those between the first and the last are asked where time allows.
 TRIALS = [
-    pytest.param(
-        catalogue, effect, trial, marks=[pytest.mark.slow] if 0 < trial < len(entry["trials"]) - 1 else []
-    )
-    for catalogue, content in CATALOGUES.items()
-    for effect, entry in content["effects"].items()
+    pytest.param(effect, trial, marks=[pytest.mark.slow] if 0 < trial < len(entry["trials"]) - 1 else [])
+    for effect, entry in CATALOGUE["effects"].items()
     for trial in range(len(entry["trials"]))
 ]
 
 
-@pytest.mark.parametrize(("catalogue", "effect", "trial"), TRIALS)
-def test_every_trial_shows_in_some_signal(effect_fmus, neutral, catalogue, effect, trial):
+@pytest.mark.parametrize(("effect", "trial"), TRIALS)
+def test_every_trial_shows_in_some_signal(effect_fmus, neutral, effect, trial):
     largest = 0.0
-    for setup in driven(catalogue):
-        outputs = simulate(effect_fmus, setup, CATALOGUES[catalogue]["effects"][effect]["trials"][trial])
+    for setup in TASKS:
+        outputs = simulate(effect_fmus, setup, CATALOGUE["effects"][effect]["trials"][trial])
         difference = outputs - neutral[setup]
         assert np.all(np.isfinite(difference))
         largest = max(largest, float((np.abs(difference).mean(axis=1) / neutral[setup].std(axis=1)).max()))
@@ -121,16 +104,11 @@ def test_every_trial_shows_in_some_signal(effect_fmus, neutral, catalogue, effec
     assert largest > 3e-4
 
 
-INPUT_PORTS = [
-    (c, port) for c, content in CATALOGUES.items() for port, p in content["ports"].items() if "input" in p
-]
-
-
-@pytest.mark.parametrize(("catalogue", "port"), INPUT_PORTS)
-def test_every_port_shows_in_some_signal(effect_fmus, neutral, catalogue, port):
-    entry = CATALOGUES[catalogue]["ports"][port]
+@pytest.mark.parametrize("port", [port for port, p in CATALOGUE["ports"].items() if "input" in p])
+def test_every_port_shows_in_some_signal(effect_fmus, neutral, port):
+    entry = CATALOGUE["ports"][port]
     moved = 0.0
-    for setup in driven(catalogue):
+    for setup in TASKS:
         push = {entry["input"]: np.full(len(TASKS[setup].time), entry["magnitude"])}
         outputs = simulate(effect_fmus, setup, inputs=push)
         moved = max(moved, float((outputs - neutral[setup]).std() / neutral[setup].std()))
@@ -271,17 +249,3 @@ def test_transmission_error_shakes_the_load_without_losing_energy(effect_fmus):
     assert wind == pytest.approx(torque[late] / 25500, abs=2e-6)
     assert torque[late].std() > 0.01
     assert 0.7 * current[late].mean() == pytest.approx(0.09, rel=0.02)
-
-
-def test_a_share_of_the_mass_on_a_spring_rings_at_its_frequency(effect_fmus):
-    time = np.arange(4001) * 2.5e-4
-    push = np.where(time < 1e-3, 8.0, 0.0)
-    task = Task(time, {"vir": push}, ("mass.s_rel", "v"))
-    values = {"Fc": 0.0, "Fv": 0.0, "mass.share": 0.2, "mass.frequency": 20.0, "mass.damping": 0.0}
-    deflection, v = simulate_fmu(effect_fmus["LinearAxisOpenLoopWithEffects"], task, values)
-
-    # The rest of the mass moves too: the free frequency is higher by 1/sqrt(1 - share).
-    spectrum = np.abs(np.fft.rfft(deflection * np.hanning(time.size), 40 * time.size))
-    peak = np.fft.rfftfreq(40 * time.size, 2.5e-4)[spectrum.argmax()]
-    assert peak == pytest.approx(20.0 / np.sqrt(0.8), rel=0.01)
-    assert v[time > 0.1].mean() == pytest.approx(35.15 * 8.0 * 1e-3 / 95, rel=0.03)

@@ -13,12 +13,9 @@ partial model PartialLinearAxis "Ball-screw axis (EMPS): mass with viscous and C
   output Types.Position qm "Position";
   output Types.Velocity v "Velocity";
   output Types.Force force "Motor force";
-  replaceable model DriveModel = Translational.ForceMotor constrainedby Translational.PartialForceMotor "Drive";
-  replaceable model MassModel = Translational.Mass constrainedby Translational.PartialMass "Moved mass";
-  replaceable model FrictionModel = Translational.Friction constrainedby Translational.PartialFriction "Friction";
-  DriveModel motor(gtau = gtau) "Drive";
-  MassModel mass(M = M, s(start = q_start, fixed = true), v(start = v_start, fixed = true)) "Moved mass";
-  FrictionModel friction(Fv = Fv, Fc = Fc, offset = offset, s_s = s_s, bristle(t_s = t_s, z_e = z_e)) "Friction";
+  Translational.ForceMotor motor(gtau = gtau) "Drive";
+  Translational.Mass mass(M = M, s(start = q_start, fixed = true), v(start = v_start, fixed = true)) "Moved mass";
+  Translational.Friction friction(Fv = Fv, Fc = Fc, offset = offset, s_s = s_s, bristle(t_s = t_s, z_e = z_e)) "Friction";
 equation
   connect(motor.flange, mass.flange_a);
   connect(mass.flange_b, friction.flange);

@@ -224,7 +224,7 @@ def _effect_lines(name: str, law: _Law, place: Place) -> list[str]:
         *([f"reaction = {toml_text(_put_in(law.reaction, meant))}"] if law.reaction else []),
         *(["two_sided = true"] if law.two_sided else []),
         *(["usual = false"] if port.kind != law.on[0] and not law.slides_at(port) else []),
-        *(["variant = true"] if law.variant else []),
+        *(["variant = true"] if law.variant or (port.loops and "load" in _names(law.of(port.domain))) else []),
         f"trials = [{', '.join(_inline(t) for t in trials)}]",
         f"{table}.parameters]",
     ]
