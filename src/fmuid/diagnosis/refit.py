@@ -314,7 +314,8 @@ class _Campaign:
         room = np.stack([self.lower - x, self.upper - x]) / self.steps
         free = room[0] < room[1]
         r = self.vector(x)
-        found = lsq_linear(slopes[:, free], -r, bounds=room[:, free])
+        with np.errstate(over="ignore", invalid="ignore"):  # the model may grow without limit
+            found = lsq_linear(slopes[:, free], -r, bounds=room[:, free])
         return float(r @ r) - 2.0 * float(found.cost)
 
     def jacobian(self, x: FloatArray, slopes: Slopes = "exact") -> tuple[FloatArray, ...]:
