@@ -25,6 +25,7 @@ import fmuid
 from fmu_build import compile_modelica
 from fmu_build.errors import ModelicaError
 from fmuid.cli.app import app
+from tests.conftest import ACTUATOR
 
 ROOT = Path(__file__).parents[2]
 PAGES = [
@@ -67,6 +68,8 @@ def desk(fmus: Mapping[str, Path], tmp_path: Path) -> Path:
     if not (ROOT / "campaigns" / "force_feedback" / "measurements.h5").exists():
         rig = [sys.executable, "-m", "benchmarks.virtual_rig", "campaigns/force_feedback"]
         subprocess.run(rig, cwd=ROOT, check=True, capture_output=True)
+    for setup in ACTUATOR:  # each is built when it is asked for
+        assert fmus[setup].is_file()
     for folder in ("build", "campaigns", "docs", "modelica"):
         (tmp_path / folder).symlink_to(ROOT / folder)
     return tmp_path

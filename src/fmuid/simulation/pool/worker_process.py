@@ -86,6 +86,8 @@ def _serve(connection: Channel, folder: Path) -> None:
                 simulator, task, parameters = content
                 result: Any = simulate((kept[simulator], kept[task], parameters))
                 if isinstance(result, ProcessSpentError):
+                    if answers:
+                        _send(connection, answers, memory)
                     os._exit(1)  # the pool tries again in a new worker
             else:
                 function, arguments, keywords = content

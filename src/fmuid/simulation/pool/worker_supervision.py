@@ -310,7 +310,7 @@ class Supervisor:
             if self._failed_starts >= _MAX_FAILED_STARTS:
                 raise FmuidError("worker processes do not start", **_START_HINT) from None
             return
-        if (worker.done or in_reset) and not head.retried and worker.killed != "time":
+        if (worker.done or finished or in_reset) and not head.retried and worker.killed != "time":
             head.retried = True
             with self._lock:
                 self._pending.appendleft(head)
