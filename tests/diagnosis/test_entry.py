@@ -1,12 +1,15 @@
 """Where an unknown effect enters."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from plants import PORTS, misread, plant
 
 from fmuid.diagnosis.candidates import fit_effects
-from fmuid.diagnosis.entry import entries, places, with_knots
+from fmuid.diagnosis.entry import entries, likelier, places, with_knots
 from fmuid.diagnosis.ports import Port
+from fmuid.diagnosis.refit import refit
 
 
 def found(subject, knots=None, **options):
@@ -52,6 +55,17 @@ def test_responses_to_fewer_knots_are_used_again():
 
 def test_what_a_complete_model_leaves_enters_nowhere():
     assert found(plant({})) == ()
+
+
+def test_a_course_is_no_less_likely_for_nominal_parameters_at_their_bounds():
+    """An effect is fitted beside the nominal parameters and so gains what these gain, as a course does."""
+    subject = plant({"hill": 0.3})
+    nominal, named = fit_effects(subject, (), [{}]), fit_effects(subject, subject.effects[:1], [{}])
+    narrow = [replace(u, lower=u.start - 1e-6, upper=u.start + 1e-6) for u in subject.nominal]
+    stuck = replace(nominal, fit=refit(subject.model.predict, subject.observed, narrow))
+    for base in (nominal, stuck):
+        courses = entries(subject.model, subject.observed, base.fit, tuple(PORTS.values()))
+        assert likelier(courses, base, named)
 
 
 def test_ports_that_no_sensor_tells_apart_are_named_together():

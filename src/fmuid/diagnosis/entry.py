@@ -39,6 +39,9 @@ class Entry:
     ----------
     evidence
         Logarithm of the marginal likelihood ratio of a course at its best size and smoothness to none.
+    step
+        Logarithm of the likelihood ratio that a linear step of the nominal parameters gains without a course:
+        above 0 if they are at bounds, or not quite at the optimum.
     left
         Remaining energy beyond that of the noise, relative to it.
     explained
@@ -46,6 +49,7 @@ class Entry:
     """
 
     evidence: float
+    step: float
     left: float
     explained: float
 
@@ -74,7 +78,9 @@ def likelier(found: Mapping[str, Entry], nominal: Fitted, named: Fitted) -> bool
     It has to account for nearly all of it: a course at the place of one cause imitates a part of another one.
     """
     best = max(found.values(), key=lambda e: e.evidence, default=None)
-    return best is not None and best.explained >= _ALL and _beaten(log_evidence(nominal, named), best)
+    if best is None or best.explained < _ALL:
+        return False
+    return _beaten(log_evidence(nominal, named) - best.step, best)  # both with the nominal parameters fitted
 
 
 def _beaten(evidence: float, best: Entry) -> bool:
@@ -117,7 +123,8 @@ def with_knots(
     basis = nominal_basis(base, observed)
     parts = np.split(basis, np.cumsum([len(r) for r in residuals])[:-1])
     fitted = sum((q.T @ r for q, r in zip(parts, residuals, strict=True)), np.zeros(basis.shape[1]))
-    energy = float(sum(r @ r for r in residuals) - fitted @ fitted)
+    step = float(fitted @ fitted)
+    energy = float(sum(r @ r for r in residuals)) - step
     count = sum(len(r) for r in residuals) - basis.shape[1]
     found = {}
     for port in ports:
@@ -131,7 +138,7 @@ def with_knots(
         slope = np.concatenate(own) - shared.T @ fitted
         evidence, explained = max(_evidence(gram, slope, knots, length) for length in _LENGTHS)
         left = max(0.0, (energy - explained) / count - 1.0)
-        found[port.name] = Entry(evidence, left, 1.0 - left / max(energy / count - 1.0, left, 1e-12))
+        found[port.name] = Entry(evidence, 0.5 * step, left, 1.0 - left / max(energy / count - 1.0, left, 1e-12))
     return found
 
 
