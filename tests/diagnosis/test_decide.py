@@ -394,7 +394,8 @@ def test_unknown_keeps_a_weight_and_what_closes_nothing_hardly_any():
     [
         ("complete", 0.75, 1.0, 1e-3, 0.15 * 9.0),  # a gap of three times what matters
         ("complete", 0.05, 1.0, 1e-3, 0.15 * 0.04),
-        ("insufficient", 0.5, 0.5, 0.5, 0.05),
+        ("insufficient", 0.5, 1.0, 0.5 / 2, 0.5 / 6),
+        ("insufficient", 6.0, 1.0, 6.0 / 2, 6.0 / 6),
         ("unknown", 0.5, 1e-3, 0.95, 0.05),
     ],
 )

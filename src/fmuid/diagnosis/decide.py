@@ -216,14 +216,16 @@ def weigh(
     """Return the probability of every surviving answer, of `NONE` and of `UNKNOWN`, before calibration.
 
     Weights decrease with the odds against the best answer. The weight of `UNKNOWN` is the part that the closure
-    leaves open, and that of as large sets of effects among the `rivals` that have not survived.
+    leaves open, and that of as large sets of effects among the `rivals` that have not survived. Where the data are
+    insufficient, the odds of a cause against `NONE` are as the gap: in single runs of the rigs that rules are found
+    on, half the gap in floors for `UNKNOWN`, and a sixth for effects.
     """
     closed = float(np.clip(closed_by(nominal, surviving[0]), 0.0, 1.0)) if surviving else 0.0
     match kind:
         case "complete":
             none, unknown, named = 1.0, 1e-3, 0.15 * max(0.0, nominal.gap / GAP_THAT_MATTERS) ** 2
         case "insufficient":
-            none, unknown, named = 0.5, 0.5, 0.05
+            none, unknown, named = 1.0, nominal.gap / 2, nominal.gap / 6 / max(1, len(surviving))
         case "unknown":
             none, unknown, named = 1e-3, 0.95, 0.05
         case _:
