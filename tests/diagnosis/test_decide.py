@@ -408,6 +408,11 @@ def test_what_a_verdict_without_names_leaves_to_each_answer(kind, gap, none, unk
     assert decide.weigh(fitted((), gap), [], RECORDED, kind)[NONE] == pytest.approx(none / (none + unknown))
 
 
+def test_a_gap_that_cannot_be_seen_may_be_there():
+    weights = decide.weigh(fitted((), 0.0), [], RECORDED, "insufficient", seen=False)
+    assert weights == pytest.approx({NONE: 2 / 3, UNKNOWN: 1 / 3})
+
+
 def test_a_model_is_named_by_what_left_out_experiments_can_say():
     """Left out, one experiment is predicted badly, but within the errors that the others leave in the parameters."""
     nominal, best = fitted((), gap=2.0), fitted(("e",), gap=0.0, held_out=1.95)

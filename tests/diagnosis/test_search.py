@@ -227,6 +227,15 @@ def test_a_start_is_judged_by_what_the_other_parameters_would_make_of_it():
     assert _best_start(subject, [tiny, true], nominal_basis(nominal.fit, subject.observed))[0] is true
 
 
+def test_an_effect_at_implausible_bounds_does_not_take_another_one_with_it():
+    subject = heard({"first": {1: 1.0}, "second": {2: 1.0}}, {1: 3.0, 2: 0.3})
+    first, second = subject.effects
+    short = replace(second, unknowns=(replace(second.unknowns[0], lower=-0.2, upper=0.2),))
+    verdict = diagnose_subject(replace(subject, effects=(first, short))).diagnosis.verdict
+    assert (verdict.kind, verdict.effects) == ("effect", ("first",))
+    assert verdict.rest is not None
+
+
 @pytest.mark.parametrize(
     ("strained", "kind", "effects"), [({"one"}, "effect", ("other",)), ({"one", "other"}, "unknown", ())]
 )

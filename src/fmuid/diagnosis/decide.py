@@ -212,20 +212,24 @@ def weigh(
     observed: Observed,
     kind: Kind,
     rivals: Sequence[Fitted] = (),
+    *,
+    seen: bool = True,
 ) -> dict[tuple[str, ...], float]:
     """Return the probability of every surviving answer, of `NONE` and of `UNKNOWN`, before calibration.
 
     Weights decrease with the odds against the best answer. The weight of `UNKNOWN` is the part that the closure
     leaves open, and that of as large sets of effects among the `rivals` that have not survived. Where the data are
     insufficient, the odds of a cause against `NONE` are as the gap: half of it, in floors, for `UNKNOWN`, and a
-    sixth for effects, as found in single runs of rigs that are no actuator.
+    sixth for effects, as found in single runs of rigs that are no actuator. If no gap was `seen`, one of a floor
+    may still be there.
     """
     closed = float(np.clip(closed_by(nominal, surviving[0]), 0.0, 1.0)) if surviving else 0.0
     match kind:
         case "complete":
             none, unknown, named = 1.0, 1e-3, 0.15 * max(0.0, nominal.gap / GAP_THAT_MATTERS) ** 2
         case "insufficient":
-            none, unknown, named = 1.0, nominal.gap / 2, nominal.gap / 6 / max(1, len(surviving))
+            possible = nominal.gap if seen else max(1.0, nominal.gap)
+            none, unknown, named = 1.0, possible / 2, possible / 6 / max(1, len(surviving))
         case "unknown":
             none, unknown, named = 1e-3, 0.95, 0.05
         case _:

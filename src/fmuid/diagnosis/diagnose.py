@@ -191,7 +191,7 @@ def diagnose_subject(
     judgement = _judge(subject, found, say)
     say("deciding", 0.95)
     verdict = judgement.verdict
-    weights = decide.weigh(nominal, judgement.surviving, observed, verdict.kind, candidates)
+    weights = decide.weigh(nominal, judgement.surviving, observed, verdict.kind, candidates, seen=evidence.present)
     calibrated = shipped() if calibration is None else calibration
     probability = calibrated.apply(verdict, weights)
     corrected = judgement.named[0] if judgement.named else nominal
@@ -333,6 +333,10 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
     powerless = len(set(observed.groups)) < 2 or not (evidence.present or evidence.power)
     surviving = () if best is None else decide.survivors(best, found.candidates, observed)
     plausible = tuple(s for s in surviving if not decide.strained(s, subject.effects))
+    if best is not None and not plausible:  # an implausible effect does not take a plausible one with it
+        fewer = [c for c in found.candidates if c.names and set(c.names) < set(best.names)]
+        fewer = [c for c in fewer if not decide.strained(c, subject.effects)]
+        plausible = (decide.best_of(fewer),) if fewer else ()
     surviving = plausible or surviving
     best = surviving[0] if surviving else None
     if powerless or not evidence.present:
