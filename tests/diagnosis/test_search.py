@@ -234,6 +234,10 @@ def test_an_effect_at_implausible_bounds_does_not_take_another_one_with_it():
     verdict = diagnose_subject(replace(subject, effects=(first, short))).diagnosis.verdict
     assert (verdict.kind, verdict.effects) == ("effect", ("first",))
     assert verdict.rest is not None
+    # An effect that does the same stays open, too.
+    subject = heard({"first": {1: 1.0}, "twin": {1: 1.0, 2: 5e-4}, "second": {2: 1.0}}, {1: 3.0, 2: 0.3})
+    verdict = diagnose_subject(replace(subject, effects=(*subject.effects[:2], short))).diagnosis.verdict
+    assert (verdict.kind, set(verdict.one_of)) == ("ambiguous", {("first",), ("twin",)})
 
 
 @pytest.mark.parametrize(

@@ -219,9 +219,9 @@ def weigh(
 
     Weights decrease with the odds against the best answer. The weight of `UNKNOWN` is the part that the closure
     leaves open, and that of as large sets of effects among the `rivals` that have not survived. Where the data are
-    insufficient, the odds of a cause against `NONE` are as the gap: half of it, in floors, for `UNKNOWN`, and a
-    sixth for effects, as found in single runs of rigs that are no actuator. If no gap was `seen`, one of a floor
-    may still be there.
+    insufficient, the odds against `NONE` grow with the gap: they are half of it, in floors, for `UNKNOWN`, and a
+    sixth for effects, as found in single runs of rigs that are no actuator. If no gap was `seen`, there may still
+    be one of a floor.
     """
     closed = float(np.clip(closed_by(nominal, surviving[0]), 0.0, 1.0)) if surviving else 0.0
     match kind:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -328,16 +328,10 @@ def _evidence(subject: Subject, nominal: Fitted, scores: Sequence[Score], noise:
 
 def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
     """Return the verdict: the surviving answers, the evidence of free functions against them, and the rest."""
-    observed, nominal, best, paths = subject.observed, found.nominal, found.best, found.paths
+    observed, nominal, paths = subject.observed, found.nominal, found.paths
     evidence = found.evidence
     powerless = len(set(observed.groups)) < 2 or not (evidence.present or evidence.power)
-    surviving = () if best is None else decide.survivors(best, found.candidates, observed)
-    plausible = tuple(s for s in surviving if not decide.strained(s, subject.effects))
-    if best is not None and not plausible:  # an implausible effect does not take a plausible one with it
-        fewer = [c for c in found.candidates if c.names and set(c.names) < set(best.names)]
-        fewer = [c for c in fewer if not decide.strained(c, subject.effects)]
-        plausible = (decide.best_of(fewer),) if fewer else ()
-    surviving = plausible or surviving
+    surviving, plausible = _surviving(subject, found)
     best = surviving[0] if surviving else None
     if powerless or not evidence.present:
         return Judgement(Verdict("insufficient" if powerless else "complete"), surviving[:1])
@@ -345,7 +339,7 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
     at = {e.id: e.port for e in subject.effects}
     named = tuple(dict.fromkeys(at[n] for s in surviving for n in s.names))
     own = [at[n] for n in best.names] if best is not None else []
-    named_at_all = best is not None and bool(plausible) and decide.names(nominal, best, finished=done)
+    named_at_all = best is not None and plausible and decide.names(nominal, best, finished=done)
     sure = best is not None and named_at_all and decide.beyond_doubt(nominal, best, finished=done)
     entered: Mapping[str, Entry] = {}
     imitated, part = False, None
@@ -380,6 +374,25 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
     one_of = tuple(tuple(n for n in s.names if n not in common) for s in surviving)
     shared = tuple(n for n in best.names if n in common)
     return Judgement(Verdict("ambiguous", shared, one_of, named, stable, rest), surviving, entered)
+
+
+def _surviving(subject: Subject, found: _Searched) -> tuple[tuple[Fitted, ...], bool]:
+    """Return the answers that the data leave open, and whether they are plausible.
+
+    An effect at implausible bounds does not hide a plausible one beside it.
+    """
+
+    def plausible(answers: Iterable[Fitted]) -> tuple[Fitted, ...]:
+        return tuple(a for a in answers if not decide.strained(a, subject.effects))
+
+    best, candidates = found.best, found.candidates
+    if best is None:
+        return (), False
+    surviving = decide.survivors(best, candidates, subject.observed)
+    kept = plausible(surviving)
+    if not kept and (fewer := plausible(c for c in candidates if c.names and set(c.names) < set(best.names))):
+        kept = plausible(decide.survivors(decide.best_of(fewer), candidates, subject.observed))
+    return kept or surviving, bool(kept)
 
 
 def _decoys(subject: Subject, found: _Searched, port: str) -> tuple[Decoy, ...]:
