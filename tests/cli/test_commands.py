@@ -86,6 +86,29 @@ def test_ctrl_c_while_modules_are_loaded_is_one_line(folder: Path, after: float)
     assert (run.returncode, err) == (130, "fmuid: interrupted\n") or run.returncode == 0
 
 
+@pytest.mark.parametrize("context", ["raise RuntimeError from error", "raise RuntimeError", "raise error"])
+def test_an_error_that_an_interruption_causes_is_one(context: str) -> None:
+    # As Python raises one where a class is being made, and `threading` where a thread is being started.
+    script = f"""
+import signal
+from fmuid.cli import main, app
+def run():
+    try: signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt as error: {context}
+app.run = run
+main()
+"""
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (130, "fmuid: interrupted\n")
+
+
+def test_other_errors_are_shown_whole() -> None:
+    script = "from fmuid.cli import main, app; app.run = lambda: 1 / 0; main()"
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert run.returncode == 1
+    assert "ZeroDivisionError" in run.stderr
+
+
 def test_what_would_crash_while_python_is_taken_down_does_not_after_ctrl_c(folder: Path) -> None:
     # As extension modules do of which an interruption has left half.
     script = """

@@ -20,11 +20,20 @@ def main() -> None:
         warn_in_one_line()
         no_escapes_without_colour()
         code = run()
-    except KeyboardInterrupt:  # while modules are loaded
+    except (KeyboardInterrupt, Exception) as error:  # while modules are loaded
+        if not _follows_interruption(error):
+            raise
         print("fmuid: interrupted", file=sys.stderr)
         code = INTERRUPTED
     interruption.end(code)
     sys.exit(code)
+
+
+def _follows_interruption(error: BaseException | None) -> bool:
+    """Return whether an error is an interruption, or Python or a library raised it because of one."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _open_what_is_closed() -> None:
