@@ -64,13 +64,11 @@ def _gantry_crane() -> Rig:
         held=("buffer.c",),
         outside=_OUTSIDE[plant.name],
         redundant=("trolley.F",),
-        same={"weight@trolley": ("offset@u",)},
+        same={
+            "weight@trolley": ("offset@u", "asymmetry@trolley"),
+            "asymmetry@trolley": ("offset@u", "weight@trolley"),
+        },
         near={
-            "weight@trolley": ("asymmetry@trolley",),
-            "asymmetry@trolley": (
-                "weight@trolley",
-                "offset@u",
-            ),
             "delay@u": ("lag@u",),
             "lag@theta": ("delay@theta",),
             "presliding@trolley": ("coulomb@trolley",),
@@ -130,12 +128,9 @@ def _ball_screw() -> Rig:
         held=("table.stop",),
         outside=_OUTSIDE[plant.name],
         redundant=("screw.d", "table.d"),
-        same={"weight@table": ("offset@i",)},
+        same={"weight@table": ("offset@i", "asymmetry@table")},
         near={
-            "weight@table": (
-                "asymmetry@table",
-                "asymmetry@screw.shaft",
-            ),
+            "weight@table": ("asymmetry@screw.shaft",),
             "presliding@table": (
                 "presliding@screw.shaft",
                 "coulomb@table",
@@ -196,10 +191,12 @@ def _two_link_arm() -> Rig:
         ),
         held=("stop.c",),
         outside=_OUTSIDE[plant.name],
-        same={"weight@links.shoulder": ("imbalance@links.shoulder",)},
-        near={
+        same={
+            "weight@links.shoulder": ("imbalance@links.shoulder",),
             "asymmetry@links.shoulder": ("offset@tau1",),
             "offset@tau2": ("asymmetry@links.elbow",),
+        },
+        near={
             "delay@tau1": ("lag@tau1",),
             "lag@q2": ("delay@q2",),
             "position_friction@links.shoulder": ("coulomb@links.shoulder",),
@@ -369,9 +366,8 @@ def _pneumatic_cylinder() -> Rig:
         held=("springs.cushion",),
         outside=_OUTSIDE[plant.name],
         redundant=("cylinder.A",),
+        same={"asymmetry@piston": ("weight@piston",), "weight@piston": ("asymmetry@piston",)},
         near={
-            "asymmetry@piston": ("weight@piston",),
-            "weight@piston": ("asymmetry@piston",),
             "delay@u": ("lag@u",),
             "lag@p": ("delay@p",),
             "presliding@piston": ("coulomb@piston",),
@@ -427,6 +423,7 @@ def _magnetic_bearing() -> Rig:
         held=("rotor.touch", "magnets.L"),
         outside=_OUTSIDE[plant.name],
         redundant=("rotor.m",),
+        same={"gain@r": ("gain@controller.x",)},
         near={
             "weight@rotor": ("asymmetry@rotor",),
             "lag@x": ("delay@x",),
@@ -491,6 +488,11 @@ def _ship_drive() -> Rig:
         held=("hull.waves",),
         outside=_OUTSIDE[plant.name],
         redundant=("hull.R",),
+        same={
+            "viscous@engine": ("viscous_asymmetry@engine",),
+            "viscous@propeller.shaft": ("viscous_asymmetry@propeller.shaft",),
+            "viscous@hull": ("viscous_asymmetry@hull",),
+        },
         near={
             "viscous@engine": ("viscous@propeller.shaft",),
             "quadratic@engine": ("quadratic@propeller.shaft",),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -16,6 +17,7 @@ _STEP = 1e-3  # of a parameter's logarithm, for derivatives
 _REFITS = 8  # steps of a least-squares search at most
 _FAR = 1.0  # that parameters may move, in their logarithms
 _CORRECTED = 4  # times a size is corrected once the rough gap is right
+_FURTHER = 3.0  # times the size of the same gap, that an effect may have in another one's place
 _CLOSE = 0.05
 _DRAWS = 8  # of the noise of inputs
 _MOST = {"saturation": 0.8, "value": 0.7, "gain": 0.5}  # sizes that are plausible at all
@@ -99,23 +101,33 @@ class SizedPlant:
             return np.full(len(measured), 1e6)
 
     def separation(
-        self, effect: Mapping[str, float], other: Mapping[str, float], recordings: float, noise: Noise = "white"
+        self,
+        effect: Mapping[str, float],
+        other: Mapping[str, float],
+        recordings: float,
+        noise: Noise = "white",
+        every: int = 1,
     ) -> float:
-        """Return by how many standard deviations an effect differs from the best size of another beside it.
+        """Return by how many standard deviations an effect differs from another one.
 
-        Both responses are taken to be linear in small changes.
+        The size of the other one, and the parameters beside it, are refitted to the readings with the effect, of
+        which one sample in `every` is recorded.
         """
-        shape = (len(self._runs), len(self._rig.noise), -1)
+        shape, names = (len(self._runs), len(self._rig.noise), -1), self._rig.parameters
+        measured = self._whitened({}, effect)
 
-        def white(x: Floats) -> Floats:
-            return decorrelated(x.reshape(shape), noise).ravel()
+        def left(x: Floats) -> Floats:
+            try:
+                found = self._whitened(dict(zip(names, x[1:].tolist(), strict=True)), _scaled(other, float(x[0])))
+            except SimulationError:
+                found = measured - 1e6
+            return decorrelated((measured - found).reshape(shape)[..., ::every], noise).ravel()
 
-        columns = np.column_stack([white(column) for column in self._columns.T])
-        inverse = np.linalg.pinv(columns)
-        moved = [white(self._whitened({}, e) - self._plain) for e in (effect, other)]
-        one, two = (x - columns @ (inverse @ x) for x in moved)
-        apart = one - two * float(one @ two) / max(float(two @ two), 1e-300)
-        return float(np.linalg.norm(apart)) * float(np.sqrt(recordings))
+        begin, _ = self._roughly(measured - self._whitened({}, other) + self._plain)
+        far = np.full(len(names), _FAR)
+        bounds = [0.0, *-far], [_FURTHER, *far]
+        found = least_squares(left, [1.0, *begin], bounds=bounds, diff_step=_STEP, max_nfev=_REFITS)
+        return float(np.linalg.norm(found.fun)) * float(np.sqrt(recordings))
 
     def sized(
         self, unit: Mapping[str, float], target: float, *, sign: float = 1.0, shape: float = 1.0
@@ -126,10 +138,7 @@ class SizedPlant:
         """
         most = _MOST.get(next(iter(unit)).partition("@")[0], np.inf)
         unit = {n: v * (shape if n.endswith(SHAPE) else sign) for n, v in unit.items()}
-
-        def at(size: float) -> dict[str, float]:
-            return {n: v if n.endswith(SHAPE) else size * v for n, v in unit.items()}
-
+        at = partial(_scaled, unit)
         low, high, size = 0.0, np.inf, _FIRST
         for _ in range(40):
             gap = self._rough_gap(at(size))
@@ -153,3 +162,8 @@ class SizedPlant:
             return self._roughly(self._whitened({}, effect))[1]
         except SimulationError:
             return np.inf
+
+
+def _scaled(effect: Mapping[str, float], size: float) -> dict[str, float]:
+    """Return an effect at so many times its size, of the same shape."""
+    return {n: v if n.endswith(SHAPE) else size * v for n, v in effect.items()}

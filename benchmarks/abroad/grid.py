@@ -123,11 +123,13 @@ def _hidden_by_noise(
     """Yield the effects that this case's recordings cannot tell from one of its own."""
     how = case.recording
     repeats = 1 if how.noise == "quantised" else how.repeats  # rounding repeats with the signal
-    recordings = repeats * how.quieter**2 / how.every
+    recordings = repeats * how.quieter**2
     rivals = case.rig.near.get(name, {}) if gap > _NOTHING else {}
     for other, unit in rivals.items():
-        rival, reached = plant.sized(unit, gap)
-        if np.isfinite(reached) and plant.separation(effect, rival, recordings, how.noise) < _TOLD_APART:
+        sized = [plant.sized(unit, gap, sign=sign) for sign in ((1.0, -1.0) if directed(other) else (1.0,))]
+        reached = [rival for rival, gap in sized if np.isfinite(gap)]
+        apart = [plant.separation(effect, rival, recordings, how.noise, how.every) for rival in reached]
+        if min(apart, default=np.inf) < _TOLD_APART:
             yield from (other, *case.rig.same.get(other, ()))
 
 

@@ -69,10 +69,14 @@ def _belt_axis() -> Rig:
             "chaos@rotor",
             "slip@carriage",
         ),
-        same={"weight@carriage": ("offset@i",), "value@belt.d": ("viscous@belt",)},
+        same={
+            "weight@carriage": ("offset@i", "asymmetry@carriage"),
+            "asymmetry@carriage": ("offset@i", "weight@carriage"),
+            "value@belt.d": ("viscous@belt",),
+        },
         near={
-            "weight@carriage": ("asymmetry@carriage", "asymmetry@rotor"),
-            "asymmetry@carriage": ("weight@carriage", "asymmetry@rotor", "offset@i"),
+            "weight@carriage": ("asymmetry@rotor",),
+            "asymmetry@carriage": ("asymmetry@rotor",),
             "quadratic@carriage": ("quadratic@rotor",),
             "stribeck@carriage": ("stribeck@rotor",),
             "presliding@carriage": ("presliding@rotor", "coulomb@carriage", "coulomb@rotor"),

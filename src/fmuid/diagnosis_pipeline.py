@@ -154,7 +154,8 @@ def diagnose(
             say("drawing", 0.97)
             _write(found, campaign, folder, seed, None if discovery is None else discovery.best)
     # The workers have ended, so any further simulation runs in this process.
-    return replace(found, subject=replace(subject, model=replace(subject.model, runner=in_process)))
+    model = replace(found.subject.model, runner=in_process)
+    return replace(found, subject=replace(found.subject, model=model))
 
 
 def campaign_from(

@@ -157,6 +157,14 @@ def test_a_delay_is_told_from_a_lag_the_better_the_more_it_is_repeated():
     once, nine_times = (plant.separation(delay, lag, n) for n in (1, 9))
     assert nine_times == pytest.approx(3 * once)
     assert plant.separation(delay, delay, 1) == pytest.approx(0.0, abs=1e-9)
+    # They differ just after the input has changed, which half as many samples miss.
+    assert plant.separation(delay, lag, 1, every=2) < 0.5 * once
+
+
+def test_a_rival_may_have_the_other_sign():
+    """Of a duty cycle that stays positive, a dead zone is a negative offset."""
+    case = next(c for c in plan(1) if c.effects == ("dead_zone@duty",) and c.rig is BUCK)
+    assert label(case, 1)["same"] == {"dead_zone@duty": ["offset@duty"]}
 
 
 @pytest.mark.parametrize(

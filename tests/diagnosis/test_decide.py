@@ -117,6 +117,14 @@ def test_names_that_close_far_less_are_not_listed_beside_the_best():
     assert found[1] is near
 
 
+def test_the_likeliest_answer_weighs_most_whatever_predicts_experiments_left_out_best():
+    best, likelier = (fitted((n,), 0.0, residuals=[[0.0], [y]]) for n, y in (("best", 0.6), ("likelier", 0.0)))
+    weights = decide.weigh(fitted((), 1.0), [best, likelier], RECORDED, "ambiguous")
+    odds = decide.log_odds(likelier, best, RECORDED)
+    assert odds > 1.0
+    assert weights["likelier",] / weights["best",] == pytest.approx(np.exp(odds))
+
+
 def test_odds_follow_from_the_difference_of_costs_and_the_number_of_parameters():
     a, b = (fitted((n,), 0.0, residuals=[[0.0], [y]]) for n, y in (("a", 0.0), ("b", 0.5)))
     assert decide.log_odds(a, b, RECORDED) == pytest.approx(0.5 * 1.5**2)
@@ -369,14 +377,6 @@ def test_an_answer_that_has_just_been_ruled_out_leaves_a_doubt():
     assert unknown(best, gapless, larger) == unknown()
     assert unknown(near) - unknown() == pytest.approx(1.0 / 25.0)
     assert unknown(near, far, best) - unknown(near) == pytest.approx(1e-4)
-
-
-def test_an_answer_that_the_data_prefer_to_the_best_weighs_as_much():
-    """The best one is that of the least loss on held-out experiments, so another may fit a little better."""
-    best = fitted(("best",), 0.0, held_out=0.4, residuals=[[0.0], [1.0]])
-    closer = fitted(("closer",), 0.0, residuals=[[0.0], [0.0]])
-    weights = decide.weigh(fitted((), 1.0), [best, closer], RECORDED, "ambiguous")
-    assert weights[("closer",)] == weights[("best",)]
 
 
 def test_unknown_keeps_a_weight_and_what_closes_nothing_hardly_any():

@@ -102,7 +102,9 @@ def test_what_no_effect_explains_is_called_unknown_at_its_port():
 
 
 def test_two_effects_that_no_experiment_tells_apart_are_both_named():
-    answer = check(diagnose_subject(plant({"tilt": 0.05}, effects={**EFFECTS, "cable": TWIN})))
+    answer = check(
+        diagnose_subject(plant({"tilt": 0.05}, effects={**EFFECTS, "cable": replace(TWIN, port="command")}))
+    )
     assert answer["verdict"]["kind"] == "ambiguous"
     assert answer["verdict"]["effects"] == []
     assert sorted(answer["verdict"]["one_of"]) == [["cable"], ["tilt"]]

@@ -83,7 +83,7 @@ def test_a_gap_that_shows_in_no_effect_is_unknown_without_a_port():
 def test_a_sensor_is_proposed_that_tells_apart_what_no_further_run_does():
     difference = 0.02
     laws = {"one": {1: 1.0}, "other": {1: 1.0, -1: difference}}
-    found = diagnose_subject(heard(laws, {1: 1.0}, ports={"one": "p", "other": "p"}))
+    found = diagnose_subject(heard(laws, {1: 1.0}))
     answer = found.diagnosis.to_dict()
     assert answer["verdict"]["kind"] == "ambiguous"
     assert answer["next_experiment"] is None
@@ -99,7 +99,7 @@ def test_a_sensor_is_proposed_that_tells_apart_what_no_further_run_does():
 
 @pytest.mark.parametrize("told", [{2: 0.0005}, {-1: 0.004}])
 def test_nothing_is_proposed_that_would_not_settle_the_matter(told, monkeypatch):
-    subject = heard({"one": {1: 1.0}, "other": {1: 1.0, **told}}, {1: 1.0}, ports={"one": "p", "other": "p"})
+    subject = heard({"one": {1: 1.0}, "other": {1: 1.0, **told}}, {1: 1.0})
     found = diagnose_subject(subject)
     assert found.diagnosis.verdict.kind == "ambiguous"
     assert (found.diagnosis.next_experiment, found.diagnosis.added_sensor) == (None, None)
@@ -136,6 +136,17 @@ def test_what_leaves_a_rest_at_its_own_place_is_not_named(truth, error, verdict)
     ).diagnosis.verdict
     assert (said.kind, said.effects, said.ports)[: len(verdict)] == verdict
     assert said.rest is None or said.rest.where.endswith("(it enters at reading)")
+
+
+def test_laws_of_one_place_that_do_the_same_are_named_once():
+    """Which of two places it is, on the other hand, stays open."""
+    laws = {"plain": {1: 1.0}, "other": {1: 1.0}}
+    answer = diagnose_subject(heard(laws, {1: 1.0}, ports=dict.fromkeys(laws, "here"))).diagnosis
+    assert (answer.verdict.kind, answer.verdict.effects) == ("effect", ("plain",))
+    assert answer.answers[0].probability > 0.9
+    assert "In these runs, other would be the same as plain." in answer.notes
+    apart = diagnose_subject(heard(laws, {1: 1.0})).diagnosis
+    assert apart.verdict.one_of == (("plain",), ("other",))
 
 
 def test_an_effect_is_unknown_if_it_is_far_likelier_than_what_imitates_it():

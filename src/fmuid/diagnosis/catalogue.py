@@ -79,6 +79,11 @@ class Effect:
     usual: bool = True
     variant: bool = False
 
+    @property
+    def preference(self) -> tuple[bool, int, bool]:
+        """Key by which indistinguishable effects are sorted: first the usual, the simple, a deviating value."""
+        return not self.usual, len(self.unknowns), not self.id.startswith("value@")
+
     def scaled(self, trial: Mapping[str, float], factor: float, *, clipped: bool = True) -> dict[str, float]:
         """Return a trial with sizes scaled by `factor` from neutral, by default kept within their bounds."""
         values = {**self.neutral, **trial}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -27,6 +27,7 @@ ABOUT_AS_WELL = 1.5  # ratio of remaining gaps: a free function is one linear st
 CLOSURE_BEYOND_DOUBT = 0.85  # an effect that closes this much is not unknown, though its law may differ in shape
 SAME = 4.0  # standard deviations by which the data must contradict an answer, or a run must separate two
 OPEN = 20.0  # odds against an answer beyond which it is not left open: strong evidence (Kass and Raftery 1995)
+_EQUAL = 0.25  # standard deviations between answers: if one is true, odds stay below 2 in 99 of 100 recordings
 _BLOCK = 20.0  # this many samples of model error carry as much information as one of noise
 
 
@@ -111,6 +112,35 @@ def survivors(best: Fitted, candidates: Sequence[Fitted], observed: Observed) ->
         best = c if log_odds(c, best, observed) >= np.log(OPEN) else best
     others = (c for c in sets.values() if c is not best and log_odds(best, c, observed) < np.log(OPEN))
     return best, *others
+
+
+def said_once(
+    candidates: Sequence[Fitted], effects: Mapping[str, Effect], observed: Observed
+) -> tuple[tuple[Fitted, ...], ...]:
+    """Return the models in classes that predict the same and differ in their laws alone, not in the places.
+
+    Friction that differs between the directions is plain friction where a shaft never reverses. The most usual
+    and simplest of a class comes first, and stands for it.
+    """
+
+    def preference(fitted: Fitted) -> list[tuple[bool, int, bool]]:
+        return sorted(effects[name].preference for name in fitted.names)
+
+    def alike(a: Fitted, b: Fitted) -> bool:
+        places = [sorted(effects[name].port for name in fitted.names) for fitted in (a, b)]
+        if places[0] != places[1] or set(a.names) == set(b.names):
+            return False
+        ra, rb = (_stacked(fitted, observed, None) for fitted in (a, b))
+        return float(np.linalg.norm(ra - rb)) <= _EQUAL
+
+    classes: list[list[Fitted]] = []
+    for fitted in sorted(candidates, key=preference):
+        own = next((c for c in classes if alike(c[0], fitted)), None)
+        if own is None:
+            classes.append([fitted])
+        else:
+            own.append(fitted)
+    return tuple(map(tuple, classes))
 
 
 def _comparable(best: Fitted, other: Fitted) -> bool:
@@ -236,8 +266,9 @@ def weigh(
             none, unknown, named = 1e-3, max(0.02, _doubt(closed)), max(1e-3, closed)
             unknown += named * _of_rivals(surviving, rivals, observed)
     weights: dict[tuple[str, ...], float] = {NONE: none, UNKNOWN: unknown}
-    for s in surviving:
-        weights[s.names] = max(1e-6, named * float(np.exp(-max(0.0, log_odds(surviving[0], s, observed)))))
+    odds = [log_odds(s, surviving[0], observed) for s in surviving]  # the first one need not be the likeliest
+    for s, own in zip(surviving, odds, strict=True):
+        weights[s.names] = max(1e-6, named * float(np.exp(own - max(odds))))
     total = sum(weights.values())
     return {effects: w / total for effects, w in weights.items()}
 

@@ -187,7 +187,11 @@ def diagnose_subject(
     nominal, scores, evidence, paths = found.nominal, found.scores, found.evidence, found.paths
     if found.best is not None and evidence.present:
         found = replace(found, candidates=[*found.candidates, *twins(subject, found.best, scores)])
-    candidates = found.candidates
+    classes = decide.said_once(found.candidates, subject.by_id, observed)
+    firsts = {id(fitted): own[0] for own in classes for fitted in own}
+    candidates = [fitted for fitted in found.candidates if firsts[id(fitted)] is fitted]
+    best = None if found.best is None else firsts.get(id(found.best), found.best)
+    found = replace(found, candidates=candidates, best=best)
     judgement = _judge(subject, found, say)
     say("deciding", 0.95)
     verdict = judgement.verdict
@@ -235,6 +239,7 @@ def diagnose_subject(
         notes=(
             *subject.findings,
             *_shown_once(nominal, judgement.named),
+            *_said_once(classes, judgement.named),
             *((calibrated.note,) if calibrated.trials else ()),
         ),
         outliers=subject.outliers,
@@ -302,6 +307,14 @@ def _shown_once(nominal: Fitted, named: Sequence[Fitted]) -> Iterator[str]:
                 "Part of what is missing shows in one experiment only, which the others therefore do not predict: "
                 "the closure on runs that were not used is a lower limit. Another run of its kind would settle it."
             )
+
+
+def _said_once(classes: Sequence[Sequence[Fitted]], named: Sequence[Fitted]) -> Iterator[str]:
+    """Yield a note for each answer that other laws at its places cannot be told from."""
+    for answer, *others in classes:
+        if others and any(answer is one for one in named):
+            same = " or ".join(dict.fromkeys(" and ".join(o.names) for o in others))
+            yield f"In these runs, {same} would be the same as {' and '.join(answer.names)}."
 
 
 def _prediction(subject: Subject, values: Mapping[str, float]) -> Prediction:

@@ -146,7 +146,7 @@ def without_aliases(
     with fewer parameters, then a deviating parameter value, then the first.
     """
     by_id = {s.effect: s for s in scores}
-    order = sorted(effects, key=lambda e: (not e.usual, len(e.unknowns), not e.id.startswith("value@")))
+    order = sorted(effects, key=lambda e: e.preference)
     shown = [(e, s) for e in order if (s := by_id.get(e.id)) is not None and s.signature is not None]
     signatures = np.array([s.signature for _, s in shown])
     cosines = signatures @ signatures.T
