@@ -207,7 +207,7 @@ def test_a_gap_is_present_if_it_matters_and_noise_hardly_ever_leaves_as_much(
         diagnose, "excesses", lambda *_: (np.array([-0.1, largest_of_one**2]), np.array([30.0, 70.0]))
     )
     monkeypatch.setattr(diagnose, "excess", lambda *_: gap**2)
-    monkeypatch.setattr(diagnose, "smallest_seen", lambda *_, threshold: threshold)
+    monkeypatch.setattr(diagnose, "smallest_seen", lambda *_, threshold, simulated: threshold)
     asked = []
 
     def of(excess, score):
@@ -216,7 +216,7 @@ def test_a_gap_is_present_if_it_matters_and_noise_hardly_ever_leaves_as_much(
 
     null = SimpleNamespace(p_value=of, threshold=lambda: 9.0)
     noise = SimpleNamespace(null=lambda basis, signatures: null)
-    subject = SimpleNamespace(observed=RECORDED, effects=())
+    subject = SimpleNamespace(observed=RECORDED, effects=(), model=SimpleNamespace(predict=None))
     scores = [SimpleNamespace(signature=None, drop=d) for d in (3.0, 8.0)]
     evidence = diagnose._evidence(subject, fitted((), gap), scores, noise)
     assert (evidence.present, evidence.p_value) == (present, p_value)

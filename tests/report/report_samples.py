@@ -165,6 +165,7 @@ def diagnosis():
             {"effects": ["none"], "probability": 0.01, "closure": None},
         ],
         "alias_classes": [["mesh_loss"], ["sensor_gain", "saturation"]],
+        "hidden": {"unseen": ["backlash"], "imitated": ["sensor_offset"]},
         "model": {"parameters": {"d_S": 2.66, "lossTable[1,2]": 0.93}},
         "next_experiment": {
             "setup": "eccentric_load",

@@ -27,7 +27,8 @@ def test_a_reader_sees_where_what_and_how_much(tmp_path):
         "9.4 → 6.1 refitted → 0.35 corrected",
         "0.93 (0.85 to 1.01)",
         "would separate mesh_loss from viscous by 7.2 standard deviations",
-        "sensor_gain = saturation",
+        "cannot tell apart: sensor_gain or saturation.",
+        "No sensor would show: backlash. The fitted parameters would hide: sensor_offset.",
         "seed",
     ):
         assert words in " ".join(page.text.split()), words

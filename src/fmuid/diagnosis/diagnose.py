@@ -32,7 +32,7 @@ from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
 from fmuid.diagnosis.null_distribution import NoiseDraws, Null, draw_noise
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess, excesses, gap
 from fmuid.diagnosis.ports import Decoy, fit_decoys, responses_of
-from fmuid.diagnosis.power import smallest_seen
+from fmuid.diagnosis.power import hidden, smallest_seen
 from fmuid.diagnosis.regimes import bases, folded, own_bases, trajectories
 from fmuid.diagnosis.scores import Score, nominal_basis
 from fmuid.diagnosis.segment_states import with_states
@@ -236,6 +236,7 @@ def diagnose_subject(
         added_sensor=sensor_to_add(subject, judgement.surviving, beyond=beyond) if ambiguous else None,
         port_closures={port: entry.closure for port, entry in judgement.entered.items()},
         power=evidence.power,
+        hidden=hidden(scores),
         notes=(
             *subject.findings,
             *_shown_once(nominal, judgement.named),
@@ -335,8 +336,17 @@ def _evidence(subject: Subject, nominal: Fitted, scores: Sequence[Score], noise:
     p_value = null.p_value(excess(nominal.fit.residuals, observed), largest / decide.SCORE_MARGIN)
     needed = GAP_THAT_MATTERS**2 * float(observed.repeats @ count)
     threshold = max(decide.SCORE_MARGIN * null.threshold(), needed)
-    power = smallest_seen(scores, subject.effects, threshold=threshold)
-    return Evidence(matters and p_value < decide.SIGNIFICANCE, p_value, null, power)
+    present = matters and p_value < decide.SIGNIFICANCE
+    power = smallest_seen(
+        subject.model.predict,
+        observed,
+        nominal.fit,
+        scores,
+        subject.effects,
+        threshold=threshold,
+        simulated=not present,  # what would have been seen matters where nothing was
+    )
+    return Evidence(present, p_value, null, power)
 
 
 def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:

@@ -50,6 +50,8 @@ class Score:
         do.
     same
         Scores of effects that the data cannot distinguish from this one, which stands for them.
+    largest
+        Score of the trial that does most, at the size that is plausible.
     """
 
     effect: str
@@ -62,6 +64,7 @@ class Score:
     length: float = 0.0
     trials: tuple[Mapping[str, float], ...] = ()
     same: tuple[Score, ...] = ()
+    largest: Score | None = None
 
 
 def stack(parts: Sequence[FloatArray], observed: Observed) -> FloatArray:
@@ -79,10 +82,12 @@ def score_effects(
 ) -> tuple[Score, ...]:
     """Score every effect at the refitted model `base`, best first, without trials that fail to simulate."""
     trials = [(effect, trial) for effect in effects for trial in effect.trials]
-    found = _matched(predict, observed, base, trials)
+    plain = list(score_trials(predict, observed, base, trials))
+    found = _matched(predict, observed, base, trials, plain)
     own = {e.id: [s for s in found if s is not None and s.effect == e.id] for e in effects}
+    largest = {s.effect: s for s in sorted((s for s in plain if s is not None), key=lambda s: s.length)}
     best = [
-        replace(max(scores, key=lambda s: s.drop), trials=tuple(s.trial for s in scores))
+        replace(max(scores, key=lambda s: s.drop), trials=tuple(s.trial for s in scores), largest=largest[name])
         if scores
         else Score(name, {}, 0.0, 0.0, 0.0, None)
         for name, scores in own.items()
@@ -91,26 +96,30 @@ def score_effects(
 
 
 def _matched(
-    predict: Predict, observed: Observed, base: Refit, trials: Sequence[tuple[Effect, Mapping[str, float]]]
+    predict: Predict,
+    observed: Observed,
+    base: Refit,
+    trials: Sequence[tuple[Effect, Mapping[str, float]]],
+    plain: Sequence[Score | None],
 ) -> list[Score | None]:
-    """Score trials, each scaled down until it moves the predictions no more than about as much as the gap.
+    """Return scores of trials from their `plain` ones: trials that do more than about the gap are scaled down.
 
     What a far larger effect does says little about one of the size of the gap: a plant without control drifts away
     from where its response is linear in the effect.
     """
     target = float(np.linalg.norm(stack(base.residuals, observed)))
-    found = list(_scored(predict, observed, base, trials))
+    found = list(plain)
     for _ in range(_SCALED):
         large = {k: s for k, s in enumerate(found) if s is not None and s.length > _OVERSHOOT * target}
         if not large:
             break
         smaller = [(trials[k][0], trials[k][0].scaled(s.trial, target / s.length)) for k, s in large.items()]
-        for k, score in zip(large, _scored(predict, observed, base, smaller), strict=True):
+        for k, score in zip(large, score_trials(predict, observed, base, smaller), strict=True):
             found[k] = score
     return found
 
 
-def _scored(
+def score_trials(
     predict: Predict, observed: Observed, base: Refit, trials: Sequence[tuple[Effect, Mapping[str, float]]]
 ) -> Iterator[Score | None]:
     """Yield the score of each trial, None for those that fail to simulate."""
@@ -159,7 +168,7 @@ def without_aliases(
     for (i, k), cosine in near.items():
         effect, score = shown[i]
         sizes.append((effect, effect.scaled(score.trial, np.copysign(shown[k][1].length / score.length, cosine))))
-    for (i, k), matched in zip(near, _scored(predict, observed, base, sizes), strict=True):
+    for (i, k), matched in zip(near, score_trials(predict, observed, base, sizes), strict=True):
         if matched is not None and matched.signature is not None:
             again = abs(float(signatures[k] @ matched.signature))
             cosines[i, k] = max(abs(cosines[i, k]), again)

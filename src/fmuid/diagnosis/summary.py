@@ -15,9 +15,7 @@ _ROWS = 6
 def summary(diagnosis: Mapping[str, Any]) -> list[str]:
     """Return the verdict, the place of the gap and its reduction, one line each."""
     lines = [f"{fact.label}: {fact.value}" for fact in facts(diagnosis)]
-    alike = [" or ".join(names) for names in diagnosis["alias_classes"]]
-    if alike:
-        lines.append(f"These runs and sensors cannot tell apart: {'; '.join(alike)}")
+    lines += indistinct(diagnosis)
     following = diagnosis.get("next_experiment")
     if following:
         lines.append(
@@ -35,6 +33,18 @@ def summary(diagnosis: Mapping[str, Any]) -> list[str]:
         lines.append(f"Smallest effects that would have been seen: {_smallest(diagnosis['power'])}")
     lines += machine_lines(diagnosis)
     return lines + [f"Note: {note}" for note in diagnosis.get("notes", ())]
+
+
+def indistinct(diagnosis: Mapping[str, Any]) -> list[str]:
+    """Return a line for each reason why effects would not be told apart, or not be seen."""
+    alike = [" or ".join(names) for names in diagnosis["alias_classes"] if len(names) > 1]
+    hidden = diagnosis.get("hidden") or {}
+    found = {
+        "These runs and sensors cannot tell apart": "; ".join(alike),
+        "No sensor would show": ", ".join(hidden.get("unseen", ())),
+        "The fitted parameters would hide": ", ".join(hidden.get("imitated", ())),
+    }
+    return [f"{what}: {names}" for what, names in found.items() if names]
 
 
 def machine_lines(diagnosis: Mapping[str, Any]) -> list[str]:

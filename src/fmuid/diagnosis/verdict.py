@@ -179,6 +179,22 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True)
+class Hidden:
+    """Effects that these data cannot show, whatever their plausible size.
+
+    Attributes
+    ----------
+    unseen
+        No sensor shows them.
+    imitated
+        The fitted parameters can do whatever they do.
+    """
+
+    unseen: tuple[str, ...] = ()
+    imitated: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class LeftOut:
     """Samples that were excluded: spikes, held or lost samples."""
 
@@ -375,6 +391,8 @@ class Diagnosis:
         By port, the share of the gap that an arbitrary course over time there closes.
     power
         By effect, the smallest values of its parameters at which it would have been seen.
+    hidden
+        Effects that would not be seen at any plausible size.
     law_found
         The law found, or the reason for none, where the verdict leaves more than noise and a law was looked for.
     machines
@@ -393,6 +411,7 @@ class Diagnosis:
     port_closures: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     power: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    hidden: Hidden = Hidden()
     outliers: tuple[LeftOut, ...] = ()
     law_found: LawFound | None = None
     machines: BetweenMachines | None = None
@@ -438,6 +457,7 @@ class Diagnosis:
             "port_closures": dict(self.port_closures),
             "notes": list(self.notes),
             "power": {effect: dict(values) for effect, values in self.power.items()},
+            "hidden": {"unseen": list(self.hidden.unseen), "imitated": list(self.hidden.imitated)},
             "outliers": [asdict(o) for o in self.outliers],
             "law_found": None if self.law_found is None else self.law_found.to_dict(),
             **({} if self.machines is None else {"machines": self.machines.to_dict()}),

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from fmuid.diagnosis.summary import facts, machine_lines
+from fmuid.diagnosis.summary import facts, indistinct, machine_lines
 from fmuid.report import diagnosis_figures as pictures_of
 from fmuid.report.diagnosis_figures import DiagnosisPictures
 from fmuid.report.document import Document, Drawing, Item, Section, write_document
@@ -70,7 +70,7 @@ def write_diagnosis_report(
                 pictures_of.ports_figure(diagnosis),
                 pictures_of.effects_table(diagnosis, refitted=True),
             ),
-            _aliases(diagnosis),
+            " ".join(f"{line}." for line in indistinct(diagnosis)),
             _present(pictures_of.effects_table(diagnosis, refitted=False)),
             "Effects that promised too little to be refitted",
         ),
@@ -99,11 +99,6 @@ def _present(*items: Item | None) -> tuple[Item, ...]:
 
 def _excess(pictures: DiagnosisPictures) -> Figure | None:
     return pictures_of.excess_figure(pictures.excess)
-
-
-def _aliases(diagnosis: Mapping[str, Any]) -> str:
-    classes = [" = ".join(c) for c in diagnosis["alias_classes"] if len(c) > 1]
-    return "" if not classes else "These runs and sensors cannot tell apart: " + "; ".join(classes) + "."
 
 
 def _law(diagnosis: Mapping[str, Any]) -> str:
