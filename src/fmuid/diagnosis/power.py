@@ -43,11 +43,11 @@ def smallest_seen(
 
     for _ in range(_ROUNDS if simulated else 0):
         sizes = {name: _next(own, wanted, most[name]) for name, own in known.items()}
-        tried = {name: size for name, size in sizes.items() if size is not None}
-        trials = [(by_id[name], values(name, size)) for name, size in tried.items()]
-        for (name, size), score in zip(
-            tried.items(), score_trials(predict, observed, base, trials) if tried else (), strict=True
-        ):
+        tried = [(name, size) for name, size in sizes.items() if size is not None]
+        if not tried:
+            break
+        trials = [(by_id[name], values(name, size)) for name, size in tried]
+        for (name, size), score in zip(tried, score_trials(predict, observed, base, trials), strict=True):
             known[name][size] = np.inf if score is None else score.length  # a failure does not go unnoticed
     if simulated:
         found = {name: _bracket(own, wanted)[1] for name, own in known.items()}
