@@ -8,7 +8,7 @@ from report_page import Page
 from fmuid.diagnosis.summary import facts, likeliest, sentences, summary, verdict_text
 from fmuid.diagnosis.validation import read_diagnosis
 from fmuid.report import DiagnosisPictures, write_diagnosis_report
-from fmuid.report.diagnosis_figures import effects_figure, effects_table, gap_figure, range_text
+from fmuid.report.diagnosis_figures import effects_figure, effects_table, gap_figure, range_text, seen_table
 
 
 def test_a_reader_sees_where_what_and_how_much(tmp_path):
@@ -120,6 +120,17 @@ def test_the_smallest_gain_that_would_have_been_seen_is_told_from_none():
     assert "Smallest effects that would have been seen: sensor_gain (tau_sensor.gain = 1.013)" in summary(
         diagnosis
     )
+    assert seen_table(diagnosis) is None
+    diagnosis["gap"]["present"] = False
+    assert seen_table(diagnosis).rows == (("sensor_gain", "tau_sensor.gain", 1.0132),)
+
+
+def test_of_many_names_the_first_ones_are_printed():
+    diagnosis = copy.deepcopy(samples.diagnosis()) | {
+        "hidden": {"unseen": list("abcdefghij"), "imitated": list("klmnopq")}
+    }
+    assert "No sensor would show: a, b, c, d, e, f, 4 more" in summary(diagnosis)
+    assert "The fitted parameters would hide: k, l, m, n, o, p, q" in summary(diagnosis)
 
 
 def test_a_verdict_that_is_not_likely_is_no_good_news():

@@ -37,12 +37,12 @@ def summary(diagnosis: Mapping[str, Any]) -> list[str]:
 
 def indistinct(diagnosis: Mapping[str, Any]) -> list[str]:
     """Return a line for each reason why effects would not be told apart, or not be seen."""
-    alike = [" or ".join(names) for names in diagnosis["alias_classes"] if len(names) > 1]
+    alike = [_some(names, " or ") for names in diagnosis["alias_classes"] if len(names) > 1]
     hidden = diagnosis.get("hidden") or {}
     found = {
         "These runs and sensors cannot tell apart": "; ".join(alike),
-        "No sensor would show": ", ".join(hidden.get("unseen", ())),
-        "The fitted parameters would hide": ", ".join(hidden.get("imitated", ())),
+        "No sensor would show": _some(hidden.get("unseen", ()), ", "),
+        "The fitted parameters would hide": _some(hidden.get("imitated", ()), ", "),
     }
     return [f"{what}: {names}" for what, names in found.items() if names]
 
@@ -319,7 +319,13 @@ def regime_text(place: Mapping[str, Any]) -> str:
 
 
 def _smallest(seen: Mapping[str, Mapping[str, float]]) -> str:
-    return "; ".join(f"{e} ({', '.join(f'{n} = {v:.4g}' for n, v in own.items())})" for e, own in seen.items())
+    return _some([f"{e} ({', '.join(f'{n} = {v:.4g}' for n, v in own.items())})" for e, own in seen.items()], "; ")
+
+
+def _some(names: Sequence[str], between: str) -> str:
+    """Return the names, joined; of many, the first ones and how many more there are."""
+    more = len(names) - _ROWS
+    return between.join(names) if more <= 1 else between.join([*names[:_ROWS], f"{more} more"])
 
 
 def _row(name: str, judged: Mapping[str, Any], estimates: Mapping[str, Any]) -> list[str]:

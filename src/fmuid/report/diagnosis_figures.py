@@ -363,6 +363,19 @@ def effects_table(diagnosis: Mapping[str, Any], *, refitted: bool) -> Table:
     )
 
 
+def seen_table(diagnosis: Mapping[str, Any]) -> Table | None:
+    """Return the size from which each effect would have been seen, where none was."""
+    if diagnosis["gap"]["present"]:
+        return None
+    rows = tuple(
+        (effect, parameter, value)
+        for effect, own in diagnosis.get("power", {}).items()
+        for parameter, value in own.items()
+    )
+    header = ("effect", "parameter", "smallest size")
+    return Table(header, rows, "seen", "Effects that would have been seen from this size on", digits=(5, 5, 4))
+
+
 def where_table(diagnosis: Mapping[str, Any]) -> Table:
     """Return where the gap lies, largest share first."""
     rows = []

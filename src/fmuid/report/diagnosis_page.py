@@ -71,8 +71,9 @@ def write_diagnosis_report(
                 pictures_of.effects_table(diagnosis, refitted=True),
             ),
             " ".join(f"{line}." for line in indistinct(diagnosis)),
-            _present(pictures_of.effects_table(diagnosis, refitted=False)),
-            "Effects that promised too little to be refitted",
+            _present(pictures_of.effects_table(diagnosis, refitted=False), pictures_of.seen_table(diagnosis)),
+            "Effects that promised too little to be refitted"
+            + ("" if diagnosis["gap"]["present"] else ", and what would have been seen"),
         ),
         Section(
             "A law found",
