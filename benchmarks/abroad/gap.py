@@ -40,8 +40,7 @@ class SizedPlant:
             (self._whitened({name: _STEP}, {}) - self._whitened({name: -_STEP}, {})) / (2 * _STEP)
             for name in rig.parameters
         ]
-        self._columns = np.column_stack(columns)
-        self._inverse = np.linalg.pinv(self._columns)
+        self._inverse = np.linalg.pinv(np.column_stack(columns))
 
     def _whitened(self, moved: Mapping[str, float], effect: Mapping[str, float]) -> Floats:
         """Return all readings in units of the floor; parameters are `moved` in their logarithms."""

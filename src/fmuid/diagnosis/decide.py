@@ -130,8 +130,8 @@ def said_once(
         places = [sorted(effects[name].port for name in fitted.names) for fitted in (a, b)]
         if places[0] != places[1] or set(a.names) == set(b.names):
             return False
-        ra, rb = (_stacked(fitted, observed, None) for fitted in (a, b))
-        return float(np.linalg.norm(ra - rb)) <= _EQUAL
+        _, apart, _ = _compared(a, b, observed, None)
+        return apart <= _EQUAL
 
     classes: list[list[Fitted]] = []
     for fitted in sorted(candidates, key=preference):
