@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 import subprocess
 import sys
 import textwrap
@@ -61,3 +62,21 @@ def test_ctrl_c_stops_a_simulation_between_two_steps(build):
     command = [sys.executable, "-c", textwrap.dedent(script)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=600)
     assert done.stdout == "stopped (1, 500000)\n"
+
+
+def test_a_run_that_takes_far_longer_than_others_is_stopped(build, monkeypatch):
+    monkeypatch.setattr(stepper, "_SLICE", 0.0)
+    fmu, task = Fmu(build(2)), Task(np.arange(500) * 1e-3, {}, ("y",))
+    monkeypatch.setattr(stepper.time, "thread_time", clock(1.0))
+    expected = fmu.simulate(task, {})
+    monkeypatch.setattr(stepper.time, "thread_time", clock(1e3))
+    with pytest.raises(SimulationError, match=r"took over 100 times as long as others and was stopped at t = 0\.\d+ s"):
+        fmu.simulate(task, {})
+    monkeypatch.setattr(stepper.time, "thread_time", clock(1e-2))
+    assert np.array_equal(fmu.simulate(task, {}), expected)
+
+
+def clock(tick: float):
+    """Return a clock that goes on by `tick` s each time it is looked at."""
+    times = itertools.count()
+    return lambda: tick * next(times)

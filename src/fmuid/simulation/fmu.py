@@ -91,6 +91,7 @@ class Fmu:
         self._differentiates: dict[frozenset[str], bool] = {}
         self._prepared = PreparedTasks()
         self._branches = Branches()
+        self._patience = stepper.Patience()
 
     @property
     def variables(self) -> Mapping[str, Variable]:
@@ -356,7 +357,7 @@ class Fmu:
         fatal = False
         finished = False
         try:
-            outcome = stepper.run_to_end(_run(), plan)
+            outcome = self._patience.run_to_end(_run(), plan, predictions.shape[-1])
             if outcome == Outcome.DONE:
                 finished = True
                 return predictions
@@ -407,6 +408,7 @@ _REASONS = {
     Outcome.TERMINATED: "the FMU ended the simulation",
     Outcome.EARLY_RETURN: "the FMU returned early from a step, which was not allowed,",
     Outcome.STEP_TOO_SMALL: "the integrator cannot keep its error within the tolerance",
+    Outcome.TOO_SLOW: "the run took over 100 times as long as others and was stopped",
     Outcome.EVENTS_DO_NOT_SETTLE: "the event iteration does not settle",
 }
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import time
 from collections.abc import Callable
 from ctypes import POINTER, c_char_p, c_double, c_int32, c_int64, c_size_t, c_void_p
 from enum import IntEnum
@@ -19,6 +20,7 @@ from fmuid.core.errors import FmuError
 T = TypeVar("T")
 _REINSTALL = "install fmuid again, in a clone with `pip install --editable .`"
 _SLICE = 0.1  # s between checks for Ctrl-C
+_PATIENCE, _SLOWER = 20.0, 100.0  # s, and times the slowest run that ended: see `Patience`
 FUNCTIONS = (
     "RESET",
     "SETUP_EXPERIMENT",
@@ -53,7 +55,7 @@ DTYPES = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8")
 
 
 class Outcome(IntEnum):
-    """Reasons why a run ended, as in stepper.c."""
+    """Reasons why a run ended, as in stepper.c; `Patience` ends one that is too slow."""
 
     DONE = 0
     PAUSED = 1
@@ -64,6 +66,7 @@ class Outcome(IntEnum):
     STEP_TOO_SMALL = 6
     EVENTS_DO_NOT_SETTLE = 7
     LOOP_NOT_SOLVED = 8
+    TOO_SLOW = 9
 
 
 class Group(ctypes.Structure):
@@ -171,9 +174,27 @@ def library() -> ctypes.CDLL:
     return stepper
 
 
-def run_to_end(run: Callable[[T, int, float], int], subject: T) -> int:
-    """Return the outcome of ``run(subject, resume, slice)``; it pauses so that Ctrl-C takes effect."""
-    outcome = run(subject, 0, _SLICE)
-    while outcome == Outcome.PAUSED:
-        outcome = run(subject, 1, _SLICE)
-    return outcome
+class Patience:
+    """How long the simulations of one model may take, learned from those that end.
+
+    A search may try parameters at which a model does next to nothing but switch to and fro. Such a run fails
+    when it has taken 20 s of processor time, and 100 times as long a communication point as the slowest run that
+    ended. Until a run has ended there is no limit.
+    """
+
+    def __init__(self) -> None:
+        self._slowest: float | None = None  # s of processor time for a communication point
+
+    def run_to_end(self, run: Callable[[T, int, float], int], subject: T, n_times: int) -> int:
+        """Return the outcome of ``run(subject, resume, slice)``; it pauses so that Ctrl-C takes effect."""
+        begun = time.thread_time()
+        outcome = run(subject, 0, _SLICE)
+        while outcome == Outcome.PAUSED:
+            if self._slowest is not None:
+                limit = max(_PATIENCE, _SLOWER * self._slowest * n_times)
+                if time.thread_time() - begun > limit:
+                    return Outcome.TOO_SLOW
+            outcome = run(subject, 1, _SLICE)
+        if outcome == Outcome.DONE:
+            self._slowest = max(self._slowest or 0.0, (time.thread_time() - begun) / n_times)
+        return outcome

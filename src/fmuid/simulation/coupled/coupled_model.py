@@ -26,7 +26,7 @@ from fmuid.simulation.coupled.layout import Layout, System, Wiring
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.fmu_library import ProcessSpentError
 from fmuid.simulation.simulator import Task, Variable
-from fmuid.simulation.stepper import FUNCTIONS, Outcome, library, run_to_end
+from fmuid.simulation.stepper import FUNCTIONS, Outcome, Patience, library
 
 _FATAL = 4
 _CHECK_BUDGET = 0.5  # s for checking whether resets are equivalent to new instances
@@ -104,6 +104,7 @@ class CoupledModel:
         self._view = MappingProxyType(self._variables)
         self._lock = threading.RLock()
         self._layouts: dict[tuple[int, tuple[str, ...]], Layout] = {}
+        self._patience = Patience()
         self._compared = False  # whether a reset was compared with a new instance
 
     @property
@@ -376,7 +377,7 @@ class CoupledModel:
                     fmu.engage(plan)
                 except (FmuError, ProcessSpentError) as refusal:
                     raise self._located(refusal, name) from None
-            outcome = Outcome(run_to_end(_master(), system))
+            outcome = Outcome(self._patience.run_to_end(_master(), system, predictions.shape[-1]))
             if outcome == Outcome.DONE:
                 finished = True
                 return predictions
