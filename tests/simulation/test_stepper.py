@@ -70,7 +70,7 @@ def test_a_run_that_takes_far_longer_than_others_is_stopped(build, monkeypatch):
     monkeypatch.setattr(stepper.time, "thread_time", clock(1.0))
     expected = fmu.simulate(task, {})
     monkeypatch.setattr(stepper.time, "thread_time", clock(1e3))
-    with pytest.raises(SimulationError, match=r"took over 100 times as long as others and was stopped at t = 0\.\d+ s"):
+    with pytest.raises(SimulationError, match=r"over 100 times as long as others and was stopped at t = 0\.\d+ s"):
         fmu.simulate(task, {})
     monkeypatch.setattr(stepper.time, "thread_time", clock(1e-2))
     assert np.array_equal(fmu.simulate(task, {}), expected)
