@@ -67,6 +67,7 @@ def _gantry_crane() -> Rig:
         same={
             "weight@trolley": ("offset@u", "asymmetry@trolley"),
             "asymmetry@trolley": ("offset@u", "weight@trolley"),
+            "coulomb@trolley": ("value@trolley.F",),
         },
         near={
             "delay@u": ("lag@u",),

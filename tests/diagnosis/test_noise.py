@@ -122,12 +122,13 @@ def test_runs_of_the_same_conditions_are_left_out_together():
     assert Observed.from_runs(runs).groups == (0, 1, 0, 3)
 
 
-def test_false_alarms_are_as_rare_as_promised():
+@pytest.mark.parametrize("repeats", [2, 3, 5])
+def test_false_alarms_are_as_rare_as_promised(repeats):
     """Complete models with coloured noise and shifts between runs: p < 0.05 in about one of twenty."""
     alarms, gaps = 0, []
     for seed in range(40):
         rng = np.random.default_rng(100 + seed)
-        runs = [repeated(rng, 5, f"run{k}", offset=0.3) for k in range(4)]
+        runs = [repeated(rng, repeats, f"run{k}", offset=0.3) for k in range(4)]
         observed = Observed.from_runs(runs)
         truth = np.sin(20 * TIME) * np.array([[1.0], [3.0]])
         residuals = observed.residuals([truth] * len(runs))
@@ -138,19 +139,39 @@ def test_false_alarms_are_as_rare_as_promised():
     assert np.median(gaps) < 0.2
 
 
-def test_a_gap_as_large_as_the_noise_is_seen():
+@pytest.mark.parametrize("repeats", [2, 3, 5])
+def test_a_gap_as_large_as_the_noise_is_seen(repeats):
     rng = np.random.default_rng(7)
-    runs = [repeated(rng, 5, f"run{k}") for k in range(4)]
-    wrong = np.sin(20 * TIME) * np.array([[4.0], [3.0]]) + 3.0 * np.sin(200 * TIME)
+    runs = [repeated(rng, repeats, f"run{k}") for k in range(4)]
+    wrong = np.sin(20 * TIME) * np.array([[1.8], [3.0]]) + 0.8 * np.sin(200 * TIME)
     observed = replace(Observed.from_runs(runs), predicted=(wrong,) * 4)
     residuals = observed.residuals([wrong] * 4)
     null = draw_noise(observed, draws=200).null(np.zeros((sum(r.size for r in residuals), 0)), [])
-    assert null.p_value(excess(residuals, observed)) < 1e-6
-    assert gap(residuals, observed) > 0.25
+    assert null.p_value(excess(residuals, observed)) < 0.01
+    assert 0.6 < gap(residuals, observed) < 1.1
+
+
+@pytest.mark.parametrize("repeats", [2, 3, 5])
+def test_noise_that_is_larger_or_smaller_in_whole_runs_is_no_gap(repeats):
+    """Beside white noise, the gain of a signal varies from run to run."""
+    course = np.sin(np.cumsum(np.random.default_rng(1).uniform(0.0, 1.0, len(TIME))))
+    alarms = 0
+    for seed in range(40):
+        rng = np.random.default_rng(200 + seed)
+        runs = []
+        for k in range(4):
+            gain = 40.0 + 1.5 * rng.standard_normal((repeats, 1, 1))
+            values = gain * course + rng.standard_normal((repeats, 2, len(TIME)))
+            runs.append(RepeatedRuns(f"run{k}", "bench", TIME, ("a", "b"), values))
+        observed = Observed.from_runs(runs)
+        residuals = observed.residuals([np.tile(40.0 * course, (2, 1))] * 4)
+        null = draw_noise(observed, draws=100, seed=seed).null(np.zeros((sum(r.size for r in residuals), 0)), [])
+        alarms += null.p_value(excess(residuals, observed)) < 0.05
+    assert alarms <= 7  # 2 expected
 
 
 def test_a_score_beyond_noise_is_as_unlikely_as_that_energy():
-    null = Null(np.linspace(-1.0, 1.0, 399), np.linspace(0.0, 4.0, 399))
+    null = Null(np.linspace(-1.0, 1.0, 399), np.linspace(0.0, 4.0, 399), np.zeros(399))
     assert null.p_value(0.0) == pytest.approx(0.5, abs=0.01)
     assert null.p_value(0.0, 1.0) == 1.0
     assert null.p_value(0.0, 5.0) == pytest.approx(2 / 400)

@@ -149,6 +149,19 @@ def test_laws_of_one_place_that_do_the_same_are_named_once():
     assert apart.verdict.one_of == (("plain",), ("other",))
 
 
+@pytest.mark.parametrize(
+    ("port", "named"), [("screw.shaft", {"value@screw.d"}), ("nut", {"value@screw.d", "law"})]
+)
+def test_a_value_of_a_component_and_a_law_at_its_port_that_do_the_same_are_named_once(port, named):
+    laws = {"law": {1: 1.0}, "value": {1: 1.0}}
+    subject = heard(laws, {1: 1.0}, ports={"law": port, "value": "screw.d"})
+    law, value = subject.effects
+    effects = (law, replace(value, id="value@screw.d"))
+    catalogue = replace(subject.catalogue, effects={e.id: e for e in effects})
+    verdict = diagnose_subject(replace(subject, effects=effects, catalogue=catalogue)).diagnosis.verdict
+    assert {n for s in verdict.one_of or [verdict.effects] for n in s} == named
+
+
 def test_an_effect_is_unknown_if_it_is_far_likelier_than_what_imitates_it():
     """A hilly track is no law of speed, though the laws of friction close three quarters of the gap together."""
     answer = diagnose_subject(plant({"hill": 0.1})).diagnosis

@@ -155,8 +155,8 @@ def closure_interval(
 
     It is the shortest one that holds the share `level` of the draws: a closure ends at 1, where many of them are.
 
-    With `noise`, draws of the excess that noise alone leaves (`Null.excess`), the interval applies to new runs,
-    whose remaining gap cannot be measured more precisely.
+    With `noise`, draws of the excess that noise alone leaves (`Null.excess_of_runs`), the interval applies to new
+    runs, whose remaining gap cannot be measured more precisely.
     """
     rng = np.random.default_rng(seed)
     n = len(before.loss)

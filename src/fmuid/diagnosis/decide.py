@@ -119,16 +119,19 @@ def said_once(
 ) -> tuple[tuple[Fitted, ...], ...]:
     """Return the models in classes that predict the same and differ in their laws alone, not in the places.
 
-    Friction that differs between the directions is plain friction where a shaft never reverses. The most usual
-    and simplest of a class comes first, and stands for it.
+    Friction that differs between the directions is plain friction where a shaft never reverses; a bearing whose
+    damping deviates has viscous friction at its shaft. The most usual and simplest of a class comes first, and
+    stands for it.
     """
 
     def preference(fitted: Fitted) -> list[tuple[bool, int, bool]]:
         return sorted(effects[name].preference for name in fitted.names)
 
     def alike(a: Fitted, b: Fitted) -> bool:
-        places = [sorted(effects[name].port for name in fitted.names) for fitted in (a, b)]
-        if places[0] != places[1] or set(a.names) == set(b.names):
+        if len(a.names) != len(b.names) or set(a.names) == set(b.names):
+            return False
+        own, others = (sorted((effects[name] for name in x.names), key=_component) for x in (a, b))
+        if not all(map(_at_one_place, own, others)):
             return False
         _, apart, _ = _compared(a, b, observed, None)
         return apart <= _EQUAL
@@ -141,6 +144,18 @@ def said_once(
         else:
             own.append(fitted)
     return tuple(map(tuple, classes))
+
+
+def _component(effect: Effect) -> str:
+    """Return the component that has the port of an effect; a node without one stands for itself."""
+    return effect.port.rpartition(".")[0] or effect.port
+
+
+def _at_one_place(a: Effect, b: Effect) -> bool:
+    """Return whether two effects have one port, or one is a value of the component at which the other acts."""
+    if a.port == b.port:
+        return True
+    return a.id.startswith("value@") != b.id.startswith("value@") and _component(a) == _component(b)
 
 
 def _comparable(best: Fitted, other: Fitted) -> bool:

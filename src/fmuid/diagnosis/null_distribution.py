@@ -5,6 +5,12 @@ mixtures of them, scaled to the mean of R runs, are residuals of a complete mode
 score, after the nominal parameters are refitted, show when a gap is more than noise. Unlike white noise, they
 contain variations from run to run that affect many signals at once. Rounding errors that all runs share are added:
 those of the signals that the model predicts, since it is complete.
+
+Mixtures of whole runs have one multiplier for each difference. With two or three runs, their energy varies far
+more than that of noise: a single multiplier may be near 0 or 3. Energies are therefore drawn with a multiplier for
+every few frequencies (a wild bootstrap). What varies from run to run as a whole shows in how much the energies of
+the differences vary (`_coherence`); that share of a drawn energy has one multiplier more. Where this gives a wider
+distribution than mixtures of whole runs, as with two runs of one experiment, those are used.
 """
 
 from __future__ import annotations
@@ -22,14 +28,22 @@ from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.projection import project_off
 
 _TOGETHER = 32  # signatures whose scores are computed at once: the draws are read once, and memory stays bounded
+_BLOCK = (
+    8  # neighbouring frequencies with one multiplier: noise is correlated over those that windows or drift join
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Null:
-    """Draws under a complete model: excess energy of the residual, and the largest drop of any score."""
+    """Draws under a complete model: excess energy of the residual, and the largest drop of any score.
+
+    `excess_of_runs` is the excess energy if all noise varied from run to run as a whole: an upper bound of its
+    spread, for predictions of single runs to come.
+    """
 
     excess: FloatArray
     largest_drop: FloatArray
+    excess_of_runs: FloatArray
 
     def p_value(self, excess: float, drop: float = 0.0) -> float:
         """Return how likely noise alone leaves this excess energy, or a score as large as `drop`.
@@ -57,14 +71,16 @@ class Null:
 class NoiseDraws:
     """(M, D) draws of the residual that noise alone would leave, with all experiments concatenated.
 
-    `weight` is (M,): 1 / (number of repeats) within the signals' bandwidth, 0 beyond it. `free` is (M,): the share
-    of each component that nuisances leave. `energy` is (D,), the weighted one of each draw.
+    They are mixtures of whole runs. `weight` is (M,): 1 / (number of repeats) within the signals' bandwidth, 0
+    beyond it. `free` is (M,): the share of each component that nuisances leave. `energy_of_runs` is (D,), the
+    weighted energy of each draw; `energy` is that of mixtures by a few frequencies.
     """
 
     noise: FloatArray
     weight: FloatArray
     free: FloatArray
     energy: FloatArray
+    energy_of_runs: FloatArray
 
     def null(self, basis: FloatArray, signatures: Sequence[FloatArray]) -> Null:
         """Return the null distributions of a model whose refitted parameters span `basis`.
@@ -78,14 +94,15 @@ class NoiseDraws:
         """
         # What the basis leaves of the draws is as large as the draws: its sums follow from a few products.
         taken, weighted = basis.T @ self.noise, self.weight[:, None] * basis
-        left = self.energy + np.sum(taken * (basis.T @ weighted @ taken - 2.0 * (weighted.T @ self.noise)), axis=0)
-        excess = (left - self.weight @ self.free) / self.free[self.weight > 0.0].sum()
-        largest = np.zeros(len(left))
+        less = np.sum(taken * (basis.T @ weighted @ taken - 2.0 * (weighted.T @ self.noise)), axis=0)
+        expected, count = self.weight @ self.free, self.free[self.weight > 0.0].sum()
+        excess, of_runs = ((e + less - expected) / count for e in (self.energy, self.energy_of_runs))
+        largest = np.zeros(len(less))
         for i in range(0, len(signatures), _TOGETHER):
             own = np.array(signatures[i : i + _TOGETHER])
             scores = own @ self.noise - (own @ basis) @ taken
             largest = np.maximum(largest, (scores**2).max(axis=0))
-        return Null(read_only(excess), read_only(largest))
+        return Null(*map(read_only, (excess, largest, of_runs)))
 
 
 def draw_noise(
@@ -94,27 +111,68 @@ def draw_noise(
     """Draw residuals of a complete model, whose signals are `predicted`, before any refit."""
     rng = np.random.default_rng(seed)
     noise = np.empty((sum(w.size for w in observed.whiteners), draws))
+    energy, of_runs = np.zeros(draws), np.zeros(draws)
+    weights = [band / n for band, n in zip(observed.in_band, observed.repeats, strict=True)]
+    contrasts = [_contrasts(r.deviations, w) for r, w in zip(observed.runs, observed.whiteners, strict=True)]
+    coherent = _coherence([c[:, w > 0.0] for c, w in zip(contrasts, weights, strict=True) if len(c)])
     begin = 0
-    for e, (run, w) in enumerate(zip(observed.runs, observed.whiteners, strict=True)):
-        c = _contrasts(run.deviations, w)
+    for e, (run, w, c) in enumerate(zip(observed.runs, observed.whiteners, contrasts, strict=True)):
+        own = noise[begin : begin + w.size]
         if len(c):
-            mix = rng.standard_normal((draws, len(c))) / np.sqrt(len(c))
-            noise[begin : begin + w.size] = (mix @ c).T
+            own[:] = c.T @ (rng.standard_normal((len(c), draws)) / np.sqrt(len(c)))
+            mixed = _by_blocks(c, len(run.channels), draws, rng)
             if np.any(observed.noise[run.setup].repeating):  # absent from every contrast
                 course = None if predicted is None else predicted[e]
                 shared = rounding_draws(
                     run, observed.noise[run.setup], course=course, draws=draws, seed=seed + e * len(run.channels)
                 )
-                noise[begin : begin + w.size] += np.sqrt(len(run.values)) * w(shared).reshape(draws, -1).T
+                both = np.sqrt(len(run.values)) * w(shared).reshape(draws, -1).T
+                own += both
+                mixed += both
         else:
-            noise[begin : begin + w.size] = rng.standard_normal((w.size, draws))
+            own[:] = rng.standard_normal((w.size, draws))
+            mixed = own
         if observed.nuisances:
-            noise[begin : begin + w.size] = project_off(noise[begin : begin + w.size], observed.nuisances[e])
+            own[:], mixed = (project_off(x, observed.nuisances[e]) for x in (own, mixed))
+        of_runs += weights[e] @ own**2
+        # The noise level is of the same differences: a factor that was small in all of them makes it too low.
+        factor = rng.f(1.0, sum(map(len, contrasts)), draws) if len(c) else 1.0
+        energy += (1.0 + coherent * (factor - 1.0)) * (weights[e] @ mixed**2)
         begin += w.size
-    weight = np.concatenate([band / n for band, n in zip(observed.in_band, observed.repeats, strict=True)])
+    if energy.std() > of_runs.std():  # both are upper bounds of what noise does
+        energy = of_runs
     free = 1.0 - np.concatenate(observed.taken)
-    energy = np.concatenate([weight @ noise[:, i : i + _TOGETHER] ** 2 for i in range(0, draws, _TOGETHER)])
-    return NoiseDraws(*map(read_only, (noise, weight, free, energy)))
+    return NoiseDraws(*map(read_only, (noise, np.concatenate(weights), free, energy, of_runs)))
+
+
+def _by_blocks(contrasts: FloatArray, channels: int, draws: int, rng: np.random.Generator) -> FloatArray:
+    """Return (M, draws) mixtures of (R - 1, M) contrasts, each with a multiplier for every few frequencies.
+
+    The multipliers of the C channels are the same: what varies in several signals at once varies in the mixtures.
+    """
+    found = np.zeros((contrasts.shape[1], draws))
+    n = contrasts.shape[1] // channels
+    for c in contrasts:
+        each = rng.standard_normal((-(-n // _BLOCK), draws)) / np.sqrt(len(contrasts))
+        found += c[:, None] * np.tile(np.repeat(each, _BLOCK, axis=0)[:n], (channels, 1))
+    return found
+
+
+def _coherence(contrasts: Sequence[FloatArray]) -> float:
+    """Return the share of the noise, between 0 and 1, that varies from run to run as a whole.
+
+    If a share s of its energy is due to one random factor, noise has contrasts whose energies have a variance of
+    2 s^2, relative to their mean: within experiments where there are three or more runs, else from one experiment
+    to another.
+    """
+    energies = [np.mean(c**2, axis=1) for c in contrasts]
+    within = [e for e in energies if len(e) > 1]
+    groups = within or ([np.concatenate(energies)] if energies else [])
+    freedom = sum(len(e) - 1 for e in groups)
+    if freedom < 1:
+        return 1.0
+    seen = sum(float(np.sum((e / e.mean() - 1.0) ** 2)) for e in groups) / freedom
+    return min(1.0, float(np.sqrt(0.5 * seen)))
 
 
 def _contrasts(deviation: FloatArray, whiten: Callable[[FloatArray], FloatArray]) -> FloatArray:
