@@ -27,13 +27,15 @@ _FIRST = 1e-7
 class SizedPlant:
     """A plant without effects, and the gap of any effect beside it.
 
-    The floor is the noise sample by sample: that of the rig's sensors, and with `inputs` also what the noise of
-    measured inputs, a share of their ranges, passes on to the outputs. The last experiment is for validation and
-    does not count.
+    The floor is the noise of a sample, given those before it: that of the rig's sensors, and with `inputs` also
+    what the noise of measured inputs, a share of their ranges, passes on to the outputs. The last experiment is
+    for validation and does not count.
     """
 
-    def __init__(self, rig: Rig, factors: Mapping[str, float], *, inputs: float = 0.0) -> None:
-        self._rig, self._factors = rig, dict(factors)
+    def __init__(
+        self, rig: Rig, factors: Mapping[str, float], *, noise: Noise = "white", inputs: float = 0.0
+    ) -> None:
+        self._rig, self._factors, self._noise = rig, dict(factors), noise
         self._floor = np.hypot(rig.noise, self._passed_on(inputs) if inputs else 0.0)
         self._plain = self._whitened({}, {})
         columns = [
@@ -42,12 +44,15 @@ class SizedPlant:
         ]
         self._inverse = np.linalg.pinv(np.column_stack(columns))
 
-    def _whitened(self, moved: Mapping[str, float], effect: Mapping[str, float]) -> Floats:
-        """Return all readings in units of the floor; parameters are `moved` in their logarithms."""
+    def _readings(self, moved: Mapping[str, float], effect: Mapping[str, float]) -> Floats:
+        """Return all readings in units of the floor, by run; parameters are `moved` in their logarithms."""
         rig = self._rig
         factors = {n: f * np.exp(moved.get(n, 0.0)) for n, f in self._factors.items()}
         sigma = self._floor[:, None]
-        return np.concatenate([(rig.simulate(factors, effect, rig.time, u) / sigma).ravel() for u in self._runs])
+        return np.stack([rig.simulate(factors, effect, rig.time, u) / sigma for u in self._runs])
+
+    def _whitened(self, moved: Mapping[str, float], effect: Mapping[str, float]) -> Floats:
+        return decorrelated(self._readings(moved, effect), self._noise).ravel()
 
     @property
     def _runs(self) -> list[Floats]:
@@ -99,34 +104,37 @@ class SizedPlant:
         except SimulationError:
             return np.full(len(measured), 1e6)
 
+    def beside(self, effects: Mapping[str, float], other: Mapping[str, float]) -> float:
+        """Return the gap in floors of `effects` beside a model that has the `other` one of them, in any size."""
+        return float(np.sqrt(np.mean(self._nearest(effects, other) ** 2)))
+
     def separation(
-        self,
-        effect: Mapping[str, float],
-        other: Mapping[str, float],
-        recordings: float,
-        noise: Noise = "white",
-        every: int = 1,
+        self, effect: Mapping[str, float], other: Mapping[str, float], recordings: float, every: int = 1
     ) -> float:
         """Return by how many standard deviations an effect differs from another one.
 
         The size of the other one, and the parameters beside it, are refitted to the readings with the effect, of
         which one sample in `every` is recorded.
         """
-        shape, names = (len(self._runs), len(self._rig.noise), -1), self._rig.parameters
-        measured = self._whitened({}, effect)
+        return float(np.linalg.norm(self._nearest(effect, other, every)) * np.sqrt(recordings))
+
+    def _nearest(self, effects: Mapping[str, float], other: Mapping[str, float], every: int = 1) -> Floats:
+        """Return what is left of readings by an effect whose size is refitted with the parameters."""
+        names = self._rig.parameters
+        measured = self._readings({}, effects)
 
         def left(x: Floats) -> Floats:
             try:
-                found = self._whitened(dict(zip(names, x[1:].tolist(), strict=True)), _scaled(other, float(x[0])))
+                found = self._readings(dict(zip(names, x[1:].tolist(), strict=True)), _scaled(other, float(x[0])))
             except SimulationError:
                 found = measured - 1e6
-            return decorrelated((measured - found).reshape(shape)[..., ::every], noise).ravel()
+            return decorrelated((measured - found)[..., ::every], self._noise).ravel()
 
-        begin, _ = self._roughly(measured - self._whitened({}, other) + self._plain)
+        begin, _ = self._roughly(self._whitened({}, effects) - self._whitened({}, other) + self._plain)
         far = np.full(len(names), _FAR)
         bounds = [0.0, *-far], [_FURTHER, *far]
         found = least_squares(left, [1.0, *begin], bounds=bounds, diff_step=_STEP, max_nfev=_REFITS)
-        return float(np.linalg.norm(found.fun)) * float(np.sqrt(recordings))
+        return np.asarray(found.fun)
 
     def sized(
         self, unit: Mapping[str, float], target: float, *, sign: float = 1.0, shape: float = 1.0

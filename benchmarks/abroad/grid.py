@@ -96,8 +96,9 @@ def label(case: Case, seed: int) -> dict[str, Any]:
     rng = np.random.default_rng([seed, case.drawn])
     factors = drawn_factors(case.rig, rng)
     inputs = INPUT_NOISE if case.recording.noise == "inputs" else 0.0
-    plant = SizedPlant(case.rig, factors, inputs=inputs)
+    plant = SizedPlant(case.rig, factors, noise=case.recording.noise, inputs=inputs)
     effect: dict[str, float] = {}
+    parts: dict[str, dict[str, float]] = {}
     gaps: list[float] = []
     same: dict[str, list[str]] = {}
     for name, gap in zip(case.effects, case.gaps, strict=True):
@@ -105,12 +106,14 @@ def label(case: Case, seed: int) -> dict[str, Any]:
         sign = float(rng.choice([-1.0, 1.0])) if directed(name) else 1.0
         sized, found = plant.sized(case.rig.effects[name], gap, sign=sign, shape=shape)
         effect |= sized
+        parts[name] = sized
         gaps.append(found)
         same[name] = [*case.rig.same.get(name, ()), *_hidden_by_noise(case, name, plant, sized, found)]
     how = case.recording
     return {
         "case": case.name, "rig": case.rig.name, "kind": case.stratum, "effects": list(case.effects),
         "sizes": effect, "gaps": gaps, "gap": plant.gap(effect) if len(gaps) > 1 else sum(gaps),
+        "beside": [plant.beside(effect, own) for own in list(parts.values())[::-1]] if len(parts) == 2 else gaps,
         "same": same, "factors": factors,
         "repeats": how.repeats, "noise": how.noise, "every": how.every, "quieter": how.quieter,
         "sigma": case.sigma, "twin": case.twin, "twin_of": f"c{case.drawn:04d}" if case.twin else None,
@@ -128,7 +131,7 @@ def _hidden_by_noise(
     for other, unit in rivals.items():
         sized = [plant.sized(unit, gap, sign=sign) for sign in ((1.0, -1.0) if directed(other) else (1.0,))]
         reached = [rival for rival, gap in sized if np.isfinite(gap)]
-        apart = [plant.separation(effect, rival, recordings, how.noise, how.every) for rival in reached]
+        apart = [plant.separation(effect, rival, recordings, how.every) for rival in reached]
         if min(apart, default=np.inf) < _TOLD_APART:
             yield from (other, *case.rig.same.get(other, ()))
 

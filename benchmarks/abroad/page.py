@@ -29,7 +29,9 @@ SHA-256 of `labels.json`, written before the first diagnosis of these cases and 
 `{digest}`. The diagnoses are made by a process of its own, while the labels' folder has mode 000. {closed}
 
 A gap is in noise floors of a sample, after a refit of the free parameters, without the run that is kept for
-validation. An effect is *sizeable* from {floor:g} on. Effects that the sensors cannot tell apart count as one:
+validation; of coloured or drifting noise, only what the samples before do not tell counts. An effect is *sizeable*
+from {floor:g} on; one of two also if it leaves as much where the model has the other one. Effects that the sensors
+cannot tell apart count as one:
 by physics (a weight and an offset of the motor's current, say), or because in this case's recordings they would
 differ by less than 3 standard deviations; the plant says so before the diagnosis. Intervals hold 90 % (Wilson).
 An aim is met if the figure meets it and the worse end of its interval is within 0.03 of it.

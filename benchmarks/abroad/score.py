@@ -80,7 +80,7 @@ def figures(outcome: Abroad) -> tuple[Figure, ...]:
     repeated, single = ([c for c in cases if (c.label["repeats"] > 1) is many] for many in (True, False))
     known = [c for c in repeated if c.label["kind"] in _KNOWN and _gap(c) >= FLOOR]
     one, held = ([c for c in known if c.label["kind"] == kind] for kind in ("one", "held"))
-    two = [c for c in known if c.label["kind"] == "two" and min(c.label["gaps"]) >= FLOOR]
+    two = [c for c in known if c.label["kind"] == "two" and sizeable(c)]
     outside = [c for c in repeated if c.label["kind"] == "outside" and _gap(c) >= FLOOR]
     large = [c for c in single if c.label["kind"] != "none" and _gap(c) >= LARGE]
     bounded = [c for c in single if c.label["sigma"] or c.label["noise"] in ("white", "quantised")]
@@ -131,8 +131,11 @@ def figures(outcome: Abroad) -> tuple[Figure, ...]:
 
 
 def sizeable(case: Scored) -> bool:
-    """Return whether every effect of the plant is sizeable; where one is not, more than one answer is right."""
-    return all(gap >= FLOOR for gap in case.label["gaps"])
+    """Return whether every effect of the plant is sizeable; where one is not, more than one answer is right.
+
+    The second of two effects also has to leave a gap where the first one is refitted without it.
+    """
+    return all(gap >= FLOOR for gap in (*case.label["gaps"], *case.label.get("beside", ())))
 
 
 def likeliest(case: Scored) -> tuple[float, bool]:

@@ -59,11 +59,11 @@ def test_what_noise_has_in_common_from_sample_to_sample_is_taken_away(noise):
 
 def test_a_constant_is_told_from_a_slope_as_well_as_the_noise_allows():
     rig = BY_MODEL["HeatExchanger"]
-    plant = SizedPlant(rig, dict.fromkeys(rig.parameters, 1.0))
-    offset = {"offset@T_in": -2.0}
+    plant, coloured = (SizedPlant(rig, dict.fromkeys(rig.parameters, 1.0), noise=n) for n in ("white", "coloured"))
+    offset, gain = {"offset@T_in": -2.0}, {"gain@T_in": 0.006}
     assert plant.separation(offset, {"dead_zone@T_in": 2.0}, 3.0) < 1e-3  # a temperature far from zero
-    white, coloured = (plant.separation(offset, {"gain@T_in": 0.006}, 3.0, n) for n in ("white", "coloured"))
-    assert white > 2.0 * coloured > 0.0
+    assert plant.separation(offset, gain, 3.0) > 2.0 * coloured.separation(offset, gain, 3.0) > 0.0
+    assert plant.gap(offset) > 2.0 * coloured.gap(offset) > 0.0
 
 
 def test_the_rigs_of_the_check_are_not_those_that_rules_were_found_on():
@@ -159,6 +159,14 @@ def test_a_delay_is_told_from_a_lag_the_better_the_more_it_is_repeated():
     assert plant.separation(delay, delay, 1) == pytest.approx(0.0, abs=1e-9)
     # They differ just after the input has changed, which half as many samples miss.
     assert plant.separation(delay, lag, 1, every=2) < 0.5 * once
+
+
+def test_an_effect_that_another_one_imitates_leaves_little_beside_it():
+    plant = SizedPlant(BUCK, dict.fromkeys(BUCK.parameters, 1.0))
+    names = ("delay@duty", "lag@duty", "offset@v")
+    (delay, gap), (lag, _), (offset, other) = (plant.sized(BUCK.effects[e], 2.0) for e in names)
+    assert plant.beside(lag | offset, lag) == pytest.approx(other, rel=0.1)
+    assert plant.beside(lag | delay, lag) < 0.5 * gap
 
 
 def test_a_rival_may_have_the_other_sign():
@@ -318,7 +326,7 @@ CASES = (
     case("one", ["x@a"], "ambiguous", [], [["z@b"], ["y@b"]]),
     case("one", ["x@a"], "partial", ["z@b"]),
     case("two", ["x@a", "y@b"], "effect", ["x@a", "y@b"]),
-    case("two", ["x@a", "y@b"], "effect", ["x@a"]),
+    case("two", ["x@a", "y@b"], "effect", ["x@a"], beside=[5.0, 3.0]),
     case("outside", ["chaos@a"], "unknown"),
     case("outside", ["chaos@b"], "unknown"),
     case("held", ["value@c"], "ambiguous", [], [["value@c"], ["x@a"]]),
@@ -408,6 +416,9 @@ def test_a_case_whose_effect_is_too_small_says_nothing_about_probabilities():
     assert scores[0][name] == scores[1][name]
     assert scores[0][name].count == 2
     assert brier(clear) != brier([*clear, faint])
+    hidden = case("two", ["x@a", "y@b"], "effect", ["x@a"], beside=[5.0, 0.3])
+    (both,) = (f for f in figures(outcome([*CASES, hidden])) if f.name == "two effects: both, R ≥ 2")
+    assert (both.value, both.count) == (0.5, 2)
 
 
 def test_the_page_names_every_case_that_is_not_right():
