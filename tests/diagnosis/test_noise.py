@@ -171,7 +171,7 @@ def test_noise_that_is_larger_or_smaller_in_whole_runs_is_no_gap(repeats):
 
 
 def test_a_score_beyond_noise_is_as_unlikely_as_that_energy():
-    null = Null(np.linspace(-1.0, 1.0, 399), np.linspace(0.0, 4.0, 399), np.zeros(399))
+    null = Null(np.linspace(-1.0, 1.0, 399), np.linspace(0.0, 4.0, 399))
     assert null.p_value(0.0) == pytest.approx(0.5, abs=0.01)
     assert null.p_value(0.0, 1.0) == 1.0
     assert null.p_value(0.0, 5.0) == pytest.approx(2 / 400)

@@ -155,8 +155,8 @@ def closure_interval(
 
     It is the shortest one that holds the share `level` of the draws: a closure ends at 1, where many of them are.
 
-    With `noise`, draws of the excess that noise alone leaves (`Null.excess_of_runs`), the interval applies to new
-    runs, whose remaining gap cannot be measured more precisely.
+    With `noise`, draws of the excess that noise alone leaves in one experiment, the interval is for a single new
+    experiment, whose remaining gap cannot be measured more precisely; otherwise for as many as were measured.
     """
     rng = np.random.default_rng(seed)
     n = len(before.loss)
@@ -165,7 +165,8 @@ def closure_interval(
         pick = rng.integers(0, len(own), (draws, len(own)))
         b[e] = before.loss[e] + own[pick].mean(axis=1) - own.mean()
         a[e] = after.loss[e] + other[pick].mean(axis=1) - other.mean()
-    times = rng.multinomial(n, np.full(n, 1.0 / n), size=draws).T * before.size[:, None]
+    drawn_at_once = n if noise is None else 1
+    times = rng.multinomial(drawn_at_once, np.full(n, 1.0 / n), size=draws).T * before.size[:, None]
     further = 0.0 if noise is None else rng.choice(noise - noise.mean(), draws)
     was, left = (
         np.sqrt(np.maximum(0.0, np.sum(times * x, axis=0) / np.sum(times, axis=0) + further)) for x in (b, a)

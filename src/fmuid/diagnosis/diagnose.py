@@ -503,7 +503,7 @@ class _Closing:
         runs that the model was fitted to. The lower end is that of the held-out closure, the upper end that of
         the closure in sample.
         """
-        noise = self.null.excess_of_runs * np.sqrt(len(self.subject.observed.runs))
+        noise = self.null.of_experiment
         low, high = closure_interval(self.nominal.held_out, fitted.held_out, noise=noise)
         seen = [in_sample(model.fit, self.subject.observed) for model in (self.nominal, fitted)]
         return low, max(high, closure_interval(seen[0], seen[1], noise=noise)[1])

@@ -28,22 +28,24 @@ from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.projection import project_off
 
 _TOGETHER = 32  # signatures whose scores are computed at once: the draws are read once, and memory stays bounded
-_BLOCK = (
-    8  # neighbouring frequencies with one multiplier: noise is correlated over those that windows or drift join
-)
+_BLOCK = 8  # neighbouring frequencies with one multiplier: drift and smooth changes join a few of them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Null:
     """Draws under a complete model: excess energy of the residual, and the largest drop of any score.
 
-    `excess_of_runs` is the excess energy if all noise varied from run to run as a whole: an upper bound of its
-    spread, for predictions of single runs to come.
+    The excess is that of so many `experiments` together.
     """
 
     excess: FloatArray
     largest_drop: FloatArray
-    excess_of_runs: FloatArray
+    experiments: int = 1
+
+    @property
+    def of_experiment(self) -> FloatArray:
+        """Draws of the excess energy of a single experiment."""
+        return np.asarray(np.sqrt(self.experiments) * self.excess)
 
     def p_value(self, excess: float, drop: float = 0.0) -> float:
         """Return how likely noise alone leaves this excess energy, or a score as large as `drop`.
@@ -71,16 +73,16 @@ class Null:
 class NoiseDraws:
     """(M, D) draws of the residual that noise alone would leave, with all experiments concatenated.
 
-    They are mixtures of whole runs. `weight` is (M,): 1 / (number of repeats) within the signals' bandwidth, 0
-    beyond it. `free` is (M,): the share of each component that nuisances leave. `energy_of_runs` is (D,), the
-    weighted energy of each draw; `energy` is that of mixtures by a few frequencies.
+    They are mixtures of whole runs, of so many `experiments`. `weight` is (M,): 1 / (number of repeats) within the
+    signals' bandwidth, 0 beyond it. `free` is (M,): the share of each component that nuisances leave.
+    `energy` is (D,), the weighted one of draws that mix a few frequencies at a time.
     """
 
     noise: FloatArray
     weight: FloatArray
     free: FloatArray
     energy: FloatArray
-    energy_of_runs: FloatArray
+    experiments: int
 
     def null(self, basis: FloatArray, signatures: Sequence[FloatArray]) -> Null:
         """Return the null distributions of a model whose refitted parameters span `basis`.
@@ -95,14 +97,13 @@ class NoiseDraws:
         # What the basis leaves of the draws is as large as the draws: its sums follow from a few products.
         taken, weighted = basis.T @ self.noise, self.weight[:, None] * basis
         less = np.sum(taken * (basis.T @ weighted @ taken - 2.0 * (weighted.T @ self.noise)), axis=0)
-        expected, count = self.weight @ self.free, self.free[self.weight > 0.0].sum()
-        excess, of_runs = ((e + less - expected) / count for e in (self.energy, self.energy_of_runs))
+        excess = (self.energy + less - self.weight @ self.free) / self.free[self.weight > 0.0].sum()
         largest = np.zeros(len(less))
         for i in range(0, len(signatures), _TOGETHER):
             own = np.array(signatures[i : i + _TOGETHER])
             scores = own @ self.noise - (own @ basis) @ taken
             largest = np.maximum(largest, (scores**2).max(axis=0))
-        return Null(*map(read_only, (excess, largest, of_runs)))
+        return Null(read_only(excess), read_only(largest), self.experiments)
 
 
 def draw_noise(
@@ -141,8 +142,9 @@ def draw_noise(
         begin += w.size
     if energy.std() > of_runs.std():  # both are upper bounds of what noise does
         energy = of_runs
-    free = 1.0 - np.concatenate(observed.taken)
-    return NoiseDraws(*map(read_only, (noise, np.concatenate(weights), free, energy, of_runs)))
+    weight, free = np.concatenate(weights), 1.0 - np.concatenate(observed.taken)
+    noise, weight, free, energy = map(read_only, (noise, weight, free, energy))
+    return NoiseDraws(noise, weight, free, energy, len(observed.runs))
 
 
 def _by_blocks(contrasts: FloatArray, channels: int, draws: int, rng: np.random.Generator) -> FloatArray:
