@@ -34,7 +34,10 @@ COMMANDS = [
     "simulate",
     "identify",
     "validate",
+    "effects",
     "diagnose",
+    "sensitivity",
+    "design",
     "compare",
     "import",
     "export",
@@ -235,6 +238,7 @@ def test_every_command_has_help_out_json_and_quiet(name: str, fmuid: Command) ->
     assert "--json" in out
     assert "--quiet" in out
     assert name == "check" or "--out" in out
+    assert "``" not in out  # names in square brackets vanish as markup
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ def design(
 ) -> int:
     """Design the next experiment within the campaign's limits: an input as CSV, and what it will tell.
 
-    Limits are in `[limits]` of campaign.toml. For parameters nothing need be measured yet.
+    Limits are in the `limits` table of campaign.toml. For parameters, nothing needs to be measured yet.
 
     Example: fmuid design campaigns/drive --for parameters --out runs/next
     Example: fmuid design runs/drive-diagnosis --for diagnosis
