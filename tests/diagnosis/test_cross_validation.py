@@ -16,6 +16,7 @@ from fmuid.diagnosis.cross_validation import (
     in_sample,
     leave_each_out,
 )
+from fmuid.diagnosis.null_distribution import Null
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Refit, Unknown, refit
 
@@ -231,17 +232,21 @@ def test_closure_is_the_share_of_the_gap_that_is_gone():
     low, high = closure_interval(before, lost(0.0, 1.0, 4.0))
     assert low <= closure(before, lost(0.0, 1.0, 4.0)) <= high
     # A single new experiment may be like any of those measured.
-    assert closure_interval(before, lost(0.0, 1.0, 4.0), noise=np.zeros(9)) == pytest.approx((0.0, 1.0))
+    silent = Null(np.zeros(9), np.zeros(9), experiments=3)
+    assert closure_interval(before, lost(0.0, 1.0, 4.0), null=silent) == pytest.approx((0.0, 1.0))
     assert high - low < 0.8
+    # Three pieces of one run are not three experiments.
+    cut = replace(silent, experiments=1)
+    assert closure_interval(before, lost(0.0, 1.0, 4.0), null=cut) == pytest.approx((low, high), abs=0.05)
     assert high - low > 0.3
     # New runs have noise of their own: a gap that is gone is measured as one within it.
     gone = lost(0.0, 0.0, 0.0)
     assert closure_interval(before, gone) == pytest.approx((1.0, 1.0))
-    low, high = closure_interval(before, gone, noise=np.linspace(-0.2, 0.2, 401))
+    low, high = closure_interval(before, gone, null=Null(np.linspace(-0.2, 0.2, 401), np.zeros(1)))
     assert low == pytest.approx(1.0 - np.sqrt(0.16 / 4.16), abs=0.02)  # nine of ten are above it
     assert high == pytest.approx(1.0)
     # One draw in four is 1.5 above the mean, the others are 0.5 below it.
-    skew = closure_interval(before, gone, noise=np.array([9.5, 11.5, 9.5, 9.5]))
+    skew = closure_interval(before, gone, null=Null(np.array([9.5, 11.5, 9.5, 9.5]), np.zeros(1)))
     assert skew == pytest.approx((1.0 - np.sqrt(1.5 / 5.5), 1.0))
     assert lost(-0.5, 0.2).gap == 0.0
     assert closure_interval(gone, gone) == (0.0, 0.0)  # of no gap, nothing can be closed

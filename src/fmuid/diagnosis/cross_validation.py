@@ -15,6 +15,7 @@ import numpy as np
 
 from fmuid.core.campaign import SEPARATOR
 from fmuid.core.immutable import FloatArray, read_only
+from fmuid.diagnosis.null_distribution import Null
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.projection import orthonormal, project_off
 from fmuid.diagnosis.refit import Refit
@@ -146,7 +147,7 @@ def closure_interval(
     before: HeldOut,
     after: HeldOut,
     *,
-    noise: FloatArray | None = None,
+    null: Null | None = None,
     level: float = 0.9,
     draws: int = 2000,
     seed: int = 0,
@@ -155,8 +156,8 @@ def closure_interval(
 
     It is the shortest one that holds the share `level` of the draws: a closure ends at 1, where many of them are.
 
-    With `noise`, draws of the excess that noise alone leaves in one experiment, the interval is for a single new
-    experiment, whose remaining gap cannot be measured more precisely; otherwise for as many as were measured.
+    With `null`, what noise alone would leave, the interval is for a single new experiment, whose remaining gap
+    cannot be measured more precisely; otherwise for as many as were measured.
     """
     rng = np.random.default_rng(seed)
     n = len(before.loss)
@@ -165,9 +166,13 @@ def closure_interval(
         pick = rng.integers(0, len(own), (draws, len(own)))
         b[e] = before.loss[e] + own[pick].mean(axis=1) - own.mean()
         a[e] = after.loss[e] + other[pick].mean(axis=1) - other.mean()
-    drawn_at_once = n if noise is None else 1
-    times = rng.multinomial(drawn_at_once, np.full(n, 1.0 / n), size=draws).T * before.size[:, None]
-    further = 0.0 if noise is None else rng.choice(noise - noise.mean(), draws)
+    folds, further = n, np.zeros(1)
+    if null is not None:  # an experiment may consist of several folds, if runs were cut
+        folds, further = (
+            round(n / null.experiments),
+            rng.choice(null.of_experiment - null.of_experiment.mean(), draws),
+        )
+    times = rng.multinomial(folds, np.full(n, 1.0 / n), size=draws).T * before.size[:, None]
     was, left = (
         np.sqrt(np.maximum(0.0, np.sum(times * x, axis=0) / np.sum(times, axis=0) + further)) for x in (b, a)
     )

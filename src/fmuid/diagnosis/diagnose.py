@@ -503,10 +503,9 @@ class _Closing:
         runs that the model was fitted to. The lower end is that of the held-out closure, the upper end that of
         the closure in sample.
         """
-        noise = self.null.of_experiment
-        low, high = closure_interval(self.nominal.held_out, fitted.held_out, noise=noise)
+        low, high = closure_interval(self.nominal.held_out, fitted.held_out, null=self.null)
         seen = [in_sample(model.fit, self.subject.observed) for model in (self.nominal, fitted)]
-        return low, max(high, closure_interval(seen[0], seen[1], noise=noise)[1])
+        return low, max(high, closure_interval(seen[0], seen[1], null=self.null)[1])
 
     def _physical(self, fitted: Fitted) -> dict[str, PhysicalGap]:
         sums: dict[str, FloatArray] = {}

@@ -359,7 +359,7 @@ class _Search:
         """Return a law in words and numbers."""
         nominal, fitted, law_ = self.found.nominal, law.fitted, law.law
         null = self.noise.null(nominal_basis(nominal.fit, self.found.subject.observed), ())
-        interval = closure_interval(nominal.held_out, fitted.held_out, noise=null.of_experiment, seed=seed)
+        interval = closure_interval(nominal.held_out, fitted.held_out, null=null, seed=seed)
         trained = 1.0 - fitted.gap / nominal.gap if nominal.gap > 0.0 else 0.0
         parameters = {}
         for name, estimate in estimates(fitted, law.subject).items():
