@@ -20,7 +20,7 @@ from fmuid.core.errors import FmuError
 T = TypeVar("T")
 _REINSTALL = "install fmuid again, in a clone with `pip install --editable .`"
 _SLICE = 0.1  # s between checks for Ctrl-C
-_PATIENCE, _SLOWER = 20.0, 100.0  # s, and times the slowest run that ended: see `Patience`
+_PATIENCE, _SLOWER = 2.0, 100.0  # s, and times the slowest run that ended: see `Patience`
 FUNCTIONS = (
     "RESET",
     "SETUP_EXPERIMENT",
@@ -178,7 +178,7 @@ class Patience:
     """How long the simulations of one model may take, learned from those that end.
 
     A search may try parameters at which a model does next to nothing but switch to and fro. Such a run fails
-    when it has taken 20 s of processor time, and 100 times as long a communication point as the slowest run that
+    when it has taken 2 s of processor time, and 100 times as long a communication point as the slowest run that
     ended. Until a run has ended there is no limit.
     """
 
