@@ -298,10 +298,10 @@ int32_t fmuid_run(Plan *plan, int32_t resume, double slice)
         if ((int64_t)k == plan->branch && !plan->kept)
             CALL(GET_FMU_STATE, int32_t (*)(Instance, void **), plan->instance, &plan->kept);
         TRY(steps(plan, k, next));
-        /* Look at the clock often enough for Ctrl-C, seldom enough to cost nothing. */
+        /* Look at the clock seldom enough to cost nothing, and soon after a slow step: it may be the first of many. */
         double now = seconds();
         if (now - begun > slice && next < end) return PAUSED;
-        stride = now - checked < 1e-3 ? 2 * stride : (stride + 1) / 2;
+        stride = now - checked < 2e-5 ? (stride < 64 ? 2 * stride : 64) : (stride + 1) / 2;
         checked = now;
     }
     /* Results are complete: what Terminate answers cannot change them. */

@@ -349,10 +349,10 @@ static int32_t run(System *s, int32_t resume, double slice)
     for (int64_t stride = 1, left = 1; s->reached < s->n_times - 1; left--) {
         TRY(step_all(s));
         if (left > 0) continue;
-        /* Look at the clock often enough for Ctrl-C, seldom enough to cost nothing. */
+        /* Look at the clock seldom enough to cost nothing, and soon after a slow step: it may be the first of many. */
         double now = seconds();
         if (now - begun > slice && s->reached < s->n_times - 1) return PAUSED;
-        stride = now - checked < 1e-3 ? 2 * stride : (stride + 1) / 2;
+        stride = now - checked < 2e-5 ? (stride < 64 ? 2 * stride : 64) : (stride + 1) / 2;
         left = stride;
         checked = now;
     }
