@@ -139,6 +139,17 @@ def test_false_alarms_are_as_rare_as_promised(repeats):
     assert np.median(gaps) < 0.2
 
 
+def test_a_gap_of_three_times_the_noise_is_beyond_doubt():
+    rng = np.random.default_rng(7)
+    runs = [repeated(rng, 5, f"run{k}") for k in range(4)]
+    wrong = np.sin(20 * TIME) * np.array([[4.0], [3.0]]) + 3.0 * np.sin(200 * TIME)
+    observed = replace(Observed.from_runs(runs), predicted=(wrong,) * 4)
+    residuals = observed.residuals([wrong] * 4)
+    null = draw_noise(observed, draws=200).null(np.zeros((sum(r.size for r in residuals), 0)), [])
+    assert null.p_value(excess(residuals, observed)) < 1e-6
+    assert gap(residuals, observed) > 0.25
+
+
 @pytest.mark.parametrize("repeats", [2, 3, 5])
 def test_a_gap_as_large_as_the_noise_is_seen(repeats):
     rng = np.random.default_rng(7)

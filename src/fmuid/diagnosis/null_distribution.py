@@ -135,16 +135,21 @@ def draw_noise(
             mixed = own
         if observed.nuisances:
             own[:], mixed = (project_off(x, observed.nuisances[e]) for x in (own, mixed))
-        of_runs += weights[e] @ own**2
+        of_runs += _energy(weights[e], own)
         # The noise level is of the same differences: a factor that was small in all of them makes it too low.
         factor = rng.f(1.0, sum(map(len, contrasts)), draws) if len(c) else 1.0
-        energy += (1.0 + coherent * (factor - 1.0)) * (weights[e] @ mixed**2)
+        energy += (1.0 + coherent * (factor - 1.0)) * _energy(weights[e], mixed)
         begin += w.size
     if energy.std() > of_runs.std():  # both are upper bounds of what noise does
         energy = of_runs
     weight, free = np.concatenate(weights), 1.0 - np.concatenate(observed.taken)
     noise, weight, free, energy = map(read_only, (noise, weight, free, energy))
     return NoiseDraws(noise, weight, free, energy, len(observed.runs))
+
+
+def _energy(weight: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return (D,) weighted sums of squares of (M, D) draws, without a copy of them: they may be large."""
+    return np.asarray(np.einsum("m,md,md->d", weight, noise, noise))
 
 
 def _by_blocks(contrasts: FloatArray, channels: int, draws: int, rng: np.random.Generator) -> FloatArray:
