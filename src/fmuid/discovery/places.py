@@ -58,7 +58,9 @@ def spot(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[str, 
         driven = {n: np.asarray(u)[case.lead :] for n, u in case.task.inputs.items()}
         courses.append(_local(port, load, course, case.time) | driven)
         flows += [float(np.abs(course[n]).max()) for n in port.probes.get("flow", ()) if n in course]
-    if "p" not in courses[0] or max(flows, default=0.0) == 0.0:
+    everywhere = set.intersection(*map(set, courses))  # setups may differ in their inputs
+    courses = [{n: c for n, c in course.items() if n in everywhere} for course in courses]
+    if "p" not in everywhere or max(flows, default=0.0) == 0.0:
         return None
     free_inputs = [n for n in model.cases[0].task.inputs if n.isidentifier() and n not in port.quantities]
     units = {n: v.unit or "1" for n, v in model.cases[0].simulator.variables.items()}
