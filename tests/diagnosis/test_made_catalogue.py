@@ -680,6 +680,11 @@ def test_what_one_setup_passes_on_and_another_computes_is_one_place(tmp_path, mo
     plain, limited = (load_fmu(model.fmu).simulate(task, v)[0, -1] for v in ({}, values))
     assert plain == pytest.approx(1.0, rel=1e-3)
     assert limited == pytest.approx(0.5, rel=1e-2)
+    # A course of its own may be added to the signal: half of the step from 6 s on.
+    added = load_catalogue(campaign.effects.file).ports["plant.u"].input
+    course = np.where(time > 6.0, 0.5, 0.0)
+    y = load_fmu(model.fmu).simulate(Task(time, {"u": given, added: course}, ("y",)), {})[0]
+    assert y[-1] - plain == pytest.approx(0.5 * (1 - np.exp(-4.0)), rel=2e-2)
     write_measurements(Measurements({"open": recorded("open", "u")}), tmp_path / "measurements.h5")
     alone = with_catalogue(load_campaign(tmp_path), load_simulator)
     assert not [name for name in load_catalogue(alone.effects.file).effects if name.endswith("@plant.u")]

@@ -7,11 +7,11 @@ import pytest
 from plants import Mass, misread, plant
 from tones import SIGMA, STRENGTHS, TIME, heard
 
-from fmuid.diagnosis.candidates import _best_start, better_nominal, escaped, fit_effects, score_further
+from fmuid.diagnosis.candidates import _best_start, add_effect, better_nominal, escaped, fit_effects, score_further
 from fmuid.diagnosis.diagnose import diagnose_subject
 from fmuid.diagnosis.effect_search import _moved
 from fmuid.diagnosis.refit import refit
-from fmuid.diagnosis.scores import nominal_basis
+from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import tightened
 
 
@@ -45,6 +45,47 @@ def test_a_law_found_at_one_port_is_tried_at_the_others_from_where_the_fit_is():
     assert found.effects == ("first", "law@b")
     assert found.fit.values == pytest.approx({"k": 1.0, "first": 1.0, "b": 1.0}, abs=0.01)
     assert list(_moved(subject, pair, [pair, replace(found, fit=pair.fit)], scores)) == []  # known to be as good
+
+
+def test_a_law_that_no_trial_leads_to_is_found_from_the_same_law_at_another_port(monkeypatch):
+    subject = heard({"a": {2: 1.0}, "b": {2: 0.95, 3: 0.31}}, {2: 0.95, 3: 0.31})
+    effects = tuple(replace(e, id=f"law@{e.id}") for e in subject.effects)
+    subject = replace(subject, effects=effects)
+    starts = []
+
+    def added(subject, fitted, score):
+        return None if score.effect == "law@b" else add_effect(subject, fitted, score)
+
+    def best_start(subject, points, *basis):
+        starts.append(points)
+        return _best_start(subject, points, *basis)
+
+    monkeypatch.setattr("fmuid.diagnosis.effect_search.add_effect", added)
+    monkeypatch.setattr("fmuid.diagnosis.candidates._best_start", best_start)
+    verdict = diagnose_subject(subject).diagnosis.verdict
+    assert (verdict.kind, verdict.effects) == ("effect", ("law@b",))
+    # One of the starts has the values of the fit at the other port.
+    assert any(p.get("b") == pytest.approx(0.95, abs=0.02) and p.get("a") == 0.0 for own in starts for p in own)
+
+
+def test_answers_are_refitted_to_the_end(monkeypatch):
+    subject = plant({"square": 0.3})
+    effects = [e for e in subject.effects if e.id == "quadratic"]
+    good = fit_effects(subject, effects, [{}], tolerance=1e-9)
+
+    def ended_early(share):
+        values = {name: share * value for name, value in good.fit.values.items()}
+        (predicted,) = subject.model.predict([values])
+        residual = stack(subject.observed.residuals(predicted), subject.observed)
+        return replace(good, fit=replace(good.fit, values=values, cost=float(residual @ residual)))
+
+    near, nearer, far = map(ended_early, (1.00015, 1.0001, 1.01))
+    assert near.fit.cost - good.fit.cost > 5.0
+    monkeypatch.setattr("fmuid.diagnosis.diagnose.search", lambda *_, **__: ([far, near, nearer], nearer))
+    found = diagnose_subject(subject)
+    costs = [c.fit.cost for c in found.candidates]
+    assert sorted(costs)[:2] == pytest.approx([good.fit.cost] * 2, abs=0.5)
+    assert max(costs) == far.fit.cost
 
 
 def test_a_law_of_another_shape_is_no_third_cause():
@@ -231,15 +272,23 @@ def test_a_tolerance_that_does_for_the_start_values_is_tightened_where_it_does_n
     cases = tuple(
         replace(c, simulator=Coarse(), task=replace(c.task, tolerance=1e-3)) for c in subject.model.cases
     )
-    model = replace(subject.model, cases=cases)
-    assert tightened(model, [{"m": 0.8}]) is model
-    tighter = tightened(model, [{"m": 1.0}])
-    assert all(c.task.tolerance <= 1e-5 for c in tighter.cases)
+    subject = replace(subject, model=replace(subject.model, cases=cases))
+    assert tightened(subject, [{"m": 0.8}]) is subject
+    tighter = tightened(subject, [{"m": 1.0}])
+    assert all(c.task.tolerance <= 1e-5 for c in tighter.model.cases)
     assert tightened(tighter, [{"m": 0.8}]) is tighter
-    with_effect = tightened(model, [{"m": 0.8}, {"m": 0.8, "square": 0.2}])
-    assert all(c.task.tolerance <= 1e-5 for c in with_effect.cases)
+    # An effect's tolerance is that of points with this effect alone.
+    effect = {"m": 0.8, "square": 0.2}
+    with_effect = tightened(subject, [{"m": 0.8}, effect])
+    for k in range(len(cases)):
+        assert with_effect.model.case_at(k, effect).task.tolerance <= 1e-5
+        assert with_effect.model.case_at(k, {"m": 0.8, "cube": 0.1}).task.tolerance == 1e-3
+    (coarse,), (fine,) = subject.model.predict([effect]), with_effect.model.predict([effect])
+    (exact,) = plant({}).model.predict([effect])
+    assert all(np.abs(c - e).max() > 30 * np.abs(f - e).max() for c, f, e in zip(coarse, fine, exact, strict=True))
+    assert tightened(with_effect, [effect]) is with_effect
     # A diagnosis sees to it by itself: the true mass is 1, and nothing is missing.
-    assert diagnose_subject(replace(subject, model=model)).diagnosis.verdict.kind == "complete"
+    assert diagnose_subject(subject).diagnosis.verdict.kind == "complete"
 
 
 def test_a_start_is_judged_by_what_the_other_parameters_would_make_of_it():

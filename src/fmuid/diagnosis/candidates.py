@@ -55,7 +55,12 @@ class Fitted:
 
 
 def fit_effects(
-    subject: Subject, effects: Sequence[Effect], starts: Sequence[Mapping[str, float]], *, iterations: int = 12
+    subject: Subject,
+    effects: Sequence[Effect],
+    starts: Sequence[Mapping[str, float]],
+    *,
+    iterations: int = 12,
+    tolerance: float = 1e-3,
 ) -> Fitted | None:
     """Refit the nominal parameters together with those of `effects`; None if no start can be simulated."""
     unknowns = subject.nominal + tuple(u for e in effects for u in e.unknowns)
@@ -68,6 +73,7 @@ def fit_effects(
             starts=[{**neutral, **start} for start in starts],
             tangents=subject.model.tangents,
             max_iterations=iterations,
+            tolerance=tolerance,
         )
     except SimulationError:
         return None
@@ -173,10 +179,13 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
 
 
 def moved(subject: Subject, fitted: Fitted, name: str, score: Score) -> Fitted | None:
-    """Refit `fitted` with the scored effect in place of one of its own, from where it is."""
+    """Refit `fitted` with the scored law in place of the same one at another port, from where it is."""
     by_id = subject.by_id
-    effect, values = by_id[score.effect], {**fitted.fit.values, **by_id[name].neutral}
-    sizes = [{**values, **effect.neutral, **trial} for trial in score.trials]
+    effect, old = by_id[score.effect], by_id[name]
+    values = {**fitted.fit.values, **old.neutral}
+    pairs = zip(effect.unknowns, old.unknowns, strict=False)
+    same = {u.name: float(np.clip(fitted.fit.values[v.name], u.lower, u.upper)) for u, v in pairs}
+    sizes = [{**values, **effect.neutral, **trial} for trial in (same, *score.trials)]
     start, cost = _best_start(subject, sizes, nominal_basis(fitted.fit, subject.observed))
     effects = [*(by_id[n] for n in fitted.effects if n != name), effect]
     return fit_effects(subject, effects, [start]) if np.isfinite(cost) else None

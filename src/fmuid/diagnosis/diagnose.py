@@ -53,6 +53,8 @@ from fmuid.diagnosis.verdict import (
 )
 
 _RESTARTS = 3  # of the search, from a better optimum of the nominal parameters that it found
+_UNSETTLED = 0.01  # share of the cost that refits of the search may leave: ten of the iterations that ended them
+_TO_THE_END = 1e-9  # share of the cost: a gain of half a squared standard deviation ends a refit before that
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,14 +177,13 @@ def diagnose_subject(
         subject = replace(subject, observed=observed)
         nominal = fit_effects(subject, (), [nominal.fit.values]) or nominal
     subject, nominal = _settled(subject, nominal)
-    found = _searched(subject, nominal, say, seed=seed)
+    subject, found = _refined(subject, _searched(subject, nominal, say, seed=seed))
     for _ in range(_RESTARTS if found.evidence.present else 0):
-        model = tightened(subject.model, [(found.best or nominal).fit.values])
         better = better_nominal(subject, found.nominal, found.candidates)
-        if better is None and model is subject.model:
+        if better is None:
             break
-        subject, nominal = _settled(replace(subject, model=model), better or found.nominal)
-        found = _searched(subject, nominal, say, seed=seed)
+        subject, nominal = _settled(subject, better)
+        subject, found = _refined(subject, _searched(subject, nominal, say, seed=seed))
     model = subject.model
     nominal, scores, evidence, paths = found.nominal, found.scores, found.evidence, found.paths
     if found.best is not None and evidence.present:
@@ -274,15 +275,17 @@ def _onward(say: Say) -> Say:
 def _settled(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
     """Refit the nominal parameters until the solver's errors stay below the noise there, also with an effect."""
     for _ in range(_RESTARTS):
-        trials = [{**nominal.fit.values, **effect.trials[0]} for effect in subject.effects]
-        model = tightened(subject.model, [nominal.fit.values, *trials])
-        if model is subject.model:
+        tighter = tightened(subject, [nominal.fit.values])
+        if tighter is subject:
             break
-        subject, before = replace(subject, model=model), nominal.fit.values
+        subject, before = tighter, nominal.fit.values
         nominal = fit_effects(subject, (), [before]) or nominal
         if all(abs(nominal.fit.values[u.name] - before[u.name]) <= u.step for u in subject.nominal):
             break  # errors there are those here
-    return subject, escaped(subject, (), nominal)
+    nominal = escaped(subject, (), nominal)
+    return tightened(
+        subject, [{**nominal.fit.values, **e.neutral, **e.trials[0]} for e in subject.effects]
+    ), nominal
 
 
 def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int) -> _Searched:
@@ -297,6 +300,27 @@ def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int) -> _Sea
     evidence = _evidence(subject, nominal, scores, noise)
     candidates, best = search(subject, nominal, scores, noise, say, present=evidence.present)
     return _Searched(nominal, paths, prediction, energy, scores, noise, evidence, candidates, best)
+
+
+def _refined(subject: Subject, found: _Searched) -> tuple[Subject, _Searched]:
+    """Refit the best model and its rivals to the end, with solver tolerances that are tight enough there.
+
+    The search ends refits where an iteration gains little of the cost. In long records, that may be much evidence.
+    """
+    best = found.best
+    if best is None:
+        return subject, found
+    most = (1.0 + _UNSETTLED) * best.fit.cost
+    refined: dict[int, Fitted] = {}
+    for k, fitted in enumerate(found.candidates):
+        if fitted is best or (len(fitted.names) == len(best.names) and fitted.fit.cost <= most):
+            subject = tightened(subject, [fitted.fit.values])
+            effects = [subject.by_id[id] for id in fitted.effects]
+            again = fit_effects(subject, effects, [fitted.fit.values], tolerance=_TO_THE_END)
+            refined[k] = fitted if again is None else replace(again, names=fitted.names)
+    subject = tightened(subject, [fitted.fit.values for fitted in refined.values()])
+    candidates = [refined.get(k, fitted) for k, fitted in enumerate(found.candidates)]
+    return subject, replace(found, candidates=candidates, best=decide.best_of([*refined.values()]))
 
 
 def _shown_once(nominal: Fitted, named: Sequence[Fitted]) -> Iterator[str]:

@@ -78,6 +78,9 @@ def search(
     if not candidates:
         return [], None
     best = decide.best_of(candidates)
+    if present:  # the same law at another port may have ended in a local minimum
+        candidates += _moved(subject, best, candidates, _alike(scores, best.effects[0]))
+        best = decide.best_of(candidates)
     signatures = _signatures(subject, nominal, candidates, scores)
     without_one = cache(partial(without, subject))
     while present and len(best.effects) <= _MOST and best.gap > GAP_THAT_MATTERS:
@@ -205,6 +208,14 @@ def _renamed(subject: Subject, better: Fitted, first: str, company: list[Fitted]
 def _promising(scores: Sequence[Score], share: float = _SHARE) -> list[Score]:
     least = share * max((s.drop for s in scores), default=0.0)
     return [s for s in scores if s.signature is not None and s.drop > 0.0 and s.drop >= least]
+
+
+def _alike(scores: Sequence[Score], effect: str) -> list[Score]:
+    """Return the scores whose signatures resemble that of an effect."""
+    own = next((s.signature for s in scores if s.effect == effect), None)
+    if own is None:
+        return []
+    return [s for s in scores if s.signature is not None and similarity(s.signature, own) > _ALIKE]
 
 
 def _company(subject: Subject, best: Fitted, scores: Sequence[Score], noise: NoiseDraws) -> list[Fitted]:

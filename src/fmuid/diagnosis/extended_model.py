@@ -73,6 +73,8 @@ class CampaignModel:
         Model variables that are expressions of campaign parameters.
     variant
         Function of setup and values that returns the model with effects that are only built when tried, or None.
+    finer
+        Solver tolerances by case id that points need which name certain parameters, such as an effect's.
     """
 
     cases: tuple[Case, ...]
@@ -80,8 +82,10 @@ class CampaignModel:
     fixed: Mapping[str, float] = field(default_factory=dict)
     tie: Mapping[str, Expression] = field(default_factory=dict)
     variant: Callable[[str, Mapping[str, float]], Simulator | None] = lambda _, __: None
+    finer: Mapping[frozenset[str], Mapping[str, float]] = field(default_factory=dict)
     _predictor: Predictor[_Key] = field(default_factory=Predictor, init=False, repr=False)
     _tasks: dict[object, Task] = field(default_factory=dict, init=False, repr=False)
+    _finer_cases: dict[tuple[int, float], Case] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def runs(self) -> tuple[RepeatedRuns, ...]:
@@ -112,6 +116,17 @@ class CampaignModel:
         """
         return self._simulate([(values, drive) for drive in drives])
 
+    def case_at(self, index: int, values: Mapping[str, float]) -> Case:
+        """Return a case, by its number, with the solver tolerance that a point needs."""
+        case = self.cases[index]
+        own = [of[case.id] for names, of in self.finer.items() if case.id in of and names <= values.keys()]
+        if not own or (case.task.tolerance or np.inf) <= min(own):
+            return case
+        key = index, min(own)
+        if key not in self._finer_cases:
+            self._finer_cases[key] = replace(case, task=replace(case.task, tolerance=key[1]))
+        return self._finer_cases[key]
+
     def trajectories(self, values: Mapping[str, float], variables: Sequence[str]) -> tuple[FloatArray, ...]:
         """Return (len(variables), N) trajectories of model variables, one array per experiment.
 
@@ -121,7 +136,7 @@ class CampaignModel:
             A run failed.
         """
         jobs = []
-        for case in self.cases:
+        for case in (self.case_at(k, values) for k in range(len(self.cases))):
             # Segments are fitted to the measured outputs.
             read = case.task.outputs if isinstance(case.simulator, Segmented) else ()
             task = replace(case.task, outputs=tuple(dict.fromkeys((*read, *variables))))
@@ -175,7 +190,7 @@ class CampaignModel:
             simulator = self._simulator(case, point)
             if moved and not differentiates(simulator, moved):
                 return _Differentiated()
-            jobs.append((simulator, self._task_along(k, case, own), point))
+            jobs.append((simulator, self._task_along(k, self.case_at(k, values), own), point))
             moves.append(own)
         return _Differentiated(jobs, names, widths, ends, moves)
 
@@ -210,7 +225,7 @@ class CampaignModel:
 
     def _task_along(self, index: int, case: Case, own: Sequence[Direction]) -> Task:
         along = tuple(move for move, _ in own if move)
-        key = (index, tuple(tuple(move.items()) for move in along))
+        key = (index, case.task.tolerance, tuple(tuple(move.items()) for move in along))
         if key not in self._tasks:
             self._tasks[key] = replace(case.task, along=along)
         return self._tasks[key]
@@ -251,7 +266,12 @@ class CampaignModel:
         self, wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]]
     ) -> list[Prediction | SimulationError]:
         every = [
-            _Wanted(k, case, values, drive and {n: u for n, u in drive.items() if n in case.simulator.variables})
+            _Wanted(
+                k,
+                self.case_at(k, values),
+                values,
+                drive and {n: u for n, u in drive.items() if n in case.simulator.variables},
+            )
             for values, drive in wanted
             for k, case in enumerate(self.cases)
         ]

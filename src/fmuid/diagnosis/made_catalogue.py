@@ -173,9 +173,10 @@ def _port_lines(place: Place) -> list[str]:
     name, (potential, flow) = toml_text(port.name), port.units
     also = f", also {', '.join(port.same[:4])}" if port.same else ""
     lines = [f"[ports.{name}]", f"description = {toml_text(f'{port.kind} {port.name} ({port.domain}{also})')}"]
-    if port.kind in ("node", "branch"):
-        lines += [f"input = {toml_text(f'{port.name}.added_flow')}", "added = true"]
-        lines += [f"magnitude = {_MAGNITUDE * sizes['F']:.3g}"]
+    moved = {"node": "F", "branch": "F", "signal": "P"}.get(port.kind)
+    if moved is not None:
+        added = f"{port.name}.added_{'signal' if port.kind == 'signal' else 'flow'}"
+        lines += [f"input = {toml_text(added)}", "added = true", f"magnitude = {_MAGNITUDE * sizes[moved]:.3g}"]
     lines += [f"unit = {toml_text(flow)}", ""]
     regimes = {}
     if port.kind == "node" and port.probes.get("rate"):

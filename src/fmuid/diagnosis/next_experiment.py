@@ -209,9 +209,11 @@ def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
         return None
     observed, (a, b) = subject.observed, alike[:2]
     rivals = [rival_of(f, observed) for f in (a, b)]
+    both = {**a.fit.values, **b.fit.values}
     best: NextExperiment | None = None
     for scale in _SCALES:
-        for k, case in enumerate(subject.model.cases):
+        for k in range(len(subject.model.cases)):
+            case = subject.model.case_at(k, both)
             tolerance = _PRECISELY * (case.task.tolerance or default_tolerance(case.simulator) or _USUAL)
             inputs = {n: scale * u for n, u in case.task.inputs.items()}
             task = replace(case.task, inputs=inputs, tolerance=tolerance)

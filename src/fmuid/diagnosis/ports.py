@@ -39,7 +39,7 @@ class Port:
     magnitude
         A plausible disturbance in `unit`, at which responses are taken.
     added
-        Whether `input` is to be added to the model's source, as a flow at the port of this name.
+        Whether `input` is to be added to the model's source, to the flow or the signal at the port of this name.
     """
 
     name: str

@@ -168,30 +168,33 @@ def solved_well_enough(
     return replace(model, cases=accuracy.applied(cases)), accuracy.findings
 
 
-def tightened(model: CampaignModel, points: Sequence[Mapping[str, float]]) -> CampaignModel:
-    """Return the model with tolerances tight enough at these points, too; `model` itself if its own are.
+def tightened(subject: Subject, points: Sequence[Mapping[str, float]]) -> Subject:
+    """Return the subject with tolerances tight enough at these points, too; `subject` itself if its own are.
 
-    An effect may need a tighter one than the plain model, which is solved anew at every jump of an input. A point
-    that cannot be predicted whatever the tolerance is left out.
+    An effect may need a tighter one than the plain model, which is solved anew at every jump of an input: then
+    only points that name its parameters get it. A point that cannot be predicted whatever the tolerance is left
+    out.
     """
-    every = [(k, values) for values in points for k in range(len(model.cases))]
+    model, always = subject.model, {u.name for u in subject.nominal}
+    every = [(k, model.case_at(k, values), values) for values in points for k in range(len(model.cases))]
     sigma = _sigma(model)
     found = accuracy(
-        [replace(model.cases[k], id=f"{n}") for n, (k, _) in enumerate(every)],
-        lambda wanted: model.predict_cases([(every[n][0], task, every[n][1]) for n, task in wanted]),
-        sigma=[sigma[k] for k, _ in every],
+        [replace(case, id=f"{n}") for n, (_, case, _) in enumerate(every)],
+        lambda wanted: model.predict_cases([(every[n][0], task, every[n][2]) for n, task in wanted]),
+        sigma=[sigma[k] for k, _, _ in every],
     )
-    needed: dict[int, float] = {}
-    for n, (k, _) in enumerate(every):
-        if f"{n}" not in found.until:
-            needed[k] = min(needed.get(k, np.inf), found.tolerances.get(f"{n}", np.inf))
-    cases = tuple(
-        replace(c, task=replace(c.task, tolerance=needed[k]))
-        if needed.get(k, np.inf) < (c.task.tolerance or default_tolerance(c.simulator) or 0.0)
-        else c
-        for k, c in enumerate(model.cases)
-    )
-    return model if all(a is b for a, b in zip(cases, model.cases, strict=True)) else replace(model, cases=cases)
+    needed: dict[frozenset[str], dict[str, float]] = {}
+    for n, (_, case, values) in enumerate(every):
+        own = found.tolerances.get(f"{n}", np.inf)
+        if f"{n}" not in found.until and own < (case.task.tolerance or default_tolerance(case.simulator) or 0.0):
+            of = needed.setdefault(frozenset(values.keys() - always), {})
+            of[case.id] = min(of.get(case.id, np.inf), own)
+    if not needed:
+        return subject
+    plain = SolverAccuracy(needed.pop(frozenset(), {}))
+    finer = {names: {**model.finer.get(names, {}), **of} for names, of in needed.items()}
+    model = replace(model, cases=plain.applied(model.cases), finer={**model.finer, **finer})
+    return replace(subject, model=model)
 
 
 def _sigma(model: CampaignModel) -> list[FloatArray]:

@@ -54,7 +54,7 @@ def built_with(model: ModelSpec, catalogue: Catalogue) -> Path:
 
 def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Collection[str]) -> Path:
     """Build a model with the additions of a catalogue; effects that make variants only if `tried`."""
-    known = {port.name for port in find_ports(flat)}
+    known = {port.name: port.kind for port in find_ports(flat)}
     terms, added, inside = [], [], effects_inside(source)
     for effect in catalogue.effects.values():
         if effect.expression and effect.port in known and effect.id not in inside:
@@ -68,7 +68,10 @@ def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Co
             ]
     for port in catalogue.ports.values():
         if port.added and port.input and port.name in known:
-            terms.append(Term(port.name, "flow", port.input, f"[ports.{port.name!r}] input"))
+            where = f"[ports.{port.name!r}] input"
+            signal = known[port.name] == "signal"
+            own = Term(port.name, "signal", f"p + {port.input}", where)
+            terms.append(own if signal else Term(port.name, "flow", port.input, where))
             added.append(Added(port.input, 0.0, port.unit, port.description, input=True))
     return built_with_terms(source, flat, terms, added)
 

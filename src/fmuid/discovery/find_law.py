@@ -23,7 +23,7 @@ from fmuid.diagnosis.horizon import approached
 from fmuid.diagnosis.null_distribution import NoiseDraws, draw_noise
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess
 from fmuid.diagnosis.scores import nominal_basis
-from fmuid.diagnosis.subject import Subject
+from fmuid.diagnosis.subject import Subject, tightened
 from fmuid.diagnosis.verdict import Closure, Curve, LawFound, LawParameter
 from fmuid.discovery.injected import Law, entry, of_second_order, with_laws
 from fmuid.discovery.places import Spot, spot
@@ -252,6 +252,7 @@ class _Search:
             starts.append(values | dict(zip(new.sizes, sizes, strict=True)))
         effects = [law.effect(f"tried{k + 1}@{law.spot.port.name}", "a law") for k, law in enumerate(laws)]
         subject = with_laws(self.found.subject, self.models, self.load, effects, self.base.effects)
+        subject = tightened(subject, starts)
         beside = [e for e in subject.effects if e.id in self.base.effects]
         found = []
         for new, effect, start in zip(laws, effects, starts, strict=True):
