@@ -262,7 +262,9 @@ class Files:
 def c_files(functions: Functions, header: Header) -> Files:
     """C text of all functions and tables; the same bytes for the same functions."""
     seldom = RARE if header.sizes["NY"] else RARE | WITHOUT_LOOPS
-    often = c_code({n: f for n, f in functions.items() if n not in seldom}, parameters=PARAMETERS)
+    often = c_code(
+        {n: f for n, f in functions.items() if n not in seldom}, parameters=PARAMETERS, laws="model_laws"
+    )
     rare = c_code({n: f for n, f in functions.items() if n in seldom})
     lines = ["#ifndef MODEL_H", "#define MODEL_H", ""]
     lines += ["#ifndef casadi_int", "#define casadi_int long long int", "#endif", ""]
@@ -311,6 +313,7 @@ def c_files(functions: Functions, header: Header) -> Files:
     ]
     signature = "(const double** arg, double** res, casadi_int* iw, double* w, int mem);"
     lines += [f"int model_{name}{signature}" for name in functions]
+    lines += ["int model_laws(const double* p, casadi_int* iw, double* w);"]
     source = "\n".join([often.source, *tables, ""])
     return Files(source, rare.source, "\n".join([*lines, "", "#endif", ""]))
 

@@ -26,7 +26,7 @@ def without_branches(function: Any, parameters: int | None) -> tuple[Any, Any] |
     Returns
     -------
     tuple or None
-        Two functions of the same arguments; None if too few branches depend on that argument alone.
+        The first is a function of that argument alone; None if too few branches depend on nothing else.
     """
     if parameters is None or function.n_in() <= parameters:
         return None
@@ -66,7 +66,8 @@ def without_branches(function: Any, parameters: int | None) -> tuple[Any, Any] |
     patterns = [function.sparsity_out(k) for k in range(function.n_out())]
     without = [ca.SX(p, ca.vertcat(*r)) if r else ca.SX(p) for p, r in zip(patterns, results, strict=True)]
     name = function.name()
-    return ca.Function(f"{name}_on", arguments, [on]), ca.Function(f"{name}_idle", arguments, ca.cse(without))
+    asked = ca.Function(f"{name}_on", [arguments[parameters]], [on])
+    return asked, ca.Function(f"{name}_idle", arguments, ca.cse(without))
 
 
 def _branches(function: Any, parameters: int) -> frozenset[int]:

@@ -5,7 +5,7 @@
 
 #include "instance.h"
 
-#define CALL(name) model_##name(me->arg, me->res, me->iw, me->w, 0)
+#define CALL(name) model_##name(me->arg, me->res, me->iw, me->w, me->s.laws)
 
 static const Pattern PATTERN_R = PATTERN(R);
 

@@ -34,7 +34,7 @@ static int solve_initial(Instance *me) {
         me->arg[9] = s->xs;
         me->res[0] = r;
         me->res[1] = me->initial;
-        if (model_initial(me->arg, me->res, me->iw, me->w, 0)) return 1;
+        if (model_initial(me->arg, me->res, me->iw, me->w, me->s.laws)) return 1;
         double norm = 0.0;
         for (int i = 0; i < N; i++) norm += r[i] * r[i];
         if (norm == 0.0) return 0;
@@ -85,7 +85,7 @@ int dependent_parameters_along(Instance *me, const double *sp, double *sd) {
     me->arg[0] = me->s.p;
     me->arg[1] = sp;
     me->res[0] = sd;
-    return model_dependent_partials(me->arg, me->res, me->iw, me->w, 0);
+    return model_dependent_partials(me->arg, me->res, me->iw, me->w, me->s.laws);
 }
 
 /* Derivative of the start values [x; z] along s->p and s->d. */
@@ -93,7 +93,7 @@ static int starts_along(Instance *me, const Direction *s, double *starts) {
     const double *const arguments[] = {me->s.p, me->s.d, s->p, s->d};
     for (int i = 0; i < 4; i++) me->arg[i] = arguments[i];
     me->res[0] = starts;
-    return model_start_partials(me->arg, me->res, me->iw, me->w, 0);
+    return model_start_partials(me->arg, me->res, me->iw, me->w, me->s.laws);
 }
 
 /* The same of the discrete variables alone, into s->z and s->pz. */
@@ -120,12 +120,12 @@ int initial_states_along(Instance *me, const double *start, Direction *s) {
     me->arg[9] = now->xs;
     me->res[0] = NULL;
     me->res[1] = me->initial;
-    if (model_initial(me->arg, me->res, me->iw, me->w, 0) || FACTORISE(I, me->initial, &me->lu_start)) return 1;
+    if (model_initial(me->arg, me->res, me->iw, me->w, me->s.laws) || FACTORISE(I, me->initial, &me->lu_start)) return 1;
     environment_at(me, &now->t, now->x, now->u);
     const double *const seeds[] = {now->xs, s->u, s->p, s->d, sxs, s->z, s->pz};
     for (int i = 0; i < 7; i++) me->arg[9 + i] = seeds[i];
     me->res[0] = r;
-    if (model_initial_partials(me->arg, me->res, me->iw, me->w, 0)) return 1;
+    if (model_initial_partials(me->arg, me->res, me->iw, me->w, me->s.laws)) return 1;
     SOLVE(I, &me->lu_start, r);
     for (int i = 0; i < NX; i++) s->x[i] = -r[i];
     return 0;
@@ -141,12 +141,13 @@ Status initialise(Instance *me) {
     for (int i = 0; i < MODEL_SZ_RES; i++) me->res[i] = NULL;
     me->res[0] = s->d;
     model_dependent(me->arg, me->res, me->iw, me->w, 0);
+    s->laws = model_laws(s->p, me->iw, me->w);
     me->arg[0] = s->p;
     me->arg[1] = s->d;
     me->res[0] = xs;
     me->res[1] = s->z;
     me->res[2] = s->y;
-    model_start(me->arg, me->res, me->iw, me->w, 0);
+    model_start(me->arg, me->res, me->iw, me->w, me->s.laws);
     for (int i = 0; i < NX; i++)
         if (!s->xs_set[i]) s->xs[i] = xs[i];
     memcpy(s->x, s->xs, sizeof s->x);

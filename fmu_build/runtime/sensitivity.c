@@ -22,11 +22,11 @@ static int slopes_at(Instance *me, double t, const double *x, const double *u, d
     environment_at(me, &t, x, u);
     me->res[0] = jacobian;
     me->res[1] = by_moved;
-    if (model_slopes(me->arg, me->res, me->iw, me->w, 0)) return 1;
+    if (model_slopes(me->arg, me->res, me->iw, me->w, me->s.laws)) return 1;
     if (!me->sensitivity->elements) return 0;
     environment_at(me, &t, x, u);
     me->res[0] = by_moved + MODEL_NSLOPE;
-    return model_element_slopes(me->arg, me->res, me->iw, me->w, 0);
+    return model_element_slopes(me->arg, me->res, me->iw, me->w, me->s.laws);
 }
 
 /* to += a * row for all directions */
@@ -293,7 +293,7 @@ static int follow_variables(Instance *me) {
     double computed[LENGTH(MODEL_NOUTPUT_SLOPE)];
     environment_at(me, &now->t, now->x, now->u);
     me->res[0] = computed;
-    if (model_output_slopes(me->arg, me->res, me->iw, me->w, 0)) return 1;
+    if (model_output_slopes(me->arg, me->res, me->iw, me->w, me->s.laws)) return 1;
     memset(q->shown, 0, NV * n * sizeof *q->shown);
     for (int k = 0; k < MODEL_NOUTPUT_SLOPE + MODEL_NCONSTANT_SLOPE; k++) {
         const int column = MODEL_VARIABLE_COLUMN[k], moved = column - N;

@@ -108,10 +108,12 @@ Status set_value(Instance *me, unsigned reference, VariableType type, double val
         if (!before && me->sensitivity)
             return report(me, STATUS_ERROR, "%s cannot change while sensitivities are computed", entry->name);
         s->p[i] = value;
+        s->laws = 0;
         if (!before) {
             me->arg[0] = s->p;
             me->res[0] = s->d;
             model_dependent(me->arg, me->res, me->iw, me->w, 0);
+            s->laws = model_laws(s->p, me->iw, me->w);
             s->changed = 1;
         }
         break;

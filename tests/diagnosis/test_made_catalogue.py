@@ -334,7 +334,7 @@ def test_laws_that_are_off_take_none_of_the_time_of_a_simulation(tmp_path):
         for size, acts in ((0.0, 0.0), (0.1, 1.0)):
             values[index] = size
             point = [0.3, x, u, values, [], [], [], [], []]
-            assert float(on(*point)) == acts
+            assert float(on(values)) == acts
             assert np.array_equal(
                 np.array(idle(*point)[0] if name == "jacobian" else idle(*point)),
                 np.array(
