@@ -21,11 +21,10 @@ DEVELOPER := $(VENV)/.developer
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 ACTUATOR := FixedShaft FreeShaft EccentricLoad
-SETUPS := $(ACTUATOR) $(ACTUATOR:%=%WithEffects)
-PENDULUM := $(foreach setup,TorqueDriven PositionDriven,build/fmus/$(setup).fmu build/fmus/$(setup)WithEffects.fmu)
+PENDULUM := build/fmus/TorqueDriven.fmu build/fmus/PositionDriven.fmu
 # The actuator and its speed controller as separate FMUs, to be coupled (docs/coupled.md).
 COUPLED := build/fmus/EccentricLoadPlant.fmu build/fmus/SpeedController.fmu
-FMUS := $(SETUPS:%=build/fmus/%.fmu) $(PENDULUM)
+FMUS := $(ACTUATOR:%=build/fmus/%.fmu) $(PENDULUM)
 STEPPER := $(shell find src -name "*.[ch]")
 MODELICA := $(shell find modelica -name '*.mo')
 EXPORT := $(shell find fmu_build -name '*.py' -o -name '*.[ch]')
@@ -162,7 +161,7 @@ diagnose-double-pendulum: identify-double-pendulum
 diagnose-robot: campaigns/robot/measurements.h5
 	$(BIN)/fmuid diagnose campaigns/robot --out runs/robot-diagnosis
 
-sealed: $(FMUS)
+sealed: | $(READY)
 	$(BIN)/python -m benchmarks.sealed $(SEALED) --out sealed --page docs/sealed.md
 
 # Rigs of other kinds, each with its own plain Modelica model.
@@ -170,7 +169,7 @@ sealed-abroad: | $(READY)
 	$(BIN)/python -m benchmarks.sealed $(SEALED_ABROAD) --abroad --out sealed --page docs/sealed.md
 
 # Continues where it was interrupted. FIRST=20: the first twenty cases of the grid. SEED=5: this seed instead of a drawn one.
-blind: $(FMUS)
+blind: | $(READY)
 	$(BIN)/python -m benchmarks.blind.blind_check --labels $(LABELS) --count $(COUNT) \
 	  $(FIRST:%=--first %) $(SEED:%=--seed %) --page docs/blind.md --notes docs/blind_notes.md \
 	  --command "make blind COUNT=$(COUNT)$(FIRST:%= FIRST=%)$(SEED:%= SEED=%)"

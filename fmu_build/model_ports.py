@@ -96,7 +96,7 @@ def held_parameters(flat: FlatModel) -> tuple[Variable, ...]:
         for v in flat.variables.values()
         if v.type == "Real" and v.variability == "parameter" and not v.shape
         and not (v.final or v.evaluate or v.protected) and v.name not in flat.structural
-        and constant(v.binding) not in (None, 0.0)
+        and constant(v.binding) is not None
     )  # fmt: skip
 
 

@@ -11,6 +11,11 @@ from unittest import mock
 
 import pytest
 
+from fmuid.core.campaign import ModelSource
+from fmuid.diagnosis.variants import carrier
+from fmuid.simulation.model_source import flat_model
+from tests.every_law import every_law
+
 ROOT = Path(__file__).parents[1]
 FMUS = ROOT / "build" / "fmus"  # where `make fmus` puts them too
 MODELICA = ROOT / "modelica"
@@ -70,9 +75,14 @@ def fmus() -> Mapping[str, Path]:
 
 
 @pytest.fixture(scope="session")
-def effect_fmus() -> Mapping[str, Path]:
-    """The FMUs of the actuator with the effects of its catalogue, by name."""
-    return build_setups(tuple(f"{name}WithEffects" for name in ACTUATOR))
+def effect_fmus(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
+    """The FMUs of the actuator with every law at every port, as far as they are off at no cost, by name."""
+    found = {}
+    with mock.patch.dict(os.environ, XDG_CACHE_HOME=str(ROOT / "build" / "cache")):
+        for name in ACTUATOR:
+            source = ModelSource(MODELICA / "Drives" / "Setups" / f"{name}.mo", f"Drives.Setups.{name}")
+            found[name] = carrier(source, every_law(flat_model(source), tmp_path_factory.mktemp(name)))
+    return found
 
 
 @pytest.fixture(scope="session")

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.blind.blind_score import Outcome, Scored
+from benchmarks.blind.blind_score import Outcome
 from benchmarks.blind.made import PLACES, scored
 from benchmarks.study_command import ended
 from benchmarks.virtual_rig.blind import DIGEST, LABELS, kept_seed, make_blind_campaigns, truth_of
@@ -63,27 +63,15 @@ class Check:
 
     def run(self) -> Outcome:
         """Carry it out."""
-        from fmuid.diagnosis.catalogue import load_catalogue
-
         self._make()
         closed = self._diagnose(self.out / "campaigns", self.out / "answers")
         labels = checked_labels(self.labels, self.out / "campaigns" / DIGEST)
         answers = {n: json.loads(p.read_text()) for n in labels if (p := self._answer(n)).is_file()}
         closures = self._closures(answers)
         second = self._second_round({n: a for n, a in answers.items() if a.get("next_experiment")})
-        catalogue = self._catalogue()
-        score, ports = (scored, PLACES) if catalogue is None else (Scored, load_catalogue(catalogue).ports)
-        cases = tuple(score(labels[n], a, closures.get(n), second.get(n)) for n, a in answers.items())
+        cases = tuple(scored(labels[n], a, closures.get(n), second.get(n)) for n, a in answers.items())
         digest = (self.out / "campaigns" / DIGEST).read_text().split()[0]
-        return Outcome(cases, tuple(ports), len(labels), self.count, self._seed, digest, closed)
-
-    def _catalogue(self) -> Path | None:
-        """Return the written catalogue that the cases are held against; None if each makes its own."""
-        from fmuid.campaigns.campaign_toml import load_campaign
-
-        any_case = next((self.out / "campaigns").glob("*/measurements.h5"))
-        effects = load_campaign(self.template, measurements=any_case).effects
-        return None if effects is None else effects.catalogue
+        return Outcome(cases, tuple(PLACES), len(labels), self.count, self._seed, digest, closed)
 
     def _answer(self, name: str, folder: str = "answers") -> Path:
         return self.out / folder / f"{name}.json"

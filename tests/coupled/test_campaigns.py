@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import re
+import shutil
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,20 +12,23 @@ import fmpy
 import numpy as np
 import pytest
 from lxml import etree
-from systems import BUILT, DRIVES, ROOT, component, connection, connections, elements, write_ssp
+from systems import BUILT, DRIVES, component, connection, connections, elements, write_ssp
 
-import fmu_build
 from fmuid import diagnose, identify, load_campaign, validate
 from fmuid.cli.app import run
+from fmuid.core.campaign import ModelSource
 from fmuid.core.coupling import Master
 from fmuid.core.errors import FmuidError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
+from fmuid.diagnosis.variants import carrier
 from fmuid.identification.check import check_effects, load_models, match_models
 from fmuid.identification.identified_models import write_identified
 from fmuid.simulation.coupled.loading import load_system
 from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.simulator import Task
+from tests.every_law import every_law
 
 TIME = np.linspace(0, 1, 101)
 TRUTH = {"mgr": 21.0, "kp": 0.026, "ki": 0.52}
@@ -223,9 +226,36 @@ def test_what_was_identified_is_written_back_as_an_ssp(campaign_folder, tmp_path
     etree.XMLSchema(etree.parse(schemas / "SystemStructureDescription.xsd")).assertValid(description)
 
 
-EFFECTS = ("viscous", "sensor_gain", "hardening")
+CATALOGUE = """
+format = "fmuid-effects"
+version = 1
+[models]
+EccentricLoadPlant = "EccentricLoadPlantWithLaws"
+
+[ports.motor]
+input = "motor.added_flow"
+magnitude = 0.01
+unit = "N.m"
+
+[effects.viscous]
+description = "friction of the motor's bearing"
+source = "lubricant"
+port = "motor"
+trials = [{ "motor.viscous" = 1e-3 }]
+[effects.viscous.parameters]
+"motor.viscous" = { neutral = 0, lower = 0, upper = 0.05, step = 1e-5, unit = "N.m.s/rad" }
+
+[effects.imbalance]
+description = "another mass beside the axis"
+source = "construction"
+port = "motor"
+two_sided = true
+trials = [{ "load.imbalance_cosine" = 1.0 }]
+[effects.imbalance.parameters]
+"load.imbalance_cosine" = { neutral = 0, lower = -20, upper = 20, step = 0.01, unit = "N.m" }
+"""
 DIAGNOSED = """
-map = {{ w_ref = "controller.w_ref", w = "w_motor", tau = "tau_sensor" }}
+map = { w_ref = "controller.w_ref", w = "w_motor", tau = "tau_sensor" }
 interpolation = "linear"
 
 [parameters.mgr]
@@ -239,15 +269,14 @@ nominal = ["mgr"]
 """
 
 
-def write_diagnosed(folder: Path, truth: Mapping[str, float]) -> Path:
-    """Write repeated runs of the single FMU with an effect, for the split one with a catalogue of three."""
+def write_diagnosed(folder: Path, rig: Path, truth: Mapping[str, float]) -> Path:
+    """Write repeated runs of the single FMU with a law, for the split one with a catalogue of two."""
     rng = np.random.default_rng(5)
-    rig = load_fmu(BUILT / "EccentricLoadWithEffects.fmu")
     runs = {}
     for name, frequency in (("fast", 1.0), ("slow", 0.5), ("medium", 0.7)):
         reference = 30 * np.sin(2 * np.pi * frequency * TIME)
         task = Task(TIME, {"w_ref": reference}, ("w_motor", "tau_sensor"), {"mgr": 22.0}, "linear")
-        predicted = rig.simulate(task, truth)
+        predicted = load_fmu(rig).simulate(task, truth)
         for repeat in range(3):
             signals = {"w_ref": Signal("w_ref", reference, "rad/s", "input")}
             for key, unit, y in zip(("w", "tau"), ("rad/s", "N.m"), predicted, strict=True):
@@ -255,29 +284,30 @@ def write_diagnosed(folder: Path, truth: Mapping[str, float]) -> Path:
             id = f"{name}{repeat}"
             runs[id] = Experiment(id, "bench", TIME, signals, repeat_of=f"{name}0" if repeat else None)
     write_measurements(Measurements(runs), folder / "measurements.h5")
-    catalogue = (ROOT / "modelica" / "Drives" / "effects.toml").read_text()
-    head, *sections = re.split(r"(?m)^(?=\[effects\.\w+\]$)", catalogue)
-    chosen = [s for s in sections if s.startswith(tuple(f"[effects.{e}]" for e in EFFECTS))]
-    (folder / "effects.toml").write_text(head + "\n".join(chosen))
+    (folder / "effects.toml").write_text(CATALOGUE)
+    source = ModelSource(DRIVES / "Setups" / "EccentricLoadPlant.mo", "Drives.Setups.EccentricLoadPlant")
+    (folder / "laws").mkdir()
+    with_laws = carrier(source, every_law(flat_model(source), folder / "laws"))
+    shutil.copy(with_laws, folder / "EccentricLoadPlantWithLaws.fmu")
+    shutil.copy(BUILT / "EccentricLoadPlant.fmu", folder)
     table = TABLE.format(
         step=1e-3,
         extrapolation="linear",
-        plant=BUILT / "EccentricLoadPlant.fmu",
+        plant=folder / "EccentricLoadPlant.fmu",
         controller=BUILT / "SpeedController.fmu",
     )
     (folder / "campaign.toml").write_text(
-        f'[campaign]\nname = "split"\n[models.bench]\n{table}\nmain = "plant"\n' + DIAGNOSED.format()
+        f'[campaign]\nname = "split"\n[models.bench]\n{table}\nmain = "plant"\n{DIAGNOSED}'
     )
     return folder
 
 
 @pytest.mark.slow
-def test_a_coupled_model_is_diagnosed(drive, tmp_path):
-    """The plant's counterpart with effects takes its place; the effect of the rig is named and measured."""
-    for name in ("EccentricLoadWithEffects", "EccentricLoadPlantWithEffects"):
-        fmu_build.build(DRIVES / "Setups" / f"{name}.mo", f"Drives.Setups.{name}", BUILT)
-    found = diagnose(write_diagnosed(tmp_path, {"sensor.gain": 1.04}), workers=0)
+def test_a_coupled_model_is_diagnosed(drive, effect_fmus, tmp_path, monkeypatch):
+    """The plant's counterpart with laws takes its place; the law of the rig is named and measured."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    found = diagnose(write_diagnosed(tmp_path, effect_fmus["EccentricLoad"], {"motor.viscous": 2e-3}), workers=0)
     answer = found.diagnosis.to_dict()
-    assert answer["verdict"]["effects"] == ["sensor_gain"]
-    assert answer["effects"][0]["parameters"]["sensor.gain"]["value"] == pytest.approx(1.04, abs=0.01)
+    assert answer["verdict"]["effects"] == ["viscous"]
+    assert answer["effects"][0]["parameters"]["motor.viscous"]["value"] == pytest.approx(2e-3, rel=0.02)
     assert answer["model"]["parameters"]["mgr"] == pytest.approx(22.0, rel=0.01)

@@ -259,7 +259,7 @@ def verdicts(outcome: Outcome) -> dict[str, tuple[object, ...]]:
 
 
 @pytest.mark.slow
-def test_a_complete_actuator_one_effect_and_one_of_no_catalogue_are_told_apart_blind(tmp_path, fmus, effect_fmus):
+def test_a_complete_actuator_one_effect_and_one_of_no_catalogue_are_told_apart_blind(tmp_path):
     """A complete actuator with little noise, mesh friction as large as the noise, friction at one spot of a turn."""
     outcome = blind(tmp_path, 40, 47, 190)
     assert verdicts(outcome) == {
@@ -273,7 +273,7 @@ def test_a_complete_actuator_one_effect_and_one_of_no_catalogue_are_told_apart_b
 
 
 @pytest.mark.slow
-def test_two_effects_a_faint_one_and_a_ripple_of_no_catalogue_are_found_blind(tmp_path, fmus, effect_fmus):
+def test_two_effects_a_faint_one_and_a_ripple_of_no_catalogue_are_found_blind(tmp_path):
     assert verdicts(blind(tmp_path, 4, 6, 59)) == {
         "c004": ("gear_ripple", "->", "unknown"),
         "c006": ("mesh_loss", "->", "effect", "mesh_loss"),

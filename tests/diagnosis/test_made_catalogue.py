@@ -26,8 +26,7 @@ from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
 from fmuid.diagnosis.catalogue import load_catalogue
 from fmuid.diagnosis.made_catalogue import (
-    SIZES,
-    Place,
+    Held,
     catalogue_text,
     laws,
     possible_laws,
@@ -41,24 +40,14 @@ from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.model_source import built_model, built_with_terms
 from fmuid.simulation.signal_effects import disturbed_readings
 from fmuid.simulation.simulator import Task
+from tests.every_law import HEAD, every_law
 
 RIGS = Path(__file__).parents[1] / "fmu_build" / "models" / "Rigs.mo"
-HEAD = 'format = "fmuid-effects"\nversion = 1\n'
 NAMES = ("TwoMass", "Circuit", "Block", "Tanks")
 
 
 def flat(name):
     return load(RIGS, f"Rigs.{name}")
-
-
-def every_law(model, folder):
-    """The catalogue of every law at every port."""
-    sizes = dict.fromkeys(SIZES, 1.0)
-    file = folder / "effects.toml"
-    file.write_text(
-        catalogue_text([Place(port, sizes) for port in find_ports(model) if not port.passed], {}, HEAD)
-    )
-    return load_catalogue(file)
 
 
 def everything(model, folder):
@@ -68,7 +57,8 @@ def everything(model, folder):
     added = [Added(u.name, e.neutral[u.name]) for e in catalogue.effects.values() for u in e.unknowns]
     for port in catalogue.ports.values():
         if port.input is not None:
-            terms.append(Term(port.name, "flow", port.input))
+            signal = port.input.endswith("signal")
+            terms.append(Term(port.name, "signal" if signal else "flow", "p + " * signal + port.input))
             added.append(Added(port.input, input=True))
     return terms, added
 
@@ -292,6 +282,18 @@ def test_friction_under_load_has_the_torque_of_a_rigid_gear_where_nothing_gives_
     )
     assert np.abs(plain - truth).max() > 0.05 * np.ptp(truth)
     assert np.abs(found - truth).max() < 2e-3 * np.ptp(truth)
+
+
+def test_a_parameter_held_at_zero_has_the_scale_of_its_bounds(tmp_path):
+    file = tmp_path / "effects.toml"
+    held = {"k": Held(0.0, "1", bounds=(0.0, 0.3)), "d": Held(0.0, "N", bounds=(-2.0, 1.0))}
+    file.write_text(catalogue_text([], held, HEAD))
+    k, d = load_catalogue(file).effects.values()
+    assert (k.id, k.neutral, k.two_sided) == ("value@k", {"k": 0.0}, False)
+    assert (k.unknowns[0].lower, k.unknowns[0].upper) == (0.0, 0.3)
+    assert [t["k"] for t in k.trials] == pytest.approx([0.003, 0.015, 0.06])
+    assert d.two_sided
+    assert {t["d"] for t in d.trials} == {0.01, -0.02, 0.05, -0.1, 0.2, -0.4}
 
 
 def test_every_law_says_where_it_comes_from():

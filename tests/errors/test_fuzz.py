@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 sys.path.insert(0, str(Path(__file__).parent))
 import cases
 
+from fmu_build import load
 from fmu_build.errors import UserError
 from fmuid.campaigns import campaign_toml
 from fmuid.core.experiments import Measurements
@@ -31,6 +32,7 @@ from fmuid.simulation.coupled.loading import load_system
 from fmuid.simulation.fmu import Fmu
 from tests.cli.conftest import TOML
 from tests.conftest import MODELICA
+from tests.every_law import written
 
 INPUTS = int(os.environ.get("FMUID_FUZZ", "200"))
 NASTY = [
@@ -290,7 +292,7 @@ def test_a_damaged_system(bench: Path, text: str) -> None:
     refused_or_read(lambda: load_system(bench / "drive.ssp"))
 
 
-@fuzzed((MODELICA / "Pendulum" / "effects.toml").read_text())
+@fuzzed(written(load(MODELICA / "Pendulum" / "Setups" / "TorqueDriven.mo", "Pendulum.Setups.TorqueDriven")))
 def test_a_damaged_catalogue(tmp_path: Path, text: str) -> None:
     (tmp_path / "effects.toml").write_bytes(text.encode(errors="surrogatepass"))
     refused_or_read(lambda: load_catalogue(tmp_path / "effects.toml"))

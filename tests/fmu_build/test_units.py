@@ -99,4 +99,4 @@ def test_a_wrong_unit_in_the_library_is_found(tmp_path):
     types.write_text(types.read_text().replace('final unit = "N.m/A"', 'final unit = "N.m/rad"'))
     setup = tmp_path / "Drives" / "Setups" / "FixedShaft.mo"
     (found,) = check(load(setup, "Drives.Setups.FixedShaft"))
-    assert found.startswith("Motor.mo:5: the units differ: N.m and ")
+    assert found.startswith("Motor.mo:11: the units differ: N.m and ")

@@ -49,7 +49,7 @@ def test_fmi_3_under_sanitizers(built, tmp_path, name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["EccentricLoadWithEffects", "LinearAxisClosedLoop"])
+@pytest.mark.parametrize("name", ["EccentricLoad", "LinearAxisClosedLoop"])
 def test_shipped_models_under_sanitizers(tmp_path, name):
     path = build(MODELICA / "Drives" / "Setups" / f"{name}.mo", f"Drives.Setups.{name}", tmp_path)
     shutil.unpack_archive(path, tmp_path / "unpacked", "zip")

@@ -42,7 +42,6 @@ def servo_task(setup: str) -> Task:
 
 @pytest.fixture(scope="session")
 def pendulum_fmus() -> Mapping[str, Path]:
-    """The FMUs of the servo pendulum by name, plain and with effects."""
+    """The FMUs of the servo pendulum by name."""
     setups = MODELICA / "Pendulum" / "Setups"
-    names = [name + suffix for name in SETUPS for suffix in ("", "WithEffects")]
-    return {n: build_once(setups / f"{n}.mo", f"Pendulum.Setups.{n}", roots=[MODELICA]) for n in names}
+    return {n: build_once(setups / f"{n}.mo", f"Pendulum.Setups.{n}", roots=[MODELICA]) for n in SETUPS}

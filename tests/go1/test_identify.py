@@ -14,7 +14,7 @@ from campaigns.go1.convert import main as read_logs
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.cli.app import run
 from fmuid.identification.result import Result
-from tests.conftest import ROOT
+from tests.conftest import MODELICA, ROOT
 from tests.go1.logs import TRAJECTORIES, simulated_log, write
 
 CAMPAIGN = ROOT / "campaigns" / "go1" / "campaign.toml"
@@ -33,6 +33,7 @@ def campaign_of(folder: Path, fmu: Path, law: str) -> Path:
     campaign = folder / "campaign"
     assert read_logs([str(campaign), str(write(folder / "logs", *logs))]) == 0
     text = CAMPAIGN.read_text().replace("../../build/fmus/PositionDriven.fmu", str(fmu))
+    text = text.replace("../../modelica", str(MODELICA))
     (campaign / "campaign.toml").write_text(text.replace("starts = 3", "starts = 1"))
     return campaign
 

@@ -1,9 +1,6 @@
-"""The servo pendulum: FMU against the hand-written model, the friction laws, the catalogue of effects."""
+"""The servo pendulum: FMU against the hand-written model, the friction laws."""
 
 from __future__ import annotations
-
-import tomllib
-from dataclasses import replace
 
 import fmpy
 import numpy as np
@@ -12,15 +9,11 @@ import pytest
 from benchmarks.reference import reference_fmu
 from benchmarks.reference.servo_pendulum import friction_budget
 from fmu_build import build
-from fmuid.diagnosis.catalogue import load_catalogue
-from fmuid.simulation.signal_effects import NEUTRAL
 from fmuid.simulation.simulator import Task
 from tests.conftest import MODELICA
 from tests.go1.conftest import LAW_M6, RIG, SETUPS, servo_task
 from tests.reference.plain_fmpy import simulate_fmu
 
-CATALOGUE = MODELICA / "Pendulum" / "effects.toml"
-EFFECTS = tomllib.loads(CATALOGUE.read_text())["effects"]
 LAWS = {
     "CoulombViscous": (),
     "Stribeck": ("K_cs", "w_s", "alpha"),
@@ -52,16 +45,6 @@ def test_reference_has_the_fmu_s_variables(pendulum_fmus, setup):
         assert (twin.causality, unit) == (variable.causality, variable.unit), variable.name
         if variable.causality in ("parameter", "input"):
             assert float(twin.start) == variable.start, variable.name
-
-
-@pytest.mark.parametrize("setup", SETUPS)
-def test_neutral_equals_the_plain_model(pendulum_fmus, setup):
-    task, values = servo_task(setup), {**LAW_M6, **RIG}
-    plain = simulate_fmu(pendulum_fmus[setup], task, values, tolerance=1e-11)
-    with_effects = simulate_fmu(pendulum_fmus[f"{setup}WithEffects"], task, values, tolerance=1e-11)
-
-    for ours, theirs in zip(with_effects, plain, strict=True):
-        assert ours == pytest.approx(theirs, abs=1e-9 * np.ptp(theirs))
 
 
 @pytest.fixture(scope="module")
@@ -134,67 +117,3 @@ def test_friction_holds_up_to_its_budget_and_no_further(pendulum_fmus):
         task = Task(time, {"tau_ref": np.full(201, 0.2)}, ("q",), {"q_start": start})
         (q,) = simulate_fmu(pendulum_fmus["TorqueDriven"], task, {"friction.K_c": 0.3})
         assert (abs(q[-1] - start) > 0.05) == moves
-
-
-def test_catalogue_is_read_and_matches_the_fmu(pendulum_fmus):
-    loaded = load_catalogue(CATALOGUE)
-    variables = set()
-    units = {}
-    for name in (f"{s}WithEffects" for s in SETUPS):
-        for v in fmpy.read_model_description(str(pendulum_fmus[name])).modelVariables:
-            variables.add(v.name)
-            units[v.name] = v.unit or (v.declaredType.unit if v.declaredType else None)
-
-    assert all(regime.variable in variables for regime in loaded.regimes.values())
-    for effect in loaded.effects.values():
-        assert effect.source
-        for name in effect.neutral:
-            signal, _, kind = name.rpartition(".")
-            if kind in NEUTRAL and signal in ("q", "w", "tau_motor"):
-                continue
-            assert units[name] == effect.units[name], name
-
-
-def test_no_two_effects_share_a_parameter():
-    names = [n for effect in load_catalogue(CATALOGUE).effects.values() for n in effect.neutral]
-
-    assert len(names) == len(set(names))
-
-
-@pytest.mark.parametrize("effect", [e for e in EFFECTS if "reading" not in e and e != "position_delay"])
-def test_every_effect_moves_an_output(pendulum_fmus, effect):
-    task = servo_task("PositionDriven")
-    task = replace(task, inputs={**task.inputs, "q_ref": 1.5 * task.inputs["q_ref"]})
-    fmu = pendulum_fmus["PositionDrivenWithEffects"]
-    plain = {**RIG, "friction.K_v": 0.03, "friction.K_c": 0.15, "tau_max": 0.6}
-    before = simulate_fmu(fmu, task, plain)
-    moved = max(
-        float(np.max((simulate_fmu(fmu, task, {**plain, **trial}) - before).std(axis=1) / before.std(axis=1)))
-        for trial in EFFECTS[effect]["trials"]
-    )
-    assert moved > 1e-4
-
-
-def test_play_is_read_before_the_arm(pendulum_fmus):
-    fmu = pendulum_fmus["TorqueDrivenWithEffects"]
-    time = np.arange(126) * 0.016
-    task = Task(time, {"tau_ref": np.full(126, 0.2)}, ("q", "arm.phi", "arm.tau_e"), {"q_start": 0.5})
-    q, phi, load = simulate_fmu(fmu, task, {"encoder.backlash": 0.01})
-
-    assert q - phi == pytest.approx(-5e-3 * np.tanh(load / 0.05), abs=1e-9)
-
-
-def test_a_compliant_arm_sags_by_its_weight_and_rings_at_its_frequency(pendulum_fmus):
-    fmu = pendulum_fmus["TorqueDrivenWithEffects"]
-    time = np.arange(1001) * 2e-3
-    task = Task(time, {"tau_ref": np.zeros(1001)}, ("arm.phi_rel", "arm.tau_e", "q"), {"q_start": 0.5})
-    held = {"friction.K_c": 50.0, "arm.compliance": 4e-3}
-    sag, load, q = simulate_fmu(fmu, task, {**held, "arm.damping": 0.5})
-    assert np.ptp(q) < 1e-3
-    assert sag[-1] == pytest.approx(4e-3 * load[-1], rel=1e-3)
-
-    sag, load, _ = simulate_fmu(fmu, task, {**held, "arm.damping": 0.0})
-    spectrum = np.abs(np.fft.rfft((sag - sag.mean()) * np.hanning(time.size), 16 * time.size))
-    peak = np.fft.rfftfreq(16 * time.size, 2e-3)[spectrum.argmax()]
-    inertia = 1.026 * 0.15**2
-    assert peak == pytest.approx(np.sqrt(1 / (4e-3 * inertia)) / (2 * np.pi), rel=0.02)

@@ -38,7 +38,11 @@ def test_everything_is_in_the_wheel(wheel: Path) -> None:
         files = [p.relative_to(ROOT / folder) for p in (ROOT / folder).rglob("*") if p.is_file()]
         wanted = {f"{package}/{p.as_posix()}" for p in files if "__pycache__" not in p.parts}
         assert wanted <= packed
-    assert {"fmuid/py.typed", "modelica/Drives/effects.toml", "fmuid/report/templates/report.html.jinja"} <= packed
+    assert {
+        "fmuid/py.typed",
+        "modelica/Drives/package.order",
+        "fmuid/report/templates/report.html.jinja",
+    } <= packed
     assert "fmuid/simulation/_stepper.abi3.so" in packed  # compiled, for every version of Python
     assert "-cp311-abi3-" in wheel.name
     assert [name for name in packed if re.search("blind|virtual_rig|emps|go1|reference", name.lower())] == []

@@ -60,9 +60,9 @@ def close(exact, left, right, step):
     return np.abs(exact - difference) <= 1e-6 * np.abs(difference) + rounding
 
 
-@pytest.mark.parametrize("name", [*SETUPS, *(f"{s}WithEffects" for s in ACTUATOR)])
-def test_by_every_state_input_and_parameter(fmus, effect_fmus, name, tmp_path):
-    model = Model((effect_fmus if name in effect_fmus else fmus)[name], tmp_path)
+@pytest.mark.parametrize(("name", "laws"), [*((s, False) for s in SETUPS), *((s, True) for s in ACTUATOR)])
+def test_by_every_state_input_and_parameter(fmus, effect_fmus, name, laws, tmp_path):
+    model = Model((effect_fmus if laws else fmus)[name], tmp_path)
     rng = np.random.default_rng(7)
     start = [float(v.start) for v in model.parameters]
     size = [float(v.nominal or 1.0) for v in model.states]

@@ -3,13 +3,9 @@ model EventHarmonicDrive "Harmonic Drive gear with a loss table that sticks and 
   extends PartialHarmonicDrive;
   Signals.StickSlip modes "Stuck, forward and backward";
 equation
-  losses_forward = losses;
-  losses_backward = losses;
-  phi_error = 0;
   modes.w = w;
   modes.forward = forward;
   modes.backward = backward;
   friction = modes.friction;
-  dtau = friction;
   lossPower = friction*w;
 end EventHarmonicDrive;

@@ -1,5 +1,5 @@
 within Drives.Components;
-partial model PartialHarmonicDrive "Harmonic Drive gear; what is lost at a speed, and what holds it at rest, is left open"
+partial model PartialHarmonicDrive "Harmonic Drive gear with a loss table; what holds it at rest is left open"
   parameter Real n(unit = "1", start = 50) "Gear ratio";
   parameter Real lossTable[:, 5] = [0, 1, 1, 0, 0] "Rows of |w| (strictly increasing), eta1, eta2, tau_bf1, tau_bf2";
   parameter Types.Angle phi_s(min = 0) = 2e-5 "Presliding deflection of the stuck gear, Wave Generator side";
@@ -16,26 +16,24 @@ partial model PartialHarmonicDrive "Harmonic Drive gear; what is lost at a speed
   Types.Torque friction "Loss torque";
   Types.Power lossPower "Power turned into heat";
 protected
-  Types.Angle phi_error "Transmission error: the Flexspline is ahead of the ideal gear by this";
   Real losses[4] "Interpolated loss table: eta1, eta2, tau_bf1, tau_bf2";
-  Real losses_forward[4] "eta1, eta2, tau_bf1, tau_bf2 for sliding forward";
-  Real losses_backward[4] "eta1, eta2, tau_bf1, tau_bf2 for sliding backward";
   Types.Torque forward "Loss torque if it slides forward";
   Types.Torque backward "Loss torque if it slides backward";
 equation
   phi_rel = W.phi - C.phi;
   w = der(phi_rel);
-  W.phi = (1 - n)*C.phi + n*(F.phi - phi_error);
+  W.phi = (1 - n)*C.phi + n*F.phi;
   F.tau = -n*(W.tau - dtau);
   C.tau = (n - 1)*W.tau - n*dtau;
+  dtau = friction;
   tau_load = -F.tau/n;
   losses = noEvent(Functions.interpolateLosses(abs(w), lossTable));
-  forward = noEvent(Functions.slidingTorque(tau_load, losses_forward, tau_blend));
-  backward = -noEvent(Functions.slidingTorque(-tau_load, losses_backward, tau_blend));
+  forward = noEvent(Functions.slidingTorque(tau_load, losses, tau_blend));
+  backward = -noEvent(Functions.slidingTorque(-tau_load, losses, tau_blend));
   annotation(Documentation(info="<html>
 <p>Eqs. (1) and (2) of the paper; dtau acts on the speed of the Wave Generator relative to the Circular Spline. With the
 load torque T known from the Flexspline, Table 1 is explicit (Functions.slidingTorque): no algebraic loop. Between the
-two sliding values the gear is stuck. PartialEventFreeHarmonicDrive gets from one to the other by a bristle,
+two sliding values the gear is stuck. HarmonicDrive gets from one to the other by a bristle,
 EventHarmonicDrive by events; a gear that needs no presliding deflection leaves phi_s, t_s and z_e unused.</p>
 </html>"));
 end PartialHarmonicDrive;

@@ -22,18 +22,15 @@ partial model PartialActuator "Force-feedback actuator in its housing, from the 
   parameter Real z_e(unit = "1", min = 0, max = 0.999) = 0.9 "Purely elastic share of the presliding deflection";
   output Types.AngularVelocity w_motor "Speed of the rotor relative to the housing";
   output Types.Torque tau_sensor "Torque measured between housing and console";
-  replaceable model SensorModel = Components.TorqueSensor constrainedby Components.PartialTorqueSensor "Torque sensor";
-  replaceable model MotorModel = Components.Motor constrainedby Components.PartialMotor "Motor";
   replaceable model GearModel = Components.HarmonicDrive constrainedby Components.PartialHarmonicDrive "Gear";
-  replaceable model FlexsplineModel = Components.SpringDamper constrainedby Components.PartialSpringDamper "Flexspline";
   Components.Fixed console "Console";
-  SensorModel sensor(c = c_S, d = d_S) "Torque sensor";
+  Components.TorqueSensor sensor(c = c_S, d = d_S) "Torque sensor";
   Components.Inertia housing(J = J_S, phi(fixed = true, nominal = 1e-4), w(fixed = true, nominal = 0.1)) "Housing with stator and Circular Spline";
-  MotorModel motor(K_m = K_m) "Motor";
+  Components.Motor motor(K_m = K_m) "Motor";
   Components.Inertia rotor(J = J_R, phi(fixed = true), w(fixed = true)) "Rotor with Wave Generator";
   Components.RelativeSpeedSensor encoder "Encoder between housing and rotor";
   GearModel gear(n = n, lossTable = lossTable, phi_s = phi_s, t_s = t_s, z_e = z_e) "Gear";
-  FlexsplineModel flexspline(c = c_G, d = d_G) "Compliance of the Flexspline";
+  Components.SpringDamper flexspline(c = c_G, d = d_G) "Compliance of the Flexspline";
 equation
   connect(sensor.flange_b, console.flange);
   connect(sensor.flange_a, housing.flange_a);

@@ -19,16 +19,13 @@ partial model PartialServo "Servo that turns an arm with a payload; how it is dr
   output Types.Angle q "Angle of the joint as the encoder reads it, 0 hanging down";
   output Types.AngularVelocity w "Speed of the joint";
   output Types.Torque tau_motor "Torque as recorded, motor side";
-  replaceable model MotorModel = Components.Motor constrainedby Components.PartialMotor "Motor";
   replaceable model FrictionModel = Friction.Quadratic constrainedby Friction.PartialFriction "Friction of the joint";
-  replaceable model ArmModel = Components.Arm constrainedby Components.PartialArm "Arm with payload";
-  replaceable model EncoderModel = Components.Encoder constrainedby Components.PartialEncoder "Encoder";
-  MotorModel motor(gain = torque_gain, tau_max = tau_max) "Motor";
+  Components.Motor motor(gain = torque_gain, tau_max = tau_max) "Motor";
   Drives.Components.Inertia rotor(J = J_R) "Rotor";
   Components.Gear gear(n = n) "Gear";
   FrictionModel friction(bristle(t_s = t_s, z_e = z_e)) "Friction of the joint";
-  ArmModel arm(m = m, m_a = m_a, l = l, r_g = r_g, phi(start = q_start - q_offset, fixed = true), w(start = w_start, fixed = true)) "Arm with payload";
-  EncoderModel encoder(offset = q_offset) "Encoder";
+  Components.Arm arm(m = m, m_a = m_a, l = l, r_g = r_g, phi(start = q_start - q_offset, fixed = true), w(start = w_start, fixed = true)) "Arm with payload";
+  Components.Encoder encoder(offset = q_offset) "Encoder";
 equation
   connect(motor.flange, rotor.flange_a);
   connect(rotor.flange_b, gear.flange_a);
@@ -37,7 +34,6 @@ equation
   friction.tau_m = n*motor.tau;
   friction.tau_e = arm.tau_e;
   encoder.phi = arm.phi;
-  encoder.tau = arm.tau_e;
   q = encoder.q;
   w = arm.w;
   tau_motor = reading_gain*motor.u + reading_offset;

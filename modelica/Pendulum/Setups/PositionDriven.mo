@@ -6,8 +6,7 @@ model PositionDriven "Servo pendulum under its position controller"
   parameter Types.RotationalDampingConstant kd = 0.3 "Gain of the speed, at the joint";
   input Types.Angle q_ref "Reference angle of the joint";
   input Real enable(unit = "1", start = 1) "1: torque on, 0: torque off";
-  replaceable model ControllerModel = Components.Controller constrainedby Components.PartialController "Position controller";
-  ControllerModel controller(kp = kp, kd = kd, n = n) "Position controller";
+  Components.Controller controller(kp = kp, kd = kd, n = n) "Position controller";
 equation
   controller.q_ref = q_ref;
   controller.q = q;

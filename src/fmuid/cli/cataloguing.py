@@ -64,13 +64,13 @@ def effects(
 
 
 def _of_model(file: Path, class_name: str | None) -> dict[str, list[str]]:
-    from fmu_build.model_ports import held_parameters
+    from fmu_build.model_ports import constant, held_parameters
     from fmuid.core.campaign import ModelSource
     from fmuid.diagnosis.made_catalogue import possible_laws
     from fmuid.simulation.model_source import flat_model
 
     flat = flat_model(ModelSource(file, class_name or file.stem))
-    return possible_laws(flat) | {v.name: ["value"] for v in held_parameters(flat)}
+    return possible_laws(flat) | {v.name: ["value"] for v in held_parameters(flat) if constant(v.binding)}
 
 
 def _of_campaign(folder: Path, runner: Runner) -> tuple[str, dict[str, list[str]]]:

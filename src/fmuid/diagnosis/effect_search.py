@@ -79,7 +79,7 @@ def search(
         return [], None
     best = decide.best_of(candidates)
     if present:  # the same law at another port may have ended in a local minimum
-        candidates += _moved(subject, best, candidates, _alike(scores, best.effects[0]))
+        candidates += _moved(subject, best, candidates, scores)
         best = decide.best_of(candidates)
     signatures = _signatures(subject, nominal, candidates, scores)
     without_one = cache(partial(without, subject))
@@ -210,14 +210,6 @@ def _promising(scores: Sequence[Score], share: float = _SHARE) -> list[Score]:
     return [s for s in scores if s.signature is not None and s.drop > 0.0 and s.drop >= least]
 
 
-def _alike(scores: Sequence[Score], effect: str) -> list[Score]:
-    """Return the scores whose signatures resemble that of an effect."""
-    own = next((s.signature for s in scores if s.effect == effect), None)
-    if own is None:
-        return []
-    return [s for s in scores if s.signature is not None and similarity(s.signature, own) > _ALIKE]
-
-
 def _company(subject: Subject, best: Fitted, scores: Sequence[Score], noise: NoiseDraws) -> list[Fitted]:
     """Refit `best` with further effects; none if its residual and their scores are within the noise."""
     further, finished = _further(subject, best, scores, noise)
@@ -293,13 +285,19 @@ def _exchanged(
 def _moved(
     subject: Subject, best: Fitted, candidates: Sequence[Fitted], scores: Sequence[Score]
 ) -> Iterator[Fitted]:
-    """Yield refits of `best` with one of its laws at another port, unless that is known to be about as good."""
+    """Yield refits of `best` with one of its laws at another port where it does much the same.
+
+    Sets that are known to fit about as well are left out.
+    """
     good = {frozenset(c.effects) for c in candidates if c.fit.cost <= about(best.fit.cost)}
+    signatures = {s.effect: s.signature for s in scores if s.signature is not None}
     for name in best.names:
         law, at, _ = name.partition("@")
-        rest = frozenset(best.effects) - {name}
+        rest, own = frozenset(best.effects) - {name}, signatures.get(name)
         for score in (s for s in scores if at and s.effect.startswith(law + at) and s.effect not in best.effects):
-            if rest | {score.effect} not in good:
+            there = signatures.get(score.effect)
+            alike = own is not None and there is not None and similarity(own, there) > _ALIKE
+            if alike and rest | {score.effect} not in good:
                 found = moved(subject, best, name, score)
                 if found is not None:
                     yield found

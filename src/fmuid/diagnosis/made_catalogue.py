@@ -18,7 +18,7 @@ from fmu_build.flat_model import FlatModel
 from fmu_build.instrument import Acts
 from fmu_build.model_ports import Port, find_ports, held_parameters
 from fmuid.campaigns.signal_catalogue import RecordedSetup, signal_catalogue
-from fmuid.core.campaign import Campaign, EffectsSpec, ModelSource, ModelSpec
+from fmuid.core.campaign import Campaign, EffectsSpec, ModelSource, ModelSpec, ParameterSpec
 from fmuid.core.errors import CampaignError
 from fmuid.core.experiments import Experiment
 from fmuid.core.files import user_cache, write_atomically
@@ -28,6 +28,7 @@ from fmuid.core.toml_tables import Table, convert, read_toml, toml_document, tom
 from fmuid.diagnosis.catalogue import load_catalogue
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.variants import carrier
+from fmuid.identification.problem.cases import experiments_of
 from fmuid.identification.problem.segments import in_segments
 from fmuid.simulation.model_source import built_model, flat_model
 from fmuid.simulation.runners import Runner, in_process
@@ -255,18 +256,32 @@ def _inline(values: Mapping[str, float]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """A held parameter that may be wrong: value, unit, and how well it is known (relative standard deviation)."""
+    """A held parameter that may be wrong.
+
+    Attributes
+    ----------
+    tolerance
+        Relative standard deviation of its value, if that is known.
+    bounds
+        Between which it may lie, as the campaign says; needed if its value is zero, which has no scale.
+    """
 
     value: float
     unit: str
     tolerance: float | None = None
+    bounds: tuple[float, float] | None = None
 
 
 def _held_lines(name: str, held: Held) -> list[str]:
     key, table, value = toml_text(name), f"[effects.{toml_text(f'value@{name}')}", held.value
-    if held.tolerance is None:
+    scale, known = abs(value), ""
+    if not value and held.bounds is not None:
+        low, high = held.bounds
+        scale = high - low
+        off = [share * end for share in SHARES for end in (high, low) if end]
+    elif held.tolerance is None:
         low, high = sorted((value / 5, value * 5))
-        off, known = [f * value for f in (*_OFF, 2 - _OFF[-1])], ""
+        off = [f * value for f in (*_OFF, 2 - _OFF[-1])]
     else:
         sd = held.tolerance * abs(value)
         low, high = value - _TOLERATED * sd, value + _TOLERATED * sd
@@ -281,10 +296,10 @@ def _held_lines(name: str, held: Held) -> list[str]:
         f"description = {toml_text(f'{name} is off')}",
         'source = "A value taken from a data sheet, a drawing or another unit"',
         f"port = {key}",
-        "two_sided = true",
+        *(["two_sided = true"] if low < value < high else []),
         f"trials = [{trials}]",
         f"{table}.parameters]",
-        f"{key} = {{ neutral = {value!r}, lower = {low!r}, upper = {high!r}, step = {2e-3 * abs(value):.4g}, "
+        f"{key} = {{ neutral = {value!r}, lower = {low!r}, upper = {high!r}, step = {2e-3 * scale:.4g}, "
         f"{known}unit = {toml_text(held.unit)} }}",
         "",
     ]
@@ -461,9 +476,10 @@ def _seen(campaign: Campaign) -> list[Experiment]:
 def made_catalogue(
     campaign: Campaign, load: Callable[[ModelSpec], Simulator], *, runner: Runner = in_process
 ) -> str:
-    """Return the text of the catalogue of a campaign's models, sized by their nominal simulation."""
+    """Return the text of the catalogue of a campaign's models, sized by a simulation of the runs diagnosed."""
     setups = _sources(campaign)
-    chosen = _seen(campaign)
+    named = experiments_of(campaign, _spec(campaign).experiments, where="[effects] experiments")
+    chosen = named or _seen(campaign)
     parts: list[Place] = []
     held: dict[str, Held] = {}
     recorded: list[RecordedSetup] = []
@@ -494,9 +510,20 @@ def made_catalogue(
         for parameter, unit in values.items():
             value, spec = _held_value(parameter, simulated, fixed), given.get(parameter)
             known = parameter in nominal or (spec is not None and spec.known)
-            if not known and value and parameter not in held:
-                held[parameter] = Held(value, unit, None if spec is None else spec.tolerance)
+            bounds = _bounds(simulated, spec) if spec is not None and value == 0.0 else None
+            if not known and value is not None and (value or bounds) and parameter not in held:
+                held[parameter] = Held(value, unit, None if spec is None else spec.tolerance, bounds)
     return catalogue_text(_merged(parts), held, signal_catalogue(recorded))
+
+
+def _bounds(model: CampaignModel, spec: ParameterSpec) -> tuple[float, float] | None:
+    """Return a parameter's bounds in the model's unit; None if they are infinite or do not contain zero."""
+    settings = [case.setting[spec.name] for case in model.cases if spec.name in case.setting]
+    if not settings:
+        return None
+    _, to = settings[0]
+    low, high = sorted(to.factor * bound + to.offset for bound in (spec.lower, spec.upper))
+    return (low, high) if np.isfinite([low, high]).all() and low <= 0.0 <= high else None
 
 
 def _merged(parts: Sequence[Place]) -> list[Place]:

@@ -20,6 +20,9 @@ from fmuid.simulation.simulator import Simulator, Task
 
 _MAGIC = b"fmuid-simulations 1\n"
 _TASKS = 256  # number of tasks whose digests are remembered
+_LARGEST = (
+    4 * 2**30
+)  # bytes: a search for laws makes many simulations, and to repeat some is better than a full disk
 Thing = TypeVar("Thing")
 
 
@@ -28,7 +31,8 @@ class RecordedSimulations:
 
     The key covers the model with its files, the task and the parameters, so interrupted work continues exactly
     where it stopped, and no change of these is overlooked. A failed simulation is not recorded but tried again.
-    Only positions in the file are held in memory.
+    Only positions in the file are held in memory. When the file is large, nothing more is recorded, and
+    interrupted work repeats what came later.
 
     Parameters
     ----------
@@ -52,6 +56,7 @@ class RecordedSimulations:
         check_resumable(file.parent, resume, interrupted=bool(found), complete=complete and not there)
         self._places = {key: place for key, place, _ in found}
         end = found[-1][2] if found else None
+        self._full = end is not None and end >= _LARGEST
         self._journal = Journal(file, _MAGIC, end=end)
         self._tasks: _Digests[Task] = _Digests(_of_task, _TASKS)
         self._models: _Digests[Simulator] = _Digests(_of_model, _TASKS)
@@ -85,11 +90,12 @@ class RecordedSimulations:
         JournalError
             The disk is full.
         """
-        if isinstance(outcome, Exception):
+        if isinstance(outcome, Exception) or self._full:
             return
         prediction = np.ascontiguousarray(outcome, dtype=np.float64)
         key = self._key(job)
-        self._places[key] = self._journal.append((key, prediction.shape, prediction.tobytes()))
+        place = self._journal.append((key, prediction.shape, prediction.tobytes()))
+        self._places[key], self._full = place, place + prediction.nbytes >= _LARGEST
 
     def _recalled(self, job: Job) -> FloatArray | None:
         place = self._places.get(self._key(job)) if self._places else None

@@ -1,9 +1,0 @@
-within Drives.Components;
-partial model PartialEventFreeHarmonicDrive "Harmonic Drive gear that a bristle holds at rest, without events"
-  extends PartialHarmonicDrive;
-  Signals.Bristle bristle(t_s = t_s, z_e = z_e) "Share of the sliding torque that acts";
-equation
-  bristle.v = w/phi_s;
-  friction = forward*noEvent(max(0.0, bristle.share)) + backward*noEvent(max(0.0, -bristle.share));
-  lossPower = friction*w - phi_s*der(bristle.z)*(forward*noEvent(max(0.0, bristle.z)) + backward*noEvent(max(0.0, -bristle.z)));
-end PartialEventFreeHarmonicDrive;

@@ -1,0 +1,25 @@
+"""Models with every law that their ports allow, at sizes of one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fmu_build.flat_model import FlatModel
+from fmu_build.model_ports import find_ports
+from fmuid.diagnosis.catalogue import Catalogue, load_catalogue
+from fmuid.diagnosis.made_catalogue import SIZES, Place, catalogue_text
+
+HEAD = 'format = "fmuid-effects"\nversion = 1\n'
+
+
+def written(model: FlatModel) -> str:
+    """The text of the catalogue of every law at every port."""
+    sizes = dict.fromkeys(SIZES, 1.0)
+    return catalogue_text([Place(port, sizes) for port in find_ports(model) if not port.passed], {}, HEAD)
+
+
+def every_law(model: FlatModel, folder: Path) -> Catalogue:
+    """The same, read."""
+    file = folder / "effects.toml"
+    file.write_text(written(model))
+    return load_catalogue(file)
