@@ -13,7 +13,6 @@ import math
 import re
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import reduce
 
 import casadi as ca
 
@@ -31,22 +30,16 @@ _FEWEST = 6  # statements that make up a loop
 _CALL = re.compile(r"[a-z]\(")  # a function call, which takes as long as many operations
 
 _LAWS = """\
-/* IDLE if every branch that depends on parameters alone is off, else ON. */
-{head}int {name}(const double* p, long long int* iw, double* w) {{
+/* 1 if every branch that depends on parameters alone is off, else 2. */
+int {name}(const double* p, long long int* iw, double* w) {{
   const double* arg[1] = {{p}};
   double on, *res[1] = {{&on}};
   {on}(arg, res, iw, w, 0);
   return on == 0. ? 1 : 2;
 }}
 """
-_NO_LAWS = """\
-int {name}(const double* p, long long int* iw, double* w) {{
-  (void)p, (void)iw, (void)w;
-  return 1;
-}}
-"""
 _FIRST_IDLE = """\
-  if ((mem ? mem : {laws}(arg[{parameters}], iw, w)) == 1) return {idle}(arg, res, iw, w, 1);
+  if (mem == 1) return {idle}(arg, res, iw, w, mem);
 """
 
 Node = int
@@ -92,12 +85,7 @@ class Code:
     work: Mapping[str, tuple[int, int, int]]
 
 
-def c_code(
-    functions: Mapping[str, ca.Function],
-    prefix: str = "model_",
-    parameters: int | None = None,
-    laws: str | None = None,
-) -> Code:
+def c_code(functions: Mapping[str, ca.Function], prefix: str = "model_", parameters: int | None = None) -> Code:
     """Write functions as C, as ``int PREFIXname(const double** arg, double** res, ...)``.
 
     Parameters
@@ -107,10 +95,8 @@ def c_code(
     parameters
         Index of the argument that does not change over a simulation, in functions with at least so many arguments.
         If several branches depend on it alone, such as laws that are off at zero, there is a second version
-        without them, which is called when all of them are off: if ``mem`` is 1. It is 2 if any is on, and 0 if
-        that is to be found out; ``int laws(const double* p, ...)`` does so.
-    laws
-        Name of that function; by default, it is only used in this code.
+        without them, which is called if ``mem`` is 1. ``int PREFIXlaws(const double* p, ...)`` returns 1 if all of
+        them are off, else 2.
 
     Returns
     -------
@@ -120,19 +106,14 @@ def c_code(
     tables = _Tables()
     parts, work = [], {}
     versions = {name: without_branches(function, parameters) for name, function in functions.items()}
-    every = [version[0] for version in versions.values() if version is not None]
-    asked, slots_asked = laws or "laws", 0
-    if every:
-        p = ca.SX.sym("p", *every[0].size_in(0))
-        on = reduce(ca.logic_or, [one(p) for one in every])
-        writer = _Writer("any_on", ca.Function("any_on", [p], [ca.cse(on)]), tables)
-        parts += [
-            writer.write(head="static "),
-            _LAWS.format(head="" if laws else "static ", name=asked, on="any_on"),
-        ]
-        slots_asked = writer.slots
-    elif laws is not None:
-        parts.append(_NO_LAWS.format(name=laws))
+    if parameters is not None:
+        p, on = ca.SX(), ca.SX(0.0)
+        for asked, _ in filter(None, versions.values()):
+            p = ca.SX.sym("p", asked.size1_in(0)) if p.is_empty() else p
+            on = ca.logic_or(on, asked(p))
+        writer = _Writer(f"{prefix}any_on", ca.Function("any_on", [p], [ca.cse(on)]), tables)
+        parts += [writer.write(head="static "), _LAWS.format(name=f"{prefix}laws", on=writer.name)]
+        work["laws"] = (1, 1, writer.slots)
     for name, function in functions.items():
         writer = _Writer(f"{prefix}{name}", function, tables)
         version = versions[name]
@@ -142,8 +123,8 @@ def c_code(
         else:
             idle = _Writer(f"{prefix}{name}_idle", version[1], tables)
             parts.append(idle.write(head="static "))
-            parts.append(writer.write(first=_FIRST_IDLE.format(laws=asked, parameters=parameters, idle=idle.name)))
-            slots = max(writer.slots, idle.slots, slots_asked)
+            parts.append(writer.write(first=_FIRST_IDLE.format(idle=idle.name)))
+            slots = max(writer.slots, idle.slots)
         work[name] = (max(function.n_in(), 1), max(function.n_out(), 1), slots)
     body = "".join(parts)
     helpers = "".join(text for name, text in _HELPERS.items() if f"{name}(" in body)

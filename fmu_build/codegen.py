@@ -262,9 +262,7 @@ class Files:
 def c_files(functions: Functions, header: Header) -> Files:
     """C text of all functions and tables; the same bytes for the same functions."""
     seldom = RARE if header.sizes["NY"] else RARE | WITHOUT_LOOPS
-    often = c_code(
-        {n: f for n, f in functions.items() if n not in seldom}, parameters=PARAMETERS, laws="model_laws"
-    )
+    often = c_code({n: f for n, f in functions.items() if n not in seldom}, parameters=PARAMETERS)
     rare = c_code({n: f for n, f in functions.items() if n in seldom})
     lines = ["#ifndef MODEL_H", "#define MODEL_H", ""]
     lines += ["#ifndef casadi_int", "#define casadi_int long long int", "#endif", ""]

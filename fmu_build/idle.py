@@ -26,7 +26,7 @@ def without_branches(function: Any, parameters: int | None) -> tuple[Any, Any] |
     Returns
     -------
     tuple or None
-        The first is a function of that argument alone; None if too few branches depend on nothing else.
+        Two functions, the first of that argument alone; None if too few branches depend on nothing else.
     """
     if parameters is None or function.n_in() <= parameters:
         return None

@@ -101,7 +101,7 @@ def switches_code(derivatives: Any | None) -> dict[str, str]:
         function = switching_functions(derivatives)
         length = function.numel_out(0)
     if length:
-        code = c_code({"switches": function}, parameters=3)
+        code = c_code({"switches": function})
         source, sizes = code.source, lengths([code])
     lines = [
         "/* Switching functions of the right-hand side, see fmu_build/switches.py. Generated. */",

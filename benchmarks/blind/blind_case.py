@@ -25,10 +25,9 @@ def diagnose_blind(template: Path | None, measurements: Path, target: Path) -> s
     from fmuid.simulation.coupled.loading import load_simulator
 
     campaign = load_campaign(template or measurements.parent, measurements=measurements)
-    if campaign.effects is None or campaign.effects.catalogue is None:
-        campaign = with_catalogue(campaign, load_simulator)
-        assert campaign.effects is not None
-        write_atomically(target.with_suffix(".toml"), campaign.effects.file.read_text())
+    campaign = with_catalogue(campaign, load_simulator)
+    assert campaign.effects is not None
+    write_atomically(target.with_suffix(".toml"), campaign.effects.file.read_text())
     found = diagnose(campaign, workers=0, law=False)
     baselines = {name: list(effects) for name, effects in baseline_answers(found).items()}
     answer = {**answer_of(found), "baselines": baselines}

@@ -113,9 +113,9 @@ class Check:
                 kept = self._answer(name, "held_out")
                 if not kept.is_file():
                     campaign = load_campaign(self.template, measurements=self.labels / name / "held_out.h5")
-                    made = self._answer(name).with_suffix(".toml")
-                    if campaign.effects is not None and made.is_file():
-                        campaign = replace(campaign, effects=replace(campaign.effects, catalogue=made))
+                    assert campaign.effects is not None
+                    made = replace(campaign.effects, catalogue=self._answer(name).with_suffix(".toml"))
+                    campaign = replace(campaign, effects=made)
                     gaps = validate_diagnosis(answer, campaign, runner=pool.run).gaps
                     write_atomically(kept, json.dumps(gaps) + "\n")
                 closures[name] = closure(*json.loads(kept.read_text())["all"])

@@ -85,7 +85,7 @@ int dependent_parameters_along(Instance *me, const double *sp, double *sd) {
     me->arg[0] = me->s.p;
     me->arg[1] = sp;
     me->res[0] = sd;
-    return model_dependent_partials(me->arg, me->res, me->iw, me->w, me->s.laws);
+    return model_dependent_partials(me->arg, me->res, me->iw, me->w, 0);
 }
 
 /* Derivative of the start values [x; z] along s->p and s->d. */
@@ -93,7 +93,7 @@ static int starts_along(Instance *me, const Direction *s, double *starts) {
     const double *const arguments[] = {me->s.p, me->s.d, s->p, s->d};
     for (int i = 0; i < 4; i++) me->arg[i] = arguments[i];
     me->res[0] = starts;
-    return model_start_partials(me->arg, me->res, me->iw, me->w, me->s.laws);
+    return model_start_partials(me->arg, me->res, me->iw, me->w, 0);
 }
 
 /* The same of the discrete variables alone, into s->z and s->pz. */
@@ -125,7 +125,7 @@ int initial_states_along(Instance *me, const double *start, Direction *s) {
     const double *const seeds[] = {now->xs, s->u, s->p, s->d, sxs, s->z, s->pz};
     for (int i = 0; i < 7; i++) me->arg[9 + i] = seeds[i];
     me->res[0] = r;
-    if (model_initial_partials(me->arg, me->res, me->iw, me->w, me->s.laws)) return 1;
+    if (model_initial_partials(me->arg, me->res, me->iw, me->w, 0)) return 1;
     SOLVE(I, &me->lu_start, r);
     for (int i = 0; i < NX; i++) s->x[i] = -r[i];
     return 0;
@@ -147,7 +147,7 @@ Status initialise(Instance *me) {
     me->res[0] = xs;
     me->res[1] = s->z;
     me->res[2] = s->y;
-    model_start(me->arg, me->res, me->iw, me->w, me->s.laws);
+    model_start(me->arg, me->res, me->iw, me->w, 0);
     for (int i = 0; i < NX; i++)
         if (!s->xs_set[i]) s->xs[i] = xs[i];
     memcpy(s->x, s->xs, sizeof s->x);

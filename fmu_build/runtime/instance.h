@@ -49,7 +49,7 @@ typedef struct {
     int phase, is_co_simulation, stop_defined;
     int initialised;  /* x, z, ... follow from what was set before the simulation */
     int changed;      /* a parameter changed between steps */
-    int laws;         /* 1: branches that depend on parameters alone are off, 2: some are on, 0: to be found out */
+    int laws;         /* 1: branches that depend on parameters alone are off; 2 or, before that is known, 0: some may be on */
     int input_event;  /* an input changed since the last event iteration */
     int terminate;
     double t, start_time, stop_time, tolerance, next_event;

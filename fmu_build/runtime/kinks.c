@@ -9,7 +9,7 @@ static int switches_at(Instance *me, double t, const double *x, double *value) {
     if (solve_loop(me, t, x, me->ut)) return 1;
     environment_at(me, &t, x, me->ut);
     me->res[0] = value;
-    return model_switches(me->arg, me->res, me->iw, me->w, me->s.laws);
+    return model_switches(me->arg, me->res, me->iw, me->w, 0);
 }
 
 /* The state tau after the start of the last step: by its first derivatives, or (`second` NULL) by its dense output. */

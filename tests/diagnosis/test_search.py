@@ -281,8 +281,8 @@ def test_a_tolerance_that_does_for_the_start_values_is_tightened_where_it_does_n
     effect = {"m": 0.8, "square": 0.2}
     with_effect = tightened(subject, [{"m": 0.8}, effect])
     for k in range(len(cases)):
-        assert with_effect.model.case_at(k, effect).task.tolerance <= 1e-5
-        assert with_effect.model.case_at(k, {"m": 0.8, "cube": 0.1}).task.tolerance == 1e-3
+        assert with_effect.model.cases_at(effect)[k].task.tolerance <= 1e-5
+        assert with_effect.model.cases_at({"m": 0.8, "cube": 0.1})[k].task.tolerance == 1e-3
     (coarse,), (fine,) = subject.model.predict([effect]), with_effect.model.predict([effect])
     (exact,) = plant({}).model.predict([effect])
     assert all(np.abs(c - e).max() > 30 * np.abs(f - e).max() for c, f, e in zip(coarse, fine, exact, strict=True))

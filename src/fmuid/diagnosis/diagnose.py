@@ -283,9 +283,8 @@ def _settled(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
         if all(abs(nominal.fit.values[u.name] - before[u.name]) <= u.step for u in subject.nominal):
             break  # errors there are those here
     nominal = escaped(subject, (), nominal)
-    return tightened(
-        subject, [{**nominal.fit.values, **e.neutral, **e.trials[0]} for e in subject.effects]
-    ), nominal
+    trials = [{**nominal.fit.values, **effect.neutral, **effect.trials[0]} for effect in subject.effects]
+    return tightened(subject, trials), nominal
 
 
 def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int) -> _Searched:

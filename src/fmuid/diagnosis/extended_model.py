@@ -116,15 +116,19 @@ class CampaignModel:
         """
         return self._simulate([(values, drive) for drive in drives])
 
-    def case_at(self, index: int, values: Mapping[str, float]) -> Case:
-        """Return a case, by its number, with the solver tolerance that a point needs."""
+    def cases_at(self, values: Mapping[str, float]) -> list[Case]:
+        """Return the cases with the solver tolerances that a point needs."""
+        own = [tolerances for names, tolerances in self.finer.items() if names <= values.keys()]
+        needed = (min((t[case.id] for t in own if case.id in t), default=np.inf) for case in self.cases)
+        return [self._finer_case(k, tolerance) for k, tolerance in enumerate(needed)]
+
+    def _finer_case(self, index: int, tolerance: float) -> Case:
         case = self.cases[index]
-        own = [of[case.id] for names, of in self.finer.items() if case.id in of and names <= values.keys()]
-        if not own or (case.task.tolerance or np.inf) <= min(own):
+        if (case.task.tolerance or np.inf) <= tolerance:
             return case
-        key = index, min(own)
+        key = index, tolerance
         if key not in self._finer_cases:
-            self._finer_cases[key] = replace(case, task=replace(case.task, tolerance=key[1]))
+            self._finer_cases[key] = replace(case, task=replace(case.task, tolerance=tolerance))
         return self._finer_cases[key]
 
     def trajectories(self, values: Mapping[str, float], variables: Sequence[str]) -> tuple[FloatArray, ...]:
@@ -136,7 +140,7 @@ class CampaignModel:
             A run failed.
         """
         jobs = []
-        for case in (self.case_at(k, values) for k in range(len(self.cases))):
+        for case in self.cases_at(values):
             # Segments are fitted to the measured outputs.
             read = case.task.outputs if isinstance(case.simulator, Segmented) else ()
             task = replace(case.task, outputs=tuple(dict.fromkeys((*read, *variables))))
@@ -180,7 +184,7 @@ class CampaignModel:
             for name, width in zip(names, widths, strict=True)
         ]
         jobs, moves = [], []
-        for k, case in enumerate(self.cases):
+        for k, case in enumerate(self.cases_at(values)):
             own = [
                 _direction(self.start_values(case, above), self.start_values(case, below), width)
                 for (above, below), width in zip(ends, widths, strict=True)
@@ -190,7 +194,7 @@ class CampaignModel:
             simulator = self._simulator(case, point)
             if moved and not differentiates(simulator, moved):
                 return _Differentiated()
-            jobs.append((simulator, self._task_along(k, self.case_at(k, values), own), point))
+            jobs.append((simulator, self._task_along(k, case, own), point))
             moves.append(own)
         return _Differentiated(jobs, names, widths, ends, moves)
 
@@ -266,14 +270,9 @@ class CampaignModel:
         self, wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]]
     ) -> list[Prediction | SimulationError]:
         every = [
-            _Wanted(
-                k,
-                self.case_at(k, values),
-                values,
-                drive and {n: u for n, u in drive.items() if n in case.simulator.variables},
-            )
+            _Wanted(k, case, values, drive and {n: u for n, u in drive.items() if n in case.simulator.variables})
             for values, drive in wanted
-            for k, case in enumerate(self.cases)
+            for k, case in enumerate(self.cases_at(values))
         ]
         outcomes, results = iter(self._sensed(every)), list[Prediction | SimulationError]()
         for _ in wanted:

@@ -212,8 +212,7 @@ def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
     both = {**a.fit.values, **b.fit.values}
     best: NextExperiment | None = None
     for scale in _SCALES:
-        for k in range(len(subject.model.cases)):
-            case = subject.model.case_at(k, both)
+        for k, case in enumerate(subject.model.cases_at(both)):
             tolerance = _PRECISELY * (case.task.tolerance or default_tolerance(case.simulator) or _USUAL)
             inputs = {n: scale * u for n, u in case.task.inputs.items()}
             task = replace(case.task, inputs=inputs, tolerance=tolerance)

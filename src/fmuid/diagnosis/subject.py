@@ -176,7 +176,7 @@ def tightened(subject: Subject, points: Sequence[Mapping[str, float]]) -> Subjec
     out.
     """
     model, always = subject.model, {u.name for u in subject.nominal}
-    every = [(k, model.case_at(k, values), values) for values in points for k in range(len(model.cases))]
+    every = [(k, case, values) for values in points for k, case in enumerate(model.cases_at(values))]
     sigma = _sigma(model)
     found = accuracy(
         [replace(case, id=f"{n}") for n, (_, case, _) in enumerate(every)],

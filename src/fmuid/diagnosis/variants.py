@@ -69,9 +69,10 @@ def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Co
     for port in catalogue.ports.values():
         if port.added and port.input and port.name in known:
             where = f"[ports.{port.name!r}] input"
-            signal = known[port.name] == "signal"
-            own = Term(port.name, "signal", f"p + {port.input}", where)
-            terms.append(own if signal else Term(port.name, "flow", port.input, where))
+            if known[port.name] == "signal":
+                terms.append(Term(port.name, "signal", f"p + {port.input}", where))
+            else:
+                terms.append(Term(port.name, "flow", port.input, where))
             added.append(Added(port.input, 0.0, port.unit, port.description, input=True))
     return built_with_terms(source, flat, terms, added)
 

@@ -20,9 +20,7 @@ from fmuid.simulation.simulator import Simulator, Task
 
 _MAGIC = b"fmuid-simulations 1\n"
 _TASKS = 256  # number of tasks whose digests are remembered
-_LARGEST = (
-    4 * 2**30
-)  # bytes: a search for laws makes many simulations, and to repeat some is better than a full disk
+_LARGEST = 4 * 2**30  # bytes: to repeat some of a search's simulations is better than a full disk
 Thing = TypeVar("Thing")
 
 
