@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks.blind.blind_score import Scored
 from benchmarks.blind.renamed import renamed
+from fmuid.diagnosis.summary import named
 
 _BEARINGS = ("motor", "rotor")
 
@@ -30,10 +31,14 @@ _SAME: Mapping[str, tuple[str, ...]] = {
     "sensor_gain": ("gain@tau_sensor",),
     "sensor_lag": ("lag@tau_sensor",),
     "imbalance": ("imbalance@load",),
+}
+# Effects that the virtual rig's own catalogue lacks, and laws that are the same in physics. A rub of the rotor
+# scales the friction by the cosine of its angle.
+_OUTSIDE: Mapping[str, tuple[str, ...]] = {
     "windage": ("quadratic@motor", "quadratic@rotor"),
-    "friction_patch": ("position_friction@motor", "position_friction@rotor"),
+    "rotor_rub": ("position_friction@motor", "position_friction@rotor"),
     "crosstalk": ("crosstalk@tau_sensor",),
-    "load_brush": ("coulomb@load",),
+    "load_brush": ("coulomb@load", "stribeck@load"),
 }
 # Ripples by the periods of the Flexspline's or rotor's turn that their parameter counts.
 _RIPPLE: Mapping[str, tuple[str, float]] = {
@@ -47,7 +52,7 @@ _ERRORS = ("kinematic_error", "gear_ripple")  # of the gear: they move the Flexs
 
 PLACES: Mapping[str, tuple[str, ...]] = {
     "gear_friction": _BEARINGS,
-    "motor_torque": _BEARINGS,
+    "motor_torque": (*_BEARINGS, "motor.i"),
     "flexspline_deflection": ("flexspline",),
     "load_torque": ("load", "gear.F"),
     "current": ("motor.i", "i_cmd"),
@@ -62,15 +67,15 @@ def scored(
     closure: float | None = None,
     second: Mapping[str, Any] | None = None,
 ) -> Scored:
-    """Return a case to be scored in the label's names; effects that made catalogues have are not outside."""
-    kind = label["kind"]
-    if kind == "outside" and set(label["effects"]) <= {*_SAME, *_ORDERS}:
-        kind = "one"
-    return Scored({**label, "kind": kind}, _told(label, answer), closure, second and _told(label, second))
+    """Return a case to be scored in the label's names.
+
+    Of an effect that the rig's own catalogue lacks, *unknown* is right, and so is the law that it is.
+    """
+    return Scored(label, _told(label, answer), closure, second and _told(label, second))
 
 
 def _told(label: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]:
-    name = {own: rig for rig, alike in _SAME.items() for own in alike}
+    name = {own: rig for rig, alike in {**_SAME, **_OUTSIDE}.items() for own in alike}
     for own, (parameter, turns) in _RIPPLE.items():
         order = answer["model"].get(parameter)
         law = own.partition("@")[0]
@@ -82,7 +87,17 @@ def _told(label: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]
     verdict = answer["verdict"]
     ports = list(dict.fromkeys(place.get(p, p) for p in verdict["ports"]))
     port = place.get(verdict["port"], verdict["port"])
-    return renamed({**answer, "verdict": {**verdict, "port": port, "ports": ports}}, name)
+    told = renamed({**answer, "verdict": {**verdict, "port": port, "ports": ports}}, name)
+    return _as_unknown(told, label["effects"]) if label["kind"] == "outside" else told
+
+
+def _as_unknown(answer: Mapping[str, Any], effects: Sequence[str]) -> dict[str, Any]:
+    """Return an answer in which these effects count as *unknown*."""
+    told = renamed(answer, dict.fromkeys(effects, "unknown"))
+    told["effects"] = [e for e in told["effects"] if e["id"] != "unknown"]
+    if named(told["verdict"]) == ["unknown"]:
+        told["verdict"] = {**told["verdict"], "kind": "unknown", "effects": [], "one_of": []}
+    return told
 
 
 def _ripple(label: Mapping[str, Any], law: str, order: float) -> str:

@@ -51,7 +51,7 @@ def test_other_causes_stay_apart():
         ("cogging", {"cogging_order": 6.0}, 6.02, True),
         ("cogging", {"cogging_order": 6.0}, 2.0, False),
         ("gear_ripple", {"gear_ripple_order": 3.0}, 3.0, True),
-        ("gear_ripple", {"gear_ripple_order": 3.0}, 7.0, False),
+        ("gear_ripple", {"gear_ripple_order": 3.0}, 7.0, False),  # another ripple is not it
     ],
 )
 def test_a_ripple_is_told_by_its_order(effect, shape, order, right):
@@ -72,9 +72,21 @@ def test_an_error_of_the_gear_is_told_by_its_order_at_the_flexspline(order, righ
     assert found.answer["verdict"]["port"] == "gear_friction"
 
 
-def test_what_no_catalogue_has_stays_outside():
-    said = answer(("viscous@motor",), ports=("motor",))
-    assert not scored(case(["rotor_rub"], ["gear_friction"], kind="outside"), said).right
-    assert scored(
-        case(["windage"], ["gear_friction"], kind="outside"), answer(("quadratic@rotor",), ports=("rotor",))
-    ).right
+@pytest.mark.parametrize(
+    ("effect", "law", "right"),
+    [
+        ("rotor_rub", "position_friction@rotor", True),
+        ("rotor_rub", "viscous@rotor", False),
+        ("windage", "quadratic@motor", True),
+        ("friction_patch", "position_friction@motor", False),
+    ],
+)
+def test_of_an_effect_outside_the_rig_s_catalogue_its_own_law_is_right_and_so_is_unknown(effect, law, right):
+    label = case([effect], ["gear_friction"], kind="outside")
+    said = answer((law,), ports=(law.partition("@")[2],))
+    said["answers"].append({"effects": ["unknown"], "probability": 0.08})
+    found = scored(label, said)
+    assert found.right is right
+    assert found.ranked[0][1] == pytest.approx(0.98 if right else 0.9)
+    unknown = {**said["verdict"], "kind": "unknown", "effects": []}
+    assert scored(label, {**said, "verdict": unknown}).right
