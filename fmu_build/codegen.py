@@ -180,6 +180,7 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions, by: Slopes) -> Fu
         derivative = column([graph.directional(r, by_symbol) for r in results])
         add(name, [*arguments, *seeds.values()], [derivative])
 
+    add_partials("move_partials", environment, "p d" + discrete, [*e.dx, *e.residuals])
     add_partials("partials", environment, "x u p d y" + discrete, e.dx)
     add_partials("variable_partials", environment, "x u p d y" + discrete, e.v)
     add_partials("loop_partials", environment, "x u p d" + discrete, e.residuals)
@@ -259,8 +260,19 @@ class Files:
     header: str
 
 
+def _few(functions: Functions) -> dict[str, int]:
+    """Return along how many directions derivatives cost less than those by all scalars, or by all elements."""
+    length = {name: function.n_instructions() for name, function in functions.items()}
+    by_all = {"SLOPE": length["slopes"] - length["jacobian"], "ELEMENT": length["element_slopes"]}
+    return {kind: max(by_all[kind], 0) // max(length["move_partials"], 1) for kind in by_all}
+
+
 def c_files(functions: Functions, header: Header) -> Files:
     """C text of all functions and tables; the same bytes for the same functions."""
+    few = _few(functions)
+    if not any(few.values()):  # never called: nothing to compile
+        unused = functions["move_partials"]
+        functions = {**functions, "move_partials": ca.Function(unused.name(), unused.sx_in(), [SX(0, 1)])}
     seldom = RARE if header.sizes["NY"] else RARE | WITHOUT_LOOPS
     often = c_code({n: f for n, f in functions.items() if n not in seldom}, parameters=PARAMETERS)
     rare = c_code({n: f for n, f in functions.items() if n in seldom})
@@ -276,6 +288,7 @@ def c_files(functions: Functions, header: Header) -> Files:
         lines += macros
         tables += definitions
     by = header.slopes
+    lines += [f"#define MODEL_FEW_{kind} {n}" for kind, n in few.items()]
     kinds = {
         "SLOPE": by.scalars,
         "ELEMENT": by.elements,

@@ -51,6 +51,9 @@ slopes              ENV                            J; the entries of [dx; r] by 
                                                    zero, for scalars (MODEL_NSLOPE); partial
 element_slopes      ENV                            the same for elements of arrays (MODEL_NELEMENT); where both are is in
                                                    MODEL_SLOPE_ROW[], MODEL_SLOPE_COLUMN[]
+move_partials       ENV, sp, sd [Z]                directional derivative of [dx; r], x and y held; cheaper than slopes for
+                                                   up to MODEL_FEW_SLOPE directions, and than element_slopes for up to
+                                                   MODEL_FEW_ELEMENT
 output_slopes       ENV                            the entries of v by [x; y; p; d; z = pz] that may differ from zero,
                                                    where v is an output (``MODEL_OUTPUT[i]`` is 1; MODEL_NOUTPUT_SLOPE);
                                                    those of other variables are in MODEL_CONSTANT[] where all are

@@ -22,8 +22,8 @@ from benchmarks.sealed import verdict_in_words
 _INTRODUCTION = """\
 # The blind check
 
-How often a diagnosis is right, on actuators whose effects it is not told. The virtual rig shares no model code
-with the FMUs and has other laws for the same effects, and effects that no catalogue has.
+How often a diagnosis is right, on actuators whose effects it is not told. It makes its catalogue from the plain
+models. The virtual rig shares no model code with the FMUs and has other laws for the same effects.
 
     {command}
 
@@ -45,8 +45,14 @@ CLOSED = {
 _NOTES = f"""\
 - Top-1 and top-2: the true effect's place among the probabilities of all effects, *none* and *unknown*.
 - A class is what the verdict names: one or more effects, or those it cannot tell apart.
-- Right port: sizeable cases with one effect, in the catalogue or not, at one of the catalogue's ports, less those
-  whose verdict names effects at several ports that it cannot tell apart.
+- Effects have the rig's names here. Laws of the made catalogue that are the same in physics count as one: friction
+  of the rotor against the stator and at the Wave Generator, or an offset of the current and friction that depends
+  on the direction. The table `_SAME` of `benchmarks/blind/made.py` has them all.
+- *Outside* is what the first, written catalogue of 18 effects lacked. *Unknown* is right there, and so is the
+  effect's own law where the made catalogue has it: windage, a rub of the rotor, crosstalk, a brush at the load,
+  ripples of other orders. Any other name is wrong.
+- Right port: sizeable cases with one effect, less those whose verdict names effects at several ports that it
+  cannot tell apart.
 - Held-out closure: on runs at other speeds, loads and inputs, beyond the nominal refit; verdicts that are exactly
   right and gaps of at least {LARGE:g} floors. The interval is the one that the diagnosis promised.
 - Calibration error (of the verdict, which is right if one of the answers that it leaves open is true) and Brier
@@ -151,7 +157,7 @@ def _failures(cases: Sequence[Scored]) -> str:
                     " and ".join(f"{g:.2f}" for g in label["gaps"]) or "0",
                     f"{label['noise']}, {label['repeats']} runs, {encoder}",
                     verdict_in_words(case.answer),
-                    f"{max(probability[name] for name in case.truth):.2f}",
+                    f"{max(probability.get(name, 0.0) for name in case.truth):.2f}",
                     f"{case.answer['gap']['nominal_refit']:.2f} → {case.answer['gap']['corrected']:.2f}",
                     "" if case.closure is None else f"{case.closure:.2f}",
                 ]

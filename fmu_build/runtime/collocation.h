@@ -14,7 +14,10 @@ struct Sensitivity {
     double *moves;    /* the same p, d and z in NP + ND + NZ rows of n, in one block with what follows ... */
     unsigned char moved[LENGTH(NP + ND + NZ)]; /* ... which of them change at all ... */
     int active[LENGTH(MODEL_NSLOPE + MODEL_NELEMENT)], n_active; /* ... and which derivatives are by those ... */
-    int elements;     /* ... some of them by elements of arrays */
+    int elements;     /* ... 1: those by elements of arrays, too */
+    unsigned char *apart; /* by direction: whether derivatives along it alone cost less than all of these */
+    int shared;       /* whether there are other directions */
+    double *by_moves; /* N rows of n: derivatives of [f; r] along the directions, x and y held */
     double *start;    /* NX rows of n: at the beginning of the last step */
     double *stages;   /* N times RADAU rows of n: of each unknown at the collocation points */
     double *now;      /* NX rows of n: where the next step begins */

@@ -54,10 +54,27 @@ void free_sensitivities(Instance *me) {
         free(q->weights);
         free(q->along);
         free(q->moves);
+        free(q->apart);
         free_pivoted(&q->other);
     }
     free(q);
     me->sensitivity = NULL;
+}
+
+/* Which derivatives by what the directions move are computed for each direction apart, and which for all together. */
+static void choose_slopes(struct Sensitivity *q) {
+    size_t elements = 0, others = 0;
+    for (size_t j = 0; j < q->n; j++) {
+        q->apart[j] = 0;
+        for (int k = MODEL_NSLOPE; k < MODEL_NSLOPE + MODEL_NELEMENT; k++)
+            q->apart[j] |= q->moves[MODEL_SLOPE_COLUMN[k] * q->n + j] != 0.0;
+        elements += q->apart[j];
+    }
+    q->elements = elements > MODEL_FEW_ELEMENT;
+    if (q->elements) memset(q->apart, 0, q->n);
+    for (size_t j = 0; j < q->n; j++) others += !q->apart[j];
+    q->shared = others > MODEL_FEW_SLOPE;
+    if (!q->shared) memset(q->apart, 1, q->n);
 }
 
 /* The derivatives that hold from here on, from the directions' x and z. */
@@ -71,12 +88,9 @@ static void go_on_along(struct Sensitivity *q) {
             q->moved[row] |= s->z[k] != 0.0;
         }
     }
-    q->n_active = q->elements = 0;
-    for (int k = 0; k < MODEL_NSLOPE + MODEL_NELEMENT; k++)
-        if (q->moved[MODEL_SLOPE_COLUMN[k]]) {
-            q->active[q->n_active++] = k;
-            q->elements |= k >= MODEL_NSLOPE;
-        }
+    q->n_active = 0;
+    for (int k = 0; k < MODEL_NSLOPE + q->elements * MODEL_NELEMENT; k++)
+        if (q->moved[MODEL_SLOPE_COLUMN[k]]) q->active[q->n_active++] = k;
     q->pieces = q->switches_known = 0;
 }
 
@@ -126,6 +140,7 @@ Status start_sensitivities(Instance *me) {
             q->moved[k] |= move != 0.0;
         }
     }
+    choose_slopes(q);
     go_on_along(q);
     return MODEL_HAS_EVENTS ? event_start_along(me, q->along, q->n) : STATUS_OK;
 }
@@ -176,9 +191,10 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
         q->parameters = malloc(LENGTH(n_parameters) * sizeof *parameters);
         q->weights = malloc(LENGTH(n * n_parameters) * sizeof *weights);
         q->along = calloc(n, sizeof *q->along);
-        q->moves = calloc(n * LENGTH(NP + ND + NZ + 2 * NX + 2 * RADAU * N + NV), sizeof(double));
+        q->moves = calloc(n * LENGTH(NP + ND + NZ + 2 * NX + (2 * RADAU + 1) * N + NV), sizeof(double));
+        q->apart = malloc(n);
     }
-    if (!q || !q->parameters || !q->weights || !q->along || !q->moves) {
+    if (!q || !q->parameters || !q->weights || !q->along || !q->moves || !q->apart) {
         free_sensitivities(me);
         return report(me, STATUS_ERROR, "no memory for sensitivities");
     }
@@ -186,7 +202,8 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
     q->stages = q->start + NX * n;
     q->now = q->stages + RADAU * N * n;
     q->rest = q->now + NX * n;
-    q->shown = q->rest + RADAU * N * n;
+    q->by_moves = q->rest + RADAU * N * n;
+    q->shown = q->by_moves + N * n;
     memcpy(q->parameters, parameters, n_parameters * sizeof *parameters);
     memcpy(q->weights, weights, n * n_parameters * sizeof *weights);
     q->n_parameters = n_parameters;

@@ -125,6 +125,7 @@ def compile_by_hand(
         "loop": (env, [r, ca.jacobian(r, s["y"]), ca.densify(ca.jacobian(r, s["t"]))]),
         "slopes": (env, [with_diagonal(ca.jacobian(system, both), nx), ca.vertcat(*by_parameter.nonzeros())]),
         "element_slopes": (env, [ca.SX(0, 1)]),
+        "move_partials": ([*env, *seeds([*"pd", *held])], [along(system, [*"pd", *held])]),
         "output_slopes": (env, [ca.vertcat(*shown.nonzeros())]),
         "variables": (env, [v]),
         "partials": ([*env, *seeds([*"xupdy", *held])], [along(dx, [*"xupdy", *held])]),

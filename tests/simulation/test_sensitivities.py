@@ -80,6 +80,34 @@ def test_derivatives_are_those_of_accurate_runs_through_reversals(slider):
         assert np.all(error < 2e-3), (direction, error)
 
 
+def test_a_table_that_moves_as_one_has_the_sum_of_its_entries_derivatives(tmp_path):
+    (tmp_path / "Table.mo").write_text(
+        """
+        model Table "Damping by speed, between points of a table"
+          parameter Real d[12] = {2.0 + 0.1*k for k in 1:12};
+          parameter Real m = 0.8;
+          input Real u;
+          output Real v(start = 0, fixed = true);
+          Real w[5](each start = 0, each fixed = true) "Of bodies that are dragged along";
+          Real friction = (v - w[1])*sum(d[k]*noEvent(max(0, 1 - abs(5*abs(v - w[1]) - k + 1))) for k in 1:12);
+        equation
+          m*der(v) = u - friction;
+          der(w) = {friction*k - w[k] for k in 1:5};
+        end Table;
+        """
+    )
+    fmu = Fmu(build_modelica(tmp_path / "Table.mo", "Table", tmp_path))
+    entries = [f"d[{k}]" for k in range(1, 13)]
+    each, one = ({name: 1.0} for name in entries), dict.fromkeys(entries, 1.0)
+    task = replace(TASK, inputs={"u": 4.0 * TASK.inputs["u"]}, outputs=("v",))
+    together = fmu.simulate(replace(task, along=(one,)), {})[1]
+    apart = fmu.simulate(replace(task, along=({"m": 1.0}, *each)), {})[2:]
+    assert np.count_nonzero(np.ptp(apart, axis=1)) >= 6
+    assert together == pytest.approx(apart.sum(axis=0), rel=1e-9, abs=1e-12)
+    mixed = fmu.simulate(replace(task, along=({"m": 1.0}, one)), {})[1:]
+    assert mixed[1] == pytest.approx(together, rel=1e-9, abs=1e-12)
+
+
 def test_workers_agree(slider):
     task = replace(TASK, along=ALONG[:2], tolerance=1e-5)
     fast = Fmu(slider).simulate(task, VALUES)
