@@ -4,10 +4,10 @@
  * stages (order 5, L-stable: as stiff as the model may be) along the dense output of the state, the unknowns of
  * algebraic loops with them. The equations are linear, so a step is one factorisation for all parameters, of blocks of
  * three where the model's Jacobian has entries, and no error control of its own is needed. (With two stages, order 3, a
- * run with derivatives takes a sixth less time, but their errors grow from 1e-5 ... 1e-4 to 1e-3 ... 1e-2.) The solution between the
- * communication points is the collocation polynomial. A step is worked off only when it is
- * needed: a lookahead that a new input makes void costs nothing. Where the step runs over kinks of f, whose Jacobian
- * jumps there, it is solved in pieces between them. Where S begins and what an event makes of it: sensitivity_rare.c. */
+ * run with derivatives takes a sixth less time, but their errors grow from 1e-5 ... 1e-4 to 1e-3 ... 1e-2.) The solution
+ * between the communication points is the collocation polynomial. A step is worked off only when it is needed: a
+ * lookahead that a new input makes void costs nothing. Where the step runs over kinks of f, whose Jacobian jumps there,
+ * it is solved in pieces between them. Where S begins and what an event makes of it: sensitivity_rare.c. */
 #include <math.h>
 #include <string.h>
 
