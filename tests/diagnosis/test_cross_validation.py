@@ -248,6 +248,9 @@ def test_closure_is_the_share_of_the_gap_that_is_gone():
     # One draw in four is 1.5 above the mean, the others are 0.5 below it.
     skew = closure_interval(before, gone, null=Null(np.array([9.5, 11.5, 9.5, 9.5]), np.zeros(1)))
     assert skew == pytest.approx((1.0 - np.sqrt(1.5 / 5.5), 1.0))
+    # Experiments without a gap have nothing to close.
+    one_of_three = closure_interval(lost(0.0, 0.0, 4.0), lost(0.0, 0.0, 0.04), null=silent)
+    assert one_of_three == pytest.approx((0.9, 0.9))
     assert lost(-0.5, 0.2).gap == 0.0
     assert closure_interval(gone, gone) == (0.0, 0.0)  # of no gap, nothing can be closed
 

@@ -16,7 +16,7 @@ import numpy as np
 from fmuid.core.campaign import SEPARATOR
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.diagnosis.null_distribution import Null
-from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed
 from fmuid.diagnosis.projection import orthonormal, project_off
 from fmuid.diagnosis.refit import Refit
 
@@ -157,7 +157,8 @@ def closure_interval(
     It is the shortest one that holds the share `level` of the draws: a closure ends at 1, where many of them are.
 
     With `null`, what noise alone would leave, the interval is for a single new experiment, whose remaining gap
-    cannot be measured more precisely; otherwise for as many as were measured.
+    cannot be measured more precisely; otherwise for as many as were measured. Draws that show no gap that matters
+    do not count, since there is nothing to close in them; the interval is (0, 0) if there are no others.
     """
     rng = np.random.default_rng(seed)
     n = len(before.loss)
@@ -176,10 +177,12 @@ def closure_interval(
     was, left = (
         np.sqrt(np.maximum(0.0, np.sum(times * x, axis=0) / np.sum(times, axis=0) + further)) for x in (b, a)
     )
-    drawn = np.where(was > 0, 1.0 - left / np.where(was > 0, was, 1.0), 0.0)
-    drawn.sort()
-    kept = round(level * draws)
-    first = int(np.argmin(drawn[kept - 1 :] - drawn[: draws - kept + 1]))
+    shown = was > (0.0 if null is None else GAP_THAT_MATTERS)
+    if not shown.any():
+        return 0.0, 0.0
+    drawn = np.sort(1.0 - left[shown] / was[shown])
+    kept = max(round(level * len(drawn)), 1)
+    first = int(np.argmin(drawn[kept - 1 :] - drawn[: len(drawn) - kept + 1]))
     return float(drawn[first]), float(drawn[first + kept - 1])
 
 

@@ -519,7 +519,7 @@ class _Closing:
         )
 
     def _interval(self, fitted: Fitted) -> tuple[float, float]:
-        """Return the range in which the closure on a new experiment is expected to lie.
+        """Return the range in which the closure on a new experiment with a gap is expected to lie.
 
         The noise of one experiment counts, not that of the average of them all. New runs are easier to predict
         for a model fitted to all experiments than an experiment is from the others alone, and harder than the
