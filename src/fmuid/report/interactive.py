@@ -365,6 +365,7 @@ def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
                     "y": k,
                     "xanchor": "left",
                     "xshift": 8,
+                    "bgcolor": "white",  # a mark may pass behind it
                     "showarrow": False,
                     "font": {"size": 11},
                 }

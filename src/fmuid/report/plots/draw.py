@@ -358,6 +358,8 @@ def _bar(axes: Axes, k: int, bar: Bar) -> None:
             va="center",
             fontsize=7,
             annotation_clip=False,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},  # a mark may pass behind it
+            zorder=4,
         )
 
 
