@@ -49,7 +49,7 @@ def draw(lacking, verdict, *candidates, effects=()):
     observed = Observed.from_runs([RepeatedRuns("run", "bench", TIME, ("tau",), values)])
     residuals = observed.residuals([np.zeros((1, TIME.size))])
     nominal = Refit((), {}, residuals, (np.zeros((residuals[0].size, 0)),), 0.0, 1, True)
-    paths = {"speed": (SPEED,), "load": (LOAD,), "time": (TIME,)}
+    paths = {"speed": (SPEED,), "load": (LOAD,), "load behind a rigid coupling": (LOAD,), "time": (TIME,)}
     subject = SimpleNamespace(
         model=Model(lacking),
         observed=observed,
@@ -60,6 +60,7 @@ def draw(lacking, verdict, *candidates, effects=()):
             regimes={
                 "load": Regime("load", "tau", "value", "N.m"),
                 "speed": Regime("speed", "w", "speed", "rad/s"),
+                "load behind a rigid coupling": Regime("load behind a rigid coupling", "tau", "value", "N.m"),
                 "torque speed": Regime("torque speed", "w", "speed", "rad/s", ports=("another",)),
                 "elsewhere": Regime("elsewhere", "x", ports=("another",)),
             },

@@ -33,6 +33,7 @@ _CURVE = 400  # points of a law's curve
 _PANELS = 3  # number of variables shown, those that explain most
 _QUANTITIES = {"rate": ("speed",), "p": ("position", "potential"), "through": ("flow",)}  # regimes of a law
 _ONE_WAY = 0.05  # share of samples in the rarer direction, below which directions are not separated
+_SAME = 1e-6  # share of their range by which two variables differ that are one
 _PRIOR = 1.0 / 30.0  # an ordinate that no signal shows stays within thirty magnitudes of zero
 
 
@@ -176,8 +177,9 @@ def _missing(found: Found, nominal: Prediction, laws: Mapping[str, Prediction]) 
         return ()
     quantity = Axis(f"missing at {port.name}", port.unit)
     missing = []
-    for regime in found.subject.catalogue.regimes.values():
-        if regime.ports and port.name not in regime.ports:
+    of_port = [r for r in found.subject.catalogue.regimes.values() if not r.ports or port.name in r.ports]
+    for k, regime in enumerate(of_port):
+        if any(_alike(regime, other, found.paths) for other in of_port[:k]):
             continue
         parts = _parts(found, regime)
         basis = tuple(b for _, _, own in parts for b in own)
@@ -196,6 +198,15 @@ def _missing(found: Found, nominal: Prediction, laws: Mapping[str, Prediction]) 
             branches.append(Branch(knots, values[own], errors[own], named, direction))
         missing.append(MissingQuantity(Axis(regime.name, regime.unit), quantity, tuple(branches), explained))
     return tuple(sorted(missing, key=lambda m: -(m.explained or 0.0)))[:_PANELS]
+
+
+def _alike(regime: Regime, other: Regime, paths: Mapping[str, Sequence[FloatArray]]) -> bool:
+    """Return whether two variables are one, as the positions on both sides of a rigid connection are."""
+    if regime.kind != other.kind:
+        return False
+    own, others = (path - path.mean() for path in (np.concatenate(paths[r.name]) for r in (regime, other)))
+    size = max(np.abs(own).max(), np.abs(others).max())
+    return bool(np.abs(own - others).max() <= _SAME * size)
 
 
 def _parts(found: Found, regime: Regime) -> list[tuple[str, FloatArray, Basis]]:
