@@ -64,7 +64,13 @@ class Check:
     def run(self) -> Outcome:
         """Carry it out."""
         self._make()
-        closed = self._diagnose(self.out / "campaigns", self.out / "answers")
+        return self.score(closed=self._diagnose(self.out / "campaigns", self.out / "answers"))
+
+    def score(self, *, closed: bool | None = None) -> Outcome:
+        """Score the cases that have an answer; `closed`: whether the labels were, None if that is to be tried."""
+        if closed is None:
+            with out_of_reach(self.labels) as closed:
+                pass
         labels = checked_labels(self.labels, self.out / "campaigns" / DIGEST)
         answers = {n: json.loads(p.read_text()) for n in labels if (p := self._answer(n)).is_file()}
         closures = self._closures(answers)
@@ -193,6 +199,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--labels", type=Path, required=True, help="folder of the labels, elsewhere")
     parser.add_argument("--campaign", type=Path, default=Path("campaigns/sealed"))
     parser.add_argument("--count", type=int, default=200, help="cases in the grid")
+    parser.add_argument("--score", action="store_true", help="only score the cases that have an answer")
     parser.add_argument("--first", type=int, help="only the first so many of them")
     parser.add_argument("--seed", type=int, help="default: drawn, and kept with the labels")
     parser.add_argument("--workers", type=int, help="cases at the same time; one per processor by default")
@@ -207,7 +214,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check = Check(given.out, given.labels, given.campaign, given.count, only, given.seed, given.workers)
 
     def work() -> Sequence[str]:
-        found = check.run()
+        found = check.score() if given.score else check.run()
         notes = "" if given.notes is None else given.notes.read_text(encoding="utf-8")
         text = page(found, given.command, notes)
         print(text)
