@@ -13,7 +13,7 @@ _BEARINGS = ("motor", "rotor")
 
 # Effect of the rig -> laws and ports of the made catalogue. Stator and rotor move as Circular Spline and Wave
 # Generator do. An offset of the current is a constant torque, and so is friction that depends on the direction.
-# The plain gear has a presliding deflection of its own.
+# The plain gear has a presliding deflection of its own. The rig's delay is that of any recorded input.
 _SAME: Mapping[str, tuple[str, ...]] = {
     "viscous": ("viscous@motor", "viscous@rotor"),
     "stribeck": ("stribeck@motor", "stribeck@rotor"),
@@ -25,7 +25,7 @@ _SAME: Mapping[str, tuple[str, ...]] = {
     "hardening": ("hardening@flexspline",),
     "hysteresis": ("hysteresis@flexspline",),
     "current_lag": ("lag@motor.i", "lag@i_cmd"),
-    "delay": ("delay@i_cmd",),
+    "delay": ("delay@i_cmd", "delay@w_ref"),
     "saturation": ("saturation@motor.i", "saturation@i_cmd"),
     "sensor_offset": ("offset@tau_sensor",),
     "sensor_gain": ("gain@tau_sensor",),
@@ -55,7 +55,7 @@ PLACES: Mapping[str, tuple[str, ...]] = {
     "motor_torque": (*_BEARINGS, "motor.i"),
     "flexspline_deflection": ("flexspline",),
     "load_torque": ("load", "gear.F"),
-    "current": ("motor.i", "i_cmd"),
+    "current": ("motor.i", "i_cmd", "w_ref"),
     "torque_sensor": ("tau_sensor", "sensor"),
     "motor_encoder": ("w_motor", "controller.w"),
 }
