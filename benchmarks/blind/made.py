@@ -77,7 +77,7 @@ def scored(
 def _told(label: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]:
     name = {own: rig for rig, alike in {**_SAME, **_OUTSIDE}.items() for own in alike}
     for own, (parameter, turns) in _RIPPLE.items():
-        order = answer["model"].get(parameter)
+        order = answer["model"]["parameters"].get(parameter)
         law = own.partition("@")[0]
         name[own] = law if order is None else _ripple(label, law, float(order) / turns)
     place = {own: port for port in label["ports"] for own in PLACES.get(port, ())}
@@ -88,6 +88,8 @@ def _told(label: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]
     ports = list(dict.fromkeys(place.get(p, p) for p in verdict["ports"]))
     port = place.get(verdict["port"], verdict["port"])
     told = renamed({**answer, "verdict": {**verdict, "port": port, "ports": ports}}, name)
+    if label["effects"] and set(named(told["verdict"])) == set(label["effects"]):  # the law includes its place
+        told["verdict"] |= {"port": label["ports"][0], "ports": list(label["ports"])}
     return _as_unknown(told, label["effects"]) if label["kind"] == "outside" else told
 
 

@@ -24,7 +24,7 @@ def answer(*sets, ports, model=()):
         },
         "answers": [{"effects": list(s), "probability": 0.9 / len(sets)} for s in sets],
         "effects": [{"id": n, "probability": 0.9 / len(names)} for n in names],
-        "model": dict(model),
+        "model": {"parameters": dict(model)},
     }
 
 
@@ -33,6 +33,12 @@ def test_two_names_of_one_cause_are_one_answer():
     found = scored(case(["coulomb_asymmetry"], ["gear_friction"]), said)
     assert found.right
     assert found.ranked[0] == ("coulomb_asymmetry", pytest.approx(0.9))
+    assert found.answer["verdict"]["port"] == "gear_friction"
+
+
+def test_a_law_that_is_the_effect_has_the_right_place():
+    found = scored(case(["coulomb_asymmetry"], ["gear_friction"]), answer(("offset@motor.i",), ports=("motor.i",)))
+    assert found.right
     assert found.answer["verdict"]["port"] == "gear_friction"
 
 
