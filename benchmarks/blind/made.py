@@ -97,6 +97,7 @@ def _as_unknown(answer: Mapping[str, Any], effects: Sequence[str]) -> dict[str, 
     """Return an answer in which these effects count as *unknown*."""
     told = renamed(answer, dict.fromkeys(effects, "unknown"))
     told["effects"] = [e for e in told["effects"] if e["id"] != "unknown"]
+    told["baselines"] = {k: [n for n in names if n != "unknown"] for k, names in told["baselines"].items()}
     if named(told["verdict"]) == ["unknown"]:
         told["verdict"] = {**told["verdict"], "kind": "unknown", "effects": [], "one_of": []}
     return told

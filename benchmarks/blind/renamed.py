@@ -22,6 +22,7 @@ def renamed(answer: Mapping[str, Any], name: Mapping[str, str]) -> dict[str, Any
         "verdict": {**verdict, "kind": kind, "effects": list(effects), "one_of": [list(o) for o in one_of]},
         "answers": _merged([{**a, "effects": list(_named(a["effects"], name))} for a in answer["answers"]]),
         "effects": [{"id": n, "probability": p} for n, p in inclusion.items()],
+        "baselines": {k: list(_named(names, name)) for k, names in answer.get("baselines", {}).items()},
     }
 
 

@@ -25,6 +25,7 @@ def answer(*sets, ports, model=()):
         "answers": [{"effects": list(s), "probability": 0.9 / len(sets)} for s in sets],
         "effects": [{"id": n, "probability": 0.9 / len(names)} for n in names],
         "model": {"parameters": dict(model)},
+        "baselines": {"hold_out_rmse": list(names)},
     }
 
 
@@ -33,6 +34,7 @@ def test_two_names_of_one_cause_are_one_answer():
     found = scored(case(["coulomb_asymmetry"], ["gear_friction"]), said)
     assert found.right
     assert found.ranked[0] == ("coulomb_asymmetry", pytest.approx(0.9))
+    assert found.answer["baselines"] == {"hold_out_rmse": ["coulomb_asymmetry"]}
     assert found.answer["verdict"]["port"] == "gear_friction"
 
 

@@ -324,6 +324,8 @@ def test_a_law_at_bounds_that_nobody_thought_plausible_is_strained(values, strai
     best = Fitted(("e",), ("e",), Refit(UNKNOWNS, found, (), (), 0.0, 0, True), lost(1.0), lost(1.0), 1.0)
     assert strained(best, [effect]) is strain
     assert strained(Fitted(("other",), ("other",), best.fit, best.held_out, best.judged, 1.0), [effect]) is False
+    ends = replace(effect, natural=frozenset({"shape", "onset"}))  # shares, say, which end at 0 and 1
+    assert strained(best, [ends]) is (values[0] == 1.0)
 
 
 def test_an_effect_of_one_sign_may_be_off_at_its_bound():

@@ -41,6 +41,8 @@ class Effect:
         Values at which the effect is off; for a shape, which matters only while the effect is on, its start value.
     shapes
         The parameters that are shapes.
+    natural
+        The parameters whose bounds are where the law itself ends, such as a share of 0 or 1.
     acts, expression
         How the effect acts at a port of the model's source, and the Modelica expression added there; empty if the
         model already has the effect (see `fmu_build.instrument`).
@@ -71,6 +73,7 @@ class Effect:
     two_sided: bool = False
     units: Mapping[str, str] = field(default_factory=dict)
     shapes: frozenset[str] = frozenset()
+    natural: frozenset[str] = frozenset()
     acts: Acts = "flow"
     expression: str = ""
     flow: str = ""
@@ -102,6 +105,7 @@ class Effect:
             neutral={n: v for n, v in self.neutral.items() if n not in names},
             trials=tuple(trial for trial in self.trials if not trial.keys() & set(names)),
             shapes=self.shapes - set(names),
+            natural=self.natural - set(names),
             units={n: u for n, u in self.units.items() if n not in names},
         )
 
@@ -135,6 +139,7 @@ class _Parameter(Table):
     neutral: float | None = None
     start: float | None = None
     sd: Annotated[float, msgspec.Meta(gt=0)] = math.inf
+    natural: bool = False
     unit: str = ""
 
 
@@ -271,6 +276,7 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
         two_sided=raw.two_sided,
         units={key: p.unit for key, p in raw.parameters.items()},
         shapes=frozenset(key for key, p in raw.parameters.items() if p.neutral is None),
+        natural=frozenset(key for key, p in raw.parameters.items() if p.natural),
         acts=raw.acts,
         expression=raw.expression,
         flow=raw.flow,

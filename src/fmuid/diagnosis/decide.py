@@ -221,13 +221,15 @@ def strained(fitted: Fitted, effects: Sequence[Effect]) -> bool:
     """Return whether a named effect's parameters ended at bounds that are neither its start nor a trial.
 
     A combination of bounds counts as plausible only if a single trial, or the neutral values, has all of it. At
-    other bounds, the law imitates something other than its effect.
+    other bounds, the law imitates something other than its effect. Natural bounds, where the law itself ends, do
+    not count.
     """
     for effect in (e for e in effects if e.id in fitted.names):
         near = {u.name: 0.01 * u.step for u in effect.unknowns}
         at = {
             u.name: bound
             for u in effect.unknowns
+            if u.name not in effect.natural
             for bound in _limits(effect, u)
             if abs(fitted.fit.values[u.name] - bound) <= near[u.name]
         }

@@ -53,6 +53,7 @@ class _LawParameter(Table):
     off: str | None = None
     start: str | None = None
     scale: str | None = None
+    natural: bool = False
     unit: str = ""
 
 
@@ -241,7 +242,7 @@ def _effect_lines(name: str, law: _Law, place: Place) -> list[str]:
         first = value(p.off if p.off is not None else p.start or "0")
         step = 2e-3 * value(p.scale) if p.scale else 0.02 * first or 2e-3 * (most - least)
         numbers = {kind: first, "lower": least, "upper": most, "step": step}
-        inside = ", ".join(f"{k} = {v:.6g}" for k, v in numbers.items())
+        inside = ", ".join(f"{k} = {v:.6g}" for k, v in numbers.items()) + ", natural = true" * p.natural
         lines.append(f"{toml_text(own[key])} = {{ {inside}, unit = {toml_text(p.unit.format(**units))} }}")
     return [*lines, ""]
 
