@@ -624,7 +624,12 @@ def test_whatever_stops_a_run_it_ends_with_130_and_says_how_it_goes_on(folder: P
     endless(folder)
     command = [*FMUID, "identify", "bench", "--out", "run", "--seed", "3"]
     run = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # tests may run under nohup
     )
     under_way(Path("run"))
     os.killpg(run.pid, getattr(signal, name))  # batch systems tell every process of a job
