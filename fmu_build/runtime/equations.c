@@ -5,8 +5,6 @@
 
 #include "instance.h"
 
-#define CALL(name) model_##name(me->arg, me->res, me->iw, me->w, me->s.laws)
-
 static const Pattern PATTERN_R = PATTERN(R);
 
 const double **environment_at(Instance *me, const double *t, const double *x, const double *u) {

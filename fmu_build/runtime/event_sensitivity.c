@@ -45,7 +45,7 @@ Status event_start_along(Instance *me, Direction *along, size_t n) {
     int failed = solve_loop(me, s->t, s->x, s->u), open = 0;
     environment_at(me, &s->t, s->x, s->u);
     me->res[0] = value;
-    failed = failed || model_indicators(me->arg, me->res, me->iw, me->w, me->s.laws);
+    failed = failed || CALL(indicators);
     for (size_t j = 0; j < n && !failed; j++) {
         failed = indicators_along(me, s->t, s->x, s->u, &along[j], g);
         for (int i = 0; i < NM; i++) open |= fabs(value[i]) <= ZERO && fabs(g[i]) > ROUNDING;
@@ -134,7 +134,7 @@ Status event_end_along(Instance *me, Direction *along, size_t n) {
     int failed = solve_loop(me, s->t, s->x, s->u);
     environment_at(me, &s->t, s->x, s->u);
     me->res[0] = slope;
-    failed = failed || model_derivatives(me->arg, me->res, me->iw, me->w, me->s.laws);
+    failed = failed || CALL(derivatives);
     for (size_t j = 0; j < n && !failed; j++) {
         for (int i = 0; i < NX; i++) along[j].x[i] -= along[j].t * slope[i];
         along[j].t = 0.0;

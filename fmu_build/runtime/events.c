@@ -21,7 +21,7 @@ static int indicators_at(Instance *me, double t, const double *x, const double *
     if (solve_loop(me, t, x, u)) return 1;
     environment_at(me, &t, x, u);
     me->res[0] = g;
-    return model_indicators(me->arg, me->res, me->iw, me->w, me->s.laws);
+    return CALL(indicators);
 }
 
 /* Truth of every relation at (t, x, u) with the present m, z and y; within `slack` of its threshold it is as in m. */
@@ -29,7 +29,7 @@ static void relations_within(Instance *me, double slack, double t, const double 
     double g[LENGTH(NM)] = {0};
     environment_at(me, &t, x, u);
     me->res[0] = g;
-    model_indicators(me->arg, me->res, me->iw, me->w, me->s.laws);
+    CALL(indicators);
     for (int i = 0; i < NM; i++)
         m[i] = fabs(g[i]) <= slack ? me->s.m[i] : MODEL_INCLUSIVE[i] ? g[i] >= 0.0 : g[i] > 0.0;
 }
@@ -99,7 +99,7 @@ static Round one_round(Instance *me, double flag, double slack, Update *update, 
     me->res[2] = &update->next_event;
     me->res[3] = &update->terminate;
     me->res[4] = &update->reinit;
-    model_update(me->arg, me->res, me->iw, me->w, me->s.laws);
+    CALL(update);
     const int settled = same(z, s->z, NZ);
     memcpy(s->z, z, NZ * sizeof *z);
     if (NY > 0 && !settled && solve_loop(me, s->t, s->x, s->u)) return FAILED;

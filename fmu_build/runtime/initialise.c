@@ -34,7 +34,7 @@ static int solve_initial(Instance *me) {
         me->arg[9] = s->xs;
         me->res[0] = r;
         me->res[1] = me->initial;
-        if (model_initial(me->arg, me->res, me->iw, me->w, me->s.laws)) return 1;
+        if (CALL(initial)) return 1;
         double norm = 0.0;
         for (int i = 0; i < N; i++) norm += r[i] * r[i];
         if (norm == 0.0) return 0;
@@ -120,7 +120,7 @@ int initial_states_along(Instance *me, const double *start, Direction *s) {
     me->arg[9] = now->xs;
     me->res[0] = NULL;
     me->res[1] = me->initial;
-    if (model_initial(me->arg, me->res, me->iw, me->w, me->s.laws) || FACTORISE(I, me->initial, &me->lu_start)) return 1;
+    if (CALL(initial) || FACTORISE(I, me->initial, &me->lu_start)) return 1;
     environment_at(me, &now->t, now->x, now->u);
     const double *const seeds[] = {now->xs, s->u, s->p, s->d, sxs, s->z, s->pz};
     for (int i = 0; i < 7; i++) me->arg[9 + i] = seeds[i];

@@ -120,6 +120,9 @@ typedef struct {
 #define FACTORISE(m, a, f) factorise(MODEL_##m##_N, MODEL_##m##_DENSE, &PATTERN_##m, a, f)
 #define SOLVE(m, f, b) solve(MODEL_##m##_N, MODEL_##m##_DENSE, &PATTERN_##m, f, b)
 
+/* A generated function of what environment_at and me->res point to. */
+#define CALL(name) model_##name(me->arg, me->res, me->iw, me->w, me->s.laws)
+
 /* equations.c: evaluation of the generated functions */
 const double **environment_at(Instance *me, const double *t, const double *x, const double *u);
 int solve_loop(Instance *me, double t, const double *x, const double *u);

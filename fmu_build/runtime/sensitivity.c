@@ -17,8 +17,6 @@
 static const double RADAU_NODE[RADAU] = {0.1550510257216822, 0.6449489742783178, 1.0};
 static const double W_SUM[RADAU] = {4.139387691339814, -1.7393876913398136, 3.0};
 
-#define CALL(function) model_##function(me->arg, me->res, me->iw, me->w, me->s.laws)
-
 /* to += a * row for all directions */
 static inline void add_row(size_t n, double a, const double *restrict row, double *restrict to) {
     for (size_t p = 0; p < n; p++) to[p] += a * row[p];
@@ -324,7 +322,7 @@ static int follow_variables(Instance *me) {
     double computed[LENGTH(MODEL_NOUTPUT_SLOPE)];
     environment_at(me, &now->t, now->x, now->u);
     me->res[0] = computed;
-    if (model_output_slopes(me->arg, me->res, me->iw, me->w, me->s.laws)) return 1;
+    if (CALL(output_slopes)) return 1;
     memset(q->shown, 0, NV * n * sizeof *q->shown);
     for (int k = 0; k < MODEL_NOUTPUT_SLOPE + MODEL_NCONSTANT_SLOPE; k++) {
         const int column = MODEL_VARIABLE_COLUMN[k], moved = column - N;
