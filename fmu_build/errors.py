@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 
 class UserError(Exception):
     """Base of every error that is raised on purpose; prints as one line.
@@ -40,6 +42,18 @@ class ModelicaError(UserError):
 
 class IndexOutsideError(ModelicaError):
     """A subscript outside its array."""
+
+
+class InputDerivativeError(ModelicaError):
+    """Equations need the derivative of an input, which an FMU is not given; `input` is its name."""
+
+    def __init__(self, input: str, *, where: object) -> None:
+        self.input = input
+        fix = "put a filter or an integrator between the input and its differentiation"
+        super().__init__(f"the derivative of input '{input}' is needed", where=where, fix=fix)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (partial(type(self), where=self.where), (self.input,))
 
 
 class BuildError(UserError):

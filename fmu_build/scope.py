@@ -10,6 +10,7 @@ import casadi as ca
 
 from fmu_build import algebra
 from fmu_build.algebra import Scalar, Value
+from fmu_build.errors import InputDerivativeError
 from fmu_build.expressions import Evaluator
 from fmu_build.flat_model import FlatModel
 from fmu_build.functions import Functions
@@ -141,11 +142,7 @@ class ModelScope:
         declared = self.declarations.by_symbol.get(k)
         if declared is not None:
             if declared.kind == "input":
-                raise self.flat.error(
-                    f"the derivative of input '{declared.name}' is needed",
-                    declared.at,
-                    "put a filter or an integrator between the input and its differentiation",
-                )
+                raise InputDerivativeError(declared.name, where=declared.at)
             if declared.kind != "continuous":
                 return None
             return self.derivative_symbol(SX(declared.symbol))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
+from fmu_build.errors import InputDerivativeError
 from fmu_build.flat_model import FlatModel
 from fmu_build.instrument import Added, Term
 from fmu_build.model_ports import find_ports
@@ -14,6 +15,7 @@ from fmu_build.suggest import suggestion
 from fmuid.core.campaign import ModelSource, ModelSpec
 from fmuid.core.errors import CampaignError
 from fmuid.diagnosis.catalogue import Catalogue, Effect
+from fmuid.diagnosis.ports import Port
 from fmuid.simulation.model_source import built_with_terms, effects_inside, flat_model
 from fmuid.simulation.simulator import Simulator
 
@@ -53,7 +55,10 @@ def built_with(model: ModelSpec, catalogue: Catalogue) -> Path:
 
 
 def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Collection[str]) -> Path:
-    """Build a model with the additions of a catalogue; effects that make variants only if `tried`."""
+    """Build a model with the additions of a catalogue; effects that make variants only if `tried`.
+
+    A signal that the model differentiates gets no input, since the derivative of an input is not known.
+    """
     known = {port.name: port.kind for port in find_ports(flat)}
     terms, added, inside = [], [], effects_inside(source)
     for effect in catalogue.effects.values():
@@ -66,15 +71,23 @@ def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Co
                 for u in effect.unknowns
                 if u.name not in flat.variables
             ]
-    for port in catalogue.ports.values():
-        if port.added and port.input and port.name in known:
-            where = f"[ports.{port.name!r}] input"
-            if known[port.name] == "signal":
-                terms.append(Term(port.name, "signal", f"p + {port.input}", where))
-            else:
-                terms.append(Term(port.name, "flow", port.input, where))
-            added.append(Added(port.input, 0.0, port.unit, port.description, input=True))
-    return built_with_terms(source, flat, terms, added)
+    ports = {port.input: port for port in catalogue.ports.values() if port.added and port.name in known}
+    while True:
+        inputs = [Added(n, 0.0, p.unit, p.description, input=True) for n, p in ports.items() if n]
+        driven = [_driven(port, signal=known[port.name] == "signal") for n, port in ports.items() if n]
+        try:
+            return built_with_terms(source, flat, [*terms, *driven], [*added, *inputs])
+        except InputDerivativeError as error:
+            if ports.pop(error.input, None) is None:
+                raise
+
+
+def _driven(port: Port, *, signal: bool) -> Term:
+    """Return the term that adds a port's input to its signal or its flow."""
+    where = f"[ports.{port.name!r}] input"
+    if signal:
+        return Term(port.name, "signal", f"p + {port.input}", where)
+    return Term(port.name, "flow", str(port.input), where)
 
 
 def terms_of(effect: Effect, where: str) -> list[Term]:
