@@ -801,3 +801,46 @@ def test_from_verdict_to_a_model_with_the_law_in_it_and_on_to_the_next(tmp_path,
     second = json.loads(Path("second/diagnosis.json").read_text())
     assert second["verdict"]["kind"] == "complete"
     assert "coulomb@load" not in {e["id"] for e in second["effects"]}
+
+
+DIFFERENTIATED = """
+model Held "A mass held by a controller that differentiates its position"
+  model Controller
+    input Real x(unit="m");
+    input Real r(unit="m");
+    output Real f(unit="N");
+    parameter Real kp(unit="N/m") = 400, kd(unit="N.s/m") = 20;
+  equation
+    f = kp*(r - x) - kd*der(x);
+  end Controller;
+  model Mass
+    input Real f(unit="N");
+    output Real x(unit="m", start=0, fixed=true);
+    parameter Real m(unit="kg", min=0) = 1;
+    Real v(unit="m/s", start=0, fixed=true);
+  equation
+    v = der(x);
+    m*der(v) = f;
+  end Mass;
+  input Real r(unit="m");
+  output Real x(unit="m");
+  Controller controller;
+  Mass mass;
+equation
+  controller.r = r;
+  controller.x = mass.x;
+  mass.f = controller.f;
+  x = mass.x;
+end Held;
+"""
+
+
+def test_a_signal_that_is_differentiated_has_laws_but_no_input(cache, tmp_path):
+    del cache
+    file = tmp_path / "Held.mo"
+    file.write_text(DIFFERENTIATED)
+    source = ModelSource(file, "Held")
+    catalogue = every_law(load(file, "Held"), tmp_path)
+    variables = load_fmu(carrier(source, catalogue)).variables
+    assert "controller.x.gain" in variables and "controller.x.added_signal" not in variables
+    assert "mass.f.added_signal" in variables
