@@ -22,6 +22,7 @@ from fmu_build.model_ports import Port, domain_of, find_ports, held_parameters
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.cli.app import run
 from fmuid.core.campaign import ModelSource, ModelSpec
+from fmuid.core.errors import SimulationError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
 from fmuid.diagnosis.catalogue import load_catalogue
@@ -34,7 +35,7 @@ from fmuid.diagnosis.made_catalogue import (
     with_catalogue,
 )
 from fmuid.diagnosis.subject import subject_of
-from fmuid.diagnosis.variants import Variants, carrier, terms_of
+from fmuid.diagnosis.variants import Variants, carrier, left_out, terms_of
 from fmuid.simulation.coupled.loading import load_simulator
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.model_source import built_model, built_with_terms
@@ -845,3 +846,76 @@ def test_a_signal_that_is_differentiated_has_laws_but_no_input(cache, tmp_path):
     assert "controller.x.gain" in variables
     assert "controller.x.added_signal" not in variables
     assert "mass.f.added_signal" in variables
+
+
+SPACED = """
+model Coils "Two coils with a resistor between them"
+  connector Pin
+    Real v(unit="V");
+    flow Real i(unit="A");
+  end Pin;
+  model Source
+    Pin p;
+    input Real u(unit="V");
+  equation
+    p.v = u;
+  end Source;
+  model Coil
+    Pin p, n;
+    parameter Real L(unit="H", min=0) = 1e-3;
+    Real i(unit="A");
+  equation
+    i = p.i;
+    p.i + n.i = 0;
+    L*der(i) = p.v - n.v;
+  end Coil;
+  model Resistor
+    Pin p, n;
+    parameter Real R(unit="Ohm", min=0) = 2;
+  equation
+    p.i + n.i = 0;
+    p.v - n.v = R*p.i;
+  end Resistor;
+  model Ground
+    Pin p;
+  equation
+    p.v = 0;
+  end Ground;
+  input Real u(unit="V");
+  output Real i(unit="A");
+  Source source; Coil first; Coil second; Resistor between; Resistor load; Ground ground;
+equation
+  source.u = u;
+  connect(source.p, first.p);
+  connect(first.n, between.p);
+  connect(between.n, second.p);
+  connect(second.n, load.p);
+  connect(load.n, ground.p);
+  i = load.p.i;
+end Coils;
+"""
+
+
+def test_what_a_model_cannot_be_built_with_is_left_out_and_said(cache, tmp_path):
+    del cache
+    file = tmp_path / "Coils.mo"
+    file.write_text(SPACED)
+    # Both coils have the same current, unless something between them has a share of it.
+    source, catalogue = ModelSource(file, "Coils"), every_law(load(file, "Coils"), tmp_path)
+    few = ("leakage@between", "leakage@load", "resistance@between")
+    catalogue = replace(catalogue, effects={name: catalogue.effects[name] for name in few})
+    model = ModelSpec("coils", carrier(source, catalogue), source=source)
+    variables = load_fmu(model.fmu).variables
+    assert "load.leakage" in variables
+    assert "between.leakage" not in variables
+    assert "first.n.added_flow" not in variables
+    assert left_out([model], catalogue, variables.keys()) == ["leakage@between"]
+
+    late = replace(catalogue.effects["leakage@between"], variant=True)
+    catalogue = replace(catalogue, effects={**catalogue.effects, late.id: late})
+    model = replace(model, fmu=carrier(source, catalogue))
+    assert left_out([model], catalogue, load_fmu(model.fmu).variables.keys()) == []
+    variants = Variants({"coils": model}, catalogue, lambda m: load_fmu(m.fmu))
+    assert variants.simulator("coils", {"between.resistance": 0.1}) is not None
+    with pytest.raises(SimulationError, match="cannot be built with 'leakage@between'"):
+        variants.simulator("coils", {"between.leakage": 0.1})

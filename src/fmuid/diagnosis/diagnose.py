@@ -240,6 +240,7 @@ def diagnose_subject(
         hidden=hidden(scores),
         notes=(
             *subject.findings,
+            *_failed(scores),
             *_shown_once(nominal, judgement.named),
             *_said_once(classes, judgement.named),
             *((calibrated.note,) if calibrated.trials else ()),
@@ -320,6 +321,13 @@ def _refined(subject: Subject, found: _Searched) -> tuple[Subject, _Searched]:
     subject = tightened(subject, [fitted.fit.values for fitted in refined.values()])
     candidates = [refined.get(k, fitted) for k, fitted in enumerate(found.candidates)]
     return subject, replace(found, candidates=candidates, best=decide.best_of([*refined.values()]))
+
+
+def _failed(scores: Sequence[Score]) -> Iterator[str]:
+    """Yield a note on the effects with which no simulation succeeds."""
+    names = [s.effect for s in scores if s.largest is None]
+    if names:
+        yield f"Not looked for, because no simulation succeeds with it: {', '.join(names)}."
 
 
 def _shown_once(nominal: Fitted, named: Sequence[Fitted]) -> Iterator[str]:

@@ -292,6 +292,7 @@ class CampaignModel:
         keys: list[_Key] = []
         around: list[Disturbed | None] = []
         jobs: dict[_Key, Job] = {}
+        refused: dict[_Key, SimulationError] = {}
         for want in wanted:
             if id(want.values) not in split:
                 split[id(want.values)] = self._split(want.values)
@@ -300,10 +301,12 @@ class CampaignModel:
             disturbed = _disturbed(want.case, want.index, signal, want.drive)
             keys.append(_key(want, values, disturbed))
             around.append(disturbed)
-            if keys[-1] not in jobs:
-                task = _task(want, disturbed)
-                jobs[keys[-1]] = (self._simulator(want.case, values), task, values)
-        found = self._predictor(jobs, self.runner)
+            if keys[-1] not in jobs and keys[-1] not in refused:
+                try:
+                    jobs[keys[-1]] = (self._simulator(want.case, values), _task(want, disturbed), values)
+                except SimulationError as error:
+                    refused[keys[-1]] = error
+        found = {**self._predictor(jobs, self.runner), **refused}
         results: list[Outcome] = []
         for want, key, disturbed in zip(wanted, keys, around, strict=True):
             outcome, case = found[key], want.case

@@ -22,7 +22,7 @@ from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.own_inputs import as_repeats
 from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.segment_states import findings_of, with_states
-from fmuid.diagnosis.variants import Variants
+from fmuid.diagnosis.variants import Variants, left_out
 from fmuid.diagnosis.verdict import LeftOut
 from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
 from fmuid.identification.problem.segments import in_segments, last_stages
@@ -129,6 +129,10 @@ def subject_of(
     found = [o for o in campaign.outliers if o.experiment in used]
     findings += tuple(f"Left out of experiment '{o.experiment}', signal '{o.signal}': {o}." for o in found)
     outliers = tuple(LeftOut(o.experiment, o.signal, len(o.times)) for o in found)
+    models = [campaign.models[setup] for setup in {case.setup for case in model.cases}]
+    unbuilt = left_out(models, catalogue, known)
+    if unbuilt:
+        findings += (f"Not looked for, because the model cannot be built with it: {', '.join(unbuilt)}.",)
     recordings = {e.id: e.digest for e in chosen}
     stages = last_stages(campaign)
     findings += findings_of(model, stages)

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
-from fmu_build.errors import InputDerivativeError
+from fmu_build import compile_flat
+from fmu_build.errors import InputDerivativeError, ModelicaError
 from fmu_build.flat_model import FlatModel
-from fmu_build.instrument import Added, Term
+from fmu_build.instrument import Added, Term, instrument
 from fmu_build.model_ports import find_ports
 from fmu_build.suggest import suggestion
 from fmuid.core.campaign import ModelSource, ModelSpec
-from fmuid.core.errors import CampaignError
+from fmuid.core.errors import CampaignError, SimulationError
 from fmuid.diagnosis.catalogue import Catalogue, Effect
-from fmuid.diagnosis.ports import Port
 from fmuid.simulation.model_source import built_with_terms, effects_inside, flat_model
 from fmuid.simulation.simulator import Simulator
 
@@ -54,40 +54,79 @@ def built_with(model: ModelSpec, catalogue: Catalogue) -> Path:
     return _built(model.source, flat_model(model.source), catalogue, catalogue.effects)
 
 
+@dataclass(frozen=True, slots=True)
+class _Addition:
+    """What an effect or a port adds to a model: terms, and the parameters or the input that they use."""
+
+    terms: Sequence[Term]
+    names: Sequence[Added]
+
+
 def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Collection[str]) -> Path:
     """Build a model with the additions of a catalogue; effects that make variants only if `tried`.
 
-    A signal that the model differentiates gets no input, since the derivative of an input is not known.
+    What the model cannot be built with is left out with its parameters: an input of a signal that the model
+    differentiates, say, or a law that decides how many states there are.
     """
     known = {port.name: port.kind for port in find_ports(flat)}
-    terms, added, inside = [], [], effects_inside(source)
+    inside = effects_inside(source)
+    every = []
     for effect in catalogue.effects.values():
         if effect.expression and effect.port in known and effect.id not in inside:
-            where = f"[effects.{effect.id!r}] expression"
-            if not effect.variant or effect.id in tried:
-                terms += terms_of(effect, where)
-            added += [
+            acts = not effect.variant or effect.id in tried
+            names = [
                 Added(u.name, effect.neutral[u.name], effect.units.get(u.name, ""), effect.description)
                 for u in effect.unknowns
                 if u.name not in flat.variables
             ]
-    ports = {port.input: port for port in catalogue.ports.values() if port.added and port.name in known}
-    while True:
-        inputs = [Added(n, 0.0, p.unit, p.description, input=True) for n, p in ports.items() if n]
-        driven = [_driven(port, signal=known[port.name] == "signal") for n, port in ports.items() if n]
-        try:
-            return built_with_terms(source, flat, [*terms, *driven], [*added, *inputs])
-        except InputDerivativeError as error:
-            if ports.pop(error.input, None) is None:
-                raise
+            every.append(_Addition(terms_of(effect, f"[effects.{effect.id!r}] expression") if acts else [], names))
+    for port in catalogue.ports.values():
+        if port.added and port.input and port.name in known:
+            where = f"[ports.{port.name!r}] input"
+            term = (
+                Term(port.name, "signal", f"p + {port.input}", where)
+                if known[port.name] == "signal"
+                else Term(port.name, "flow", port.input, where)
+            )
+            every.append(_Addition([term], [Added(port.input, 0.0, port.unit, port.description, input=True)]))
+
+    def build(additions: Sequence[_Addition]) -> Path:
+        terms = [term for one in additions for term in one.terms]
+        return built_with_terms(source, flat, terms, [name for one in additions for name in one.names])
+
+    try:
+        return build(every)
+    except ModelicaError:
+        acting = sorted((one for one in every if one.terms), key=lambda one: one.terms[0].where)  # by law
+        fitting = {id(one) for one in _fitting(flat, acting)}
+        if not fitting:
+            raise
+        return build([one for one in every if not one.terms or id(one) in fitting])
 
 
-def _driven(port: Port, *, signal: bool) -> Term:
-    """Return the term that adds a port's input to its signal or its flow."""
-    where = f"[ports.{port.name!r}] input"
-    if signal:
-        return Term(port.name, "signal", f"p + {port.input}", where)
-    return Term(port.name, "flow", str(port.input), where)
+def _fitting(flat: FlatModel, additions: Sequence[_Addition], before: Sequence[_Addition] = ()) -> list[_Addition]:
+    """Return those of `additions` with which the model can be compiled, together with those `before` them."""
+    terms = [term for one in (*before, *additions) for term in one.terms]
+    try:
+        compile_flat(instrument(flat, terms, [name for one in (*before, *additions) for name in one.names]))
+    except InputDerivativeError as error:
+        return _fitting(flat, [one for one in additions if error.input not in {n.name for n in one.names}], before)
+    except ModelicaError:
+        if len(additions) == 1:
+            return []
+    else:
+        return [*additions]
+    half = len(additions) // 2
+    first = _fitting(flat, additions[:half], before)
+    return [*first, *_fitting(flat, additions[half:], [*before, *first])]
+
+
+def left_out(models: Iterable[ModelSpec], catalogue: Catalogue, variables: Set[str]) -> list[str]:
+    """Return the effects that `models` could not be built with, so that their `variables` lack its parameters."""
+    lacking = [e for e in catalogue.effects.values() if e.expression and variables.isdisjoint(e.neutral)]
+    flat = [flat_model(model.source) for model in models if lacking and model.source is not None]
+    ports = {port.name for one in flat for port in find_ports(one)}
+    return [e.id for e in lacking if e.port in ports]
 
 
 def terms_of(effect: Effect, where: str) -> list[Term]:
@@ -138,8 +177,10 @@ class Variants:
 
         Raises
         ------
-        ModelicaError, BuildError
-            The variant cannot be built.
+        SimulationError
+            The model cannot be built with an effect that is on.
+        BuildError
+            The C compiler fails.
         """
         on = [e for e in self._effects if _is_on(e, values)]
         if not on or setup not in self.models:
@@ -151,7 +192,11 @@ class Variants:
             assert model.source is not None
             file = _built(model.source, flat_model(model.source), self.catalogue, tried)
             self._loaded[setup, tried] = self.load(replace(model, fmu=file))
-        return self._loaded[setup, tried]
+        built = self._loaded[setup, tried]
+        for effect in on:
+            if any(u.name not in built.variables for u in effect.unknowns):
+                raise SimulationError(f"the model cannot be built with '{effect.id}'", where=setup)
+        return built
 
 
 def _is_on(effect: Effect, values: Mapping[str, float]) -> bool:
