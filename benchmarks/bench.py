@@ -181,7 +181,7 @@ def parallel_table(found: Sequence[evaluation.Parallel], missing: str) -> str:
 def scale_table(found: Mapping[str, Mapping[int, float]]) -> str:
     sizes = sorted({size for times in found.values() for size in times})
     rows = [[what, *(_ms(times[s]) if s in times else "" for s in sizes)] for what, times in found.items()]
-    text = "Time in ms over multiples: of the samples of a run, the runs of a stage, the effects that are scored."
+    text = "Time in ms over multiples: of the samples of a run, and the runs of a stage."
     return text + "\n\n" + table(["", *(f"{s} times" for s in sizes)], rows)
 
 
