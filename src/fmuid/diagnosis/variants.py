@@ -48,7 +48,7 @@ def built_with(model: ModelSpec, catalogue: Catalogue) -> Path:
     Raises
     ------
     ModelicaError, BuildError
-        The model cannot be built.
+        The plain model cannot be built, or a term is wrong by itself.
     """
     assert model.source is not None
     return _built(model.source, flat_model(model.source), catalogue, catalogue.effects)
@@ -90,29 +90,51 @@ def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Co
             )
             every.append(_Addition([term], [Added(port.input, 0.0, port.unit, port.description, input=True)]))
 
-    def build(additions: Sequence[_Addition]) -> Path:
-        terms = [term for one in additions for term in one.terms]
-        return built_with_terms(source, flat, terms, [name for one in additions for name in one.names])
+    return _with_what_fits(source, flat, every)
 
+
+def _with_what_fits(source: ModelSource, flat: FlatModel, additions: Sequence[_Addition]) -> Path:
+    """Build a model with those of the additions with which it compiles; a wrong term is an error."""
     try:
-        return build(every)
-    except ModelicaError:
-        acting = sorted((one for one in every if one.terms), key=lambda one: one.terms[0].where)  # by law
-        fitting = {id(one) for one in _fitting(flat, acting)}
-        if not fitting:
+        return built_with_terms(source, flat, *_together(additions))
+    except ModelicaError as error:
+        fitting = _without_input(additions, error)
+        if len(fitting) == len(additions):
+            acting = sorted((one for one in additions if one.terms), key=lambda one: one.terms[0].where)  # by law
+            kept = {id(one) for one in _fitting(flat, acting)}
+            fitting = [one for one in additions if not one.terms or id(one) in kept]
+        if len(fitting) == len(additions) or not any(one.terms for one in fitting):
             raise
-        return build([one for one in every if not one.terms or id(one) in fitting])
+    return _with_what_fits(source, flat, fitting)
+
+
+def _together(additions: Iterable[_Addition]) -> tuple[list[Term], list[Added]]:
+    every = [*additions]
+    return [term for one in every for term in one.terms], [name for one in every for name in one.names]
+
+
+def _without_input(additions: Sequence[_Addition], error: ModelicaError) -> list[_Addition]:
+    """Return the additions without the input whose derivative is needed, if the error says so."""
+    wanted = error.input if isinstance(error, InputDerivativeError) else None
+    return [one for one in additions if wanted not in {name.name for name in one.names}]
 
 
 def _fitting(flat: FlatModel, additions: Sequence[_Addition], before: Sequence[_Addition] = ()) -> list[_Addition]:
-    """Return those of `additions` with which the model can be compiled, together with those `before` them."""
-    terms = [term for one in (*before, *additions) for term in one.terms]
+    """Return those of `additions` with which the model can be compiled, together with those `before` them.
+
+    Raises
+    ------
+    ModelicaError
+        A term is wrong by itself: it names what does not exist, or is not Modelica.
+    """
+    instrumented = instrument(flat, *_together((*before, *additions)))
     try:
-        compile_flat(instrument(flat, terms, [name for one in (*before, *additions) for name in one.names]))
-    except InputDerivativeError as error:
-        return _fitting(flat, [one for one in additions if error.input not in {n.name for n in one.names}], before)
-    except ModelicaError:
-        if len(additions) == 1:
+        compile_flat(instrumented)
+    except ModelicaError as error:
+        fewer = _without_input(additions, error)
+        if len(fewer) < len(additions):
+            return _fitting(flat, fewer, before)
+        if len(additions) <= 1:
             return []
     else:
         return [*additions]
