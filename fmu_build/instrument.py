@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Literal as Choice
 from typing import cast
 
+from fmu_build.builtin_functions import SUPPORTED
 from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import ADDED, Equation, FlatModel, Variable, number, variable
 from fmu_build.front.parser import expression as parse_expression
@@ -138,6 +139,9 @@ def _expression(flat: FlatModel, term: Term, quantities: Mapping[str, Expression
     """Parse a term and substitute the meaning of its names."""
 
     def resolve(node: Expression) -> Expression:
+        if isinstance(node, Call) and node.function not in SUPPORTED | flat.functions.keys():
+            raise ModelicaError(f"there is no function '{node.function}'", where=term.where,
+                                fix=suggestion(node.function, SUPPORTED))  # fmt: skip
         if not isinstance(node, Reference):
             return node
         name = flat_name(node)

@@ -1,4 +1,4 @@
-"""Models with every law that their ports allow, at sizes of one."""
+"""Models with every law that their ports allow, at the same size everywhere."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from fmuid.diagnosis.made_catalogue import SIZES, Place, catalogue_text
 HEAD = 'format = "fmuid-effects"\nversion = 1\n'
 
 
-def written(model: FlatModel) -> str:
+def written(model: FlatModel, size: float = 1.0) -> str:
     """The text of the catalogue of every law at every port."""
-    sizes = dict.fromkeys(SIZES, 1.0)
+    sizes = dict.fromkeys(SIZES, size)
     return catalogue_text([Place(port, sizes) for port in find_ports(model) if not port.passed], {}, HEAD)
 
 
-def every_law(model: FlatModel, folder: Path) -> Catalogue:
+def every_law(model: FlatModel, folder: Path, size: float = 1.0) -> Catalogue:
     """The same, read."""
     file = folder / "effects.toml"
-    file.write_text(written(model))
+    file.write_text(written(model, size))
     return load_catalogue(file)

@@ -297,6 +297,16 @@ def test_a_parameter_held_at_zero_has_the_scale_of_its_bounds(tmp_path):
     assert {t["d"] for t in d.trials} == {0.01, -0.02, 0.05, -0.1, 0.2, -0.4}
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_a_trial_at_a_bound_is_the_bound(name, tmp_path):
+    """Otherwise a fit that stays at such a trial would count as one that wants to go beyond all trials."""
+    for effect in every_law(flat(name), tmp_path, size=1.2345678).effects.values():
+        for unknown in effect.unknowns:
+            for value in (trial[unknown.name] for trial in effect.trials if unknown.name in trial):
+                near = [b for b in (unknown.lower, unknown.upper) if value == pytest.approx(b, rel=1e-3, abs=0.0)]
+                assert not near or value in near, (effect.id, unknown.name)
+
+
 def test_every_law_says_where_it_comes_from():
     for name, law in laws().items():
         assert all((law.words, law.origin, law.source)), name
@@ -367,6 +377,7 @@ def test_a_term_acts_where_it_is_put():
     [
         (Term("rotr", "flow", "0"), "no port 'rotr'; did you mean 'rotor'"),
         (Term("rotor", "flow", "2*speed"), "'speed' is unknown at port 'rotor'"),
+        (Term("rotor", "flow", "2*tahn(rate)"), "there is no function 'tahn'; did you mean 'tan'"),
         (Term("rotor", "potential", "0"), "not a branch"),
     ],
 )

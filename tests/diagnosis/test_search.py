@@ -1,15 +1,24 @@
 """The search among effects: a wrong first pick is mended, a law of another shape is no further cause."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from plants import Mass, misread, plant
 from tones import SIGMA, STRENGTHS, TIME, heard
 
-from fmuid.diagnosis.candidates import _best_start, add_effect, better_nominal, escaped, fit_effects, score_further
+from fmuid.diagnosis.candidates import (
+    _best_start,
+    add_effect,
+    better_nominal,
+    escaped,
+    fit_effects,
+    score_further,
+    without,
+)
 from fmuid.diagnosis.diagnose import diagnose_subject
-from fmuid.diagnosis.effect_search import _moved
+from fmuid.diagnosis.effect_search import _moved, _pruned, _to_the_end
 from fmuid.diagnosis.refit import refit
 from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import tightened
@@ -29,6 +38,25 @@ def test_an_exchange_mends_a_first_pick_that_was_wrong(monkeypatch):
     monkeypatch.setattr("fmuid.diagnosis.effect_search._replaced", lambda *_: [])
     monkeypatch.setattr("fmuid.diagnosis.effect_search._pruned", lambda best, *_: best)
     assert "mixture" in diagnose_subject(subject).diagnosis.verdict.effects
+
+
+def test_what_seemed_to_shape_a_needless_law_is_named_itself():
+    laws = {"first": {1: 1.0}, "second": {2: 1.0}, "mixture": {1: 0.35, 2: 0.85, 3: 0.394}}
+    subject = heard(laws, {1: 1.0, 2: 1.0})
+    by_id = {e.id: e for e in subject.effects}
+    whole = fit_effects(subject, [by_id[name] for name in ("mixture", "first", "second")], [{}])
+    found = _pruned(replace(whole, names=("mixture", "first")), [], partial(without, subject))
+    assert found.names == found.effects == ("first", "second")
+
+
+def test_further_effects_are_tried_beside_a_refit_that_has_ended():
+    subject = plant({"square": 0.3})
+    effects = [e for e in subject.effects if e.id == "quadratic"]
+    early = replace(fit_effects(subject, effects, [{}], iterations=0), names=("named",))
+    ended = _to_the_end(subject, early)
+    assert early.gap > 0.3 > ended.gap
+    assert ended.names == ("named",)
+    assert _to_the_end(subject, ended) is ended
 
 
 def test_a_law_found_at_one_port_is_tried_at_the_others_from_where_the_fit_is():

@@ -143,7 +143,8 @@ class _Size(NamedTuple):
 def _sizes(law: str, s: _Signal, others: Iterable[_Signal], step: float, duration: float) -> list[_Size]:
     """Return the parameters of a law at a signal."""
     size, most, per = s.range, s.largest, f"1/({s.unit})"
-    late = _Size(law, (step, 5 * step, 25 * step), (0.0, 0.0, max(50 * step, 0.1 * duration), step / 10), "s")
+    longest = duration if law == "lag" else 0.1 * duration
+    late = _Size(law, (step, 5 * step, 25 * step), (0.0, 0.0, max(50 * step, longest), step / 10), "s")
     if law == "crosstalk":
         shares = [(o.name, size / o.range, f"{s.unit}/({o.unit})") for o in others]
         return [_Size(f"crosstalk[{n}]", (0.05 * r,), (0.0, -r, r, 1e-3 * r), unit) for n, r, unit in shares]

@@ -15,6 +15,7 @@ from fmuid.diagnosis.candidates import (
     Fitted,
     add_effect,
     contribution,
+    fit_effects,
     led_out,
     moved,
     score_early,
@@ -37,6 +38,7 @@ _PAIRS = 4  # further effects tried beside the best
 _ABOUT_AS_MUCH = 1.5  # ratio below which two effects of the same shape move the predictions about as much
 _SCORED = 8  # effects that are scored again when another is added
 _CLOSE = 0.5  # least score for being tried in place of another effect, as a share of the best score
+_ITERATIONS = 40  # of a refit to the end
 _MOST = 3  # largest number of effects together
 _SHAPE = 0.1  # share of the gap (a hundredth of its energy) up to which a further law there only shapes the first
 _SAME_PLACE = 0.95  # correlation of one law's signatures at two ports above which the ports count as one
@@ -84,6 +86,8 @@ def search(
     signatures = _signatures(subject, nominal, candidates, scores)
     without_one = cache(partial(without, subject))
     while present and len(best.effects) <= _MOST and best.gap > GAP_THAT_MATTERS:
+        if (ended := _to_the_end(subject, best)) is not best:
+            candidates.append(best := ended)
         say(f"looking for effects in addition to {best.id}", 0.5 + 0.1 * len(best.names))
         known = best.gap < _SHAPE * nominal.gap
         company = [
@@ -260,6 +264,15 @@ def _added(
     return [added for added, _ in found if added.fit.cost < fitted.fit.cost]
 
 
+def _to_the_end(subject: Subject, fitted: Fitted) -> Fitted:
+    """Return a better refit, if there is one: a further effect would seem to explain what is left to gain."""
+    effects = [subject.by_id[id] for id in fitted.effects]
+    ended = fit_effects(subject, effects, [fitted.fit.values], iterations=_ITERATIONS)
+    if ended is None or fitted.fit.cost <= about(ended.fit.cost):
+        return fitted
+    return replace(ended, names=fitted.names)
+
+
 def _exchanged(
     subject: Subject, best: Fitted, candidates: list[Fitted], scores: Sequence[Score], without_one: _Rest
 ) -> Fitted:
@@ -319,8 +332,8 @@ def _pruned(best: Fitted, candidates: list[Fitted], without_one: _Rest) -> Fitte
 
     The first effect added stands in for much that is missing; once the rest is there, it may explain nothing.
     """
-    while len(best.names) > 1 and best.effects == best.names:
-        simpler = [without_one(best, name) for name in best.names]
+    while len(best.effects) > 1:
+        simpler = [_left(best, without_one(best, name)) for name in best.effects]
         enough = [
             s for s in simpler if s is not None and (s.gap <= GAP_THAT_MATTERS or not decide.worth_adding(s, best))
         ]
@@ -329,3 +342,10 @@ def _pruned(best: Fitted, candidates: list[Fitted], without_one: _Rest) -> Fitte
         best = decide.best_of(enough)
         candidates.append(best)
     return best
+
+
+def _left(before: Fitted, after: Fitted | None) -> Fitted | None:
+    """Return a model with an effect less: what shaped a named effect that is gone takes its place."""
+    if after is None or set(before.names) - set(after.effects):
+        return after
+    return replace(after, names=before.names)

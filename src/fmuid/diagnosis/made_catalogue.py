@@ -252,7 +252,7 @@ def _put_in(expression: str, names: Mapping[str, str]) -> str:
 
 
 def _inline(values: Mapping[str, float]) -> str:
-    return "{ " + ", ".join(f"{toml_text(n)} = {v:.4g}" for n, v in values.items()) + " }"
+    return "{ " + ", ".join(f"{toml_text(n)} = {v:.6g}" for n, v in values.items()) + " }"
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from fmu_build.errors import ModelicaError
 from fmu_build.instrument import State
 from fmuid.core.campaign import ModelSpec
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.subject import Subject
-from fmuid.diagnosis.variants import built_with
+from fmuid.diagnosis.variants import built_with, left_out
 from fmuid.discovery.places import Spot
 from fmuid.discovery.terms import HIDDEN, Term
 from fmuid.simulation.segmented import in_place_of
@@ -200,6 +201,9 @@ def with_laws(
         setup: load(replace(models[setup], fmu=built_with(models[setup], catalogue)))
         for setup in {case.setup for case in subject.model.cases}
     }
+    variables = {name for simulator in simulators.values() for name in simulator.variables}
+    if lacking := left_out([models[setup] for setup in simulators], catalogue, variables):
+        raise ModelicaError(f"the model cannot be built with '{lacking[0]}'")
     cases = tuple(
         replace(case, simulator=in_place_of(case.simulator, simulators[case.setup]))
         for case in subject.model.cases
