@@ -347,7 +347,6 @@ class Fmu:
         prepared.plan.instance = self._instance
         prepared.plan.reset = int(self._used)
         self._used = True
-        library.log.clear()
 
     def _simulate(self, prepared: PreparedTask, n_times: int | None = None) -> FloatArray:
         plan = prepared.plan

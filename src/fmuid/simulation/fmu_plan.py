@@ -102,6 +102,7 @@ class PreparedTask:
             self._differentiate(task)
         if plan.linear or task.linear:
             self._interpolate(variables, linear_inputs or library.model_exchange)
+        self._n_rows, self._n_times = len(task.outputs) * (1 + len(task.along)), n
 
     def set_parameters(self, parameters: Mapping[str, float]) -> None:
         """Set the values of `names`, in their order, for the next run."""
@@ -115,8 +116,10 @@ class PreparedTask:
 
     def outputs(self, n_times: int | None = None) -> FloatArray:
         """Return a new array for the predictions of all or `n_times` samples, and point the plan to it."""
-        self.plan.n_times = len(self.task.time) if n_times is None else n_times
-        array = np.empty((self.plan.n_outputs * (1 + self.plan.n_directions), self.plan.n_times))
+        n = len(self.task.time) if n_times is None else n_times
+        if n != self._n_times:
+            self.plan.n_times = self._n_times = n
+        array = np.empty((self._n_rows, n))
         if array.size:
             self.plan.outputs = ctypes.addressof(ctypes.c_char.from_buffer(array.data))  # the fastest way
         return array

@@ -277,9 +277,24 @@ static double seconds(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
+Pace begin_pace(void)
+{
+    double now = seconds();
+    return (Pace){now, now, 1};
+}
+
+double look_at_clock(Pace *pace)
+{
+    double now = seconds();
+    pace->stride = now - pace->looked < 2e-5 ? (pace->stride < 64 ? 2 * pace->stride : 64) : (pace->stride + 1) / 2;
+    pace->looked = now;
+    return now - pace->begun;
+}
+
 /* Simulate, or go on where the last call paused; returns PAUSED after about `slice` seconds. */
 int32_t fmuid_run(Plan *plan, int32_t resume, double slice)
 {
+    if (!resume) fmuid_clear_log();
     if (!resume && plan->from) {
         CALL(SET_FMU_STATE, int32_t (*)(Instance, void *), plan->instance, plan->from);
         plan->reached = plan->begin;
@@ -290,19 +305,16 @@ int32_t fmuid_run(Plan *plan, int32_t resume, double slice)
         TRY(read_outputs(plan, 0));
     }
     int32_t (*steps)(Plan *, size_t, size_t) = all_real(plan) ? real_steps : any_steps;
-    double begun = seconds(), checked = begun;
-    size_t end = plan->n_times - 1, stride = 1;
+    Pace pace = begin_pace();
+    size_t end = plan->n_times - 1;
     for (size_t k = (size_t)plan->reached, next; k < end; k = next) {
-        next = stride < end - k ? k + stride : end;
+        next = (size_t)pace.stride < end - k ? k + (size_t)pace.stride : end;
         if ((int64_t)k < plan->branch && (int64_t)next > plan->branch) next = (size_t)plan->branch;
         if ((int64_t)k == plan->branch && !plan->kept)
             CALL(GET_FMU_STATE, int32_t (*)(Instance, void **), plan->instance, &plan->kept);
         TRY(steps(plan, k, next));
-        /* Look at the clock seldom enough to cost nothing, and soon after a slow step: it may be the first of many. */
-        double now = seconds();
-        if (now - begun > slice && next < end) return PAUSED;
-        stride = now - checked < 2e-5 ? (stride < 64 ? 2 * stride : 64) : (stride + 1) / 2;
-        checked = now;
+        plan->taken = look_at_clock(&pace);
+        if (plan->taken > slice && next < end) return PAUSED;
     }
     /* Results are complete: what Terminate answers cannot change them. */
     if (plan->function[TERMINATE]) ((Plain)plan->function[TERMINATE])(plan->instance);

@@ -88,7 +88,18 @@ typedef struct {
     int32_t call;           /* its place in `function` */
     int32_t column;         /* output that is not finite */
     double reached_time;
+    double taken;           /* s since the run began, or went on */
 } Plan;
+
+/* When a run looks at the clock: seldom enough to cost nothing, and soon after a slow step, which may be the first of many. */
+typedef struct {
+    double begun, looked;
+    int64_t stride;         /* steps until the next look */
+} Pace;
+
+Pace begin_pace(void);
+double look_at_clock(Pace *pace); /* s since it began */
+void fmuid_clear_log(void);
 
 typedef int32_t (*Plain)(Instance);
 

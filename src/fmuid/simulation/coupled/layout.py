@@ -102,6 +102,7 @@ class System(ctypes.Structure):
         ("step", c_int32),
         ("failed", c_int32),
         ("step_before", c_double),
+        ("taken", c_double),
     )
 
 

@@ -56,6 +56,7 @@ typedef struct {
     int32_t step;             /* communication steps since then */
     int32_t failed;           /* component */
     double step_before;       /* size of the last communication step, 0 if there was none */
+    double taken;             /* s since the run began, or went on */
 } System;
 
 static double *inputs_of(const Plan *plan) { return (double *)plan->inputs; }
@@ -335,27 +336,21 @@ static int32_t step_all(System *s)
     return DONE;
 }
 
-static double seconds(void)
-{
-    struct timespec now;
-    timespec_get(&now, TIME_UTC);
-    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
-}
-
 static int32_t run(System *s, int32_t resume, double slice)
 {
-    if (!resume) TRY(initialise_all(s));
-    double begun = seconds(), checked = begun;
-    for (int64_t stride = 1, left = 1; s->reached < s->n_times - 1; left--) {
+    if (!resume) {
+        fmuid_clear_log();
+        TRY(initialise_all(s));
+    }
+    Pace pace = begin_pace();
+    for (int64_t left = 1; s->reached < s->n_times - 1; left--) {
         TRY(step_all(s));
         if (left > 0) continue;
-        /* Look at the clock seldom enough to cost nothing, and soon after a slow step: it may be the first of many. */
-        double now = seconds();
-        if (now - begun > slice && s->reached < s->n_times - 1) return PAUSED;
-        stride = now - checked < 2e-5 ? (stride < 64 ? 2 * stride : 64) : (stride + 1) / 2;
-        left = stride;
-        checked = now;
+        s->taken = look_at_clock(&pace);
+        if (s->taken > slice && s->reached < s->n_times - 1) return PAUSED;
+        left = pace.stride;
     }
+    s->taken = look_at_clock(&pace);
     return DONE;
 }
 
