@@ -139,7 +139,7 @@ def _expression(flat: FlatModel, term: Term, quantities: Mapping[str, Expression
     """Parse a term and substitute the meaning of its names."""
 
     def resolve(node: Expression) -> Expression:
-        if isinstance(node, Call) and node.function not in SUPPORTED | flat.functions.keys():
+        if isinstance(node, Call) and not (node.function in SUPPORTED or node.function in flat.functions):
             raise ModelicaError(f"there is no function '{node.function}'", where=term.where,
                                 fix=suggestion(node.function, SUPPORTED))  # fmt: skip
         if not isinstance(node, Reference):

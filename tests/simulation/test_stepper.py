@@ -16,6 +16,7 @@ from fmuid.core.errors import FmuError, SimulationError
 from fmuid.simulation import stepper
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.simulator import Task
+from fmuid.simulation.stepper import Outcome
 
 
 @pytest.mark.parametrize("fault", ["nan", "fails", "fatal", "ends"])
@@ -74,6 +75,19 @@ def test_a_run_that_takes_far_longer_than_others_is_stopped(build, monkeypatch):
         fmu.simulate(task, {})
     monkeypatch.setattr(stepper.time, "thread_time", clock(1e-2))
     assert np.array_equal(fmu.simulate(task, {}), expected)
+
+
+def test_hours_in_which_the_machine_slept_are_no_measure_for_other_runs(monkeypatch):
+    """Of a short run, only the clock is known; it must not let a later run go on for ever."""
+
+    class Run:
+        taken = 3600.0
+
+    monkeypatch.setattr(stepper.time, "thread_time", clock(10.0))
+    patience = stepper.Patience()
+    assert patience.run_to_end(lambda *_: Outcome.DONE, Run(), 100) == Outcome.DONE
+    outcomes = iter([*[Outcome.PAUSED] * 9, Outcome.DONE])
+    assert patience.run_to_end(lambda *_: next(outcomes), Run(), 100) == Outcome.TOO_SLOW
 
 
 def clock(tick: float):

@@ -88,6 +88,13 @@ def fit_effects(
     )
 
 
+def refitted(subject: Subject, fitted: Fitted, *, iterations: int = 12, tolerance: float = 1e-3) -> Fitted:
+    """Refit a model from where it is; return it as it was if it cannot be simulated."""
+    effects = [subject.by_id[id] for id in fitted.effects]
+    again = fit_effects(subject, effects, [fitted.fit.values], iterations=iterations, tolerance=tolerance)
+    return fitted if again is None else replace(again, names=fitted.names)
+
+
 def better_nominal(subject: Subject, nominal: Fitted, candidates: Sequence[Fitted]) -> Fitted | None:
     """Refit the nominal model from the values of a candidate if it fits better there without the effect.
 

@@ -19,6 +19,7 @@ from fmuid.diagnosis.candidates import (
     escaped,
     estimates,
     fit_effects,
+    refitted,
     score_further,
     twins,
     without,
@@ -315,9 +316,7 @@ def _refined(subject: Subject, found: _Searched) -> tuple[Subject, _Searched]:
     for k, fitted in enumerate(found.candidates):
         if fitted is best or (len(fitted.names) == len(best.names) and fitted.fit.cost <= most):
             subject = tightened(subject, [fitted.fit.values])
-            effects = [subject.by_id[id] for id in fitted.effects]
-            again = fit_effects(subject, effects, [fitted.fit.values], tolerance=_TO_THE_END)
-            refined[k] = fitted if again is None else replace(again, names=fitted.names)
+            refined[k] = refitted(subject, fitted, tolerance=_TO_THE_END)
     subject = tightened(subject, [fitted.fit.values for fitted in refined.values()])
     candidates = [refined.get(k, fitted) for k, fitted in enumerate(found.candidates)]
     return subject, replace(found, candidates=candidates, best=decide.best_of([*refined.values()]))

@@ -15,9 +15,9 @@ from fmuid.diagnosis.candidates import (
     Fitted,
     add_effect,
     contribution,
-    fit_effects,
     led_out,
     moved,
+    refitted,
     score_early,
     score_further,
     without,
@@ -266,11 +266,8 @@ def _added(
 
 def _to_the_end(subject: Subject, fitted: Fitted) -> Fitted:
     """Return a better refit, if there is one: a further effect would seem to explain what is left to gain."""
-    effects = [subject.by_id[id] for id in fitted.effects]
-    ended = fit_effects(subject, effects, [fitted.fit.values], iterations=_ITERATIONS)
-    if ended is None or fitted.fit.cost <= about(ended.fit.cost):
-        return fitted
-    return replace(ended, names=fitted.names)
+    ended = refitted(subject, fitted, iterations=_ITERATIONS)
+    return fitted if fitted.fit.cost <= about(ended.fit.cost) else ended
 
 
 def _exchanged(

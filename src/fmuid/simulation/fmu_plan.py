@@ -102,7 +102,7 @@ class PreparedTask:
             self._differentiate(task)
         if plan.linear or task.linear:
             self._interpolate(variables, linear_inputs or library.model_exchange)
-        self._n_rows, self._n_times = len(task.outputs) * (1 + len(task.along)), n
+        self._n_rows = len(task.outputs) * (1 + len(task.along))
 
     def set_parameters(self, parameters: Mapping[str, float]) -> None:
         """Set the values of `names`, in their order, for the next run."""
@@ -116,9 +116,7 @@ class PreparedTask:
 
     def outputs(self, n_times: int | None = None) -> FloatArray:
         """Return a new array for the predictions of all or `n_times` samples, and point the plan to it."""
-        n = len(self.task.time) if n_times is None else n_times
-        if n != self._n_times:
-            self.plan.n_times = self._n_times = n
+        self.plan.n_times = n = len(self.task.time) if n_times is None else n_times
         array = np.empty((self._n_rows, n))
         if array.size:
             self.plan.outputs = ctypes.addressof(ctypes.c_char.from_buffer(array.data))  # the fastest way

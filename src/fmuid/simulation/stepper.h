@@ -88,7 +88,7 @@ typedef struct {
     int32_t call;           /* its place in `function` */
     int32_t column;         /* output that is not finite */
     double reached_time;
-    double taken;           /* s since the run began, or went on */
+    double taken;           /* s of stepping since the run began, or went on */
 } Plan;
 
 /* When a run looks at the clock: seldom enough to cost nothing, and soon after a slow step, which may be the first of many. */

@@ -19,7 +19,7 @@ from fmuid.core.errors import FmuError
 
 
 class _Run(Protocol):
-    """What a run is of: a `Plan`, or coupled ones; `taken` is the time since it began or went on, s."""
+    """What a run is of: a `Plan`, or coupled ones; `taken` is its time (s) in steps since it began or went on."""
 
     taken: float
 
@@ -196,10 +196,11 @@ class Patience:
     def run_to_end(self, run: Callable[[T, int, float], int], subject: T, n_times: int) -> int:
         """Return the outcome of ``run(subject, resume, slice)``; it pauses so that Ctrl-C takes effect.
 
-        A run that ends before the first pause has taken the time on the clock: it is too short for more than that.
+        Up to the first pause, the clock stands for processor time, which takes longer to ask for. It shows more
+        if the machine slept, so no more than a slice counts.
         """
         outcome = run(subject, 0, _SLICE)
-        taken = subject.taken
+        taken = min(subject.taken, _SLICE)
         if outcome == Outcome.PAUSED:
             begun = time.thread_time() - taken
             while outcome == Outcome.PAUSED:

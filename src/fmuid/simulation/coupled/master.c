@@ -56,7 +56,7 @@ typedef struct {
     int32_t step;             /* communication steps since then */
     int32_t failed;           /* component */
     double step_before;       /* size of the last communication step, 0 if there was none */
-    double taken;             /* s since the run began, or went on */
+    double taken;             /* s of stepping since the run began, or went on */
 } System;
 
 static double *inputs_of(const Plan *plan) { return (double *)plan->inputs; }
