@@ -6,6 +6,12 @@
 
 enum { N = NX + NY, RADAU = 3, BLOCK = RADAU * RADAU };
 
+/* How the inputs move along the directions: NU rows of n, at time t and by time from there on. */
+typedef struct {
+    double *seeds, *rates, t;
+    unsigned char driven[LENGTH(NU)]; /* whether an input moves at all */
+} Drive;
+
 struct Sensitivity {
     size_t n, n_parameters;
     unsigned *parameters;
@@ -17,6 +23,8 @@ struct Sensitivity {
     int elements;     /* ... 1: those by elements of arrays, too */
     unsigned char *apart; /* by direction: whether derivatives along it alone cost less than all of these */
     int shared;       /* whether there are other directions */
+    Drive drive, next; /* of the inputs since the integration last restarted, and ... */
+    int replaced;      /* ... 1: from its next restart on */
     double *by_moves; /* N rows of n: derivatives of [f; r] along the directions, x and y held */
     double *start;    /* NX rows of n: at the beginning of the last step */
     double *stages;   /* N times RADAU rows of n: of each unknown at the collocation points */
@@ -45,6 +53,11 @@ static const double W[RADAU][RADAU] = {
 
 /* What multiplies a row of the collocation equations: loops are no differential equations. */
 static inline double row_factor(int row, double h) { return row < NX ? h : 1.0; }
+
+/* The derivative of input i along direction j at time t. */
+static inline double input_move(const Drive *a, size_t n, int i, size_t j, double t) {
+    return a->seeds[i * n + j] + a->rates[i * n + j] * (t - a->t);
+}
 
 /* sensitivity_rare.c: the factorisation with pivots chosen by size, and the solution by it. */
 int pivoted_blocks(struct Sensitivity *q, double h, double (*jacobian)[LENGTH(MODEL_J_NONZEROS)]);

@@ -122,6 +122,18 @@ static void loop_environment_along(Instance *me, const double *t, const double *
     me->arg[14] = s->pz;
 }
 
+/* The derivatives of f along a direction into s->dx, and of r into s->y, y held. */
+int partials_along(Instance *me, double t, const double *x, const double *u, Direction *s) {
+    memset(s->y, 0, sizeof s->y);
+    environment_along(me, &t, x, u, s, 9);
+    me->res[0] = s->dx;
+    if (CALL(partials)) return 1;
+    if (NY == 0) return 0;
+    loop_environment_along(me, &t, x, u, s);
+    me->res[0] = s->y;
+    return CALL(loop_partials);
+}
+
 /* f in me->f0, and the derivatives of [f; r] by [x; y] and t, the slopes of the inputs included. */
 int linearise(Instance *me, double t, const double *x) {
     input_at(me, t);
@@ -138,16 +150,9 @@ int linearise(Instance *me, double t, const double *x) {
     if (ramp) {
         Direction s = {.x = {0}};
         memcpy(s.u, du, sizeof s.u);
-        environment_along(me, &t, x, me->ut, &s, 9);
-        me->res[0] = s.dx;
-        if (CALL(partials)) return 1;
+        if (partials_along(me, t, x, me->ut, &s)) return 1;
         for (int i = 0; i < NX; i++) me->by_time[i] += s.dx[i];
-        if (NY > 0) {
-            loop_environment_along(me, &t, x, me->ut, &s);
-            me->res[0] = s.y;
-            if (CALL(loop_partials)) return 1;
-            for (int i = 0; i < NY; i++) me->by_time[NX + i] += s.y[i];
-        }
+        for (int i = 0; i < NY; i++) me->by_time[NX + i] += s.y[i];
     }
     return 0;
 }

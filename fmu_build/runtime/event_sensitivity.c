@@ -58,7 +58,7 @@ Status event_start_along(Instance *me, Direction *along, size_t n) {
 }
 
 /* At the point where the continuous motion ends (discrete variables and relations are still those of before): the
- * derivative of the event's time along each direction into its t, and x and u seen from there. Without `inside` a
+ * derivative of the event's time along each direction into its t, and its x and u seen from there. Without `inside` a
  * communication point ends it, else an event. */
 Status event_time_along(Instance *me, Direction *along, size_t n, int inside) {
     State *s = &me->s;
@@ -92,7 +92,7 @@ Status event_time_along(Instance *me, Direction *along, size_t n, int inside) {
         }
         a->t = tau;
         for (int i = 0; i < NX; i++) a->x[i] += tau * flow.x[i];
-        for (int i = 0; i < NU; i++) a->u[i] = tau * flow.u[i];
+        for (int i = 0; i < NU; i++) a->u[i] += tau * flow.u[i];
     }
     memcpy(s->y, y, sizeof y);
     return failed ? report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", s->t) : status;

@@ -134,6 +134,7 @@ int second_derivatives(Instance *me, double t, const double *x, double *second);
 void input_at(Instance *me, double t);
 int evaluate_derivatives(Instance *me);
 int evaluate_variables(Instance *me);
+int partials_along(Instance *me, double t, const double *x, const double *u, Direction *s);
 int derivatives_along(Instance *me, double t, const double *x, const double *u, Direction *s);
 int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s);
 int indicators_along(Instance *me, double t, const double *x, const double *u, Direction *s, double *g);
@@ -176,6 +177,7 @@ Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t 
                                   size_t n_known, const double *seed, double *sensitivity);
 const VariableEntry *differentiable(const Instance *me, unsigned reference);
 int parameter_direction(unsigned reference, Direction *s, double *start);
+int input_place(unsigned reference, double *sign);
 Status set_experiment(Instance *me, int tolerance_defined, double tolerance, double start, int stop_defined,
                       double stop);
 Status start_simulation(Instance *me);

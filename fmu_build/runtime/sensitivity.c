@@ -43,6 +43,14 @@ static int shared_slopes(Instance *me, const double *t, const double *x, const d
     return 0;
 }
 
+/* Adds the derivatives of `entries` quantities by input i, times how it moves, to their rows of n. */
+static void add_driven(const struct Sensitivity *q, int i, double t, const double *by_input, int entries, double *rows) {
+    for (size_t j = 0; j < q->n; j++) {
+        const double move = input_move(&q->drive, q->n, i, j, t);
+        for (int row = 0; row < entries; row++) rows[row * q->n + j] += by_input[row] * move;
+    }
+}
+
 /* The entries of J, and q->by_moves. */
 static int slopes_at(Instance *me, double t, const double *x, const double *u, double *jacobian) {
     struct Sensitivity *q = me->sensitivity;
@@ -66,6 +74,14 @@ static int slopes_at(Instance *me, double t, const double *x, const double *u, d
         me->res[0] = along;
         if (CALL(move_partials)) return 1;
         for (int row = 0; row < N; row++) q->by_moves[row * q->n + j] = along[row];
+    }
+    for (int i = 0; i < NU; i++) {
+        if (!q->drive.driven[i]) continue;
+        Direction s = {.u = {0}};
+        s.u[i] = 1.0;
+        if (partials_along(me, t, x, u, &s)) return 1;
+        add_driven(q, i, t, s.dx, NX, q->by_moves);
+        add_driven(q, i, t, s.y, NY, q->by_moves + NX * q->n);
     }
     return 0;
 }
@@ -224,10 +240,10 @@ static Status solve_piece(Instance *me) {
     return STATUS_OK;
 }
 
-/* S at the end of the last piece becomes its beginning. */
-static void take_over(struct Sensitivity *q) {
+/* S at the end of the last piece. */
+static void at_end(const struct Sensitivity *q, double *target) {
     for (int row = 0; row < NX; row++)
-        memcpy(q->start + row * q->n, q->stages + (row * RADAU + RADAU - 1) * q->n, q->n * sizeof(double));
+        memcpy(target + row * q->n, q->stages + (row * RADAU + RADAU - 1) * q->n, q->n * sizeof(double));
 }
 
 /* Solves the pieces of the last step up to the one that holds time t. */
@@ -240,7 +256,7 @@ static Status solve_until(Instance *me, double t) {
     const double end = step->t1; /* what an event cuts off may be undefined */
     Status status = STATUS_OK;
     while (status == STATUS_OK && (q->pieces == 0 || (t > q->to && q->to < end))) {
-        if (q->pieces > 0) take_over(q);
+        if (q->pieces > 0) at_end(q, q->start);
         q->from = q->pieces > 0 ? q->to : step->t0;
         q->smooth = end;
         q->to = q->pieces < MOST ? next_kink(me, q->from, end, q->switches, &q->switches_known, &q->smooth) : end;
@@ -254,9 +270,17 @@ static Status solve_until(Instance *me, double t) {
 /* S at time t of the last step, by its collocation polynomial, into `target`. */
 static Status evaluate(Instance *me, double t, double *target) {
     struct Sensitivity *q = me->sensitivity;
+    if (!(me->s.step.t1 > me->s.step.t0)) { /* the integration has just (re)started */
+        memcpy(target, q->start, q->n * NX * sizeof *target);
+        return STATUS_OK;
+    }
     const Status status = solve_until(me, t);
     if (status != STATUS_OK) return status;
-    const double r = q->to > q->from ? (t - q->from) / (q->to - q->from) : 1.0;
+    if (t == q->to) {
+        at_end(q, target);
+        return STATUS_OK;
+    }
+    const double r = (t - q->from) / (q->to - q->from);
     const double at[RADAU + 1] = {0.0, RADAU_NODE[0], RADAU_NODE[1], RADAU_NODE[2]};
     double basis[RADAU + 1];
     for (int i = 0; i <= RADAU; i++) {
@@ -330,6 +354,13 @@ static int follow_variables(Instance *me) {
         const double *row = moved < 0 ? q->rest + column * n : q->moves + moved * n;
         if (moved < 0 || q->moved[moved]) add_row(n, slope, row, q->shown + MODEL_VARIABLE_ROW[k] * n);
     }
+    for (int i = 0; i < NU; i++) {
+        if (!q->drive.driven[i]) continue;
+        Direction s = {.u = {0}};
+        s.u[i] = 1.0;
+        if (variables_along(me, now->t, now->x, now->u, &s)) return 1;
+        add_driven(q, i, now->t, s.v, NV, q->shown);
+    }
     return 0;
 }
 
@@ -342,6 +373,7 @@ static int follow_all_variables(Instance *me) {
         Direction *s = &q->along[j];
         for (int i = 0; i < NX; i++) s->x[i] = q->rest[i * n + j];
         for (int i = 0; i < NY; i++) s->y[i] = q->rest[(NX + i) * n + j];
+        for (int i = 0; i < NU; i++) s->u[i] = input_move(&q->drive, n, i, j, now->t);
         if (variables_along(me, now->t, now->x, now->u, s)) return 1;
         for (int i = 0; i < NV; i++) q->shown[i * n + j] = s->v[i];
     }
@@ -366,8 +398,9 @@ int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, d
     Instance *me = instance;
     if (!me) return STATUS_ERROR;
     struct Sensitivity *q = me->sensitivity;
-    if (!q || q->n == 0 || me->s.phase != PHASE_STEP)
+    if (!q || q->n == 0 || !(me->s.phase & (PHASE_INITIALIZATION | PHASE_STEP)))
         return report(me, STATUS_ERROR, "no sensitivities were chosen before the simulation, or it has not started");
+    if (!me->s.initialised && me->s.phase == PHASE_INITIALIZATION && initialise(me) > STATUS_WARNING) return STATUS_ERROR;
     int system = NY > 0, shown = 0, all = 0;
     for (size_t i = 0; i < n; i++) {
         const VariableEntry *entry = differentiable(me, variables[i]);
@@ -379,17 +412,24 @@ int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, d
     const Status status = evaluate(me, me->s.t, q->rest);
     if (status > STATUS_WARNING) return status;
     double y[LENGTH(NY)], kept[LENGTH(NM)];
+    const Drive drive = q->drive;
+    if (q->replaced) q->drive = q->next;
     memcpy(y, me->s.y, sizeof y);
     int failed = relations_for_input(me, kept);
     failed = failed || (system && follow_system(me));
     failed = failed || (shown && (all ? follow_all_variables(me) : follow_variables(me)));
     memcpy(me->s.y, y, sizeof y);
     memcpy(me->s.m, kept, sizeof kept);
-    if (failed) return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", me->s.t);
-    for (size_t i = 0; i < n; i++) {
+    for (size_t i = 0; i < n && !failed; i++) {
         const VariableEntry *entry = differentiable(me, variables[i]);
         const double *row = row_of(q, entry->vector, entry->index);
-        for (size_t j = 0; j < q->n; j++) values[i * q->n + j] = row ? entry->sign * row[j] : 0.0;
+        for (size_t j = 0; j < q->n; j++) {
+            const double move = entry->vector == VECTOR_U ? input_move(&q->drive, q->n, entry->index, j, me->s.t)
+                                                          : row ? row[j] : 0.0;
+            values[i * q->n + j] = entry->sign * move;
+        }
     }
+    q->drive = drive;
+    if (failed) return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", me->s.t);
     return status;
 }

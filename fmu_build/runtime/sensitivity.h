@@ -5,7 +5,10 @@
  * where parameters move together: direction j moves parameter i by weights[j * n_parameters + i].
  * fmuidGetSensitivities then gives, at every communication point of a co-simulation, the total derivatives of variables
  * with respect to them: values[i * n_parameters + j] = d variable[i] / d parameter[j], inputs as they were set.
- * Both return an FMI status and log what is wrong. */
+ * fmuidSetInputDirections says how inputs move with the same directions from the present communication point on, for
+ * inputs that follow another model: direction j moves input i by seeds[i * n + j], and by rates[i * n + j] more each
+ * second until they are given anew. Inputs that it does not name do not move.
+ * All return an FMI status and log what is wrong. */
 #ifndef FMUID_SENSITIVITY_H
 #define FMUID_SENSITIVITY_H
 
@@ -22,6 +25,8 @@
 FMUID_EXPORT int fmuidSetSensitivityParameters(void *instance, const unsigned *parameters, size_t n);
 FMUID_EXPORT int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, size_t n_parameters,
                                                const double *weights, size_t n);
+FMUID_EXPORT int fmuidSetInputDirections(void *instance, const unsigned *inputs, size_t n_inputs, const double *seeds,
+                                          const double *rates);
 FMUID_EXPORT int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, double *values);
 
 #endif

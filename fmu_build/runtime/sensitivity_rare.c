@@ -123,6 +123,7 @@ Status start_sensitivities(Instance *me) {
         Direction *s = &q->along[j], unit;
         double start[LENGTH(NX)] = {0}, unit_start[LENGTH(NX)];
         memset(s, 0, sizeof *s);
+        for (int i = 0; i < NU; i++) s->u[i] = q->drive.seeds[i * q->n + j];
         for (size_t i = 0; i < q->n_parameters; i++) {
             const double w = q->weights[j * q->n_parameters + i];
             if (w == 0.0) continue;
@@ -145,14 +146,34 @@ Status start_sensitivities(Instance *me) {
     return MODEL_HAS_EVENTS ? event_start_along(me, q->along, q->n) : STATUS_OK;
 }
 
+/* From here on inputs move as was last said. */
+static void replace_drive(struct Sensitivity *q) {
+    const Drive last = q->drive;
+    q->drive = q->next;
+    q->next = last;
+    q->replaced = 0;
+}
+
+static void inputs_along(struct Sensitivity *q, double t) {
+    for (size_t j = 0; j < q->n; j++)
+        for (int i = 0; i < NU; i++) q->along[j].u[i] = input_move(&q->drive, q->n, i, j, t);
+}
+
 /* Before the event iteration: S at the event, seen from where it moves to. */
 Status enter_event(Instance *me, int inside) {
     struct Sensitivity *q = me->sensitivity;
-    const Status status = advance_sensitivities(me, me->s.t, 1);
-    if (!MODEL_HAS_EVENTS || !q || q->n == 0 || status > STATUS_WARNING) return status;
-    for (size_t j = 0; j < q->n; j++)
-        for (int row = 0; row < NX; row++) q->along[j].x[row] = q->start[row * q->n + j];
-    return event_time_along(me, q->along, q->n, inside);
+    Status status = advance_sensitivities(me, me->s.t, 1);
+    if (!q || q->n == 0 || status > STATUS_WARNING) return status;
+    if (MODEL_HAS_EVENTS) {
+        for (size_t j = 0; j < q->n; j++)
+            for (int row = 0; row < NX; row++) q->along[j].x[row] = q->start[row * q->n + j];
+        inputs_along(q, me->s.t);
+        status = event_time_along(me, q->along, q->n, inside);
+    }
+    if (inside) return status;
+    if (q->replaced) replace_drive(q);
+    if (MODEL_HAS_EVENTS) inputs_along(q, me->s.t); /* a communication point does not move */
+    return status;
 }
 
 /* In the event iteration, before the pre-values and (with `reinit`) the state change. */
@@ -191,7 +212,7 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
         q->parameters = malloc(LENGTH(n_parameters) * sizeof *parameters);
         q->weights = malloc(LENGTH(n * n_parameters) * sizeof *weights);
         q->along = calloc(n, sizeof *q->along);
-        q->moves = calloc(n * LENGTH(NP + ND + NZ + 2 * NX + (2 * RADAU + 1) * N + NV), sizeof(double));
+        q->moves = calloc(n * LENGTH(NP + ND + NZ + 2 * NX + (2 * RADAU + 1) * N + NV + 4 * NU), sizeof(double));
         q->apart = malloc(n);
     }
     if (!q || !q->parameters || !q->weights || !q->along || !q->moves || !q->apart) {
@@ -204,6 +225,10 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
     q->rest = q->now + NX * n;
     q->by_moves = q->rest + RADAU * N * n;
     q->shown = q->by_moves + N * n;
+    q->drive.seeds = q->shown + NV * n;
+    q->drive.rates = q->drive.seeds + NU * n;
+    q->next.seeds = q->drive.rates + NU * n;
+    q->next.rates = q->next.seeds + NU * n;
     memcpy(q->parameters, parameters, n_parameters * sizeof *parameters);
     memcpy(q->weights, weights, n * n_parameters * sizeof *weights);
     q->n_parameters = n_parameters;
@@ -218,4 +243,48 @@ int fmuidSetSensitivityParameters(void *instance, const unsigned *parameters, si
     const int status = fmuidSetSensitivityDirections(instance, parameters, n, unit, n);
     free(unit);
     return status;
+}
+
+int fmuidSetInputDirections(void *instance, const unsigned *inputs, size_t n_inputs, const double *seeds,
+                            const double *rates) {
+    Instance *me = instance;
+    if (!me) return STATUS_ERROR;
+    struct Sensitivity *q = me->sensitivity;
+    State *s = &me->s;
+    const int before = s->phase & (PHASE_INSTANTIATED | PHASE_INITIALIZATION);
+    if (!q || q->n == 0 || !(before || s->phase == PHASE_STEP))
+        return report(me, STATUS_ERROR, "inputs cannot move with parameters: no sensitivities were chosen");
+    const size_t n = q->n;
+    Drive *next = &q->next;
+    memset(next->seeds, 0, NU * n * sizeof *seeds);
+    memset(next->rates, 0, NU * n * sizeof *rates);
+    memset(next->driven, 0, sizeof next->driven);
+    next->t = s->t;
+    for (size_t k = 0; k < n_inputs; k++) {
+        double sign;
+        const int i = input_place(inputs[k], &sign);
+        if (i < 0) return report(me, STATUS_ERROR, "value reference %u is no real input", inputs[k]);
+        for (size_t j = 0; j < n; j++) {
+            const double seed = sign * seeds[k * n + j], rate = sign * rates[k * n + j];
+            if (!isfinite(seed) || !isfinite(rate))
+                return report(me, STATUS_ERROR, "value reference %u cannot move by a number that is not finite", inputs[k]);
+            next->seeds[i * n + j] = seed;
+            next->rates[i * n + j] = rate;
+            next->driven[i] |= seed != 0.0 || rate != 0.0;
+        }
+    }
+    q->replaced = 1;
+    int same = 1;
+    for (int i = 0; i < NU; i++)
+        for (size_t j = 0; j < n; j++)
+            same &= next->seeds[i * n + j] == input_move(&q->drive, n, i, j, s->t) &&
+                    next->rates[i * n + j] == q->drive.rates[i * n + j];
+    if (same) q->replaced = 0;
+    else if (before) {
+        replace_drive(q);
+        s->initialised = 0;
+    } else {
+        s->changed = 1;
+    }
+    return STATUS_OK;
 }

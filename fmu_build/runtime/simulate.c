@@ -290,6 +290,15 @@ int parameter_direction(unsigned reference, Direction *s, double *start) {
     return 1;
 }
 
+/* Where a real input is in u, -1: it is none; its value is that times `sign`. */
+int input_place(unsigned reference, double *sign) {
+    if (reference >= MODEL_N_VARIABLES || VARIABLE[reference].type != TYPE_REAL ||
+        VARIABLE[reference].settable != SETTABLE_INPUT)
+        return -1;
+    *sign = VARIABLE[reference].sign;
+    return VARIABLE[reference].index;
+}
+
 /* The vector of a direction that a variable's seed goes into; NULL with a message: nothing to differentiate by. */
 static double *seed_of(const Instance *me, const VariableEntry *entry, Direction *s, double *start) {
     switch (entry->vector) {

@@ -117,6 +117,7 @@ def campaign_folder(request, drive, tmp_path_factory):
 
 def test_a_campaign_with_coupled_fmus_recovers_the_truth(campaign_folder, tmp_path):
     campaign = load_campaign(campaign_folder)
+    assert load_models(campaign)["bench"].differentiates({"plant.mgr", "controller.kp"})
     result = identify(campaign, out=tmp_path / "run", workers=1)
     for name in ("mgr", "kp"):
         error = result[name].standard_error

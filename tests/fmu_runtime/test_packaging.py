@@ -87,6 +87,7 @@ def test_links_only_libc_and_libm(built):
     names = {line.split()[-1] for line in symbols.splitlines()}
     assert {n for n in names if not n.startswith("fmi2")} == {
         "fmuidGetSensitivities",
+        "fmuidSetInputDirections",
         "fmuidSetSensitivityDirections",
         "fmuidSetSensitivityParameters",
     }

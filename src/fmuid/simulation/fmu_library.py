@@ -50,6 +50,7 @@ _NAMES_OF_VERSION = {
 }
 _OWN = {  # exported by FMUs of fmu_build in addition to the standard
     "SET_DIRECTIONS": "fmuidSetSensitivityDirections",
+    "SET_INPUT_DIRECTIONS": "fmuidSetInputDirections",
     "GET_SENSITIVITIES": "fmuidGetSensitivities",
 }
 _COMMON = ["ENTER_INITIALIZATION", "EXIT_INITIALIZATION"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from ctypes import POINTER, c_double, c_int32
 from dataclasses import replace
@@ -104,6 +104,7 @@ class CoupledModel:
         self._view = MappingProxyType(self._variables)
         self._lock = threading.RLock()
         self._layouts: dict[tuple[int, tuple[str, ...]], Layout] = {}
+        self._differentiates: dict[frozenset[str], bool] = {}
         self._patience = Patience()
         self._compared = False  # whether a reset was compared with a new instance
 
@@ -160,6 +161,18 @@ class CoupledModel:
         choices = {"start": min, "stop": max, "step": min, "tolerance": min}
         found = {k: [e[k] for e in every if k in e] for k in choices}
         return {k: choices[k](values) for k, values in found.items() if values} | dict(self._experiment)
+
+    def differentiates(self, names: Collection[str]) -> bool:
+        """Return whether runs can be differentiated with respect to `names`.
+
+        They can if this is true of every FMU that a parameter reaches, by itself or through connections, if what
+        is connected there is real, and if none of these FMUs is in a loop that is iterated.
+        """
+        with self._lock:
+            key = frozenset(names)
+            if key not in self._differentiates:
+                self._differentiates[key] = self._all_differentiate(key)
+            return self._differentiates[key]
 
     def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
         """Return predictions, shape (len(task.outputs), N); see `fmuid.simulation.simulator.Simulator`.
@@ -277,12 +290,54 @@ class CoupledModel:
                 inputs=inputs,
                 outputs=[self._shown_by(n) for n in task.outputs],
                 starts=merged,
+                along=self._along(task.along),
                 where=self.path,
             )
             while self._layouts and sum(other.size for other in self._layouts.values()) > _MAX_LAYOUTS:
                 self._layouts.pop(next(iter(self._layouts)))
             self._layouts[key] = layout  # keeps the task, and so its id, alive
         return layout
+
+    def _all_differentiate(self, names: Collection[str]) -> bool:
+        try:
+            moved = {place for name in names for place, _ in self._set_by(name)}
+        except FmuError:
+            return False
+        reached = self._reached({place.component for place in moved})
+        order = list(self.components)
+        looped = [name for first, end in enumerate(self._wiring.loops) for name in order[first:end]]
+        return (
+            reached.isdisjoint(looped)
+            and all(
+                self.components[end.component].variables[end.variable].type in ("Real", "Float64")
+                for k in self.connections
+                if k.source.component in reached
+                for end in (k.source, k.target)
+            )
+            and all(
+                self.components[name].differentiates({p.variable for p in moved if p.component == name})
+                for name in reached
+            )
+        )
+
+    def _reached(self, components: Collection[str]) -> set[str]:
+        """Return the components and all that follow them through connections."""
+        reached, count = set(components), -1
+        while len(reached) != count:
+            count = len(reached)
+            reached |= {k.target.component for k in self.connections if k.source.component in reached}
+        return reached
+
+    def _along(self, directions: Sequence[Mapping[str, float]]) -> dict[str, list[dict[str, float]]]:
+        """Return the directions by the components that they reach."""
+        moved = {place.component for along in directions for name in along for place, _ in self._set_by(name)}
+        found = {component: [dict[str, float]() for _ in directions] for component in self._reached(moved)}
+        for j, along in enumerate(directions):
+            for name, weight in along.items():
+                for place, linear in self._set_by(name):
+                    own = found[place.component][j]
+                    own[place.variable] = own.get(place.variable, 0.0) + weight * linear.factor
+        return found
 
     def _by_component(self, values: Mapping[str, float]) -> dict[str, dict[str, float]]:
         """Return start values by component and variable."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from ctypes import POINTER, c_double, c_int32, c_int64, c_void_p
+from ctypes import POINTER, c_double, c_int32, c_int64, c_size_t, c_uint32, c_void_p
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,6 +36,8 @@ class Link(ctypes.Structure):
         ("factor", c_double),
         ("offset", c_double),
         ("start", c_double),
+        ("reference", c_uint32),
+        ("unused", c_int32),
     )
 
 
@@ -88,6 +90,13 @@ class System(ctypes.Structure):
         ("before", c_void_p),
         ("now", c_void_p),
         ("next", c_void_p),
+        ("n_directions", c_size_t),
+        ("before_slopes", c_void_p),
+        ("now_slopes", c_void_p),
+        ("next_slopes", c_void_p),
+        ("seeds", c_void_p),
+        ("rates", c_void_p),
+        ("driven", c_void_p),
         ("known", c_void_p),
         ("members", c_void_p),
         ("unknowns", c_void_p),
@@ -134,6 +143,8 @@ class Layout:
         The variable that each output of the task shows.
     starts
         Start values from the task, by component.
+    along
+        The task's directions, by each component whose outputs move along one.
     """
 
     def __init__(
@@ -144,6 +155,7 @@ class Layout:
         inputs: Mapping[str, Sequence[tuple[Place, Linear]]],
         outputs: Sequence[tuple[Place, Linear]],
         starts: Mapping[str, Mapping[str, float]],
+        along: Mapping[str, Sequence[Mapping[str, float]]],
         where: object,
     ) -> None:
         self.task = task
@@ -173,6 +185,7 @@ class Layout:
                 starts.get(name, {}),
                 "linear" if wiring.master.extrapolates(name) or (ahead and name in driven) else "hold",
                 task.tolerance,
+                tuple(along.get(name, ())),
             )
             for name in names
         }
@@ -190,6 +203,7 @@ class Layout:
                     unknowns if inside else -1,
                     *k.linear,
                     _start(wiring.components[k.target.component], k.target.variable),
+                    wiring.components[k.target.component].slots[k.target.variable].reference,
                 )
             )
             unknowns += inside
@@ -223,6 +237,11 @@ class Layout:
         system.known, system.members = (self._pointer(np.zeros(n + 1), "i4") for n in (len(names), unknowns))
         for name in ("before", "now", "next"):
             setattr(system, name, self._pointer(np.zeros(system.n_values + 1)))
+        system.n_directions = len(task.along)
+        for name in ("before_slopes", "now_slopes", "next_slopes"):
+            setattr(system, name, self._pointer(np.zeros(system.n_values * len(task.along) + 1)))
+        system.seeds, system.rates = (self._pointer(np.zeros(len(links) * len(task.along) + 1)) for _ in range(2))
+        system.driven = self._pointer(np.zeros(len(links) + 1), "u4")
         for name in ("unknowns", "residual", "last", "change", "moved", "left", "scale"):
             setattr(system, name, self._pointer(np.zeros(unknowns + 1)))
         system.inverse = self._pointer(np.zeros(unknowns * unknowns + 1))
@@ -242,7 +261,7 @@ class Layout:
     def outputs(self, n_times: int | None = None) -> FloatArray:
         """Return a new array for the predictions of all or `n_times` samples, and point the system at it."""
         self.system.n_times = len(self.task.time) if n_times is None else n_times
-        array = np.empty((self.system.n_records, self.system.n_times))
+        array = np.empty((self.system.n_records * (1 + len(self.task.along)), self.system.n_times))
         self.system.outputs = array.__array_interface__["data"][0]
         return array
 

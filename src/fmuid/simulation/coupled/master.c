@@ -18,6 +18,8 @@ typedef struct {        /* an input that follows an output: factor * output + of
     int32_t unknown;    /* its place among the unknowns of an iterated loop, else -1 */
     double factor, offset;
     double start;       /* in initialisation, until the output is known */
+    uint32_t reference; /* the input's value reference */
+    int32_t unused;
 } Link;
 
 typedef struct {        /* an input that follows a signal of the task */
@@ -45,9 +47,14 @@ typedef struct {
     const double *time;       /* (n_times) of the samples */
     const int32_t *steps;     /* (n_times - 1) communication steps between them */
     const double *signals;    /* (n_times, n_signals) */
-    double *outputs;          /* (n_records, n_times) */
+    double *outputs;          /* (1 + n_directions, n_records, n_times) */
     double *window;           /* beginning and end of the communication step */
     double *before, *now, *next; /* (n_values) all outputs: a step ago, at the beginning, at the end */
+    /* derivatives along directions: of the same outputs, in rows of n_directions, ... */
+    size_t n_directions;
+    double *before_slopes, *now_slopes, *next_slopes;
+    double *seeds, *rates;    /* ... and of a component's connected inputs, at a time and by time */
+    uint32_t *driven;         /* references of these inputs */
     int32_t *known;           /* (n_components) outputs in `next` are there */
     int32_t *members;         /* unknowns of the loop in hand */
     double *unknowns, *residual, *last, *change, *moved, *left, *scale, *inverse; /* (n_unknowns), inverse its square */
@@ -61,29 +68,66 @@ typedef struct {
 
 static double *inputs_of(const Plan *plan) { return (double *)plan->inputs; }
 
+typedef struct { double begin, end; } Window;
+
+/* What link l follows over the communication step: an output, or its derivative along a direction, that was `before` a
+ * step ago, is `now` at the beginning and will be `next` at the end, if that is known. */
+static inline Window followed(const System *s, const Link *l, double before, double now, double next)
+{
+    double h = s->window[1] - s->window[0];
+    if (s->gauss_seidel && s->known[l->from]) return (Window){l->linear ? now : next, next};
+    if (l->linear && s->step_before > 0) return (Window){now, now + (now - before) * (h / s->step_before)};
+    return (Window){now, now};
+}
+
 /* The window of component c: its connected inputs. In a loop that is iterated, unknowns stand for outputs of the loop. */
 static void follow(System *s, int32_t c, bool iterating)
 {
     Plan *plan = s->plans[c];
-    double h = s->window[1] - s->window[0];
     for (const Link *l = s->links; l < s->links + s->n_links; l++) {
         if (l->component != c) continue;
-        double now = s->now[l->source], begin = now, end = now;
-        bool solved = iterating && l->unknown >= 0;
-        if (s->gauss_seidel && s->known[l->from] && !solved) {
-            end = s->next[l->source];
-            if (!l->linear) begin = end;
-        } else if (l->linear && s->step_before > 0)
-            end = now + (now - s->before[l->source]) * (h / s->step_before);
-        begin = l->factor * begin + l->offset;
-        end = l->factor * end + l->offset;
-        if (solved) {
-            end = s->unknowns[l->unknown];
-            if (!l->linear) begin = end;
+        Window w = followed(s, l, s->before[l->source], s->now[l->source], s->next[l->source]);
+        w = (Window){l->factor * w.begin + l->offset, l->factor * w.end + l->offset};
+        if (iterating && l->unknown >= 0) {
+            w.end = s->unknowns[l->unknown];
+            w.begin = l->linear ? l->factor * s->now[l->source] + l->offset : w.end;
         }
-        inputs_of(plan)[l->column] = begin;
-        inputs_of(plan)[plan->n_inputs + l->column] = end;
+        inputs_of(plan)[l->column] = w.begin;
+        inputs_of(plan)[plan->n_inputs + l->column] = w.end;
     }
+}
+
+static bool interpolated(const Plan *plan, int32_t column)
+{
+    for (int32_t i = 0; i < plan->n_slopes; i++)
+        if (plan->slope_columns[i] == column) return plan->fmi == 2;
+    return false;
+}
+
+/* How the connected inputs of component c move along the directions, over the communication step or in initialisation. */
+static int32_t drive(System *s, int32_t c, bool initialising)
+{
+    Plan *plan = s->plans[c];
+    const size_t n = s->n_directions;
+    double h = s->window[1] - s->window[0], *seed = s->seeds, *rate = s->rates;
+    size_t count = 0;
+    if (plan->n_directions == 0) return DONE;
+    for (const Link *l = s->links; l < s->links + s->n_links; l++) {
+        if (l->component != c) continue;
+        const size_t row = (size_t)l->source * n;
+        const bool moves = interpolated(plan, l->column);
+        for (size_t j = 0; j < n; j++) {
+            double next = s->next_slopes[row + j];
+            Window w = {s->known[l->from] ? next : 0, 0};
+            if (!initialising) w = followed(s, l, s->before_slopes[row + j], s->now_slopes[row + j], next);
+            *seed++ = l->factor * w.begin;
+            *rate++ = !initialising && moves ? l->factor * (w.end - w.begin) / h : 0;
+        }
+        s->driven[count++] = l->reference;
+    }
+    CALL(SET_INPUT_DIRECTIONS, int32_t (*)(Instance, const uint32_t *, size_t, const double *, const double *),
+         plan->instance, s->driven, count, s->seeds, s->rates);
+    return DONE;
 }
 
 /* The same for inputs that follow signals of the task. */
@@ -105,18 +149,31 @@ static void feed(System *s, int32_t c)
     }
 }
 
+/* The outputs of component c and their derivatives, into `next`. */
+static int32_t get_outputs(System *s, int32_t c)
+{
+    Plan *plan = s->plans[c];
+    s->known[c] = 1;
+    TRY(get_values(plan, s->next + s->places[c]));
+    if (plan->n_directions > 0)
+        CALL(GET_SENSITIVITIES, int32_t (*)(Instance, const uint32_t *, size_t, double *), plan->instance,
+             plan->output_references, plan->n_outputs, s->next_slopes + (size_t)s->places[c] * s->n_directions);
+    return DONE;
+}
+
 static int32_t take_outputs(System *s, int32_t c)
 {
     Plan *plan = s->plans[c];
-    double *row = s->next + s->places[c];
-    TRY(get_values(plan, row));
-    s->known[c] = 1;
-    for (size_t j = 0; j < plan->n_outputs; j++)
-        if (!isfinite(row[j])) {
-            plan->column = (int32_t)j;
-            plan->reached_time = s->window[plan->reached < 0 ? 0 : 1];
-            return NOT_FINITE;
-        }
+    TRY(get_outputs(s, c));
+    for (size_t j = 0; j < plan->n_outputs; j++) {
+        const size_t place = (size_t)s->places[c] + j;
+        bool finite = isfinite(s->next[place]);
+        for (size_t i = 0; i < s->n_directions; i++) finite &= isfinite(s->next_slopes[place * s->n_directions + i]);
+        if (finite) continue;
+        plan->column = (int32_t)j;
+        plan->reached_time = s->window[plan->reached < 0 ? 0 : 1];
+        return NOT_FINITE;
+    }
     return DONE;
 }
 
@@ -128,6 +185,7 @@ static int32_t step_one(System *s, int32_t c, bool iterating)
     feed(s, c);
     follow(s, c, iterating);
     plan->reached_time = s->window[0];
+    TRY(drive(s, c, false));
     TRY(plan->model_exchange ? integrate(plan, 0) : do_step(plan, 0));
     return take_outputs(s, c);
 }
@@ -143,8 +201,8 @@ static int32_t initialise_one(System *s, int32_t c, bool iterating)
         inputs_of(plan)[l->column] = iterating && l->unknown >= 0 ? s->unknowns[l->unknown] : value;
     }
     TRY(set_values(plan, plan->input_groups, plan->n_input_groups, plan->inputs));
-    s->known[c] = 1;
-    return get_values(plan, s->next + s->places[c]);
+    TRY(drive(s, c, true));
+    return get_outputs(s, c);
 }
 
 /* ---- Loops: the connected inputs z of which each is what the outputs make of it, by Broyden's method. ---- */
@@ -246,9 +304,10 @@ static int32_t solve_loop(System *s, int32_t first, int32_t last, bool initialis
 /* Outputs that follow from inputs that follow from outputs: again until nothing changes. */
 static int32_t settle_initialisation(System *s)
 {
-    const size_t size = (size_t)s->n_values * sizeof(double);
+    const size_t n_slopes = (size_t)s->n_values * s->n_directions;
     for (int32_t pass = 0; pass <= s->iterations + s->n_links; pass++) {
-        memcpy(s->now, s->next, size);
+        memcpy(s->now, s->next, (size_t)s->n_values * sizeof(double));
+        memcpy(s->now_slopes, s->next_slopes, n_slopes * sizeof(double));
         for (int32_t c = 0; c < s->n_components; c++) {
             if (s->loops[c]) {
                 TRY(solve_loop(s, c, s->loops[c], true));
@@ -259,6 +318,9 @@ static int32_t settle_initialisation(System *s)
         bool settled = pass > 0;
         for (int32_t i = 0; settled && i < s->n_values; i++)
             settled = fabs(s->next[i] - s->now[i]) <= (pass < s->n_links + 2 ? 0 : s->tolerance * fabs(s->next[i]));
+        for (size_t i = 0; settled && i < n_slopes; i++)
+            settled = fabs(s->next_slopes[i] - s->now_slopes[i]) <=
+                      (pass < s->n_links + 2 ? 0 : s->tolerance * fabs(s->next_slopes[i]));
         if (settled) return DONE;
     }
     s->failed = 0;
@@ -271,6 +333,9 @@ static void record(System *s)
     for (int32_t i = 0; i < s->n_records; i++) {
         const Record *r = s->records + i;
         s->outputs[i * s->n_times + s->reached] = r->factor * s->now[r->source] + r->offset;
+        for (size_t j = 0; j < s->n_directions; j++)
+            s->outputs[((int64_t)(1 + j) * s->n_records + i) * s->n_times + s->reached] =
+                r->factor * s->now_slopes[(size_t)r->source * s->n_directions + j];
     }
 }
 
@@ -291,6 +356,7 @@ static int32_t initialise_all(System *s)
         for (int32_t j = 0; j < s->n_unknowns; j++) s->inverse[i * s->n_unknowns + j] = i == j ? -1 : 0;
     }
     memset(s->next, 0, (size_t)s->n_values * sizeof(double));
+    memset(s->next_slopes, 0, (size_t)s->n_values * s->n_directions * sizeof(double));
     set_window(s);
     for (int32_t c = 0; c < s->n_components; c++) {
         s->failed = c;
@@ -310,6 +376,7 @@ static int32_t initialise_all(System *s)
         s->plans[c]->reached = 0;
     }
     memcpy(s->now, s->next, (size_t)s->n_values * sizeof(double));
+    memcpy(s->now_slopes, s->next_slopes, (size_t)s->n_values * s->n_directions * sizeof(double));
     record(s);
     return DONE;
 }
@@ -325,8 +392,9 @@ static int32_t step_all(System *s)
         } else
             TRY(step_one(s, c, false));
     }
-    double *oldest = s->before;
+    double *oldest = s->before, *oldest_slopes = s->before_slopes;
     s->before = s->now, s->now = s->next, s->next = oldest;
+    s->before_slopes = s->now_slopes, s->now_slopes = s->next_slopes, s->next_slopes = oldest_slopes;
     s->step_before = s->window[1] - s->window[0];
     if (++s->step == s->steps[s->reached]) {
         s->step = 0;
