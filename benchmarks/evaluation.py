@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,7 +33,7 @@ from fmuid.simulation.pool.worker_process import resident_memory
 from fmuid.simulation.pool.workers import WorkerPool
 from fmuid.simulation.predictor import Predictor
 from fmuid.simulation.runners import Job, Runner, in_process
-from fmuid.simulation.simulator import Task
+from fmuid.simulation.simulator import Simulator, Task
 
 _HELP = ("-c", "import sys; from fmuid.cli import main; sys.argv = ['fmuid', '--help']; sys.exit(main())")
 _LONG = 600  # masses of a chain whose run takes some 50 ms
@@ -100,8 +100,9 @@ def stage_evaluation(repeats: int) -> list[Cost]:
 
 @dataclass(frozen=True)
 class DerivativeCost:
-    """Times of a Jacobian, in runs of the stage."""
+    """Times of a Jacobian, in evaluations without one."""
 
+    what: str
     parameters: int
     exact: float
     forward: float
@@ -135,7 +136,64 @@ def derivatives(repeats: int) -> list[DerivativeCost]:
         }
         times = in_turn(runs, repeats)
         unit = times["run"].median
-        found.append(DerivativeCost(n, *(times[k].median / unit for k in ("exact", "forward", "central"))))
+        ratios = (times[k].median / unit for k in ("exact", "forward", "central"))
+        found.append(DerivativeCost("the linear stage", n, *ratios))
+    return found
+
+
+def derivatives_of_runs(folder: Path, repeats: int) -> list[DerivativeCost]:
+    """The same for single runs: by the entries of a fine loss table, and of the actuator in two coupled parts."""
+    time = np.linspace(0, 10, 1001)
+    speed = 30 * np.sin(2 * np.pi * time / 3)
+    rows = [(w, 0.97, 0.96, 0.08 + 0.02 * np.exp(-w / 5), 0.08) for w in [*np.linspace(0, 60, 48), 100, 300]]
+    (folder / "Fine.mo").write_text(
+        "model Fine\n  extends Drives.Setups.EccentricLoad(lossTable = ["
+        + ";\n".join(", ".join(f"{v:.6g}" for v in row) for row in rows)
+        + "]);\nend Fine;\n"
+    )
+    modelica = ROOT / "modelica"
+    fine = load_fmu(build(folder / "Fine.mo", "Fine", folder, roots=[modelica]))
+    entries = {f"lossTable[{k},{j}]": row[j - 1] for k, row in enumerate(rows, 1) for j in range(2, 6)}
+    parts = {
+        name: build(modelica / "Drives" / f"{place}.mo", f"Drives.{place.replace('/', '.')}", folder)
+        for name, place in {"plant": "Setups/EccentricLoadPlant", "controller": "Signals/SpeedController"}.items()
+    }
+    wires = {"plant.i": "controller.i", "controller.w": "plant.w_motor"}
+    coupled = fmuid.couple(parts, wires, fmuid.Master(1e-3, extrapolation="linear"))
+    models: list[tuple[str, Simulator, str, tuple[str, ...], Mapping[str, float]]] = [
+        ("a loss table of 50 speeds", fine, "w_ref", ("w_motor", "tau_sensor"), entries),
+        (
+            "the actuator in two coupled FMUs",
+            coupled,
+            "controller.w_ref",
+            ("plant.w_motor", "plant.tau_sensor"),
+            {"controller.kp": 0.02, "plant.mgr": 20.0},
+        ),
+    ]
+    found = []
+    for what, model, reference, outputs, values in models:
+        plain = Task(time, {reference: speed}, outputs, {}, "linear")
+        exact = replace(plain, along=tuple({name: 1.0} for name in values))
+
+        def differences(  # type: ignore[no-untyped-def]
+            sides: Sequence[int], model=model, plain=plain, values=values
+        ) -> None:
+            for name, value in values.items():
+                for side in sides:
+                    model.simulate(plain, values | {name: value * (1 + side * 1e-4)})
+
+        times = in_turn(
+            {
+                "run": lambda model=model, plain=plain, values=values: model.simulate(plain, values),  # type: ignore
+                "exact": lambda model=model, exact=exact, values=values: model.simulate(exact, values),  # type: ignore
+                "forward": lambda: differences((1,)),
+                "central": lambda: differences((1, -1)),
+            },
+            min(repeats, 5),
+        )
+        unit = times["run"].median
+        ratios = (times[k].median / unit for k in ("exact", "forward", "central"))
+        found.append(DerivativeCost(what, len(values), *ratios))
     return found
 
 

@@ -32,11 +32,13 @@ C_FLAGS = ("-std=c99", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
 # Functions that a simulation seldom calls, or that only pass on a call, are not worth optimising. Equations, which
 # are straight code, gain hardly anything from the second level, which takes twice the time.
 _FAST = ("-O2", "-funroll-loops", "-fno-tree-vectorize", "-fno-schedule-insns2")
+_VECTORS = ("-O3",)
 _STRAIGHT = ("-O1", "-fgcse", "-fexpensive-optimizations")
 _PLAIN = ("-O1",)
 _SELDOM = ("-O0",)
 _LEVELS = (
     (_FAST, ("equations.c", "integrator.c", "sensitivity.c")),
+    (_VECTORS, ("slices.c",)),
     (_STRAIGHT, ("model.c", "switches.c")),
     (_SELDOM, ("model_rare.c", "initialise.c", "lifecycle.c", "starts.c", "event_sensitivity.c")),
     (_SELDOM, ("sensitivity_rare.c", "fmi2.c", "fmi3.c")),
@@ -54,9 +56,10 @@ _SHARED = (
     "sensitivity.c",
     "sensitivity_rare.c",
     "simulate.c",
+    "slices.c",
     "starts.c",
 )
-_HEADERS = ("collocation.h", "instance.h", "linear.h", "lu.h", "sensitivity.h")
+_HEADERS = ("collocation.h", "instance.h", "linear.h", "lu.h", "rows.h", "sensitivity.h")
 _FMI_HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),

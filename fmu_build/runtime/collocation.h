@@ -4,7 +4,7 @@
 
 #include "instance.h"
 
-enum { N = NX + NY, RADAU = 3, BLOCK = RADAU * RADAU };
+enum { N = NX + NY, RADAU = 3, BLOCK = RADAU * RADAU, SLICE = 8 };
 
 /* How the inputs move along the directions: NU rows of n, at time t and by time from there on. */
 typedef struct {
@@ -18,9 +18,10 @@ struct Sensitivity {
     double *weights;  /* n rows of n_parameters: how they move together */
     Direction *along; /* p, d, z and pz as they change, the rest is work memory */
     double *moves;    /* the same p, d and z in NP + ND + NZ rows of n, in one block with what follows ... */
-    unsigned char moved[LENGTH(NP + ND + NZ)]; /* ... which of them change at all ... */
+    struct { size_t first, end; } moved[LENGTH(NP + ND + NZ)]; /* ... along which directions they change at all ... */
     int active[LENGTH(MODEL_NSLOPE + MODEL_NELEMENT)], n_active; /* ... and which derivatives are by those ... */
     int elements;     /* ... 1: those by elements of arrays, too */
+    unsigned char *live;  /* by slices of directions: 0: nothing has moved along them yet, all that follows is zero */
     unsigned char *apart; /* by direction: whether derivatives along it alone cost less than all of these */
     int shared;       /* whether there are other directions */
     Drive drive, next; /* of the inputs since the integration last restarted, and ... */
@@ -53,6 +54,11 @@ static const double W[RADAU][RADAU] = {
 
 /* What multiplies a row of the collocation equations: loops are no differential equations. */
 static inline double row_factor(int row, double h) { return row < NX ? h : 1.0; }
+
+/* Directions first to end of each slice along which something moves: all that may differ from zero. */
+#define EACH_LIVE(q, first, end)                                                                                   \
+    for (size_t first = 0, end; end = first + SLICE < (q)->n ? first + SLICE : (q)->n, first < (q)->n; first = end)       \
+        if ((q)->live[first / SLICE])
 
 /* The derivative of input i along direction j at time t. */
 static inline double input_move(const Drive *a, size_t n, int i, size_t j, double t) {

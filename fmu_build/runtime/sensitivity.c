@@ -11,15 +11,21 @@
 #include <math.h>
 #include <string.h>
 
-#include "collocation.h"
+#include "rows.h"
 #include "sensitivity.h"
 
 static const double RADAU_NODE[RADAU] = {0.1550510257216822, 0.6449489742783178, 1.0};
 static const double W_SUM[RADAU] = {4.139387691339814, -1.7393876913398136, 3.0};
 
-/* to += a * row for all directions */
-static inline void add_row(size_t n, double a, const double *restrict row, double *restrict to) {
-    for (size_t p = 0; p < n; p++) to[p] += a * row[p];
+/* to += a * row k of q->moves */
+static inline void add_moved(const struct Sensitivity *q, double a, int k, double *to) {
+    const double *row = q->moves + k * q->n;
+    if (a == 0.0) return; /* most entries of a table, at any time */
+    for (size_t p = q->moved[k].first; p < q->moved[k].end; p++) to[p] += a * row[p];
+}
+
+static inline size_t slices_of(const struct Sensitivity *q, int k) {
+    return (q->moved[k].end - 1) / SLICE - q->moved[k].first / SLICE + 1;
 }
 
 /* Derivatives of [f; r] by what the directions move, along all of them, into q->by_moves; with the entries of J. */
@@ -35,10 +41,12 @@ static int shared_slopes(Instance *me, const double *t, const double *x, const d
         me->res[0] = by_moved + MODEL_NSLOPE;
         if (CALL(element_slopes)) return 1;
     }
-    memset(q->by_moves, 0, N * q->n * sizeof *q->by_moves);
+    EACH_LIVE(q, first, end)
+        for (int row = 0; row < N; row++) memset(q->by_moves + row * q->n + first, 0, (end - first) * sizeof(double));
     for (int a = 0; a < q->n_active; a++) {
-        const int k = q->active[a];
-        add_row(q->n, by_moved[k], q->moves + MODEL_SLOPE_COLUMN[k] * q->n, q->by_moves + MODEL_SLOPE_ROW[k] * q->n);
+        const int k = q->active[a], column = MODEL_SLOPE_COLUMN[k];
+        if (by_moved[k] != 0.0) memset(q->live + q->moved[column].first / SLICE, 1, slices_of(q, column));
+        add_moved(q, by_moved[k], column, q->by_moves + MODEL_SLOPE_ROW[k] * q->n);
     }
     return 0;
 }
@@ -73,7 +81,10 @@ static int slopes_at(Instance *me, double t, const double *x, const double *u, d
         me->arg[11] = me->arg[12] = s->z;
         me->res[0] = along;
         if (CALL(move_partials)) return 1;
-        for (int row = 0; row < N; row++) q->by_moves[row * q->n + j] = along[row];
+        for (int row = 0; row < N; row++) {
+            q->by_moves[row * q->n + j] = along[row];
+            q->live[j / SLICE] |= along[row] != 0.0;
+        }
     }
     for (int i = 0; i < NU; i++) {
         if (!q->drive.driven[i]) continue;
@@ -92,8 +103,10 @@ static int stage_slopes(Instance *me, double t, const double *x, double h, int i
     const size_t n = q->n;
     input_at(me, t);
     if (slopes_at(me, t, x, me->ut, jacobian)) return 1;
-    for (int row = 0; row < N; row++)
-        add_row(n, row_factor(row, h), q->by_moves + row * n, rows + ((size_t)MODEL_J_PLACE[row] * RADAU + i) * n);
+    EACH_LIVE(q, first, end)
+        for (int row = 0; row < N; row++)
+            add_row(end - first, row_factor(row, h), q->by_moves + row * n + first,
+                    rows + ((size_t)MODEL_J_PLACE[row] * RADAU + i) * n + first);
     return 0;
 }
 
@@ -177,38 +190,6 @@ static int planned_blocks(struct Sensitivity *q, double h, double (*jacobian)[LE
     return grown;
 }
 
-/* rows -= block * other, each RADAU rows of n */
-static inline void subtract_rows(size_t n, const double *block, const double *restrict other, double *restrict rows) {
-    for (int i = 0; i < RADAU; i++)
-        for (size_t p = 0; p < n; p++)
-            rows[i * n + p] -= block[i * RADAU] * other[p] + block[i * RADAU + 1] * other[n + p] +
-                               block[i * RADAU + 2] * other[2 * n + p];
-}
-
-/* Solves for all directions: `y` has the rows in steps, `to` receives those of the unknowns. */
-static inline void solve_rows(const struct Sensitivity *q, size_t n, double *y, double *to) {
-    const Pattern *p = &PATTERN_BLOCKS;
-    const double *lu = q->factors;
-    const size_t m = RADAU * n;
-    for (int k = 0; k < N; k++)
-        for (int r = MODEL_J_LU_DIAGONAL[k] + 1; r < MODEL_J_LU_START[k + 1]; r++)
-            subtract_rows(n, lu + r * BLOCK, y + k * m, y + MODEL_J_LU_ROW[r] * m);
-    for (int k = N - 1; k >= 0; k--) {
-        const int diagonal = MODEL_J_LU_DIAGONAL[k];
-        double *solved = to + p->column[k] * m, negative[BLOCK];
-        for (int i = 0; i < BLOCK; i++) negative[i] = -lu[diagonal * BLOCK + i];
-        for (size_t i = 0; i < m; i++) solved[i] = 0.0;
-        subtract_rows(n, negative, y + k * m, solved);
-        for (int s = MODEL_J_LU_START[k]; s < diagonal; s++) {
-            const double *block = lu + s * BLOCK;
-            double *rows = y + MODEL_J_LU_ROW[s] * m;
-            if (MODEL_J_LU_UPDATED[s]) subtract_rows(n, block, solved, rows);
-            else
-                for (int i = 0; i < RADAU; i++) add_row(n, -block[i * (RADAU + 1)], solved + i * n, rows + i * n);
-        }
-    }
-}
-
 /* The collocation equations of a piece of the last step: with W the inverse of the method's matrix,
  *     sum_j W_ij S_j - h J_i S_i = h df/dp_i + (sum_j W_ij) S_0,
  * and for the unknowns of loops without W and h. */
@@ -219,12 +200,12 @@ static Status solve_piece(Instance *me) {
     const size_t n = q->n;
     double x[LENGTH(NX)], jacobian[RADAU][LENGTH(MODEL_J_NONZEROS)];
     int failed = 0;
-    memset(q->rest, 0, RADAU * N * n * sizeof *q->rest);
-    for (int row = 0; row < NX; row++)
-        for (int i = 0; i < RADAU; i++) {
-            double *target = q->rest + ((size_t)PATTERN_BLOCKS.place[row] * RADAU + i) * n;
-            for (size_t p = 0; p < n; p++) target[p] = W_SUM[i] * q->start[row * n + p];
-        }
+    EACH_LIVE(q, first, end)
+        for (int row = 0; row < N; row++)
+            for (int i = 0; i < RADAU; i++) {
+                double *target = q->rest + ((size_t)PATTERN_BLOCKS.place[row] * RADAU + i) * n;
+                for (size_t p = first; p < end; p++) target[p] = row < NX ? W_SUM[i] * q->start[row * n + p] : 0.0;
+            }
     for (int i = 0; i < RADAU && !failed; i++) {
         const double t = fmin(q->from + RADAU_NODE[i] * h, q->smooth); /* not with the Jacobian behind a kink */
         dense_output(step, t, x);
@@ -234,9 +215,13 @@ static Status solve_piece(Instance *me) {
     if (q->use_other) failed = pivoted_blocks(q, h, jacobian) || solve_pivoted(q, q->rest, q->stages);
     if (failed) return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", q->from);
     if (q->use_other) return STATUS_OK;
-#define SOLVE_ROWS(k) solve_rows(q, k, q->rest, q->stages)
-    UNROLLED(n, SOLVE_ROWS);
-#undef SOLVE_ROWS
+#define SOLVE_FEW(k) solve_rows(q, k, k, q->rest, q->stages)
+    if (n < SLICE) UNROLLED(n, SOLVE_FEW);
+    else EACH_LIVE(q, first, end) {
+        if (end - first == SLICE) solve_slice(q, n, q->rest + first, q->stages + first);
+        else solve_rows(q, end - first, n, q->rest + first, q->stages + first);
+    }
+#undef SOLVE_FEW
     return STATUS_OK;
 }
 
@@ -288,12 +273,13 @@ static Status evaluate(Instance *me, double t, double *target) {
         for (int j = 0; j <= RADAU; j++)
             if (j != i) basis[i] *= (r - at[j]) / (at[i] - at[j]);
     }
-    for (int row = 0; row < NX; row++)
-        for (size_t p = 0; p < q->n; p++) {
-            const double *stage = q->stages + row * RADAU * q->n + p;
-            target[row * q->n + p] = basis[0] * q->start[row * q->n + p] + basis[1] * stage[0] +
-                                     basis[2] * stage[q->n] + basis[3] * stage[2 * q->n];
-        }
+    EACH_LIVE(q, first, end)
+        for (int row = 0; row < NX; row++)
+            for (size_t p = first; p < end; p++) {
+                const double *stage = q->stages + row * RADAU * q->n + p;
+                target[row * q->n + p] = basis[0] * q->start[row * q->n + p] + basis[1] * stage[0] +
+                                         basis[2] * stage[q->n] + basis[3] * stage[2 * q->n];
+            }
     return STATUS_OK;
 }
 
@@ -338,8 +324,8 @@ static int follow_system(Instance *me) {
     return 0;
 }
 
-/* The same of v into q->shown: of outputs, and of what depends on the unknowns linearly. */
-static int follow_variables(Instance *me) {
+/* The same of those v that are asked for, into q->shown: outputs, or what depends on the unknowns linearly. */
+static int follow_variables(Instance *me, const unsigned char *asked) {
     struct Sensitivity *q = me->sensitivity;
     const State *now = &me->s;
     const size_t n = q->n;
@@ -347,12 +333,15 @@ static int follow_variables(Instance *me) {
     environment_at(me, &now->t, now->x, now->u);
     me->res[0] = computed;
     if (CALL(output_slopes)) return 1;
-    memset(q->shown, 0, NV * n * sizeof *q->shown);
+    for (int i = 0; i < NV; i++)
+        if (asked[i]) memset(q->shown + i * n, 0, n * sizeof *q->shown);
     for (int k = 0; k < MODEL_NOUTPUT_SLOPE + MODEL_NCONSTANT_SLOPE; k++) {
         const int column = MODEL_VARIABLE_COLUMN[k], moved = column - N;
+        if (!asked[MODEL_VARIABLE_ROW[k]]) continue;
         const double slope = k < MODEL_NOUTPUT_SLOPE ? computed[k] : MODEL_CONSTANT[k - MODEL_NOUTPUT_SLOPE];
-        const double *row = moved < 0 ? q->rest + column * n : q->moves + moved * n;
-        if (moved < 0 || q->moved[moved]) add_row(n, slope, row, q->shown + MODEL_VARIABLE_ROW[k] * n);
+        double *row = q->shown + MODEL_VARIABLE_ROW[k] * n;
+        if (moved < 0) add_row(n, slope, q->rest + column * n, row);
+        else add_moved(q, slope, moved, row);
     }
     for (int i = 0; i < NU; i++) {
         if (!q->drive.driven[i]) continue;
@@ -402,11 +391,12 @@ int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, d
         return report(me, STATUS_ERROR, "no sensitivities were chosen before the simulation, or it has not started");
     if (!me->s.initialised && me->s.phase == PHASE_INITIALIZATION && initialise(me) > STATUS_WARNING) return STATUS_ERROR;
     int system = NY > 0, shown = 0, all = 0;
+    unsigned char asked[LENGTH(NV)] = {0};
     for (size_t i = 0; i < n; i++) {
         const VariableEntry *entry = differentiable(me, variables[i]);
         if (!entry) return STATUS_ERROR;
         system |= entry->vector == VECTOR_DX;
-        shown |= entry->vector == VECTOR_V;
+        if (entry->vector == VECTOR_V) shown = asked[entry->index] = 1;
         all |= entry->vector == VECTOR_V && !MODEL_OUTPUT[entry->index] && !MODEL_LINEAR[entry->index];
     }
     const Status status = evaluate(me, me->s.t, q->rest);
@@ -417,7 +407,7 @@ int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, d
     memcpy(y, me->s.y, sizeof y);
     int failed = relations_for_input(me, kept);
     failed = failed || (system && follow_system(me));
-    failed = failed || (shown && (all ? follow_all_variables(me) : follow_variables(me)));
+    failed = failed || (shown && (all ? follow_all_variables(me) : follow_variables(me, asked)));
     memcpy(me->s.y, y, sizeof y);
     memcpy(me->s.m, kept, sizeof kept);
     for (size_t i = 0; i < n && !failed; i++) {

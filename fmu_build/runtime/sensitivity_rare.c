@@ -55,6 +55,7 @@ void free_sensitivities(Instance *me) {
         free(q->along);
         free(q->moves);
         free(q->apart);
+        free(q->live);
         free_pivoted(&q->other);
     }
     free(q);
@@ -77,20 +78,27 @@ static void choose_slopes(struct Sensitivity *q) {
     if (!q->shared) memset(q->apart, 1, q->n);
 }
 
+/* Direction j changes p, d or z number k by this. */
+static void set_move(struct Sensitivity *q, int k, size_t j, double move) {
+    q->moves[k * q->n + j] = move;
+    if (move == 0.0) return;
+    if (j < q->moved[k].first || q->moved[k].end == 0) q->moved[k].first = j;
+    if (j >= q->moved[k].end) q->moved[k].end = j + 1;
+}
+
 /* The derivatives that hold from here on, from the directions' x and z. */
 static void go_on_along(struct Sensitivity *q) {
     for (size_t j = 0; j < q->n; j++) {
         const Direction *s = &q->along[j];
-        for (int row = 0; row < NX; row++) q->start[row * q->n + j] = s->x[row];
-        for (int k = 0; k < NZ; k++) {
-            const int row = NP + ND + k;
-            q->moves[row * q->n + j] = s->z[k];
-            q->moved[row] |= s->z[k] != 0.0;
+        for (int row = 0; row < NX; row++) {
+            q->start[row * q->n + j] = s->x[row];
+            q->live[j / SLICE] |= s->x[row] != 0.0;
         }
+        for (int k = 0; k < NZ; k++) set_move(q, NP + ND + k, j, s->z[k]);
     }
     q->n_active = 0;
     for (int k = 0; k < MODEL_NSLOPE + q->elements * MODEL_NELEMENT; k++)
-        if (q->moved[MODEL_SLOPE_COLUMN[k]]) q->active[q->n_active++] = k;
+        if (q->moved[MODEL_SLOPE_COLUMN[k]].end > 0) q->active[q->n_active++] = k;
     q->pieces = q->switches_known = 0;
 }
 
@@ -136,10 +144,7 @@ Status start_sensitivities(Instance *me) {
         if (dependent_parameters_along(me, s->p, s->d) || initial_values_along(me, start, s))
             return report(me, STATUS_ERROR, "t = %.9g: the sensitivities of the initial state cannot be computed",
                           me->s.t);
-        for (int k = 0; k < NP + ND; k++) {
-            const double move = q->moves[k * q->n + j] = k < NP ? s->p[k] : s->d[k - NP];
-            q->moved[k] |= move != 0.0;
-        }
+        for (int k = 0; k < NP + ND; k++) set_move(q, k, j, k < NP ? s->p[k] : s->d[k - NP]);
     }
     choose_slopes(q);
     go_on_along(q);
@@ -214,8 +219,9 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
         q->along = calloc(n, sizeof *q->along);
         q->moves = calloc(n * LENGTH(NP + ND + NZ + 2 * NX + (2 * RADAU + 1) * N + NV + 4 * NU), sizeof(double));
         q->apart = malloc(n);
+        q->live = calloc(n / SLICE + 1, 1);
     }
-    if (!q || !q->parameters || !q->weights || !q->along || !q->moves || !q->apart) {
+    if (!q || !q->parameters || !q->weights || !q->along || !q->moves || !q->apart || !q->live) {
         free_sensitivities(me);
         return report(me, STATUS_ERROR, "no memory for sensitivities");
     }
@@ -271,6 +277,7 @@ int fmuidSetInputDirections(void *instance, const unsigned *inputs, size_t n_inp
             next->seeds[i * n + j] = seed;
             next->rates[i * n + j] = rate;
             next->driven[i] |= seed != 0.0 || rate != 0.0;
+            q->live[j / SLICE] |= next->driven[i];
         }
     }
     q->replaced = 1;

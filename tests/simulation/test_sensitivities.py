@@ -108,6 +108,36 @@ def test_a_table_that_moves_as_one_has_the_sum_of_its_entries_derivatives(tmp_pa
     assert mixed[1] == pytest.approx(together, rel=1e-9, abs=1e-12)
 
 
+def test_many_directions_at_once_are_those_one_by_one(tmp_path):
+    (tmp_path / "Wall.mo").write_text(
+        """
+        model Wall "Damping from a table, whose entries come into play one after the other, and a wall that throws back"
+          parameter Real d[30] = {0.3 + 0.01*k for k in 1:30};
+          parameter Real m = 0.8;
+          input Real u;
+          output Real x(start = 0, fixed = true);
+          output Real v(start = 0, fixed = true);
+        equation
+          der(x) = v;
+          m*der(v) = u - v*sum(d[k]*noEvent(max(0, 1 - abs(8*abs(v) - k + 1))) for k in 1:30);
+          when x > 0.3 then
+            reinit(v, -0.7*pre(v));
+          end when;
+        end Wall;
+        """
+    )
+    fmu = Fmu(build_modelica(tmp_path / "Wall.mo", "Wall", tmp_path))
+    names = [f"d[{k}]" for k in range(1, 31)] + ["x", "m"]
+    task = replace(TASK, inputs={"u": 4.0 * TIME * np.sin(9.0 * TIME)})
+    together = fmu.simulate(replace(task, along=tuple({n: 1.0} for n in names)), {})[2:].reshape(len(names), 2, -1)
+    begins = [np.flatnonzero(np.any(rows != 0.0, axis=0)) for rows in together]
+    assert sum(b.size == 0 for b in begins) >= 5  # speeds that are never reached
+    assert len({b[0] for b in begins if b.size}) >= 8
+    for name, rows in zip(names, together, strict=True):
+        alone = fmu.simulate(replace(task, along=({name: 1.0},)), {})[2:]
+        assert rows == pytest.approx(alone, rel=1e-9, abs=1e-10), name
+
+
 def test_workers_agree(slider):
     task = replace(TASK, along=ALONG[:2], tolerance=1e-5)
     fast = Fmu(slider).simulate(task, VALUES)

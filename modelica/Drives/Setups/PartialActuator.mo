@@ -9,7 +9,7 @@ partial model PartialActuator "Force-feedback actuator in its housing, from the 
   parameter Types.RotationalSpringConstant c_G = 25500 "Stiffness of the Flexspline";
   parameter Types.RotationalDampingConstant d_G = 50 "Damping of the Flexspline";
   parameter Types.Inertia J_L = 0.05 "Inertia of the load";
-  parameter Real lossTable[7, 5] = [
+  parameter Real lossTable[:, 5] = [
     0, 1, 1, 0.09, 0.09;
     10, 1, 1, 0.09, 0.09;
     15, 1, 1, 0.09, 0.09;

@@ -18,7 +18,7 @@ from fmuid.simulation.fmu_description import FmuDescription
 from fmuid.simulation.fmu_library import FmuLibrary
 from fmuid.simulation.fmu_variables import Slot
 from fmuid.simulation.simulator import Feedback, Task, Variable
-from fmuid.simulation.stepper import DTYPES, FUNCTIONS, Group, Plan
+from fmuid.simulation.stepper import DTYPES, FUNCTIONS, SAMPLES, Group, Plan
 
 UNKNOWN_TOLERANCE = 1e-6  # for FMUs that suggest none
 _MAX_PREPARED = 64 * 2**20  # bytes of prepared tasks kept in memory; the oldest is dropped first
@@ -304,7 +304,7 @@ class PreparedTask:
         plan.weights = self._pointer(np.array([[along.get(n, 0.0) for n in moved] for along in task.along]))
         references = [self._slots[n].reference for n in task.outputs]
         plan.output_references = self._pointer(np.array(references, dtype=np.uint32))
-        plan.sensitivities = self._pointer(np.zeros((len(task.outputs), len(task.along))))
+        plan.sensitivities = self._pointer(np.zeros((SAMPLES, len(task.outputs), len(task.along))))
         self.size *= 1 + len(task.along)
 
     def _interpolate(self, variables: Mapping[str, Variable], linear_inputs: bool) -> None:

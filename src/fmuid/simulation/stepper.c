@@ -82,19 +82,23 @@ int32_t get_values(Plan *plan, double *row)
 
 static int32_t read_sensitivities(Plan *plan, size_t k)
 {
-    const size_t n = plan->n_outputs, directions = plan->n_directions;
+    const size_t n = plan->n_outputs, directions = plan->n_directions, size = n * directions;
+    double *now = plan->sensitivities + plan->n_kept * size;
     CALL(GET_SENSITIVITIES, int32_t (*)(Instance, const uint32_t *, size_t, double *), plan->instance,
-         plan->output_references, n, plan->sensitivities);
-    for (size_t j = 0; j < n; j++)
-        for (size_t d = 0; d < directions; d++) {
-            const double value = plan->sensitivities[j * directions + d];
-            plan->outputs[((1 + d) * n + j) * plan->n_times + k] = value;
-            if (!isfinite(value)) {
-                plan->column = (int32_t)j;
-                plan->reached_time = plan->time[k];
-                return NOT_FINITE;
-            }
+         plan->output_references, n, now);
+    for (size_t i = 0; i < size; i++)
+        if (!isfinite(now[i])) {
+            plan->column = (int32_t)(i / directions);
+            plan->reached_time = plan->time[k];
+            return NOT_FINITE;
         }
+    if (++plan->n_kept < SAMPLES && k + 1 < plan->n_times) return DONE;
+    for (size_t d = 0; d < directions; d++)
+        for (size_t j = 0; j < n; j++) {
+            double *row = plan->outputs + ((1 + d) * n + j) * plan->n_times + (k + 1 - plan->n_kept);
+            for (size_t i = 0; i < plan->n_kept; i++) row[i] = plan->sensitivities[i * size + j * directions + d];
+        }
+    plan->n_kept = 0;
     return DONE;
 }
 
@@ -294,7 +298,10 @@ double look_at_clock(Pace *pace)
 /* Simulate, or go on where the last call paused; returns PAUSED after about `slice` seconds. */
 int32_t fmuid_run(Plan *plan, int32_t resume, double slice)
 {
-    if (!resume) fmuid_clear_log();
+    if (!resume) {
+        fmuid_clear_log();
+        plan->n_kept = 0;
+    }
     if (!resume && plan->from) {
         CALL(SET_FMU_STATE, int32_t (*)(Instance, void *), plan->instance, plan->from);
         plan->reached = plan->begin;

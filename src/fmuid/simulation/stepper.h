@@ -20,6 +20,8 @@ enum {
     GET_SENSITIVITIES, SET_VALUES, GET_VALUES, N_FUNCTIONS
 };
 
+enum { SAMPLES = 8 }; /* whose derivatives are put among the outputs together: that fills lines of the cache */
+
 /* Why a run ended; mirrored in stepper.py. */
 enum { DONE, PAUSED, CALL_FAILED, NOT_FINITE, TERMINATED, EARLY_RETURN, STEP_TOO_SMALL, EVENTS_DO_NOT_SETTLE, LOOP_NOT_SOLVED };
 
@@ -67,7 +69,8 @@ typedef struct {
     const uint32_t *moved;             /* (n_moved) parameters */
     const double *weights;             /* (n_directions, n_moved) */
     const uint32_t *output_references; /* (n_outputs) */
-    double *sensitivities;             /* scratch, (n_outputs, n_directions) */
+    double *sensitivities;             /* scratch, (SAMPLES, n_outputs, n_directions) ... */
+    size_t n_kept;                     /* ... samples in it that are not among the outputs yet */
     /* output feedback of model exchange: x += gain (measured - outputs) at every communication point */
     const double *measured; /* (n_outputs, length of the task), NaN: nothing to correct by; NULL: no feedback */
     const double *gain;     /* (n_states, n_outputs) */

@@ -58,6 +58,9 @@ FUNCTIONS = (
 )
 """Places in `Plan.function`, as in stepper.c."""
 
+SAMPLES = 8
+"""Samples in `Plan.sensitivities`, as in stepper.h."""
+
 DTYPES = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8")
 """How values of `Group.type` are stored on the FMU's side, as in stepper.c."""
 
@@ -140,6 +143,7 @@ class Plan(ctypes.Structure):
         ("weights", c_void_p),
         ("output_references", c_void_p),
         ("sensitivities", c_void_p),
+        ("n_kept", c_size_t),
         ("measured", c_void_p),
         ("gain", c_void_p),
         ("n_measured", c_size_t),
