@@ -19,10 +19,10 @@ int32_t fail(Plan *plan, int32_t place, int32_t status)
     return CALL_FAILED;
 }
 
-static inline int32_t exchange(Plan *plan, const Group *g, int32_t place, void *buffer)
+static inline int32_t exchange(Plan *plan, int32_t fmi, const Group *g, int32_t place, void *buffer)
 {
     int32_t status;
-    if (plan->fmi == 2)
+    if (fmi == 2)
         status = ((int32_t (*)(Instance, const uint32_t *, size_t, void *))g->function)(
             plan->instance, g->references, g->n_references, buffer);
     else
@@ -39,7 +39,7 @@ int32_t set_values(Plan *plan, const Group *groups, int32_t n_groups, const doub
 {
     for (const Group *g = groups; g < groups + n_groups; g++) {
         if (g->direct) {
-            TRY(exchange(plan, g, SET_VALUES, (void *)row));
+            TRY(exchange(plan, plan->fmi, g, SET_VALUES, (void *)row));
             continue;
         }
         switch (g->type) {
@@ -54,7 +54,7 @@ int32_t set_values(Plan *plan, const Group *groups, int32_t n_groups, const doub
         case INT64: PUT(int64_t);
         default: PUT(uint64_t);
         }
-        TRY(exchange(plan, g, SET_VALUES, g->buffer));
+        TRY(exchange(plan, plan->fmi, g, SET_VALUES, g->buffer));
     }
     return DONE;
 }
@@ -62,7 +62,7 @@ int32_t set_values(Plan *plan, const Group *groups, int32_t n_groups, const doub
 int32_t get_values(Plan *plan, double *row)
 {
     for (const Group *g = plan->output_groups; g < plan->output_groups + plan->n_output_groups; g++) {
-        TRY(exchange(plan, g, GET_VALUES, g->direct ? row : g->buffer));
+        TRY(exchange(plan, plan->fmi, g, GET_VALUES, g->direct ? row : g->buffer));
         if (g->direct) continue;
         switch (g->type) {
         case FLOAT64: TAKE(double);
@@ -150,10 +150,10 @@ static int32_t initialise(Plan *plan)
     return DONE;
 }
 
-static inline int32_t advance(Plan *plan, double t, double h)
+static inline int32_t advance(Plan *plan, int32_t fmi, double t, double h)
 {
     Instance c = plan->instance;
-    if (plan->fmi == 2) {
+    if (fmi == 2) {
         int32_t status = ((int32_t (*)(Instance, double, double, int))plan->function[DO_STEP])(c, t, h, !plan->rewinds);
         if (status == 2 && plan->function[GET_BOOLEAN_STATUS]) { /* discarded: perhaps it ended the simulation */
             int terminated = 0;
@@ -186,7 +186,7 @@ int32_t do_step(Plan *plan, size_t k)
         CALL(SET_INPUT_DERIVATIVES, int32_t (*)(Instance, const uint32_t *, size_t, const int32_t *, const double *),
              plan->instance, plan->slope_references, (size_t)plan->n_slopes, plan->slope_orders, plan->slopes);
     }
-    return advance(plan, t, h);
+    return advance(plan, plan->fmi, t, h);
 }
 
 static int32_t any_steps(Plan *plan, size_t k, size_t last)
@@ -205,16 +205,16 @@ static bool all_real(const Plan *plan)
 }
 
 /* The same for the usual case, real scalars in and out, with everything at hand: an FMU's step may take 20 ns. */
-static int32_t real_steps(Plan *plan, size_t k, size_t last)
+static inline int32_t real_steps_of(Plan *plan, int32_t fmi, size_t k, size_t last)
 {
     const Group inputs = plan->n_input_groups ? plan->input_groups[0] : (Group){0}, outputs = plan->output_groups[0];
     const size_t n_inputs = plan->n_inputs, n_outputs = plan->n_outputs, n_times = plan->n_times;
     const double *const time = plan->time, *u = plan->inputs + k * n_inputs;
     double *const row = plan->row, *y = plan->outputs + k + 1;
     for (; k < last; k++, u += n_inputs, y++) {
-        if (n_inputs > 0) TRY(exchange(plan, &inputs, SET_VALUES, (void *)u));
-        TRY(advance(plan, time[k], time[k + 1] - time[k]));
-        TRY(exchange(plan, &outputs, GET_VALUES, row));
+        if (n_inputs > 0) TRY(exchange(plan, fmi, &inputs, SET_VALUES, (void *)u));
+        TRY(advance(plan, fmi, time[k], time[k + 1] - time[k]));
+        TRY(exchange(plan, fmi, &outputs, GET_VALUES, row));
         bool finite = true;
         for (size_t j = 0; j < n_outputs; j++) {
             double value = row[j];
@@ -226,6 +226,11 @@ static int32_t real_steps(Plan *plan, size_t k, size_t last)
         plan->reached_time = time[k + 1];
     }
     return DONE;
+}
+
+static int32_t real_steps(Plan *plan, size_t k, size_t last)
+{
+    return plan->fmi == 2 ? real_steps_of(plan, 2, k, last) : real_steps_of(plan, 3, k, last);
 }
 
 /* ---- The FMU's log: the messages of the highest severity since the last fmuid_clear_log of this thread. ---- */
