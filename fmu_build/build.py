@@ -119,17 +119,21 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _options(class_name: str, fmi: str, compiler: str, file: Path, roots: Sequence[Path]) -> str:
-    """Digest of everything that the FMU depends on in addition to the Modelica sources."""
-    own = Path(__file__).parent
-    tools = sorted(p for p in own.rglob("*") if p.suffix in (".py", ".c", ".h", ".mo"))
+def built_by() -> str:
+    """Return a digest of what builds FMUs: this package with its runtime, libraries, the compiler and its flags."""
     from importlib import metadata  # slow to import, and every command imports this module
 
-    versions = [metadata.version(name) for name in _TOOLS] if compiler == "own" else []
-    places = [str(p.resolve()) for p in (file, *roots)]
+    own = Path(__file__).parent
+    tools = sorted(p for p in own.rglob("*") if p.suffix in (".py", ".c", ".h", ".mo"))
     flags = [os.environ.get(name, "") for name in ("CC", "FMU_BUILD_CFLAGS")]
-    what = [class_name, fmi, compiler, flags, versions, places, [_digest(p) for p in tools]]
-    return hashlib.sha256(json.dumps(what).encode()).hexdigest()
+    versions = [metadata.version(name) for name in _TOOLS if find_spec(name)]
+    return hashlib.sha256(json.dumps([flags, versions, [_digest(p) for p in tools]]).encode()).hexdigest()
+
+
+def _options(class_name: str, fmi: str, compiler: str, file: Path, roots: Sequence[Path]) -> str:
+    """Digest of everything that the FMU depends on in addition to the Modelica sources."""
+    places = [str(p.resolve()) for p in (file, *roots)]
+    return hashlib.sha256(json.dumps([class_name, fmi, compiler, places, built_by()]).encode()).hexdigest()
 
 
 def _is_current(stamp: Path, target: Path, options: str) -> bool:

@@ -398,6 +398,19 @@ def test_outputs_of_the_fmu_are_bit_for_bit_the_plain_ones(tmp_path, monkeypatch
     assert np.array_equal(plain, changed)
 
 
+def test_an_fmu_in_the_cache_that_was_compiled_otherwise_is_not_used(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    source, model = ModelSource(RIGS, "Rigs.TwoMass"), flat("TwoMass")
+    terms = [Term("rotor", "flow", "0.1*rate")], []
+    monkeypatch.setenv("FMU_BUILD_CFLAGS", "-O1")
+    fast = built_with_terms(source, model, *terms)
+    monkeypatch.setenv("FMU_BUILD_CFLAGS", "-O0")
+    slow = built_with_terms(source, model, *terms)
+    assert fast.read_bytes() != slow.read_bytes()
+    monkeypatch.setenv("FMU_BUILD_CFLAGS", "-O1")
+    assert built_with_terms(source, model, *terms) == fast
+
+
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from fmu_build import build, compile_flat, load
+from fmu_build.build import built_by
 from fmu_build.flat_model import FlatModel
 from fmu_build.instrument import Added, State, Term, instrument
 from fmu_build.model_ports import find_ports
@@ -70,7 +71,8 @@ def built_with_terms(source: ModelSource, flat: FlatModel, terms: Sequence[Term]
     """
     changed = instrument(flat, terms, added)
     model = replace(compile_flat(changed), name=_stem(source))
-    target = _folder(source) / f"{_stem(source)}-{model.content_hash[:12]}.fmu"
+    digest = hashlib.sha256(f"{model.content_hash}\n{built_by()}".encode()).hexdigest()
+    target = _folder(source) / f"{_stem(source)}-{digest[:12]}.fmu"
     return target if target.is_file() else package(model, target)
 
 
