@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterable, Sequence
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
@@ -119,15 +120,20 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+@cache
+def _tools() -> list[str]:
+    """Return the digests of this package's files, which a process loads once."""
+    own = Path(__file__).parent
+    return [_digest(p) for p in sorted(own.rglob("*")) if p.suffix in (".py", ".c", ".h", ".mo")]
+
+
 def built_by() -> str:
-    """Return a digest of what builds FMUs: this package with its runtime, libraries, the compiler and its flags."""
+    """Return a digest of what builds FMUs: this package with its runtime, libraries, compiler and flags."""
     from importlib import metadata  # slow to import, and every command imports this module
 
-    own = Path(__file__).parent
-    tools = sorted(p for p in own.rglob("*") if p.suffix in (".py", ".c", ".h", ".mo"))
     flags = [os.environ.get(name, "") for name in ("CC", "FMU_BUILD_CFLAGS")]
     versions = [metadata.version(name) for name in _TOOLS if find_spec(name)]
-    return hashlib.sha256(json.dumps([flags, versions, [_digest(p) for p in tools]]).encode()).hexdigest()
+    return hashlib.sha256(json.dumps([flags, versions, _tools()]).encode()).hexdigest()
 
 
 def _options(class_name: str, fmi: str, compiler: str, file: Path, roots: Sequence[Path]) -> str:

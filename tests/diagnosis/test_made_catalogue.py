@@ -36,6 +36,7 @@ from fmuid.diagnosis.made_catalogue import (
 )
 from fmuid.diagnosis.subject import subject_of
 from fmuid.diagnosis.variants import Variants, carrier, left_out, terms_of
+from fmuid.simulation import model_source
 from fmuid.simulation.coupled.loading import load_simulator
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.model_source import built_model, built_with_terms
@@ -408,6 +409,9 @@ def test_an_fmu_in_the_cache_that_was_compiled_otherwise_is_not_used(tmp_path, m
     slow = built_with_terms(source, model, *terms)
     assert fast.read_bytes() != slow.read_bytes()
     monkeypatch.setenv("FMU_BUILD_CFLAGS", "-O1")
+    monkeypatch.setattr(
+        model_source, "compile_flat", lambda flat: pytest.fail("compiled although it is in the cache")
+    )
     assert built_with_terms(source, model, *terms) == fast
 
 

@@ -69,11 +69,20 @@ def built_with_terms(source: ModelSource, flat: FlatModel, terms: Sequence[Term]
     BuildError
         There is no C compiler, or it fails.
     """
-    changed = instrument(flat, terms, added)
-    model = replace(compile_flat(changed), name=_stem(source))
-    digest = hashlib.sha256(f"{model.content_hash}\n{built_by()}".encode()).hexdigest()
-    target = _folder(source) / f"{_stem(source)}-{digest[:12]}.fmu"
-    return target if target.is_file() else package(model, target)
+    names = [*added]
+    target = _folder(source) / f"{_stem(source)}-{_digest(source, flat, terms, names)[:12]}.fmu"
+    if target.is_file():
+        return target
+    model = compile_flat(instrument(flat, terms, names))
+    return package(replace(model, name=_stem(source)), target)
+
+
+def _digest(source: ModelSource, flat: FlatModel, terms: Sequence[Term], added: Sequence[Added]) -> str:
+    """Return a digest of all that the FMU of a class with terms depends on."""
+    files = [*flat.files, *filter(None, [source.effects])]
+    contents = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+    inside = [replace(term, where="") for term in terms]
+    return hashlib.sha256(repr((contents, inside, [*added], built_by())).encode()).hexdigest()
 
 
 def _effects(catalogue: Path) -> list[tuple[Term, list[Added]]]:
