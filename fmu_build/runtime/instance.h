@@ -190,6 +190,9 @@ Status enter_event(Instance *me, int inside);
 Status update_sensitivities(Instance *me, int reinit);
 Status leave_event(Instance *me);
 void free_sensitivities(Instance *me);
+size_t sensitivities_size(const Instance *me);
+void copy_sensitivities(const Instance *me, char *to);
+int restore_sensitivities(Instance *me, const char *from);
 
 /* event_sensitivity.c */
 Status event_start_along(Instance *me, Direction *along, size_t n);

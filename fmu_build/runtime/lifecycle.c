@@ -49,21 +49,39 @@ void free_instance(Instance *me) {
     free(me);
 }
 
-static Status make_room(const Instance *me, void **copy) {
-    if (!*copy) *copy = malloc(sizeof(State));
-    return *copy ? STATUS_OK : report(me, STATUS_ERROR, "no memory for an FMU state");
+/* A copy of the complete state: this, and the sensitivities behind it. */
+typedef struct {
+    State s;
+    size_t sensitivities; /* bytes */
+} Copy;
+
+static Status make_room(const Instance *me, void **copy, size_t sensitivities) {
+    if (*copy && ((Copy *)*copy)->sensitivities != sensitivities) {
+        free(*copy);
+        *copy = NULL;
+    }
+    if (!*copy) *copy = malloc(sizeof(Copy) + sensitivities);
+    if (!*copy) return report(me, STATUS_ERROR, "no memory for an FMU state");
+    ((Copy *)*copy)->sensitivities = sensitivities;
+    return STATUS_OK;
 }
 
 Status copy_state(const Instance *me, void **copy) {
-    const Status status = make_room(me, copy);
-    if (status == STATUS_OK) memcpy(*copy, &me->s, sizeof(State));
-    return status;
+    const Status status = make_room(me, copy, sensitivities_size(me));
+    if (status != STATUS_OK) return status;
+    Copy *to = *copy;
+    memcpy(&to->s, &me->s, sizeof(State));
+    if (to->sensitivities > 0) copy_sensitivities(me, (char *)(to + 1));
+    return STATUS_OK;
 }
 
 Status restore_state(Instance *me, const void *copy) {
-    if (!copy) return report(me, STATUS_ERROR, "no FMU state to set");
-    if (me->sensitivity) return report(me, STATUS_ERROR, "an FMU state does not hold sensitivities: reset instead");
-    memcpy(&me->s, copy, sizeof(State));
+    const Copy *from = copy;
+    if (!from) return report(me, STATUS_ERROR, "no FMU state to set");
+    const size_t own = sensitivities_size(me);
+    if (from->sensitivities != own || (own > 0 && restore_sensitivities(me, (const char *)(from + 1))))
+        return report(me, STATUS_ERROR, "the FMU state has not these sensitivities: reset instead");
+    memcpy(&me->s, &from->s, sizeof(State));
     return STATUS_OK;
 }
 
@@ -74,15 +92,17 @@ Status serialise(const Instance *me, const void *state, char *bytes, size_t size
     if (!state || size < serialised_size())
         return report(me, STATUS_ERROR, "the buffer for the FMU state is too small or there is no state");
     memcpy(bytes, MODEL_GUID, sizeof MODEL_GUID);
-    memcpy(bytes + sizeof MODEL_GUID, state, sizeof(State));
+    const Copy *from = state;
+    if (from->sensitivities > 0) return report(me, STATUS_ERROR, "a state with sensitivities cannot be serialised");
+    memcpy(bytes + sizeof MODEL_GUID, &from->s, sizeof(State));
     return STATUS_OK;
 }
 
 Status deserialise(const Instance *me, const char *bytes, size_t size, void **state) {
     if (size < serialised_size() || memcmp(bytes, MODEL_GUID, sizeof MODEL_GUID) != 0)
         return report(me, STATUS_ERROR, "these bytes are not a state of this FMU");
-    const Status status = make_room(me, state);
-    if (status == STATUS_OK) memcpy(*state, bytes + sizeof MODEL_GUID, sizeof(State));
+    const Status status = make_room(me, state, 0);
+    if (status == STATUS_OK) memcpy(&((Copy *)*state)->s, bytes + sizeof MODEL_GUID, sizeof(State));
     return status;
 }
 

@@ -62,6 +62,40 @@ void free_sensitivities(Instance *me) {
     me->sensitivity = NULL;
 }
 
+/* Rows of n in the block of numbers that begins with `moves`. */
+enum { ROWS = LENGTH(NP + ND + NZ + 2 * NX + (2 * RADAU + 1) * N + NV + 4 * NU) };
+
+static size_t slices(const struct Sensitivity *q) { return q->n / SLICE + 1; }
+
+/* Bytes of a copy: the structure, and what it points to that changes in a simulation. */
+size_t sensitivities_size(const Instance *me) {
+    const struct Sensitivity *q = me->sensitivity;
+    return q ? sizeof *q + q->n * (sizeof *q->along + ROWS * sizeof(double)) + slices(q) : 0;
+}
+
+void copy_sensitivities(const Instance *me, char *to) {
+    const struct Sensitivity *q = me->sensitivity;
+    memcpy(to, q, sizeof *q);
+    memcpy(to += sizeof *q, q->along, q->n * sizeof *q->along);
+    memcpy(to += q->n * sizeof *q->along, q->moves, ROWS * q->n * sizeof(double));
+    memcpy(to + ROWS * q->n * sizeof(double), q->live, slices(q));
+}
+
+/* 1: the copy is of other sensitivities than these. */
+int restore_sensitivities(Instance *me, const char *from) {
+    struct Sensitivity *q = me->sensitivity;
+    Pivoted *other = q->other; /* belongs to the last factorisation, which is made anew */
+    struct Sensitivity then;
+    memcpy(&then, from, sizeof then);
+    if (then.moves != q->moves || then.n != q->n) return 1;
+    *q = then;
+    q->other = other;
+    memcpy(q->along, from += sizeof *q, q->n * sizeof *q->along);
+    memcpy(q->moves, from += q->n * sizeof *q->along, ROWS * q->n * sizeof(double));
+    memcpy(q->live, from + ROWS * q->n * sizeof(double), slices(q));
+    return 0;
+}
+
 /* Which derivatives by what the directions move are computed for each direction apart, and which for all together. */
 static void choose_slopes(struct Sensitivity *q) {
     size_t elements = 0, others = 0;
@@ -217,9 +251,10 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
         q->parameters = malloc(LENGTH(n_parameters) * sizeof *parameters);
         q->weights = malloc(LENGTH(n * n_parameters) * sizeof *weights);
         q->along = calloc(n, sizeof *q->along);
-        q->moves = calloc(n * LENGTH(NP + ND + NZ + 2 * NX + (2 * RADAU + 1) * N + NV + 4 * NU), sizeof(double));
+        q->moves = calloc(n * ROWS, sizeof(double));
         q->apart = malloc(n);
-        q->live = calloc(n / SLICE + 1, 1);
+        q->n = n;
+        q->live = calloc(slices(q), 1);
     }
     if (!q || !q->parameters || !q->weights || !q->along || !q->moves || !q->apart || !q->live) {
         free_sensitivities(me);
@@ -238,7 +273,6 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
     memcpy(q->parameters, parameters, n_parameters * sizeof *parameters);
     memcpy(q->weights, weights, n * n_parameters * sizeof *weights);
     q->n_parameters = n_parameters;
-    q->n = n;
     return STATUS_OK;
 }
 

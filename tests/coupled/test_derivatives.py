@@ -75,14 +75,25 @@ def test_feedback_without_delay_in_the_loop_by_communication(made):
     check(model, values, ("lag.y", "gain.y"), within=1e-4)  # starts are solved to the loops' tolerance
 
 
-def test_what_cannot_be_differentiated_is_not(made, python_pi):
-    loop = coupled(
-        {"lag": made("Lag"), "gain": made("Gain")},
-        {"gain.u": "lag.y", "lag.u": ("gain.y", -1.0, 0.3)},
+@pytest.mark.parametrize("extrapolation", ["constant", "linear"])
+def test_iterated_loops_of_a_large_gain(made, extrapolation):
+    model = coupled(
+        {"lag": made("Lag"), "gain": made("Gain"), "follower": made("Lag")},
+        {"gain.u": "lag.y", "lag.u": ("gain.y", -1.0, 0.3), "follower.u": "gain.y"},
         step=1e-2,
+        extrapolation=extrapolation,
         loops="iterate",
+        loop_tolerance=1e-10,
     )
-    assert not loop.differentiates({"lag.T"})  # its steps are repeated
+    values = {"lag.T": 0.3, "lag.d": 0.9, "gain.k": 3.5, "lag.x_start": 0.5, "follower.T": 0.05}
+    found = check(model, values, ("lag.y", "gain.y", "follower.x"))
+    x, d, k, b = 0.5, 0.9, 3.5, 0.3  # at the start: y = x + d*(b - k*y)
+    np.testing.assert_allclose(
+        found[1:3, 0, 0], [(b - k * x) / (1 + d * k) ** 2, -d * (x + d * b) / (1 + d * k) ** 2]
+    )
+
+
+def test_what_cannot_be_differentiated_is_not(made, python_pi):
     counted = coupled({"first": made("Counter"), "second": made("Counter")}, {"second.n": "first.twice"}, step=0.1)
     assert not counted.differentiates({"first.u"})
     foreign = coupled({"lag": made("Lag"), "pi": python_pi}, {"pi.w": "lag.x"}, step=1e-2)

@@ -266,3 +266,78 @@ def test_parameters_that_move_together(fmu):
     both = sensitivities(joint, ["tau_sensor", "b"], 2)
     assert np.any(each[0] != 0.0)
     np.testing.assert_allclose(both, each @ np.transpose(weights), rtol=1e-6, atol=1e-12)
+
+
+def test_sensitivities_go_back_with_the_state(fmu):
+    outputs, parameters, drive, h, steps = CASES["pendulum"]
+    one = fmu("pendulum")
+    choose(one, parameters)
+    one.start(1e-7)
+
+    def go_on(first):
+        found = []
+        for k in range(first, steps):
+            one.set(**{drive: 0.5 * (-1) ** (k // 6)})
+            one.c.doStep(k * h, h)
+            found.append(sensitivities(one, outputs, len(parameters)))
+        return found
+
+    for k in range(10):
+        one.c.doStep(k * h, h)
+    state = one.c.getFMUstate()
+    there = go_on(10)
+    one.c.setFMUstate(state)
+    np.testing.assert_array_equal(go_on(10), there)
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        one.c.serializeFMUstate(state)
+    assert "cannot be serialised" in one.messages[-1]
+    one.c.reset()
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        one.c.setFMUstate(state)
+    assert "not these sensitivities" in one.messages[-1]
+    one.c.freeFMUstate(state)
+
+
+def test_inputs_that_move_along_a_direction(fmu):
+    # tau = a sin(t), held or along lines: the derivative by a is that of two runs
+    shown, h = ("phi", "energy", "der(w)", "tau"), 0.05
+
+    def run(a, held, *, differentiated=False):
+        one = fmu("pendulum")
+        call, c, n = one.c.dll, ctypes.c_void_p(one.c.component), ctypes.c_size_t
+        if differentiated:
+            assert call.fmuidSetSensitivityDirections(c, None, n(0), None, n(1)) == 0
+        one.start(1e-9)
+        found = []
+        for k in range(30):
+            now, then = np.sin(h * k), np.sin(h * (k + 1))
+            slope = 0.0 if held else (then - now) / h
+            one.set(tau=a * now)
+            one.c.setRealInputDerivatives([one.vr["tau"]], [1], [a * slope])
+            if differentiated:
+                vr = (ctypes.c_uint * 1)(one.vr["tau"])
+                seed, rate = ((ctypes.c_double * 1)(v) for v in (now, slope))
+                assert call.fmuidSetInputDirections(c, vr, n(1), seed, rate) == 0
+            one.c.doStep(h * k, h)
+            found.append(
+                sensitivities(one, shown, 1)[:, 0] if differentiated else [one.get(name) for name in shown]
+            )
+        return np.array(found)
+
+    for held in (True, False):
+        differences = (run(1.0 + 1e-4, held) - run(1.0 - 1e-4, held)) / 2e-4
+        np.testing.assert_allclose(run(1.0, held, differentiated=True), differences, rtol=1e-5, atol=1e-6)
+
+
+def test_only_real_inputs_move_along_directions(fmu):
+    one = fmu("pendulum")
+    call, c, one_number = one.c.dll, ctypes.c_void_p(one.c.component), (ctypes.c_double * 1)(1.0)
+    names = [(ctypes.c_uint * 1)(one.vr[name]) for name in ("tau", "m")]
+    assert call.fmuidSetInputDirections(c, names[0], ctypes.c_size_t(1), one_number, one_number) == 3
+    assert "no sensitivities were chosen" in one.messages[-1]
+    choose(one, ["m"])
+    assert call.fmuidSetInputDirections(c, names[1], ctypes.c_size_t(1), one_number, one_number) == 3
+    assert "no real input" in one.messages[-1]
+    infinite = (ctypes.c_double * 1)(np.inf)
+    assert call.fmuidSetInputDirections(c, names[0], ctypes.c_size_t(1), infinite, one_number) == 3
+    assert "not finite" in one.messages[-1]

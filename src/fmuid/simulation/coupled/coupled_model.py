@@ -165,8 +165,8 @@ class CoupledModel:
     def differentiates(self, names: Collection[str]) -> bool:
         """Return whether runs can be differentiated with respect to `names`.
 
-        They can if this is true of every FMU that a parameter reaches, by itself or through connections, if what
-        is connected there is real, and if none of these FMUs is in a loop that is iterated.
+        They can if this is true of every FMU that a parameter reaches, by itself or through connections, and if
+        what is connected there is real.
         """
         with self._lock:
             key = frozenset(names)
@@ -304,20 +304,15 @@ class CoupledModel:
         except FmuError:
             return False
         reached = self._reached({place.component for place in moved})
-        order = list(self.components)
-        looped = [name for first, end in enumerate(self._wiring.loops) for name in order[first:end]]
-        return (
-            reached.isdisjoint(looped)
-            and all(
-                self.components[end.component].variables[end.variable].type in ("Real", "Float64")
-                for k in self.connections
-                if k.source.component in reached
-                for end in (k.source, k.target)
-            )
-            and all(
-                self.components[name].differentiates({p.variable for p in moved if p.component == name})
-                for name in reached
-            )
+        real = all(
+            self.components[end.component].variables[end.variable].type in ("Real", "Float64")
+            for k in self.connections
+            if k.source.component in reached
+            for end in (k.source, k.target)
+        )
+        return real and all(
+            self.components[name].differentiates({p.variable for p in moved if p.component == name})
+            for name in reached
         )
 
     def _reached(self, components: Collection[str]) -> set[str]:

@@ -103,9 +103,9 @@ class System(ctypes.Structure):
         ("residual", c_void_p),
         ("last", c_void_p),
         ("change", c_void_p),
+        ("scale", c_void_p),
         ("moved", c_void_p),
         ("left", c_void_p),
-        ("scale", c_void_p),
         ("inverse", c_void_p),
         ("reached", c_int64),
         ("step", c_int32),
@@ -242,7 +242,9 @@ class Layout:
             setattr(system, name, self._pointer(np.zeros(system.n_values * len(task.along) + 1)))
         system.seeds, system.rates = (self._pointer(np.zeros(len(links) * len(task.along) + 1)) for _ in range(2))
         system.driven = self._pointer(np.zeros(len(links) + 1), "u4")
-        for name in ("unknowns", "residual", "last", "change", "moved", "left", "scale"):
+        for name in ("unknowns", "residual", "last", "change", "scale"):
+            setattr(system, name, self._pointer(np.zeros(unknowns * (1 + len(task.along)) + 1)))
+        for name in ("moved", "left"):
             setattr(system, name, self._pointer(np.zeros(unknowns + 1)))
         system.inverse = self._pointer(np.zeros(unknowns * unknowns + 1))
         before_end, end = float(task.time[-2]), float(task.time[-1])

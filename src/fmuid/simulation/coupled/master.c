@@ -57,7 +57,9 @@ typedef struct {
     uint32_t *driven;         /* references of these inputs */
     int32_t *known;           /* (n_components) outputs in `next` are there */
     int32_t *members;         /* unknowns of the loop in hand */
-    double *unknowns, *residual, *last, *change, *moved, *left, *scale, *inverse; /* (n_unknowns), inverse its square */
+    /* each with its derivatives along the directions, (n_unknowns, 1 + n_directions) */
+    double *unknowns, *residual, *last, *change, *scale;
+    double *moved, *left, *inverse; /* (n_unknowns), inverse its square */
     /* progress and outcome */
     int64_t reached;          /* last sample whose outputs are there */
     int32_t step;             /* communication steps since then */
@@ -67,6 +69,9 @@ typedef struct {
 } System;
 
 static double *inputs_of(const Plan *plan) { return (double *)plan->inputs; }
+
+/* Where unknown i and its derivatives are among those of the loops. */
+static inline size_t row_of(const System *s, int32_t i) { return (size_t)i * (1 + s->n_directions); }
 
 typedef struct { double begin, end; } Window;
 
@@ -89,7 +94,7 @@ static void follow(System *s, int32_t c, bool iterating)
         Window w = followed(s, l, s->before[l->source], s->now[l->source], s->next[l->source]);
         w = (Window){l->factor * w.begin + l->offset, l->factor * w.end + l->offset};
         if (iterating && l->unknown >= 0) {
-            w.end = s->unknowns[l->unknown];
+            w.end = s->unknowns[row_of(s, l->unknown)];
             w.begin = l->linear ? l->factor * s->now[l->source] + l->offset : w.end;
         }
         inputs_of(plan)[l->column] = w.begin;
@@ -105,7 +110,7 @@ static bool interpolated(const Plan *plan, int32_t column)
 }
 
 /* How the connected inputs of component c move along the directions, over the communication step or in initialisation. */
-static int32_t drive(System *s, int32_t c, bool initialising)
+static int32_t drive(System *s, int32_t c, bool iterating, bool initialising)
 {
     Plan *plan = s->plans[c];
     const size_t n = s->n_directions;
@@ -120,8 +125,13 @@ static int32_t drive(System *s, int32_t c, bool initialising)
             double next = s->next_slopes[row + j];
             Window w = {s->known[l->from] ? next : 0, 0};
             if (!initialising) w = followed(s, l, s->before_slopes[row + j], s->now_slopes[row + j], next);
-            *seed++ = l->factor * w.begin;
-            *rate++ = !initialising && moves ? l->factor * (w.end - w.begin) / h : 0;
+            w = (Window){l->factor * w.begin, l->factor * w.end};
+            if (iterating && l->unknown >= 0) {
+                w.end = s->unknowns[row_of(s, l->unknown) + 1 + j];
+                w.begin = l->linear && !initialising ? l->factor * s->now_slopes[row + j] : w.end;
+            }
+            *seed++ = w.begin;
+            *rate++ = !initialising && moves ? (w.end - w.begin) / h : 0;
         }
         s->driven[count++] = l->reference;
     }
@@ -185,7 +195,7 @@ static int32_t step_one(System *s, int32_t c, bool iterating)
     feed(s, c);
     follow(s, c, iterating);
     plan->reached_time = s->window[0];
-    TRY(drive(s, c, false));
+    TRY(drive(s, c, iterating, false));
     TRY(plan->model_exchange ? integrate(plan, 0) : do_step(plan, 0));
     return take_outputs(s, c);
 }
@@ -198,49 +208,58 @@ static int32_t initialise_one(System *s, int32_t c, bool iterating)
     for (const Link *l = s->links; l < s->links + s->n_links; l++) {
         if (l->component != c) continue;
         double value = s->known[l->from] ? l->factor * s->next[l->source] + l->offset : l->start;
-        inputs_of(plan)[l->column] = iterating && l->unknown >= 0 ? s->unknowns[l->unknown] : value;
+        inputs_of(plan)[l->column] = iterating && l->unknown >= 0 ? s->unknowns[row_of(s, l->unknown)] : value;
     }
     TRY(set_values(plan, plan->input_groups, plan->n_input_groups, plan->inputs));
-    TRY(drive(s, c, true));
+    TRY(drive(s, c, iterating, true));
     return get_outputs(s, c);
 }
 
 /* ---- Loops: the connected inputs z of which each is what the outputs make of it, by Broyden's method. ---- */
 
-/* What each unknown of components first to last should be, less what it is; true if that is next to nothing. What it
- * is compared with does not grow while the iteration runs away. */
-static bool miss(System *s, int32_t first, int32_t last, bool begins)
+enum { VALUES_SOLVED = 1, SLOPES_SOLVED = 2 };
+
+/* What each unknown of components first to last should be, less what it is, and whether that is next to nothing. What
+ * values are compared with does not grow while the iteration runs away. */
+static int miss(System *s, int32_t first, int32_t last, bool begins)
 {
-    bool solved = true;
+    int solved = VALUES_SOLVED | SLOPES_SOLVED;
     for (const Link *l = s->links; l < s->links + s->n_links; l++) {
-        int32_t i = l->unknown;
-        if (i < 0 || l->component < first || l->component >= last) continue;
-        double value = l->factor * s->next[l->source] + l->offset;
-        s->residual[i] = value - s->unknowns[i];
-        if (begins) s->scale[i] = fmax(s->scale[i], fabs(value));
-        double allowed = s->tolerance * s->scale[i]; /* a value whose rounding exceeds it proves nothing */
-        solved &= fabs(s->residual[i]) <= allowed && DBL_EPSILON * fabs(value) <= allowed;
+        if (l->unknown < 0 || l->component < first || l->component >= last) continue;
+        const size_t row = row_of(s, l->unknown);
+        for (size_t j = 0; j <= s->n_directions; j++) {
+            double value = l->factor * (j ? s->next_slopes[(size_t)l->source * s->n_directions + j - 1] : s->next[l->source]);
+            if (j == 0) value += l->offset;
+            s->residual[row + j] = value - s->unknowns[row + j];
+            if (begins || j > 0) s->scale[row + j] = fmax(s->scale[row + j], fabs(value));
+            double allowed = s->tolerance * s->scale[row + j]; /* a value whose rounding exceeds it proves nothing */
+            if (!(fabs(s->residual[row + j]) <= allowed && DBL_EPSILON * fabs(value) <= allowed))
+                solved &= j ? ~SLOPES_SOLVED : ~VALUES_SOLVED;
+        }
     }
     return solved;
 }
 
-/* Better the inverse Jacobian by what the last change did to the residual (Broyden, 1965). */
-static void learn(System *s, int32_t m)
+/* Better the inverse Jacobian by what the last change did to the residual (Broyden, 1965), of the values (j = 0) or of
+ * their derivatives along a direction, for which it is the same. */
+static void learn(System *s, int32_t m, size_t j)
 {
     const int32_t n = s->n_unknowns, *i = s->members;
+    const double *change = s->change + j, *residual = s->residual + j, *last = s->last + j;
     double *inverse = s->inverse, along = 0;
     for (int32_t a = 0; a < m; a++) {
         s->moved[a] = s->left[a] = 0;
         for (int32_t b = 0; b < m; b++) {
-            s->moved[a] += inverse[i[a] * n + i[b]] * (s->residual[i[b]] - s->last[i[b]]);
-            s->left[a] += s->change[i[b]] * inverse[i[b] * n + i[a]];
+            const size_t row = row_of(s, i[b]);
+            s->moved[a] += inverse[i[a] * n + i[b]] * (residual[row] - last[row]);
+            s->left[a] += change[row] * inverse[i[b] * n + i[a]];
         }
-        along += s->change[i[a]] * s->moved[a];
+        along += change[row_of(s, i[a])] * s->moved[a];
     }
     if (along == 0 || !isfinite(along)) return;
     for (int32_t a = 0; a < m; a++)
         for (int32_t b = 0; b < m; b++)
-            inverse[i[a] * n + i[b]] += (s->change[i[a]] - s->moved[a]) * s->left[b] / along;
+            inverse[i[a] * n + i[b]] += (change[row_of(s, i[a])] - s->moved[a]) * s->left[b] / along;
 }
 
 static int32_t keep_states(System *s, int32_t first, int32_t last)
@@ -273,7 +292,13 @@ static int32_t guess(System *s, int32_t first, int32_t last, bool initialising)
         s->members[m++] = l->unknown;
         double value = s->now[l->source];
         if (s->step_before > 0) value += (value - s->before[l->source]) * (h / s->step_before);
-        s->unknowns[l->unknown] = initialising ? l->start : l->factor * value + l->offset;
+        double *to = s->unknowns + row_of(s, l->unknown);
+        *to++ = initialising ? l->start : l->factor * value + l->offset;
+        for (size_t j = (size_t)l->source * s->n_directions; j < (size_t)(l->source + 1) * s->n_directions; j++) {
+            double slope = s->now_slopes[j];
+            if (s->step_before > 0) slope += (slope - s->before_slopes[j]) * (h / s->step_before);
+            *to++ = initialising ? 0 : l->factor * slope;
+        }
     }
     return m;
 }
@@ -282,17 +307,25 @@ static int32_t solve_loop(System *s, int32_t first, int32_t last, bool initialis
 {
     const int32_t m = guess(s, first, last, initialising), n = s->n_unknowns, *i = s->members;
     if (!initialising) TRY(keep_states(s, first, last));
+    int solved = 0;
     for (int32_t iteration = 0; iteration < s->iterations; iteration++) {
         if (iteration > 0 && !initialising) TRY(go_back(s, first, last));
         for (int32_t c = first; c < last; c++) TRY(initialising ? initialise_one(s, c, true) : step_one(s, c, true));
-        memcpy(s->last, s->residual, (size_t)n * sizeof(double));
-        if (miss(s, first, last, iteration == 0)) return DONE;
-        if (iteration > 0) learn(s, m);
-        for (int32_t a = 0; a < m; a++) {
-            s->change[i[a]] = 0;
-            for (int32_t b = 0; b < m; b++) s->change[i[a]] -= s->inverse[i[a] * n + i[b]] * s->residual[i[b]];
-        }
-        for (int32_t a = 0; a < m; a++) s->unknowns[i[a]] += s->change[i[a]];
+        memcpy(s->last, s->residual, row_of(s, n) * sizeof(double));
+        const int before = solved;
+        solved = miss(s, first, last, iteration == 0);
+        if (solved == (VALUES_SOLVED | SLOPES_SOLVED)) return DONE;
+        if (iteration > 0) learn(s, m, 0);
+        for (size_t j = 1; before & VALUES_SOLVED && j <= s->n_directions; j++) learn(s, m, j);
+        for (int32_t a = 0; a < m; a++)
+            for (size_t j = 0, row = row_of(s, i[a]); j <= s->n_directions; j++) {
+                s->change[row + j] = 0;
+                if (j == 0 && solved & VALUES_SOLVED) continue; /* derivatives are of a run that stays as it is */
+                for (int32_t b = 0; b < m; b++)
+                    s->change[row + j] -= s->inverse[i[a] * n + i[b]] * s->residual[row_of(s, i[b]) + j];
+            }
+        for (int32_t a = 0; a < m; a++)
+            for (size_t j = 0, row = row_of(s, i[a]); j <= s->n_directions; j++) s->unknowns[row + j] += s->change[row + j];
     }
     s->failed = first;
     s->plans[first]->reached_time = s->window[initialising ? 0 : 1];
@@ -352,7 +385,7 @@ static int32_t initialise_all(System *s)
     s->step_before = 0;
     memset(s->known, 0, (size_t)s->n_components * sizeof *s->known);
     for (int32_t i = 0; i < s->n_unknowns; i++) {
-        s->scale[i] = 1e-6;
+        for (size_t j = 0; j <= s->n_directions; j++) s->scale[row_of(s, i) + j] = j ? 0 : 1e-6;
         for (int32_t j = 0; j < s->n_unknowns; j++) s->inverse[i * s->n_unknowns + j] = i == j ? -1 : 0;
     }
     memset(s->next, 0, (size_t)s->n_values * sizeof(double));
