@@ -205,6 +205,14 @@ class Fmu:
                 )
             return self._differentiates[key]
 
+    @property
+    def moves_inputs(self) -> bool:
+        """Whether inputs can move with parameters in runs with derivatives; FMUs of earlier versions cannot."""
+        with self._lock:
+            return self.differentiates(()) and bool(
+                self._load().functions[FUNCTIONS.index("SET_INPUT_DIRECTIONS")]
+            )
+
     def _try_directions(self, references: Sequence[int]) -> bool:
         library = self._load()
         if library.functions[FUNCTIONS.index("SET_DIRECTIONS")] is None:

@@ -311,8 +311,9 @@ class CoupledModel:
             for end in (k.source, k.target)
         )
         return real and all(
-            self.components[name].differentiates({p.variable for p in moved if p.component == name})
-            for name in reached
+            fmu.moves_inputs and fmu.differentiates({p.variable for p in moved if p.component == name})
+            for name, fmu in self.components.items()
+            if name in reached
         )
 
     def _reached(self, components: Collection[str]) -> set[str]:
