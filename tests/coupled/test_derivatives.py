@@ -99,8 +99,11 @@ def test_iterated_loops_of_a_large_gain(made, extrapolation):
 def test_what_cannot_be_differentiated_is_not(made, python_pi, tmp_path, monkeypatch):
     counted = coupled({"first": made("Counter"), "second": made("Counter")}, {"second.n": "first.twice"}, step=0.1)
     assert not counted.differentiates({"first.u"})
-    monkeypatch.setenv("FMU_BUILD_CFLAGS", "-DfmuidSetInputDirections=unknown")
-    old = fmu_build.build(Path(__file__).parent / "models" / "Gain.mo", "Gain", tmp_path)  # as of a version without this function
+    with monkeypatch.context() as patch:
+        patch.setenv("FMU_BUILD_CFLAGS", "-DfmuidSetInputDirections=unknown")
+        old = fmu_build.build(
+            Path(__file__).parent / "models" / "Gain.mo", "Gain", tmp_path
+        )  # as of a version without this function
     earlier = coupled({"lag": made("Lag"), "gain": old}, {"gain.u": "lag.x"}, step=1e-2)
     assert not earlier.differentiates({"lag.T"})
     foreign = coupled({"lag": made("Lag"), "pi": python_pi}, {"pi.w": "lag.x"}, step=1e-2)
