@@ -72,9 +72,9 @@ counts, imports do not. An exact derivative is one simulation in the count, thou
 
 Both FMUs are of `fmuid build`, so every tool has its integrator. The stiff actuator spends nearly all time in the
 FMU's own steps, which all tools pay for alike: there a least-squares search written by hand can only lose by the
-loop around the steps and by the simulations that exact derivatives save. fmuid's four runs with three derivatives
-take the time of about ten plain ones. It could not be five times as fast as 13 runs by FMPy even if nothing else
-took time. A simulation of the pendulum costs little beside a loop over its samples in Python.
+loop around the steps and by the simulations that exact derivatives save. Each of fmuid's four runs with three
+derivatives takes the time of three to four plain ones. It could not be five times as fast as 13 runs by FMPy even
+if nothing else took time. A simulation of the pendulum costs little beside a loop over its samples in Python.
 
 ## A friction law, as others fit it
 

@@ -11,11 +11,16 @@
 #include <math.h>
 #include <string.h>
 
-#include "rows.h"
+#include "collocation.h"
 #include "sensitivity.h"
 
 static const double RADAU_NODE[RADAU] = {0.1550510257216822, 0.6449489742783178, 1.0};
 static const double W_SUM[RADAU] = {4.139387691339814, -1.7393876913398136, 3.0};
+
+/* to += a * row for n directions */
+static inline void add_row(size_t n, double a, const double *restrict row, double *restrict to) {
+    for (size_t p = 0; p < n; p++) to[p] += a * row[p];
+}
 
 /* to += a * row k of q->moves */
 static inline void add_moved(const struct Sensitivity *q, double a, int k, double *to) {
@@ -190,6 +195,40 @@ static int planned_blocks(struct Sensitivity *q, double h, double (*jacobian)[LE
     return grown;
 }
 
+/* rows -= block * other, each RADAU rows of m, n apart */
+static inline void subtract_rows(size_t m, size_t n, const double *block, const double *restrict other,
+                                 double *restrict rows) {
+    for (int i = 0; i < RADAU; i++)
+        for (size_t p = 0; p < m; p++)
+            rows[i * n + p] -= block[i * RADAU] * other[p] + block[i * RADAU + 1] * other[n + p] +
+                               block[i * RADAU + 2] * other[2 * n + p];
+}
+
+/* Solves for m directions: `y` has the rows in steps, `to` receives those of the unknowns, all n apart. */
+static inline void solve_rows(const struct Sensitivity *q, size_t m, size_t n, double *y, double *to) {
+    const Pattern *p = &PATTERN_BLOCKS;
+    const double *lu = q->factors;
+    const size_t all = RADAU * n;
+    for (int k = 0; k < N; k++)
+        for (int r = MODEL_J_LU_DIAGONAL[k] + 1; r < MODEL_J_LU_START[k + 1]; r++)
+            subtract_rows(m, n, lu + r * BLOCK, y + k * all, y + MODEL_J_LU_ROW[r] * all);
+    for (int k = N - 1; k >= 0; k--) {
+        const int diagonal = MODEL_J_LU_DIAGONAL[k];
+        double *solved = to + p->column[k] * all, negative[BLOCK];
+        for (int i = 0; i < BLOCK; i++) negative[i] = -lu[diagonal * BLOCK + i];
+        for (int i = 0; i < RADAU; i++)
+            for (size_t j = 0; j < m; j++) solved[i * n + j] = 0.0;
+        subtract_rows(m, n, negative, y + k * all, solved);
+        for (int s = MODEL_J_LU_START[k]; s < diagonal; s++) {
+            const double *block = lu + s * BLOCK;
+            double *rows = y + MODEL_J_LU_ROW[s] * all;
+            if (MODEL_J_LU_UPDATED[s]) subtract_rows(m, n, block, solved, rows);
+            else
+                for (int i = 0; i < RADAU; i++) add_row(m, -block[i * (RADAU + 1)], solved + i * n, rows + i * n);
+        }
+    }
+}
+
 /* The collocation equations of a piece of the last step: with W the inverse of the method's matrix,
  *     sum_j W_ij S_j - h J_i S_i = h df/dp_i + (sum_j W_ij) S_0,
  * and for the unknowns of loops without W and h. */
@@ -218,7 +257,7 @@ static Status solve_piece(Instance *me) {
 #define SOLVE_FEW(k) solve_rows(q, k, k, q->rest, q->stages)
     if (n < SLICE) UNROLLED(n, SOLVE_FEW);
     else EACH_LIVE(q, first, end) {
-        if (end - first == SLICE) solve_slice(q, n, q->rest + first, q->stages + first);
+        if (end - first == SLICE) solve_rows(q, SLICE, n, q->rest + first, q->stages + first);
         else solve_rows(q, end - first, n, q->rest + first, q->stages + first);
     }
 #undef SOLVE_FEW

@@ -15,7 +15,9 @@ import fmu_build
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from systems import BUILT, DRIVES
+from systems import DRIVES
+
+from tests.conftest import build_once
 
 MODELS = Path(__file__).parent / "models"
 PI = """
@@ -52,7 +54,7 @@ def drive() -> Mapping[str, Path]:
         "controller": "Signals/SpeedController",
     }
     return {
-        name: fmu_build.build(DRIVES / f"{place}.mo", f"Drives.{place.replace('/', '.')}", BUILT)
+        name: build_once(DRIVES / f"{place}.mo", f"Drives.{place.replace('/', '.')}")
         for name, place in places.items()
     }
 
