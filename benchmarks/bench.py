@@ -154,7 +154,7 @@ def evaluation_table(costs: Sequence[evaluation.Cost]) -> str:
 
 
 def derivatives_table(costs: Sequence[evaluation.DerivativeCost]) -> str:
-    rows = [[c.what, str(c.parameters), *(f"{n:.2g}" for n in (c.exact, c.forward, c.central))] for c in costs]
+    rows = [[c.what, str(c.parameters), *(f"{n:.1f}" for n in (c.exact, c.forward, c.central))] for c in costs]
     return table(["of", "parameters", "sensitivities", "forward differences", "central differences"], rows)
 
 

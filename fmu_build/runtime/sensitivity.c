@@ -38,9 +38,15 @@ static int shared_slopes(Instance *me, const double *t, const double *x, const d
     struct Sensitivity *q = me->sensitivity;
     double by_moved[LENGTH(MODEL_NSLOPE + MODEL_NELEMENT)];
     environment_at(me, t, x, u);
-    me->res[0] = jacobian;
-    me->res[1] = by_moved;
-    if (CALL(slopes)) return 1;
+    if (q->n_active > 0 && q->active[0] >= MODEL_NSLOPE) { /* of tables alone */
+        me->res[0] = me->res[2] = NULL;
+        me->res[1] = jacobian;
+        if (CALL(jacobian)) return 1;
+    } else {
+        me->res[0] = jacobian;
+        me->res[1] = by_moved;
+        if (CALL(slopes)) return 1;
+    }
     if (q->elements) {
         environment_at(me, t, x, u);
         me->res[0] = by_moved + MODEL_NSLOPE;
