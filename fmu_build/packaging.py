@@ -26,8 +26,8 @@ from fmu_build.switches import switches_code
 
 DEFAULT_TOLERANCE = 1e-6
 # Contraction into fused operations would make results depend on the processor that the compiler targets. Loops are
-# over a handful of states: unrolling saves a fifth of the time, vectors of two cost more than they save. Loops over
-# the directions of derivatives gain a tenth by vectors.
+# over a handful of states: unrolling saves a fifth of the time, vectors of two cost more than they save. Loops
+# over the directions of derivatives gain a tenth by vectors.
 # Processors reorder instructions themselves: scheduling them takes an eighth of the compiler's time for nothing.
 C_FLAGS = ("-std=c99", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
 # Functions that a simulation seldom calls, or that only pass on a call, are not worth optimising. Equations, which
