@@ -393,7 +393,8 @@ static int follow_variables(Instance *me, const unsigned char *asked) {
         Direction s = {.u = {0}};
         s.u[i] = 1.0;
         if (variables_along(me, now->t, now->x, now->u, &s)) return 1;
-        add_driven(q, i, now->t, s.v, NV, q->shown);
+        for (int row = 0; row < NV; row++)
+            if (asked[row]) add_driven(q, i, now->t, &s.v[row], 1, q->shown + row * n);
     }
     return 0;
 }

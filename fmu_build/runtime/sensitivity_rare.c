@@ -314,18 +314,16 @@ int fmuidSetInputDirections(void *instance, const unsigned *inputs, size_t n_inp
             q->live[j / SLICE] |= next->driven[i];
         }
     }
-    q->replaced = 1;
     int same = 1;
     for (int i = 0; i < NU; i++)
         for (size_t j = 0; j < n; j++)
             same &= next->seeds[i * n + j] == input_move(&q->drive, n, i, j, s->t) &&
                     next->rates[i * n + j] == q->drive.rates[i * n + j];
-    if (same) q->replaced = 0;
-    else if (before) {
+    q->replaced = !same;
+    if (q->replaced && before) {
         replace_drive(q);
         s->initialised = 0;
-    } else {
-        s->changed = 1;
     }
+    s->changed |= q->replaced;
     return STATUS_OK;
 }

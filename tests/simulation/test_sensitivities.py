@@ -52,11 +52,16 @@ VALUES = {"m": 0.8, "d": 0.5, "fc[1]": 0.4, "fc[2]": 0.4}
 ALONG = ({"m": 1.0}, {"d": 2.0}, {"fc[1]": 1.0, "fc[2]": 1.0}, {"v": 1.0})
 
 
+def made(folder, text):
+    """The FMU of the model in a Modelica text."""
+    name = text.split()[1]
+    (folder / f"{name}.mo").write_text(text)
+    return Fmu(build_modelica(folder / f"{name}.mo", name, folder))
+
+
 @pytest.fixture(scope="module")
 def slider(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("slider")
-    (folder / "Slider.mo").write_text(MODEL)
-    return build_modelica(folder / "Slider.mo", "Slider", folder)
+    return made(tmp_path_factory.mktemp("slider"), MODEL).path
 
 
 def test_derivatives_are_those_of_accurate_runs_through_reversals(slider):
@@ -81,7 +86,8 @@ def test_derivatives_are_those_of_accurate_runs_through_reversals(slider):
 
 
 def test_a_table_that_moves_as_one_has_the_sum_of_its_entries_derivatives(tmp_path):
-    (tmp_path / "Table.mo").write_text(
+    fmu = made(
+        tmp_path,
         """
         model Table "Damping by speed, between points of a table"
           parameter Real d[12] = {2.0 + 0.1*k for k in 1:12};
@@ -94,9 +100,8 @@ def test_a_table_that_moves_as_one_has_the_sum_of_its_entries_derivatives(tmp_pa
           m*der(v) = u - friction;
           der(w) = {friction*k - w[k] for k in 1:5};
         end Table;
-        """
+        """,
     )
-    fmu = Fmu(build_modelica(tmp_path / "Table.mo", "Table", tmp_path))
     entries = [f"d[{k}]" for k in range(1, 13)]
     each, one = ({name: 1.0} for name in entries), dict.fromkeys(entries, 1.0)
     task = replace(TASK, inputs={"u": 4.0 * TASK.inputs["u"]}, outputs=("v",))
@@ -109,7 +114,8 @@ def test_a_table_that_moves_as_one_has_the_sum_of_its_entries_derivatives(tmp_pa
 
 
 def test_many_directions_at_once_are_those_one_by_one(tmp_path):
-    (tmp_path / "Wall.mo").write_text(
+    fmu = made(
+        tmp_path,
         """
         model Wall "Damping from a table, whose entries come into play one after the other, and a wall that throws back"
           parameter Real d[30] = {0.3 + 0.01*k for k in 1:30};
@@ -124,9 +130,8 @@ def test_many_directions_at_once_are_those_one_by_one(tmp_path):
             reinit(v, -0.7*pre(v));
           end when;
         end Wall;
-        """
+        """,
     )
-    fmu = Fmu(build_modelica(tmp_path / "Wall.mo", "Wall", tmp_path))
     names = [f"d[{k}]" for k in range(1, 31)] + ["x", "m"]
     task = replace(TASK, inputs={"u": 4.0 * TIME * np.sin(9.0 * TIME)})
     together = fmu.simulate(replace(task, along=tuple({n: 1.0} for n in names)), {})[2:].reshape(len(names), 2, -1)

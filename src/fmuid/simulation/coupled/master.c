@@ -323,9 +323,8 @@ static int32_t solve_loop(System *s, int32_t first, int32_t last, bool initialis
                 if (j == 0 && solved & VALUES_SOLVED) continue; /* derivatives are of a run that stays as it is */
                 for (int32_t b = 0; b < m; b++)
                     s->change[row + j] -= s->inverse[i[a] * n + i[b]] * s->residual[row_of(s, i[b]) + j];
+                s->unknowns[row + j] += s->change[row + j];
             }
-        for (int32_t a = 0; a < m; a++)
-            for (size_t j = 0, row = row_of(s, i[a]); j <= s->n_directions; j++) s->unknowns[row + j] += s->change[row + j];
     }
     s->failed = first;
     s->plans[first]->reached_time = s->window[initialising ? 0 : 1];
