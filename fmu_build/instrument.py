@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Literal as Choice
 from typing import cast
 
-from fmu_build.builtin_functions import SUPPORTED
+from fmu_build.builtin_functions import SUPPORTED, UNSUPPORTED
 from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import ADDED, Equation, FlatModel, Variable, number, variable
 from fmu_build.front.parser import expression as parse_expression
@@ -139,6 +139,8 @@ def _expression(flat: FlatModel, term: Term, quantities: Mapping[str, Expression
     """Parse a term and substitute the meaning of its names."""
 
     def resolve(node: Expression) -> Expression:
+        if isinstance(node, Call) and node.function in UNSUPPORTED:
+            raise ModelicaError(f"'{node.function}' is not supported", where=term.where)
         if isinstance(node, Call) and not (node.function in SUPPORTED or node.function in flat.functions):
             raise ModelicaError(f"there is no function '{node.function}'", where=term.where,
                                 fix=suggestion(node.function, SUPPORTED))  # fmt: skip

@@ -379,6 +379,7 @@ def test_a_term_acts_where_it_is_put():
         (Term("rotr", "flow", "0"), "no port 'rotr'; did you mean 'rotor'"),
         (Term("rotor", "flow", "2*speed"), "'speed' is unknown at port 'rotor'"),
         (Term("rotor", "flow", "2*tahn(rate)"), "there is no function 'tahn'; did you mean 'tan'"),
+        (Term("rotor", "flow", "delay(rate, 1e-3)"), "'delay' is not supported"),
         (Term("rotor", "potential", "0"), "not a branch"),
     ],
 )
@@ -937,12 +938,14 @@ def test_what_a_model_cannot_be_built_with_is_left_out_and_said(cache, tmp_path)
     assert "load.leakage" in variables
     assert "between.leakage" not in variables
     assert "first.n.added_flow" not in variables
-    assert left_out([model], catalogue, variables.keys()) == ["leakage@between"]
+    [(why, left)] = left_out([model], catalogue, variables.keys()).items()
+    assert left == ["leakage@between"]
+    assert why == "singular: the equations do not determine between.p.i, first.n.v"
 
     late = replace(catalogue.effects["leakage@between"], variant=True)
     catalogue = replace(catalogue, effects={**catalogue.effects, late.id: late})
     model = replace(model, fmu=carrier(source, catalogue))
-    assert left_out([model], catalogue, load_fmu(model.fmu).variables.keys()) == []
+    assert left_out([model], catalogue, load_fmu(model.fmu).variables.keys()) == {}
     variants = Variants({"coils": model}, catalogue, lambda m: load_fmu(m.fmu))
     assert variants.simulator("coils", {"between.resistance": 0.1}) is not None
     with pytest.raises(SimulationError, match="cannot be built with 'leakage@between'"):

@@ -130,9 +130,10 @@ def subject_of(
     findings += tuple(f"Left out of experiment '{o.experiment}', signal '{o.signal}': {o}." for o in found)
     outliers = tuple(LeftOut(o.experiment, o.signal, len(o.times)) for o in found)
     models = [campaign.models[setup] for setup in {case.setup for case in model.cases}]
-    unbuilt = left_out(models, catalogue, known)
-    if unbuilt:
-        findings += (f"Not looked for, because the model cannot be built with it: {', '.join(unbuilt)}.",)
+    findings += tuple(
+        f"Not looked for, because the model cannot be built with it: {', '.join(ids)} ({why})."
+        for why, ids in left_out(models, catalogue, known).items()
+    )
     recordings = {e.id: e.digest for e in chosen}
     stages = last_stages(campaign)
     findings += findings_of(model, stages)

@@ -73,13 +73,9 @@ def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Co
     every = []
     for effect in catalogue.effects.values():
         if effect.expression and effect.port in known and effect.id not in inside:
+            addition = _addition(effect, flat)
             acts = not effect.variant or effect.id in tried
-            names = [
-                Added(u.name, effect.neutral[u.name], effect.units.get(u.name, ""), effect.description)
-                for u in effect.unknowns
-                if u.name not in flat.variables
-            ]
-            every.append(_Addition(terms_of(effect, f"[effects.{effect.id!r}] expression") if acts else [], names))
+            every.append(addition if acts else replace(addition, terms=[]))
     for port in catalogue.ports.values():
         if port.added and port.input and port.name in known:
             where = f"[ports.{port.name!r}] input"
@@ -91,6 +87,15 @@ def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Co
             every.append(_Addition([term], [Added(port.input, 0.0, port.unit, port.description, input=True)]))
 
     return _with_what_fits(source, flat, every)
+
+
+def _addition(effect: Effect, flat: FlatModel) -> _Addition:
+    names = [
+        Added(u.name, effect.neutral[u.name], effect.units.get(u.name, ""), effect.description)
+        for u in effect.unknowns
+        if u.name not in flat.variables
+    ]
+    return _Addition(terms_of(effect, f"[effects.{effect.id!r}] expression"), names)
 
 
 def _with_what_fits(source: ModelSource, flat: FlatModel, additions: Sequence[_Addition]) -> Path:
@@ -143,12 +148,27 @@ def _fitting(flat: FlatModel, additions: Sequence[_Addition], before: Sequence[_
     return [*first, *_fitting(flat, additions[half:], [*before, *first])]
 
 
-def left_out(models: Iterable[ModelSpec], catalogue: Catalogue, variables: Set[str]) -> list[str]:
-    """Return the effects that `models` could not be built with, so that their `variables` lack its parameters."""
+def left_out(models: Iterable[ModelSpec], catalogue: Catalogue, variables: Set[str]) -> dict[str, list[str]]:
+    """Return effects that `models` could not be built with, so that `variables` lack them, by reason."""
     lacking = [e for e in catalogue.effects.values() if e.expression and variables.isdisjoint(e.neutral)]
     flat = [flat_model(model.source) for model in models if lacking and model.source is not None]
-    ports = {port.name for one in flat for port in find_ports(one)}
-    return [e.id for e in lacking if e.port in ports]
+    ports = [{port.name for port in find_ports(one)} for one in flat]
+    found: dict[str, list[str]] = {}
+    for effect in lacking:
+        having = [one for one, own in zip(flat, ports, strict=True) if effect.port in own]
+        if having:
+            found.setdefault(_why_not(effect, having), []).append(effect.id)
+    return found
+
+
+def _why_not(effect: Effect, models: Iterable[FlatModel]) -> str:
+    """Return what is said when flat models are compiled with an effect alone."""
+    for flat in models:
+        try:
+            compile_flat(instrument(flat, *_together([_addition(effect, flat)])))
+        except ModelicaError as error:
+            return error.what
+    return "it does not go together with other effects"
 
 
 def terms_of(effect: Effect, where: str) -> list[Term]:

@@ -202,8 +202,8 @@ def with_laws(
         for setup in {case.setup for case in subject.model.cases}
     }
     variables = {name for simulator in simulators.values() for name in simulator.variables}
-    if lacking := left_out([models[setup] for setup in simulators], catalogue, variables):
-        raise ModelicaError(f"the model cannot be built with '{lacking[0]}'")
+    for why, (id, *_) in left_out([models[setup] for setup in simulators], catalogue, variables).items():
+        raise ModelicaError(f"the model cannot be built with '{id}': {why}")
     cases = tuple(
         replace(case, simulator=in_place_of(case.simulator, simulators[case.setup]))
         for case in subject.model.cases
