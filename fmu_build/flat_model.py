@@ -7,7 +7,7 @@ translates like any other.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -284,6 +284,11 @@ class FlatModel:
         if variable.name in self.variables:
             raise self.error(f"there is already a variable '{variable.name}'", variable.at)
         return replace(self, variables=MappingProxyType({**self.variables, variable.name: variable}))
+
+    def without_preference(self, names: Iterable[str]) -> FlatModel:
+        """Avoid variables as states."""
+        avoided = {name: replace(self.variables[name], state_select="avoid") for name in names}
+        return replace(self, variables=MappingProxyType({**self.variables, **avoided}))
 
     def with_equation(self, left: Expression, right: Expression) -> FlatModel:
         """Add the equation ``left = right``."""

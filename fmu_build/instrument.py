@@ -183,7 +183,7 @@ def _with_drop(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
     first, equation = next(iter(changed.items()))
     drop = Binary(ADDED, "-", node, _total(flat, terms, quantities))
     changed[first] = (replace(equation[0], left=variable(inner), right=drop),)
-    flat = flat.with_equations(changed)
+    flat = flat.with_equations(changed).without_preference(port.preferred)
     reactions = [replace(term, expression=term.reaction) for term in terms if term.reaction]
     if reactions:
         i = next(i for i, e in flat.flow_balances() if port.connectors[0] in e.origin.connectors)

@@ -58,6 +58,9 @@ class Port:
     slides
         Whether a compliant branch passes a flow, of force or torque, that does not depend on where its ends are: a
         motor, a bearing, a brake.
+    preferred
+        Variables of a compliant branch that are preferred as states, such as its twist. If the potential drops
+        between its connectors, they do not determine where the ends are.
     same
         Other names of the same place: connectors of the same rigid node.
     passed
@@ -76,6 +79,7 @@ class Port:
     compliant: bool = False
     rigid: bool = False
     slides: bool = False
+    preferred: tuple[str, ...] = ()
     same: tuple[str, ...] = ()
     passed: bool = False
     loops: bool = False
@@ -132,17 +136,17 @@ def flat_name(reference: Reference) -> str:
     return ".".join(parts)
 
 
-def fed_inputs(flat: FlatModel) -> Iterator[tuple[int, str, Expression]]:
-    """Yield every component's input that a connection or an equation sets equal to one other variable.
+def fed_inputs(flat: FlatModel) -> Iterator[tuple[int, str, Reference]]:
+    """Yield every component's input that a connection or an equation outside it sets equal to one other variable.
 
     As number of the equation, name of the input, and the other variable.
     """
     for i, equation in enumerate(flat.equations):
-        sides = (equation.left, equation.right)
-        if equation.origin.kind not in ("potential", "class") or not all(isinstance(s, Reference) for s in sides):
+        sides = [side for side in (equation.left, equation.right) if isinstance(side, Reference)]
+        if equation.origin.kind not in ("potential", "class") or len(sides) < 2:
             continue
         for end, other in (sides[::-1], sides):
-            name = flat_name(end)  # type: ignore[arg-type]
+            name = flat_name(end)
             v = flat.variables.get(name)
             if (
                 v is not None
@@ -150,6 +154,7 @@ def fed_inputs(flat: FlatModel) -> Iterator[tuple[int, str, Expression]]:
                 and v.causality is None
                 and v.type == "Real"
                 and not v.shape
+                and (equation.origin.kind == "potential" or equation.origin.component != v.component)
             ):
                 yield i, name, other
                 break
@@ -182,29 +187,50 @@ class _Finder:
         self.flat = flat
         self.classes = _Classes()
         self.derived: dict[str, str] = {}  # class of a variable -> a variable that is its derivative ("" if none)
+        self.physical = {
+            c.path: found for c in flat.connectors.values() if (found := self._physics(c)) is not None
+        }
         fixed = self._join_equals()
         self._find_derivatives()
         variables = flat.variables.values()
         self.fixed = {self.classes.find(name) for name in fixed}
         self.fixed |= {self.classes.find(v.name) for v in variables if v.variability in ("constant", "parameter")}
         self.prescribed = self.fixed | {self.classes.find(v.name) for v in variables if v.causality == "input"}
-        self.physical = {
-            c.path: found for c in flat.connectors.values() if (found := self._physics(c)) is not None
-        }
         self.balances: dict[str, int] = {}
         for i, equation in flat.flow_balances():
             for path in equation.origin.connectors:
                 self.balances.setdefault(path, i)
 
     def _join_equals(self) -> list[str]:
-        """Merge variables that are equal into one class; return those that equal a constant."""
+        """Merge variables that are equal into one class; return those that equal a constant.
+
+        Positions that differ by a length or an angle that is given are equal, too: those of the ends of a rod.
+        """
         fixed: list[str] = []
+        positions = {potential for domain, potential, _ in self.physical.values() if domain in MECHANICAL}
         for left, right in self._equalities():
             if isinstance(left, Reference) and isinstance(right, Reference):
                 self.classes.join(flat_name(left), flat_name(right))
             elif isinstance(left, Reference) and constant(right) is not None:
                 fixed.append(flat_name(left))
+            elif isinstance(left, Reference) and flat_name(left) in positions and (near := self._shifted(right)):
+                self.classes.join(flat_name(left), near)
         return fixed
+
+    def _shifted(self, sum: Expression) -> str:
+        """Return the term of a sum to which only parameters are added; an empty string if there is none."""
+        if isinstance(sum, Reference):
+            return flat_name(sum) if self._varies(sum) else ""
+        if not (isinstance(sum, Binary) and sum.operator in ("+", "-")):
+            return ""
+        given = [not any(self._varies(r) for r in references((side,))) for side in (sum.left, sum.right)]
+        if given[1]:
+            return self._shifted(sum.left)
+        return self._shifted(sum.right) if given[0] and sum.operator == "+" else ""
+
+    def _varies(self, reference: Reference) -> bool:
+        declared = self.flat.variables.get(flat_name(reference))
+        return declared is None or declared.variability not in ("constant", "parameter")
 
     def _find_derivatives(self) -> None:
         """Find the derivative of each variable; variables that are derivatives of the same one are equal."""
@@ -349,10 +375,12 @@ class _Finder:
         return probes | ({"rate": (speed,)} if speed else {})
 
     def _stores(self, path: str) -> bool:
-        """Return whether the component of a connector differentiates a function of its potential itself."""
+        """Return whether the component of a connector differentiates its potential itself, of a body twice."""
         component = self.flat.connectors[path].component
         own = self._potential(path)
-        near = {own, self.classes.find(self.derived.get(own) or own)}
+        near = {own}
+        if self.physical[path][0] in MECHANICAL:
+            near.add(self.classes.find(self.derived.get(own) or own))
         inside = [
             node
             for _, e in self.flat.equations_of(component)
@@ -400,7 +428,12 @@ class _Finder:
                 compliant=(compliant := self._compliant(component, (a, b))),
                 rigid=not compliant and all(self._reaches_store(path) for path in paths),
                 slides=domain in MECHANICAL and compliant and not self._elastic(component, (a, b)),
+                preferred=self._preferred(component) if compliant else (),
             )  # fmt: skip
+
+    def _preferred(self, component: str) -> tuple[str, ...]:
+        own = (v for v in self.flat.variables.values() if v.component == component and v.type == "Real")
+        return tuple(v.name for v in own if v.state_select in ("prefer", "always"))
 
     def _joints(self, branches: list[Port]) -> Iterator[Port]:
         """Yield the rigid connections with stores on both sides; a rigid branch includes those at its ends."""
@@ -533,11 +566,11 @@ class _Finder:
 
     def _signals(self) -> Iterator[Port]:
         given = {self.classes.find(v.name) for v in self.flat.variables.values() if v.causality == "input"}
-        fed: dict[str, Expression] = {}
+        fed: dict[str, Reference] = {}
         for _, name, other in fed_inputs(self.flat):
             fed.setdefault(name, other)
         for name, other in fed.items():
-            unit = self._unit(name) or self._unit(flat_name(other)) or "1"  # type: ignore[arg-type]
+            unit = self._unit(name) or self._unit(flat_name(other)) or "1"
             yield Port(
                 name, "signal", "signal", (name,), (unit, unit), {"p": other}, {"p": (name,)},
                 passed=self.classes.find(name) in given,

@@ -526,13 +526,14 @@ class World:
         """Return advice for a name that does not exist."""
         first = name.partition(".")[0]
         top = self.library.top(first)
+        fix = "with --root, in campaign.toml as `roots` of the model"
         if first in self.library.stand_ins:
             has = "none of the library directories has it" if self.library.roots else "it is not shipped"
-            return f"this needs the Modelica Standard Library, and {has}; give the folder it lies in with --root"
+            return f"this needs the Modelica Standard Library, and {has}; give the folder it lies in {fix}"
         if top is None:
             roots = [str(r) for r in self.library.roots]
             where = f"none of the library directories has '{first}'" if roots else f"'{first}' is in no library"
-            return f"{where}; give its directory with --root"
+            return f"{where}; give its directory {fix}"
         return None
 
     def _qualified(self, name: str) -> Slot | ClassRef | None:

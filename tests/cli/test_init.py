@@ -160,6 +160,39 @@ def test_a_scale_that_all_parameters_share_is_held_although_the_model_resonates(
     assert free == {"coil.k", "table.m", "specimen.m", "suspension.c", "suspension.d", "mount.c"}
 
 
+def test_a_model_may_use_a_library_in_another_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("libraries").mkdir()
+    Path("libraries/Motors.mo").write_text(f"package Motors\n{WINDING}end Motors;\n")
+    Path("Drive.mo").write_text("model Drive\n  extends Motors.Winding;\nend Drive;\n")
+    time = np.linspace(0.0, 2.0, 201)
+    signals = recorded(np.sign(np.sin(5 * time)), time, at_once=False)
+    write_csv(Table(time, {n: signals[n] for n in ("u", "i")}, {}), "run.csv")
+
+    lacking = "'Motors' is in no library; give its directory with --root, in campaign.toml as `roots` of the model"
+    code, _, err = fmuid("init", "run.csv", "--model", "Drive.mo", "--workers", "0")
+    assert (code, lacking in err) == (2, True), err
+    model = ("--model", "Drive.mo", "--root", "libraries")
+    assert fmuid("init", "run.csv", *model, "--workers", "0")[0] == 0
+    assert 'roots = ["../libraries"]' in Path("campaign/campaign.toml").read_text()
+    assert fmuid("identify", "campaign", "--no-report", "--workers", "0")[0] == 0
+
+    _, ports, _ = fmuid("effects", "Drive.mo", "--root", "libraries")
+    assert "value" in ports
+    code, _, err = fmuid("effects", "campaign", "--root", "libraries")
+    assert (code, err) == (
+        2,
+        "fmuid: --root: a campaign names its models' libraries itself; write them in campaign.toml, as `roots` of a model\n",
+    )
+    code, _, err = fmuid("init", "run.csv", "--fmu", "Drive.fmu", "--root", "libraries")
+    assert (code, err) == (
+        2,
+        "fmuid: Drive.fmu: folders of libraries without a Modelica model; give the Modelica file (.mo) in its place\n",
+    )
+
+
 @pytest.mark.parametrize("option", ["--unit", "--sigma"])
 def test_init_knows_the_signals_that_options_name(
     option: str, winding: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command

@@ -87,6 +87,86 @@ def test_a_gear_is_no_compliant_branch_and_a_measured_flow_tells_the_ends_of_a_n
     assert not any({"gear.b", "table.b"} <= {*p.connectors, *p.same} for p in ports.values())
 
 
+LIKE_THE_STANDARD_LIBRARY = """
+model Like "Components written as the Modelica Standard Library writes them"
+  import Modelica.Mechanics.{Rotational, Translational};
+  import Modelica.Thermal.HeatTransfer.Interfaces.HeatPort;
+  model Mass
+    Translational.Interfaces.Flange_a a;
+    Translational.Interfaces.Flange_b b;
+    parameter Real L(unit = "m") = 0.1;
+    parameter Real m(unit = "kg") = 1;
+    Real s(unit = "m", start = 0, fixed = true);
+    Real v(unit = "m/s", start = 0, fixed = true);
+  equation
+    a.s = s - L/2;
+    b.s = s + L/2;
+    v = der(s);
+    m*der(v) = a.f + b.f;
+  end Mass;
+  model Capacity
+    HeatPort port;
+    Real T(unit = "K", start = 300, fixed = true);
+    Real der_T(unit = "K/s");
+  equation
+    T = port.T;
+    der_T = der(T);
+    100*der(T) = port.Q_flow;
+  end Capacity;
+  model Support "Takes a torque that it is told"
+    Rotational.Interfaces.Flange_a flange;
+    input Real tau(unit = "N.m");
+  equation
+    flange.tau = tau;
+  end Support;
+  model Motor
+    Rotational.Interfaces.Flange_b flange;
+    input Real i(unit = "A");
+    Real tau(unit = "N.m") = 0.1*i;
+    Support support(tau = -tau);
+  equation
+    flange.tau = -tau;
+    support.flange.phi = 0;
+  end Motor;
+  model Rotor
+    Rotational.Interfaces.Flange_a flange;
+    Real w(unit = "rad/s", start = 0, fixed = true);
+  equation
+    w = der(flange.phi);
+    1e-3*der(w) = flange.tau;
+  end Rotor;
+  input Real i(unit = "A");
+  input Real f(unit = "N");
+  Motor motor;
+  Rotor rotor;
+  Mass first, second;
+  HeatPort air;
+  Capacity oven;
+equation
+  motor.i = i;
+  connect(motor.flange, rotor.flange);
+  first.a.f = f;
+  connect(first.b, second.a);
+  connect(air, oven.port);
+end Like;
+"""
+
+
+def test_ports_are_found_in_components_written_as_in_the_standard_library(tmp_path):
+    (tmp_path / "Like.mo").write_text(LIKE_THE_STANDARD_LIBRARY)
+    like = load(tmp_path / "Like.mo", "Like")
+    ports = {port.name: port for port in find_ports(like)}
+    # The ends of a rod are one body and have its name. An oven that computes how fast it warms is a store, too.
+    assert {name: port.kind for name, port in ports.items()} == {
+        "rotor": "node",
+        "first": "node",
+        "oven": "node",
+        "first.b": "joint",
+        "motor.i": "signal",
+    }
+    assert {"viscous", "weight", "inertia"} <= set(possible_laws(like)["first"])
+
+
 WINCH = """
 model Hydraulic "A motor whose torque depends on the pressure alone"
   Rigs.Flange a;
@@ -530,6 +610,27 @@ def test_a_kinematic_error_turns_the_load_and_works_back_without_loss(geared):
     assert np.abs(found - truth).max() < 0.02 * np.abs(plain - truth).max()
 
 
+def test_a_twist_that_is_preferred_as_a_state_makes_room_for_backlash_and_kinematic_errors(cache, tmp_path):
+    del cache
+    time = np.linspace(0.0, 2.0, 401)
+    task = Task(time, {"tau": 0.3 * np.sin(9 * time)}, ("w_motor", "w_load"), tolerance=1e-7)
+    off, found = {}, {}
+    for name in ("TwoMass", "Relative"):
+        source, catalogue = ModelSource(RIGS, f"Rigs.{name}"), every_law(flat(name), tmp_path)
+        model = ModelSpec(name, carrier(source, catalogue), source=source)
+        variants = Variants({name: model}, catalogue, lambda m: load_fmu(m.fmu))
+        plain = load_fmu(model.fmu)
+        off[name] = plain.simulate(task, {})
+        assert np.array_equal(off[name], load_fmu(built_model(source)).simulate(task, {}))
+        for values in ({"shaft.backlash_gap": 0.02}, {"shaft.kinematic_error_sine": 0.02}):
+            simulator = variants.simulator(name, values)
+            assert (simulator is None) == (name == "TwoMass")
+            found.setdefault(next(iter(values)), []).append((simulator or plain).simulate(task, values))
+    for one, other in found.values():
+        assert np.abs(one - off["TwoMass"]).max() > 0.1
+        assert np.abs(one - other).max() < 1e-4 * np.abs(one).max()
+
+
 def drive_log(file, *, coulomb, pace=4):
     """The two-mass drive by explicit Runge-Kutta steps of its own, with dry friction at the load."""
     step, every, stop = 1e-4, 50, 3.0
@@ -803,13 +904,18 @@ def rooms(time, heat, *, sink, loss):
 
 @pytest.mark.slow
 def test_from_verdict_to_a_model_with_the_law_in_it_and_on_to_the_next(tmp_path, monkeypatch, capsys):
-    """Dry friction at the load is found, added to the model's source, and identified; nothing else is missing."""
+    """Dry friction at the load is found, added to the model's source, and identified; nothing else is missing.
+
+    The model is in a file that uses a library elsewhere.
+    """
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
     for k in (1, 2, 3):
         drive_log(tmp_path / f"run{k}.csv", coulomb=0.02, pace=2 + 2 * k)
     logs = [f"run{k}.csv" for k in (1, 2, 3)]
-    assert run(["init", *logs, "--model", str(RIGS), "--class", "Rigs.TwoMass", "--workers", "0"]) == 0
+    Path("TwoMass.mo").write_text("model TwoMass\n  extends Rigs.TwoMass;\nend TwoMass;\n")
+    model = ["--model", "TwoMass.mo", "--root", str(RIGS.parent)]
+    assert run(["init", *logs, *model, "--workers", "0"]) == 0
     assert run(["diagnose", "campaign", "--out", "first", "--workers", "0"]) == 0
     assert json.loads(Path("first/diagnosis.json").read_text())["verdict"]["effects"] == ["coulomb@load"]
     corrected = Path("first/corrected")

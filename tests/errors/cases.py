@@ -305,6 +305,7 @@ CASES = [
         ("campaign.toml", "a model without its source file", toml('fmu = "../Oscillator.fmu"', 'source = "Drive.mo"'), CHECK),
         ("campaign.toml", "an effect of an unknown signal", toml("[parameters.m]", 'signal_effects = ["u.gian"]\n\n[parameters.m]'), CHECK),
         ("campaign.toml", "effects of a model without source", toml("[parameters.m]", 'effects = "effects.toml"\n\n[parameters.m]'), CHECK),
+        ("campaign.toml", "libraries of a model without source", toml("[parameters.m]", 'roots = ["libraries"]\n\n[parameters.m]'), CHECK),
         ("campaign.toml", "a missing catalogue", toml("[settings]", '[effects]\ncatalogue = "effects.toml"\nnominal = ["m"]\n[settings]'), "diagnose bench"),
         ("campaign.toml", "a validation run to diagnose with", toml("[settings]", '[effects]\ncatalogue = "effects.toml"\nexperiments = ["pulse"]\n[settings]'), "diagnose bench"),
         ("campaign.toml", "a parameter that two effects have", shared_parameter, "diagnose bench"),

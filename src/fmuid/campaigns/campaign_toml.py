@@ -62,6 +62,7 @@ class _ModelTable(CoupledTable):
     source: str = ""
     class_: str = msgspec.field(name="class", default="")
     effects: str = ""
+    roots: list[str] = []
     signal_effects: list[str] = []
 
 
@@ -475,8 +476,9 @@ def _source(table: _ModelTable, folder: Path, where: str) -> ModelSource | None:
     if not table.source:
         if table.class_:
             raise CampaignError("names a class without its source", where=where, fix='write source = "file.mo"')
-        if table.effects:
-            raise CampaignError("has effects but no source", where=where, fix='write source = "file.mo"')
+        for key, value in (("effects", table.effects), ("roots", table.roots)):
+            if value:
+                raise CampaignError(f"has {key} but no source", where=where, fix='write source = "file.mo"')
         return None
     if table.fmus or table.fmu.endswith(".ssp"):
         raise CampaignError(
@@ -484,7 +486,7 @@ def _source(table: _ModelTable, folder: Path, where: str) -> ModelSource | None:
         )
     file = folder / table.source
     effects = folder / table.effects if table.effects else None
-    return ModelSource(file, table.class_ or file.stem, effects)
+    return ModelSource(file, table.class_ or file.stem, effects, tuple(folder / root for root in table.roots))
 
 
 def _file_of(path: Path) -> Path:

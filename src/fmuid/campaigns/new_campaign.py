@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import os
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +17,7 @@ from fmuid.campaigns.first_choice import FirstChoice, first_choice, runs_away, s
 from fmuid.core.campaign import Interface, ModelSource
 from fmuid.core.errors import CampaignError, FmuidError, MeasurementsError, UnitError
 from fmuid.core.experiments import Experiment, Measurements
-from fmuid.core.files import check_folder, write_atomically
+from fmuid.core.files import check_folder, path_from, write_atomically
 from fmuid.core.formatting import once_each
 from fmuid.core.toml_tables import toml_text
 from fmuid.core.units import conversion
@@ -292,10 +291,12 @@ def _toml(
     identification = [run.id for run in _for_identification(runs)]
     validation = [r.id for r in runs.values() if not r.repeats_another and r.id not in identification]
     file = model.file if isinstance(model, ModelSource) else model
-    path = Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
+    path = path_from(folder, file)
     named = [f"fmu = {toml_text(path)}"]
     if isinstance(model, ModelSource):
         named = [f"source = {toml_text(path)}", f"class = {toml_text(model.class_name)}"]
+        roots = [toml_text(path_from(folder, root)) for root in model.roots]
+        named += [f"roots = [{', '.join(roots)}] # folders of the libraries that it uses"] if roots else []
     renamed = ", ".join(f"{toml_text(k)} = {toml_text(v)}" for k, v in mapping.items())
     lines = [
         "# A campaign: which model, which parameters, which runs. See docs/formats.md.",

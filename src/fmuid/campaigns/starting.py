@@ -23,21 +23,21 @@ class GivenModel:
     source: ModelSource | None = None
 
 
-def given_model(model: Path, class_name: str | None = None) -> GivenModel:
-    """Return the FMU at a path; for a Modelica file, build it.
+def given_model(model: Path, class_name: str | None = None, roots: Sequence[Path] = ()) -> GivenModel:
+    """Return the FMU at a path; for a Modelica file, build it with the libraries in `roots`.
 
     Raises
     ------
     FmuidError
-        The FMU cannot be built, or `class_name` is given without a Modelica file.
+        The FMU cannot be built, or `class_name` or `roots` are given without a Modelica file.
     """
     if model.suffix.casefold() != ".mo":
-        if class_name is not None:
-            raise FmuidError(
-                "a class without its file", where=model, fix="give the Modelica file (.mo) in its place"
-            )
+        for what, value in (("a class", class_name), ("folders of libraries", roots)):
+            if value:
+                fix = "give the Modelica file (.mo) in its place"
+                raise FmuidError(f"{what} without a Modelica model", where=model, fix=fix)
         return GivenModel(model)
-    source = ModelSource(model, class_name or model.stem)
+    source = ModelSource(model, class_name or model.stem, roots=tuple(roots))
     from fmuid.simulation.model_source import built_model  # slow to import
 
     return GivenModel(built_model(source), source)
@@ -64,6 +64,7 @@ def start(
     model: str | Path,
     *,
     class_name: str | None = None,
+    roots: Sequence[str | Path] = (),
     out: str | Path = "campaign",
     replace: bool = False,
     signals: Collection[str] = (),
@@ -86,6 +87,8 @@ def start(
         run name. Columns state units as in ``tau [N.m]``; one is named ``time``.
     model
         An FMU, an SSP file, or a Modelica file, whose class is `class_name` or has the name of the file.
+    roots
+        Folders of the libraries that a Modelica model uses, such as the Modelica Standard Library.
     out, replace
         Folder of the campaign; an existing one is only replaced if `replace` is True.
     signals
@@ -120,7 +123,7 @@ def start(
     folder = Path(out)
     if replace:
         (folder / FILE_NAME).unlink(missing_ok=True)
-    given = given_model(Path(model), class_name)
+    given = given_model(Path(model), class_name, [Path(root) for root in roots])
     with runner_on(workers) as runner:
         made = new_campaign(
             _runs(logs),

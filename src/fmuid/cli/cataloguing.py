@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fmuid.cli.libraries import Roots
 from fmuid.cli.output import Json, Printer, Quiet, writable
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 from fmuid.core.errors import CampaignError
@@ -21,6 +22,7 @@ def effects(
     class_name: Annotated[
         str | None, typer.Argument(metavar="[CLASS]", help="Class in the file; by default the one with its name.")
     ] = None,
+    root: Roots = None,
     out: Annotated[
         Path | None, typer.Option(help="Write the catalogue of a campaign's effects here.", callback=writable)
     ] = None,
@@ -47,7 +49,10 @@ def effects(
                 where="--out",
                 fix="name a campaign, made with: fmuid init LOG... --model MODEL.mo",
             )
-        found = _of_model(what, class_name)
+        found = _of_model(what, class_name, root or [])
+    elif root:
+        fix = "write them in campaign.toml, as `roots` of a model"
+        raise CampaignError("a campaign names its models' libraries itself", where="--root", fix=fix)
     else:
         with printer.working("simulating the runs"), supervised(workers, time_limit, memory_limit) as runner:
             text, found = _of_campaign(what, runner)
@@ -63,13 +68,13 @@ def effects(
     printer.write({"ports": {name: list(laws) for name, laws in found.items()}, "out": out})
 
 
-def _of_model(file: Path, class_name: str | None) -> dict[str, list[str]]:
+def _of_model(file: Path, class_name: str | None, roots: list[Path]) -> dict[str, list[str]]:
     from fmu_build.model_ports import constant, held_parameters
     from fmuid.core.campaign import ModelSource
     from fmuid.diagnosis.made_catalogue import possible_laws
     from fmuid.simulation.model_source import flat_model
 
-    flat = flat_model(ModelSource(file, class_name or file.stem))
+    flat = flat_model(ModelSource(file, class_name or file.stem, roots=tuple(roots)))
     return possible_laws(flat) | {v.name: ["value"] for v in held_parameters(flat) if constant(v.binding)}
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fmuid.cli.libraries import Roots
 from fmuid.cli.output import Json, Printer, Quiet, command_line, numbers, pairs, writable
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 from fmuid.core.errors import FmuidError
@@ -226,6 +227,7 @@ def init(
     class_name: Annotated[
         str | None, typer.Option("--class", help="Its class; by default called like the file.")
     ] = None,
+    root: Roots = None,
     out: Annotated[Path, typer.Option(help="Folder of the new campaign.", callback=writable)] = Path("campaign"),
     signal: Signals = None,
     resample: Resample = None,
@@ -250,7 +252,7 @@ def init(
     from fmuid.campaigns.starting import by_name
 
     printer = Printer(quiet, json)
-    given = _model(fmu, model, class_name)
+    given = _model(fmu, model, class_name, root or [])
     shown = printer.working(f"trying the parameters of {given.fmu.name}")
     with shown as progress, supervised(workers, time_limit, memory_limit) as runner:
         made = new_campaign(
@@ -308,14 +310,14 @@ def _span(texts: list[str]) -> tuple[float, float]:
     return span
 
 
-def _model(fmu: Path | None, model: Path | None, class_name: str | None) -> GivenModel:
+def _model(fmu: Path | None, model: Path | None, class_name: str | None, roots: list[Path]) -> GivenModel:
     from fmuid.campaigns.starting import given_model
 
     given = [file for file in (fmu, model) if file is not None]
     if len(given) != 1:
         what = "an FMU and a model" if given else "neither an FMU nor a model"
         raise FmuidError(what, fix="give --fmu FILE.fmu or --model FILE.mo")
-    return given_model(given[0], class_name)
+    return given_model(given[0], class_name, roots)
 
 
 def _time_base(rate: float | None, align: str | None, methods: list[str]) -> TimeBase | None:

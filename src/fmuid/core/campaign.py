@@ -28,12 +28,14 @@ def without_owner(name: str) -> str:
 class ModelSource:
     """Modelica source of a model: the file that contains the class, and its qualified name.
 
-    `effects` is a catalogue of expression effects that the model includes at its ports.
+    `effects` is a catalogue of expression effects that the model includes at its ports. `roots` are folders of
+    the libraries that it uses.
     """
 
     file: Path
     class_name: str
     effects: Path | None = None
+    roots: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

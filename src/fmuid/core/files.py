@@ -18,6 +18,11 @@ def user_cache() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "fmuid"
 
 
+def path_from(folder: Path, file: Path) -> str:
+    """Return the path of a file from a folder, with slashes, as text files have it."""
+    return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
+
+
 def make_folder(folder: Path) -> None:
     """Make a folder and its parents if it does not exist.
 

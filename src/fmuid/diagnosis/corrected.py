@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +15,7 @@ from fmu_build.flat_model import FlatModel, number
 from fmu_build.model_ports import constant, find_ports
 from fmu_build.modelica_text import modelica_text
 from fmuid.core.campaign import SEPARATOR, Campaign, ModelSource, ModelSpec, without_owner
-from fmuid.core.files import write_atomically
+from fmuid.core.files import path_from, write_atomically
 from fmuid.core.toml_tables import read_toml, toml_document
 from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.subject import Subject, carrier
@@ -246,9 +245,7 @@ class _Document:
         else:
             new["fmu"] = fmu.name
         if spec.source is not None:
-            new |= {"source": self._path(spec.source.file), "class": spec.source.class_name}
-            if spec.source.effects is not None:
-                new["effects"] = self._path(spec.source.effects)
+            new |= self._source(spec.source)
         at_signals, renamed = list(spec.signal_effects), dict(table.get("map", {}))
         known = next(c.simulator for c in self.subject.model.cases if c.setup == setup).variables
         for name in (u.name for e in self.effects for u in e.unknowns if self._of_a_signal(u.name)):
@@ -267,6 +264,15 @@ class _Document:
         if at_signals:
             new["signal_effects"] = at_signals
         return new | ({"map": renamed} if renamed else {})
+
+    def _source(self, source: ModelSource) -> dict[str, Any]:
+        """Return what a model's table says of its Modelica source."""
+        said: dict[str, Any] = {"source": self._path(source.file), "class": source.class_name}
+        if source.effects is not None:
+            said["effects"] = self._path(source.effects)
+        if source.roots:
+            said["roots"] = [self._path(root) for root in source.roots]
+        return said
 
     def _stage(self, free: list[str], tie: Mapping[str, str]) -> dict[str, Any]:
         """Return one stage with all diagnosed runs, read by the sensors that the campaign specifies."""
@@ -291,7 +297,7 @@ class _Document:
         return stage
 
     def _path(self, file: Path) -> str:
-        return Path(os.path.relpath(file.resolve(), self.folder.resolve())).as_posix()
+        return path_from(self.folder, file)
 
 
 def _stem(source: ModelSource) -> str:

@@ -105,6 +105,11 @@ class _Law(Table):
         used = [self.of(port.domain), self.flow, self.reaction, *of_states]
         return all(_names(text) <= given for text in used)
 
+    def changes(self, port: Port) -> bool:
+        """Return whether the law changes the model even while it is off, if only its states or its loops."""
+        loops = port.loops and "load" in _names(self.of(port.domain))
+        return self.variant or loops or (self.acts == "potential" and bool(port.preferred))
+
     def may_be_sized(self, sizes: Collection[str]) -> bool:
         """Return whether these sizes are all that the law's numbers depend on."""
         texts = [t for p in self.parameters.values() for t in (p.scale, p.most, p.start) if t]
@@ -227,7 +232,7 @@ def _effect_lines(name: str, law: _Law, place: Place) -> list[str]:
         *([f"reaction = {toml_text(_put_in(law.reaction, meant))}"] if law.reaction else []),
         *(["two_sided = true"] if law.two_sided else []),
         *(["usual = false"] if port.kind != law.on[0] and not law.slides_at(port) else []),
-        *(["variant = true"] if law.variant or (port.loops and "load" in _names(law.of(port.domain))) else []),
+        *(["variant = true"] if law.changes(port) else []),
         f"trials = [{', '.join(_inline(t) for t in trials)}]",
         f"{table}.parameters]",
     ]

@@ -29,7 +29,7 @@ def flat_model(source: ModelSource) -> FlatModel:
     CampaignError
         The catalogue does not exist, or its effects have no expressions.
     """
-    flat = load(source.file, source.class_name)
+    flat = load(source.file, source.class_name, source.roots)
     if source.effects is None:
         return flat
     effects = _effects(source.effects)
@@ -56,7 +56,7 @@ def built_model(source: ModelSource) -> Path:
     """
     if source.effects is not None:
         return built_with_terms(source, flat_model(source), (), ())
-    return build(source.file, source.class_name, _folder(source))
+    return build(source.file, source.class_name, _folder(source), roots=source.roots)
 
 
 def built_with_terms(source: ModelSource, flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -> Path:
@@ -112,5 +112,6 @@ def _stem(source: ModelSource) -> str:
 
 
 def _folder(source: ModelSource) -> Path:
-    digest = hashlib.sha256(f"{source.file.resolve()}\n{source.class_name}".encode()).hexdigest()
+    parts = [source.file.resolve(), source.class_name, *(root.resolve() for root in source.roots)]
+    digest = hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()
     return user_cache() / "models" / digest[:16]

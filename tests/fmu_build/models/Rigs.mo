@@ -69,6 +69,9 @@ package Rigs "Plain models of rigs that are no actuator"
     w_motor = rotor.w;
     w_load = load.w;
   end TwoMass;
+  model Relative "The same with the twist as a state, as the Standard Library's SpringDamper has it"
+    extends TwoMass(shaft(phi_rel(stateSelect = StateSelect.prefer)));
+  end Relative;
   model Geared "A gear between two inertias"
     extends TwoMass;
     output Real tau_table(unit = "N.m");
