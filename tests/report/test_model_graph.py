@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -46,3 +47,32 @@ def test_a_model_of_equations_alone_has_no_picture(tmp_path: Path) -> None:
         "model Decay\n  output Real x(start = 1, fixed = true);\nequation\n  der(x) = -x;\nend Decay;\n"
     )
     assert drawing(graph_of(load(file, "Decay")), ["x"]) is None
+
+
+def test_a_component_is_placed_beside_those_that_it_is_connected_to(tmp_path: Path) -> None:
+    """A long chain branches off, and goes on where it left the others."""
+    file = tmp_path / "Tree.mo"
+    chain = [f"c{k}" for k in range(7)]
+    lines = [
+        "package P",
+        "connector Pin Real v; flow Real i; end Pin;",
+        "model Part Pin p; Pin n; equation p.i + n.i = 0; p.v - n.v = p.i; end Part;",
+        "model Tree",
+        *(f"Part {name};" for name in ["root", "side", *chain]),
+        "equation",
+        "root.p.v = 1;",
+        "connect(root.n, side.p);",
+        "connect(root.n, c0.p);",
+        "side.n.v = 0;",
+        *(f"connect({a}.n, {b}.p);" for a, b in pairwise(chain)),
+        "c6.n.v = 0;",
+        "end Tree;",
+        "end P;",
+    ]
+    file.write_text("\n".join(lines))
+    picture = drawing(graph_of(load(file, "P.Tree")), [])
+    assert picture is not None
+    boxes = re.findall(r'<rect x="(\d+)" y="(\d+)"[^>]*/><text[^>]*>(\w+)</text>', picture.svg)
+    column = {name: x for x, _, name in boxes}
+    assert column["side"] != column["c0"]
+    assert {column[name] for name in chain} == {column["c0"]}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from fmu_build.flat_model import FlatModel
@@ -67,16 +67,16 @@ def graph_of(flat: FlatModel) -> ModelGraph:
 
 def drawing(graph: ModelGraph, ports: Collection[str]) -> Drawing | None:
     """Return the picture of a model with `ports` marked; None if there is nothing to show, or too much."""
-    layers = _layers(graph)
+    beside = _beside(graph)
+    layers = _layers(beside)
     if not 2 <= len(graph.parts) <= _MOST:
         return None
     marked = {part for port in ports for part in graph.ports.get(port, (port,))} & graph.parts.keys()
     across = len(layers) <= _ACROSS
     place = {}
-    for i, layer in enumerate(layers):
-        for k, name in enumerate(layer):
-            column, row = (i, k) if across else (k, i)
-            place[name] = column * (_BOX[0] + _GAP[0]), row * (_BOX[1] + _GAP[1])
+    for name, (i, k) in _slots(layers, beside).items():
+        column, row = (i, k) if across else (k, i)
+        place[name] = column * (_BOX[0] + _GAP[0]), row * (_BOX[1] + _GAP[1])
     width = max(x for x, _ in place.values()) + _BOX[0]
     height = max(y for _, y in place.values()) + _BOX[1]
     lines = [_line(place[a], place[b]) for a, b in sorted(graph.links)]
@@ -103,14 +103,19 @@ def _pair(names: Sequence[str]) -> tuple[str, str] | None:
     return (different[0], different[1]) if len(different) == 2 else None
 
 
-def _layers(graph: ModelGraph) -> list[list[str]]:
-    """Return the parts grouped by distance from the first, which is an input if there is one."""
+def _beside(graph: ModelGraph) -> dict[str, set[str]]:
+    """Return the parts that each part is connected to."""
     beside: dict[str, set[str]] = {name: set() for name in graph.parts}
     for a, b in graph.links:
         beside[a].add(b)
         beside[b].add(a)
+    return beside
+
+
+def _layers(beside: Mapping[str, set[str]]) -> list[list[str]]:
+    """Return the parts grouped by distance from the first, which is an input if there is one."""
     layers: list[list[str]] = []
-    left = dict.fromkeys(graph.parts)
+    left = dict.fromkeys(beside)
     while left:
         reached, depth = [next(iter(left))], 0
         while reached:
@@ -122,6 +127,25 @@ def _layers(graph: ModelGraph) -> list[list[str]]:
             near = {other for name in reached for other in beside[name]}
             reached, depth = [name for name in left if name in near], depth + 1
     return layers
+
+
+def _slots(layers: Sequence[Sequence[str]], beside: Mapping[str, set[str]]) -> dict[str, tuple[int, int]]:
+    """Return the layer of each part and its place there, near those that it is connected to in earlier ones."""
+    widest = max(map(len, layers), default=0)
+    slots: dict[str, tuple[int, int]] = {}
+    for i, layer in enumerate(layers):
+        near = {name: [slots[other][1] for other in beside[name] if other in slots] for name in layer}
+        above = {name: _mean(near[name]) for name in layer}
+        wanted = {name: _mean([*near[name], *(above[n] for n in beside[name] & above.keys())]) for name in layer}
+        least = 0
+        for k, name in enumerate(sorted(layer, key=wanted.__getitem__)):
+            slot = min(max(round(wanted[name]), least), widest - len(layer) + k)
+            slots[name], least = (i, slot), slot + 1
+    return slots
+
+
+def _mean(numbers: Sequence[float]) -> float:
+    return sum(numbers) / len(numbers) if numbers else 0.0
 
 
 def _line(a: tuple[int, int], b: tuple[int, int]) -> str:
