@@ -139,9 +139,9 @@ def _expression(flat: FlatModel, term: Term, quantities: Mapping[str, Expression
     """Parse a term and substitute the meaning of its names."""
 
     def resolve(node: Expression) -> Expression:
-        if isinstance(node, Call) and node.function in UNSUPPORTED:
-            raise ModelicaError(f"'{node.function}' is not supported", where=term.where)
         if isinstance(node, Call) and not (node.function in SUPPORTED or node.function in flat.functions):
+            if node.function in UNSUPPORTED:
+                raise ModelicaError(f"'{node.function}' is not supported", where=term.where)
             raise ModelicaError(f"there is no function '{node.function}'", where=term.where,
                                 fix=suggestion(node.function, SUPPORTED))  # fmt: skip
         if not isinstance(node, Reference):

@@ -217,16 +217,16 @@ class _Finder:
                 self.classes.join(flat_name(left), near)
         return fixed
 
-    def _shifted(self, sum: Expression) -> str:
+    def _shifted(self, total: Expression) -> str:
         """Return the term of a sum to which only parameters are added; an empty string if there is none."""
-        if isinstance(sum, Reference):
-            return flat_name(sum) if self._varies(sum) else ""
-        if not (isinstance(sum, Binary) and sum.operator in ("+", "-")):
+        if isinstance(total, Reference):
+            return flat_name(total) if self._varies(total) else ""
+        if not (isinstance(total, Binary) and total.operator in ("+", "-")):
             return ""
-        given = [not any(self._varies(r) for r in references((side,))) for side in (sum.left, sum.right)]
+        given = [not any(self._varies(r) for r in references((side,))) for side in (total.left, total.right)]
         if given[1]:
-            return self._shifted(sum.left)
-        return self._shifted(sum.right) if given[0] and sum.operator == "+" else ""
+            return self._shifted(total.left)
+        return self._shifted(total.right) if given[0] and total.operator == "+" else ""
 
     def _varies(self, reference: Reference) -> bool:
         declared = self.flat.variables.get(flat_name(reference))

@@ -526,7 +526,7 @@ class World:
         """Return advice for a name that does not exist."""
         first = name.partition(".")[0]
         top = self.library.top(first)
-        fix = "with --root, in campaign.toml as `roots` of the model"
+        fix = "with --root, or as `roots` of the model in campaign.toml"
         if first in self.library.stand_ins:
             has = "none of the library directories has it" if self.library.roots else "it is not shipped"
             return f"this needs the Modelica Standard Library, and {has}; give the folder it lies in {fix}"

@@ -171,7 +171,9 @@ def test_a_model_may_use_a_library_in_another_folder(
     signals = recorded(np.sign(np.sin(5 * time)), time, at_once=False)
     write_csv(Table(time, {n: signals[n] for n in ("u", "i")}, {}), "run.csv")
 
-    lacking = "'Motors' is in no library; give its directory with --root, in campaign.toml as `roots` of the model"
+    lacking = (
+        "'Motors' is in no library; give its directory with --root, or as `roots` of the model in campaign.toml"
+    )
     code, _, err = fmuid("init", "run.csv", "--model", "Drive.mo", "--workers", "0")
     assert (code, lacking in err) == (2, True), err
     model = ("--model", "Drive.mo", "--root", "libraries")

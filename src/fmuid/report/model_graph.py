@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import fmean
 
 from fmu_build.flat_model import FlatModel
 from fmu_build.model_ports import find_ports, flat_name
@@ -145,7 +146,7 @@ def _slots(layers: Sequence[Sequence[str]], beside: Mapping[str, set[str]]) -> d
 
 
 def _mean(numbers: Sequence[float]) -> float:
-    return sum(numbers) / len(numbers) if numbers else 0.0
+    return fmean(numbers) if numbers else 0.0  # whatever their order
 
 
 def _line(a: tuple[int, int], b: tuple[int, int]) -> str:
