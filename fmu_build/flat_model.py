@@ -332,3 +332,28 @@ def variable(name: str) -> Reference:
 def number(value: float) -> Literal:
     """Make a literal."""
     return Literal(ADDED, value)
+
+
+def flat_name(reference: Reference) -> str:
+    """Return the name of the flat variable, or of its element, that a reference denotes."""
+    parts = []
+    for part in reference.parts:
+        inside = [str(s.value) if isinstance(s, Literal) else "?" for s in part.subscripts]
+        parts.append(f"{part.name}[{','.join(inside)}]" if inside else part.name)
+    return ".".join(parts)
+
+
+def differentiated(node: object) -> str | None:
+    """Return the name of the variable that a node is the derivative of; None for anything else."""
+    if isinstance(node, Call) and node.function == "der" and isinstance(node.arguments[0], Reference):
+        return flat_name(node.arguments[0])
+    return None
+
+
+def constant(e: Expression | None) -> float | None:
+    """Return the value of a literal, possibly with a sign; None for anything else."""
+    if isinstance(e, Literal) and isinstance(e.value, int | float) and not isinstance(e.value, bool):
+        return float(e.value)
+    operator, operand = getattr(e, "operator", None), getattr(e, "operand", None)
+    inner = constant(operand) if operator in ("-", "+") else None
+    return None if inner is None else -inner if operator == "-" else inner

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Literal as Choice
 from typing import cast
 
 from fmu_build.builtin_functions import SUPPORTED, UNSUPPORTED
 from fmu_build.errors import ModelicaError
-from fmu_build.flat_model import ADDED, Equation, FlatModel, Variable, number, variable
+from fmu_build.flat_model import ADDED, Equation, FlatModel, Variable, flat_name, number, variable
 from fmu_build.front.parser import expression as parse_expression
-from fmu_build.model_ports import Port, fed_inputs, find_ports, flat_name
+from fmu_build.model_ports import Port, fed_inputs, find_ports
 from fmu_build.suggest import suggestion
 from fmu_build.syntax import Binary, Call, Expression, Part, Reference, Unary, references, transform
+from fmu_build.written_balances import Share
 
 Acts = Choice["flow", "potential", "signal", "cut"]
 
@@ -103,12 +105,13 @@ def instrument(flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -
             )
         at[term.port, term.acts].append(term)
     # Equations keep their numbers, so those of a connection are replaced one by one.
-    for (name, acts), own in at.items():
+    # What acts on written equations, which are known by their numbers, comes before a cut makes two of one.
+    for (name, acts), own in sorted(at.items(), key=lambda one: not ports[one[0][0]].shares):
         port = ports[name]
-        if acts == "flow":
+        if acts == "flow" or port.kind == "loop":
             flat = _with_flow(flat, port, own)
         elif acts == "potential":
-            flat = _with_drop(flat, port, own)
+            flat = (_with_written_drop if port.shares else _with_drop)(flat, port, own)
         elif acts == "cut":
             flat = _with_cut(flat, port, own)
         else:
@@ -166,11 +169,18 @@ def _with_flow(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
     if port.kind == "signal":
         raise ModelicaError(f"'{port.name}' is a signal and has no flow", where=terms[0].where)
     total = _total(flat, terms, port.quantities)
-    signs = (1,) if port.kind == "node" else (-1, 1)
-    for connector, sign in zip(port.connectors, signs, strict=True):
-        i = next(i for i, e in flat.flow_balances() if connector in e.origin.connectors)
-        flat = flat.with_term(i, total if sign > 0 else Unary(ADDED, "-", total))
+    for share in port.shares or _shares(flat, port):
+        flow = total if share.factor is None else Binary(ADDED, "*", share.factor, total)
+        flat = flat.with_term(share.equation, flow if share.added else Unary(ADDED, "-", flow), share.side)
     return _with_states(flat, terms, port.quantities)
+
+
+def _shares(flat: FlatModel, port: Port) -> Iterator[Share]:
+    """Yield what a flow out of a node, or from a branch's second node to its first, adds to flow balances."""
+    signs = (True,) if port.kind == "node" else (False, True)
+    for connector, added in zip(port.connectors, signs, strict=True):
+        i = next(i for i, e in flat.flow_balances() if connector in e.origin.connectors)
+        yield Share(i, "left", added)
 
 
 def _with_drop(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
@@ -189,6 +199,29 @@ def _with_drop(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
         i = next(i for i, e in flat.flow_balances() if port.connectors[0] in e.origin.connectors)
         flat = flat.with_term(i, _total(flat, reactions, quantities))
     return _with_states(flat, terms, quantities)
+
+
+def _with_written_drop(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
+    """Put another difference of potentials in the place of the one that the model has written."""
+    if not port.differences:
+        raise ModelicaError(f"'{port.name}' is no branch, so it has no potential drop", where=terms[0].where)
+    name = f"{port.name}.difference"
+    flat = flat.with_variable(Variable(name, ADDED, unit=port.units[0] or None))
+    new: dict[bool, Expression] = {False: variable(name), True: Call(ADDED, "der", (variable(name),))}
+
+    def put_in(node: Expression) -> Expression:
+        found = next((d for d in port.differences if d.node == node), None)
+        if found is None:
+            return node
+        return Unary(ADDED, "-", new[found.rates]) if found.negative else new[found.rates]
+
+    sides = {i: [transform(side, put_in) for side in (e.left, e.right)] for i, e in enumerate(flat.equations)}
+    changed = {i: (replace(flat.equations[i], left=left, right=right),) for i, (left, right) in sides.items()}
+    bindings = {n: transform(v.binding, put_in) for n, v in flat.variables.items() if v.binding is not None}
+    variables = {n: replace(v, binding=bindings.get(n)) for n, v in flat.variables.items()}
+    total = Binary(ADDED, "+", port.quantities["p"], _total(flat, terms, port.quantities))
+    flat = replace(flat.with_equations(changed), variables=MappingProxyType(variables))
+    return _with_states(flat.with_equation(variable(name), total), terms, port.quantities)
 
 
 def _with_cut(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:

@@ -4,6 +4,9 @@ A physical connector has one potential and one flow, whose units determine the d
 potential: a flow can be added to its balance. A *branch* is a component between two nodes: a flow can be taken
 from one and given to the other, or a difference added to the potential at its first connector. A *joint* is a
 rigid connection between stores: it may be separated. A *signal* is a causal connection inside the model.
+
+What a model states as equations has such places, too: a balance is a node, or a *loop* if it is one of voltages,
+and a difference between two balances a branch.
 """
 
 from __future__ import annotations
@@ -13,11 +16,22 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal as Choice
 
-from fmu_build.flat_model import Connector, Equation, FlatModel, Variable, number, variable
-from fmu_build.syntax import Binary, Call, Expression, Literal, Reference, Unary, references, walk
+from fmu_build.flat_model import (
+    Connector,
+    Equation,
+    FlatModel,
+    Variable,
+    constant,
+    differentiated,
+    flat_name,
+    number,
+    variable,
+)
+from fmu_build.syntax import Binary, Call, Expression, Reference, Unary, references, walk
 from fmu_build.unit_strings import parse_unit
+from fmu_build.written_balances import Balance, Coupling, Difference, Share, WrittenBalances
 
-Kind = Choice["node", "branch", "joint", "signal"]
+Kind = Choice["node", "branch", "joint", "signal", "loop"]
 Domain = Choice["rotational", "translational", "electrical", "thermal", "fluid", "signal"]
 
 _DOMAINS: tuple[tuple[Domain, str, tuple[str, ...]], ...] = (
@@ -67,6 +81,12 @@ class Port:
         Whether a signal is an input of the model that is only passed on.
     loops
         Whether the load is that of a rigid gear, which depends on accelerations: laws of it make algebraic loops.
+    shares
+        Of a port without connectors: what its flow adds to equations.
+    terms
+        Of such a port: the summands of these equations, whose values give the size of the flow.
+    differences
+        Of a branch without connectors: where the model has the difference of its potentials.
     """
 
     name: str
@@ -83,6 +103,9 @@ class Port:
     same: tuple[str, ...] = ()
     passed: bool = False
     loops: bool = False
+    shares: tuple[Share, ...] = ()
+    terms: tuple[Expression, ...] = field(default=(), repr=False)
+    differences: tuple[Difference, ...] = field(default=(), repr=False)
 
 
 def find_ports(flat: FlatModel) -> tuple[Port, ...]:
@@ -104,15 +127,6 @@ def held_parameters(flat: FlatModel) -> tuple[Variable, ...]:
     )  # fmt: skip
 
 
-def constant(e: Expression | None) -> float | None:
-    """Return the value of a literal, possibly with a sign; None for anything else."""
-    if isinstance(e, Literal) and isinstance(e.value, int | float) and not isinstance(e.value, bool):
-        return float(e.value)
-    operator, operand = getattr(e, "operator", None), getattr(e, "operand", None)
-    inner = constant(operand) if operator in ("-", "+") else None
-    return None if inner is None else -inner if operator == "-" else inner
-
-
 def domain_of(potential: str | None, flow: str | None) -> Domain | None:
     """Return the domain of a potential and a flow with these units, None if there is none."""
     p, f = _dimension(potential), _dimension(flow)
@@ -125,15 +139,6 @@ def domain_of(potential: str | None, flow: str | None) -> Domain | None:
 def _dimension(unit: str | None) -> tuple[int, ...] | None:
     parsed = parse_unit(unit) if unit else None
     return None if parsed is None else parsed[2]
-
-
-def flat_name(reference: Reference) -> str:
-    """Return the name of the flat variable, or of its element, that a reference denotes."""
-    parts = []
-    for part in reference.parts:
-        inside = [str(s.value) if isinstance(s, Literal) else "?" for s in part.subscripts]
-        parts.append(f"{part.name}[{','.join(inside)}]" if inside else part.name)
-    return ".".join(parts)
 
 
 def fed_inputs(flat: FlatModel) -> Iterator[tuple[int, str, Reference]]:
@@ -173,13 +178,6 @@ class _Classes:
 
     def join(self, a: str, b: str) -> None:
         self._parent[self.find(b)] = self.find(a)
-
-
-def _differentiated(node: object) -> str | None:
-    """Name of the variable that a node is the derivative of."""
-    if isinstance(node, Call) and node.function == "der" and isinstance(node.arguments[0], Reference):
-        return flat_name(node.arguments[0])
-    return None
 
 
 class _Finder:
@@ -237,7 +235,7 @@ class _Finder:
         named = [
             (inner, flat_name(left))
             for left, right in self._equalities()
-            if (inner := _differentiated(right)) is not None and isinstance(left, Reference)
+            if (inner := differentiated(right)) is not None and isinstance(left, Reference)
         ]
         joined = True
         while joined:
@@ -248,7 +246,7 @@ class _Finder:
                     self.classes.join(same, name)
                     joined = True
         for equation in self.flat.equations:
-            for name in filter(None, map(_differentiated, walk((equation.left, equation.right)))):
+            for name in filter(None, map(differentiated, walk((equation.left, equation.right)))):
                 self.derived.setdefault(self.classes.find(name), "")
         self.derived |= first
 
@@ -279,7 +277,9 @@ class _Finder:
             for b in branches
             for load, loops in [self._load(b.connectors, branches)]
         ]
-        return (*self._nodes(branches), *branches, *self._joints(branches), *self._signals())
+        return (
+            *self._nodes(branches), *branches, *self._joints(branches), *self._written(), *self._signals()
+        )  # fmt: skip
 
     def _rates(self, potential: str) -> dict[str, Expression]:
         """Return rate and acceleration of a potential, where the model computes them anyway."""
@@ -550,7 +550,7 @@ class _Finder:
             progress = False
             for equation in list(waiting):
                 sides = (equation.left, equation.right)
-                calls = [c for c in walk(sides) if isinstance(c, Call) and _differentiated(c) is not None]
+                calls = [c for c in walk(sides) if isinstance(c, Call) and differentiated(c) is not None]
                 inside = {id(c.arguments[0]) for c in calls}
                 names = {flat_name(r) for r in references(sides) if id(r) not in inside}
                 if not names & positions:
@@ -563,6 +563,57 @@ class _Finder:
                 waiting.remove(equation)
                 progress = True
         return False
+
+    def _written(self) -> Iterator[Port]:
+        """Yield the ports of what is stated as equations, in components without connectors of that domain."""
+        potentials = {self.classes.find(potential) for _, potential, _ in self.physical.values()}
+        speeds = {self.classes.find(self.derived[p]) for p in potentials if self.derived.get(p)}
+        flows = {self.classes.find(v.name) for v in self.flat.variables.values() if v.flow}
+        written = WrittenBalances(self.flat, self.classes.find, self.derived, potentials | speeds | flows)
+        has = {(self.flat.connectors[path].component, found[0]) for path, found in self.physical.items()}
+        balances = [
+            b
+            for b in written.balances()
+            if not any((b.component, d) in has for d in (MECHANICAL if b.domain in MECHANICAL else (b.domain,)))
+        ]
+        couplings = written.couplings(balances)
+        for b in balances:
+            quantities = self._of_balance(b)
+            probes = {"p": (b.potential,)} if b.potential is not None else {}
+            probes |= {"rate": (b.rate,)} if b.rate is not None else {}
+            node = Port(
+                f"{b.name}.balance", "loop" if b.loop else "node", b.domain, (), b.units, quantities, probes,
+                shares=(b.share,), terms=b.terms,
+            )  # fmt: skip
+            yield node
+            if b.domain in MECHANICAL and written.held(b, couplings):
+                yield replace(node, name=f"{b.potential}.ground", kind="branch", probes={}, compliant=True)
+        yield from map(self._coupling, couplings)
+
+    def _of_balance(self, b: Balance) -> dict[str, Expression]:
+        if b.loop:
+            return {"through": variable(b.name)}
+        if b.potential is not None:
+            return {"p": variable(b.potential), **self._rates(b.potential)}
+        assert b.rate is not None
+        further = self._rates(b.rate)
+        return {"rate": variable(b.rate)} | ({"acceleration": further["rate"]} if "rate" in further else {})
+
+    def _coupling(self, c: Coupling) -> Port:
+        """Return the branch between two balances: its flow leaves the second one and enters the first."""
+        of = [self._of_balance(b) for b in (c.first, c.second)]
+        scaled = [
+            {name: e if factor is None else Binary(e.at, "*", factor, e) for name, e in quantities.items()}
+            for factor, quantities in zip(c.factors, of, strict=True)
+        ]
+        quantities = {
+            n: _difference(scaled[1][n], scaled[0][n]) for n in ("p", "rate") if all(n in s for s in scaled)
+        }
+        shares = (c.first.share.opposite.times(c.factors[0]), c.second.share.times(c.factors[1]))
+        return Port(
+            c.name, "branch", c.first.domain, (), c.first.units, quantities, shares=shares,
+            terms=(*c.first.terms, *c.second.terms), differences=c.differences, compliant=True,
+        )  # fmt: skip
 
     def _signals(self) -> Iterator[Port]:
         given = {self.classes.find(v.name) for v in self.flat.variables.values() if v.causality == "input"}

@@ -63,6 +63,11 @@ def check(flat: FlatModel) -> list[str]:
     return list(dict.fromkeys(_Checker(flat).run()))
 
 
+def dimension(flat: FlatModel, expression: Any) -> Dimension | None:
+    """Return the unit of an expression of a flat model; None if it is unknown."""
+    return _Checker(flat)._unit(expression)
+
+
 class _Checker:
     def __init__(self, flat: FlatModel) -> None:
         self._flat = flat
@@ -70,7 +75,7 @@ class _Checker:
 
     def run(self) -> Iterator[str]:
         for variable in self._flat.variables.values():
-            own = _of_unit(variable.unit)
+            own = dimension_of_unit(variable.unit)
             for value in (variable.binding, variable.start, variable.min, variable.max, variable.nominal):
                 if value is not None and not isinstance(value, Literal):
                     self._alike(own, self._unit(value), variable.at)
@@ -103,7 +108,7 @@ class _Checker:
         match node:
             case Reference():
                 variable = self._flat.variables.get(node.name)
-                return _of_unit(variable.unit) if variable else None
+                return dimension_of_unit(variable.unit) if variable else None
             case Subscripted() | Field():
                 return self._unit(node.base) if isinstance(node, Subscripted) else None
             case Unary():
@@ -173,7 +178,8 @@ def _literal(node: Any) -> float | None:
     return float(node.value)
 
 
-def _of_unit(text: str | None) -> Dimension | None:
+def dimension_of_unit(text: str | None) -> Dimension | None:
+    """Return the dimension of a unit string; None if it is not one."""
     parsed = parse_unit(text) if text else None
     if parsed is None:
         return None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -123,6 +124,56 @@ def test_init_sees_when_the_inputs_act(
     assert load_campaign("campaign").models["Winding"].interpolation == found
     signals = load_campaign("campaign").measurements["run"].signals
     assert (signals["speed"].sigma, signals["i"].sigma) == (0.5, 0.01)
+
+
+def loudspeaker(u: np.ndarray, step: float, *, linear: bool, fine: int = 10) -> np.ndarray:
+    """Current and excursion of a cone on a suspension that hardens; the voltage is held, or linear, between samples."""
+
+    def slope(x: np.ndarray, voltage: float) -> np.ndarray:
+        i, s, v = x
+        force = 6.6 * i - 2350 * s * (1 + (s / 6e-3) ** 2) - 1.35 * v
+        return np.array([(voltage - 5.6 * i - 6.6 * v) / 0.55e-3, v, force / 0.0215])
+
+    x, rows, h = np.zeros(3), [np.zeros(3)], step / fine
+    for before, after in pairwise(u):
+        for k in range(fine):
+            middle = before + (after - before) * (k + 0.5) / fine if linear else before
+            a = slope(x, middle)
+            b = slope(x + h / 2 * a, middle)
+            c = slope(x + h / 2 * b, middle)
+            x = x + h / 6 * (a + 2 * b + 2 * c + slope(x + h * c, middle))
+        rows.append(x)
+    return np.array(rows)[:, :2]
+
+
+@pytest.mark.parametrize("linear", [True, False], ids=["linear", "held"])
+def test_init_sees_it_through_parameters_that_are_off_and_a_law_that_is_missing(
+    linear: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    model = Path(__file__).parents[1] / "fmu_build" / "models" / "Written.mo"
+    step, random = 2e-4, np.random.default_rng(3)
+    time = np.arange(2000) * step
+    for name, tones in {"low": (17, 41, 73), "high": (55, 130, 260), "last": (30, 90, 170)}.items():
+        u = sum(4 * np.sin(2 * np.pi * f * time + f) for f in tones)
+        seen = loudspeaker(u, step, linear=linear) + random.normal(scale=(0.01, 2e-5), size=(time.size, 2))
+        rows = np.column_stack([time, u, seen])
+        np.savetxt(f"{name}.csv", rows, delimiter=",", comments="", header="time [s],u [V],i [A],x [m]")
+    code, _, _ = fmuid(
+        "init",
+        "low.csv",
+        "high.csv",
+        "last.csv",
+        "--model",
+        model,
+        "--class",
+        "Written.Loudspeaker",
+        "--workers",
+        "0",
+    )
+    assert code == 0
+    (spec,) = load_campaign("campaign").models.values()
+    assert spec.interpolation == ("linear" if linear else "hold")
 
 
 def test_init_says_what_it_holds_and_why(

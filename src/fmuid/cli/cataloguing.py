@@ -69,7 +69,8 @@ def effects(
 
 
 def _of_model(file: Path, class_name: str | None, roots: list[Path]) -> dict[str, list[str]]:
-    from fmu_build.model_ports import constant, held_parameters
+    from fmu_build.flat_model import constant
+    from fmu_build.model_ports import held_parameters
     from fmuid.core.campaign import ModelSource
     from fmuid.diagnosis.made_catalogue import possible_laws
     from fmuid.simulation.model_source import flat_model

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from fmu_build.errors import ModelicaError
-from fmu_build.flat_model import FlatModel, number
-from fmu_build.model_ports import constant, find_ports
+from fmu_build.flat_model import FlatModel, constant, number
+from fmu_build.model_ports import find_ports
 from fmu_build.modelica_text import modelica_text
 from fmuid.core.campaign import SEPARATOR, Campaign, ModelSource, ModelSpec, without_owner
 from fmuid.core.files import path_from, write_atomically

@@ -27,6 +27,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.core.toml_tables import Table, convert, read_toml, toml_document, toml_text
 from fmuid.diagnosis.catalogue import load_catalogue
 from fmuid.diagnosis.extended_model import CampaignModel
+from fmuid.diagnosis.flat_expressions import courses_at, largest_flow, names_at
 from fmuid.diagnosis.variants import carrier
 from fmuid.identification.problem.cases import experiments_of
 from fmuid.identification.problem.segments import in_segments
@@ -99,6 +100,11 @@ class _Law(Table):
             return False
         if self.body and "acceleration" not in port.quantities:
             return False
+        drops = port.kind == "loop" or bool(port.differences)
+        if port.shares and (cuts or self.reaction or (self.acts == "potential" and not drops)):
+            return False
+        if port.shares and port.kind == "branch" and len(port.shares) == 1 and not self.compliant:
+            return False  # a node has the law, too
         given = {*port.quantities, "time", *self.parameters, *self.states, *SIZES}
         given |= {"rate"} if cuts else {"position"} if port.kind == "branch" else set()
         of_states = (text for s in self.states.values() for text in (s.derivative, s.start))
@@ -108,7 +114,17 @@ class _Law(Table):
     def changes(self, port: Port) -> bool:
         """Return whether the law changes the model even while it is off, if only its states or its loops."""
         loops = port.loops and "load" in _names(self.of(port.domain))
-        return self.variant or loops or (self.acts == "potential" and bool(port.preferred))
+        makes_loops = self.variant and port.kind != "loop"  # the current through a coil is a state
+        return makes_loops or loops or (self.acts == "potential" and bool(port.preferred or port.differences))
+
+    def at(self, port: Port) -> _Law:
+        """Return the law at a port; where the flow through a branch is unknown, without what acts besides."""
+        if not port.differences or _names(self.flow) <= {*port.quantities, *self.parameters}:
+            return self
+        used = set().union(*map(_names, (self.of(port.domain), *(s.derivative for s in self.states.values()))))
+        parameters = {key: p for key, p in self.parameters.items() if key in used}
+        trials = [{k: v for k, v in trial.items() if k in used} for trial in self.trials or ()] or None
+        return msgspec.structs.replace(self, flow="", parameters=parameters, trials=trials)
 
     def may_be_sized(self, sizes: Collection[str]) -> bool:
         """Return whether these sizes are all that the law's numbers depend on."""
@@ -139,8 +155,9 @@ def laws() -> Mapping[str, _Law]:
 def fitting(place: Place) -> Iterator[tuple[str, _Law]]:
     """Yield the laws that may act at a port: for its domain and kind, using quantities and sizes that it has."""
     for name, law in laws().items():
-        if law.may_act(place.port) and law.may_be_sized(place.sizes):
-            yield name, law
+        here = law.at(place.port)
+        if here.may_act(place.port) and here.may_be_sized(place.sizes):
+            yield name, here
 
 
 def _names(modelica: str) -> set[str]:
@@ -180,7 +197,7 @@ def _port_lines(place: Place) -> list[str]:
     name, (potential, flow) = toml_text(port.name), port.units
     also = f", also {', '.join(port.same[:4])}" if port.same else ""
     lines = [f"[ports.{name}]", f"description = {toml_text(f'{port.kind} {port.name} ({port.domain}{also})')}"]
-    moved = {"node": "F", "branch": "F", "signal": "P"}.get(port.kind)
+    moved = {"node": "F", "branch": "F", "signal": "P", "loop": "P"}.get(port.kind)
     if moved is not None:
         added = f"{port.name}.added_{'signal' if port.kind == 'signal' else 'flow'}"
         lines += [f"input = {toml_text(added)}", "added = true", f"magnitude = {_MAGNITUDE * sizes[moved]:.3g}"]
@@ -188,11 +205,11 @@ def _port_lines(place: Place) -> list[str]:
     regimes = {}
     if port.kind == "node" and port.probes.get("rate"):
         regimes["speed"] = (port.probes["rate"][0], "speed", f"{potential}/s")
-    if port.kind == "node":
+    if port.kind == "node" and port.probes.get("p"):
         regimes["position" if "rate" in port.probes else "potential"] = (
             port.probes["p"][0], "angle" if port.domain == "rotational" else "value", potential,
         )  # fmt: skip
-    if port.kind == "branch" and port.compliant:
+    if port.kind == "branch" and port.compliant and port.probes.get("flow"):
         regimes["flow"] = (port.probes["flow"][0], "value", flow)
     for what, (variable, kind, unit) in regimes.items():
         lines += [f"[regimes.{toml_text(f'{port.name} {what}')}]", f"variable = {toml_text(variable)}"]
@@ -322,43 +339,60 @@ def sized(
     by_name = {port.name: port for port in ports}
     found = []
     for port in by_name.values():
-        p, flow, rate, change = [], [], [], []
-        for t, course in zip(time, courses, strict=True):
-            own = [course[n] for n in port.probes["p"] if n in course]
-            if len(own) != len(port.probes["p"]):
-                continue
-            potential = own[1] - own[0] if port.kind == "branch" else own[0]
-            p.append(potential)
-            flow += [np.abs(course[n]).max() for n in port.probes.get("flow", ()) if n in course]
-            speeds = [course[n] for n in port.probes.get("rate", ()) if n in course]
-            if speeds and len(speeds) == len(port.probes["rate"]):
-                speed = speeds[1] - speeds[0] if port.kind == "branch" else speeds[0]
-            else:
-                speed = np.gradient(potential, t)
-            rate.append(np.abs(speed).max())
-            change.append(np.abs(np.gradient(speed, t)).max())
-        if not p:
+        seen = [one for t, course in zip(time, courses, strict=True) if (one := _seen_at(port, course, t))]
+        if not seen:
             continue
+        p = [one.p for one in seen if one.p is not None]
         sizes = {
-            "P": max(float(np.ptp(x)) for x in p),
-            "M": max(float(np.abs(x).max()) for x in p),
-            "Z": float(p[0][0]),
-            "V": float(max(rate, default=0.0)),
-            "A": float(max(change, default=0.0)),
-            "F": float(max(flow, default=0.0)),
+            "P": max([one.drop for one in seen] + [float(np.ptp(x)) for x in p]),
+            "M": max((float(np.abs(x).max()) for x in p), default=0.0),
+            "V": max(float(np.abs(one.rate).max()) for one in seen),
+            "A": max(float(np.abs(np.gradient(one.rate, one.time)).max()) for one in seen),
+            "F": max(one.flow for one in seen),
             "T": duration,
-        }
+        } | ({"Z": float(p[0][0])} if p else {})
         if "load" in port.quantities:
             load = port.quantities["load"]
             near = [b for b in ports if b.kind == "branch" and b.quantities.get("through") == load]
             names = [n for b in near for n in b.probes["flow"][:1]]
             sizes["L"] = max((float(np.abs(c[n]).max()) for c in courses for n in names if n in c), default=0.0)
-        if port.kind == "branch" and port.domain == "rotational":
+        if port.kind == "branch" and port.domain == "rotational" and port.connectors:
             sizes["W"], sizes["N"] = _turns(port, ports, courses)
         own_sizes = {k: v for k, v in sizes.items() if v > 0.0 or k == "Z"}
-        if "P" in own_sizes and (port.kind == "signal" or "F" in own_sizes):
+        if ("P" in own_sizes or "V" in own_sizes) and (port.kind == "signal" or "F" in own_sizes):
             found.append(Place(port, own_sizes))
     return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """Potential and rate at a port in a run, the largest flow, and the largest drop around a loop."""
+
+    time: FloatArray
+    p: FloatArray | None
+    rate: FloatArray
+    flow: float
+    drop: float = 0.0
+
+
+def _seen_at(port: Port, course: Mapping[str, FloatArray], t: FloatArray) -> _Seen | None:
+    """Return what is seen at a port in a run; None if the model has none of its variables there."""
+    if port.shares:
+        here, size = courses_at(port, course, t), largest_flow(port, course, t)
+        if port.kind == "loop" and (through := here.get("through")) is not None:
+            return _Seen(t, None, np.gradient(through, t), float(np.abs(through).max()), size)
+        p = here.get("p")
+        rate = here.get("rate", None if p is None else np.gradient(p, t))
+        return None if rate is None else _Seen(t, p, rate, size)
+    own = [course[n] for n in port.probes["p"] if n in course]
+    if len(own) != len(port.probes["p"]):
+        return None
+    p = own[1] - own[0] if port.kind == "branch" else own[0]
+    flow = max((float(np.abs(course[n]).max()) for n in port.probes.get("flow", ()) if n in course), default=0.0)
+    speeds = [course[n] for n in port.probes.get("rate", ()) if n in course]
+    if not speeds or len(speeds) != len(port.probes["rate"]):
+        return _Seen(t, p, np.gradient(p, t), flow)
+    return _Seen(t, p, speeds[1] - speeds[0] if port.kind == "branch" else speeds[0], flow)
 
 
 def _turns(
@@ -368,7 +402,7 @@ def _turns(
 
     Shafts that turn in proportion to it count, in the run in which it turns most.
     """
-    shafts = [p.probes["p"][0] for p in ports if p.kind == "node" and p.domain == "rotational"]
+    shafts = [p.probes["p"][0] for p in ports if p.connectors and p.kind == "node" and p.domain == "rotational"]
     first = branch.probes["p"][0]
     course = max((c for c in courses if first in c), key=lambda c: float(np.ptp(c[first])))
     own = course[first] - course[first].mean()
@@ -501,6 +535,7 @@ def made_catalogue(
         if name in setups:
             ports = find_ports(setups[name].flat)
             probes = [p for port in ports for group in port.probes.values() for p in group]
+            probes += [name for port in ports for name in names_at(port)]
             wanted = [n for n in dict.fromkeys(probes) if n in simulator.variables]
             found = simulated.trajectories({}, wanted)
             courses = [dict(zip(wanted, rows, strict=True)) for rows in found]
@@ -542,7 +577,7 @@ def _merged(parts: Sequence[Place]) -> list[Place]:
     for place in (place for place in parts if place.port.name in inside):
         same = found.get(place.port.name, place)
         largest = {k: max(v, place.sizes.get(k, v)) for k, v in same.sizes.items()}
-        sizes = {**place.sizes, **largest, "Z": same.sizes["Z"]}
+        sizes = {**place.sizes, **largest} | ({"Z": same.sizes["Z"]} if "Z" in same.sizes else {})
         if place.sizes.get("W", 0.0) < sizes.get("W", 0.0):  # a ratio is most precise where most turns
             sizes["N"] = same.sizes["N"]
         elif "N" in place.sizes:

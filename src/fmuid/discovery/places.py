@@ -11,6 +11,7 @@ from fmu_build.flat_model import FlatModel
 from fmu_build.model_ports import MECHANICAL, Port, find_ports
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.extended_model import CampaignModel
+from fmuid.diagnosis.flat_expressions import courses_at, largest_flow, names_at
 from fmuid.discovery.terms import Kind, Quantity, Term, library
 
 _MOVES = 1e-6  # relative to its size: a quantity that moves less counts as constant
@@ -48,7 +49,7 @@ def spot(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[str, 
     if port is None or port.kind not in ("node", "branch"):
         return None
     load = _load_probe(port, list(ports.values())) if port.domain in MECHANICAL else ()
-    wanted = [n for group in (*port.probes.values(), load) for n in group]
+    wanted = [n for group in (*port.probes.values(), load, names_at(port)) for n in group]
     known = set.intersection(*(set(case.simulator.variables) for case in model.cases))
     wanted = [n for n in dict.fromkeys(wanted) if n in known]
     rows = model.trajectories(values, wanted)
@@ -58,6 +59,7 @@ def spot(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[str, 
         driven = {n: np.asarray(u)[case.lead :] for n, u in case.task.inputs.items()}
         courses.append(_local(port, load, course, case.time) | driven)
         flows += [float(np.abs(course[n]).max()) for n in port.probes.get("flow", ()) if n in course]
+        flows.append(largest_flow(port, course, case.time))
     everywhere = set.intersection(*map(set, courses))  # setups may differ in their inputs
     courses = [{n: c for n, c in course.items() if n in everywhere} for course in courses]
     if "p" not in everywhere or max(flows, default=0.0) == 0.0:
@@ -82,6 +84,8 @@ def _local(
     port: Port, load: Sequence[str], course: Mapping[str, FloatArray], time: FloatArray
 ) -> dict[str, FloatArray]:
     """Return time series by the names that laws at a port use."""
+    if port.shares:
+        return courses_at(port, course, time)
 
     def across(names: Sequence[str]) -> FloatArray | None:
         own = [course[n] for n in names if n in course]

@@ -7,8 +7,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
-from fmu_build.flat_model import FlatModel
-from fmu_build.model_ports import find_ports, flat_name
+from fmu_build.flat_model import FlatModel, flat_name
+from fmu_build.model_ports import find_ports
 from fmu_build.syntax import Reference, references
 from fmuid.report.document import Drawing
 

@@ -1,0 +1,439 @@
+"""Balances that a model states as equations, without physical connectors: ``m*der(v) = F - d*v``.
+
+A *balance* is the equation that determines the highest derivative of a variable with a unit of physics: a sum of
+forces, torques, heat flows, currents, volume flows, or, around a coil, of voltages. A *coupling* is a difference
+of the potentials of two balances that the model computes, such as the twist of a spring between two masses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Literal as Choice
+
+from fmu_build.flat_model import ADDED, Equation, FlatModel, constant, differentiated, flat_name, number
+from fmu_build.syntax import Binary, Call, Expression, If, Node, Reference, Unary, references, transform, walk
+from fmu_build.unit_check import dimension, dimension_of_unit
+
+Domain = Choice["rotational", "translational", "electrical", "thermal", "fluid"]
+Side = Choice["left", "right"]
+
+# By the unit of what is differentiated: domain, unit of the potential if that is another variable, and the units
+# that a balance may have. The last one is that of an equation solved for the derivative.
+_DOMAINS: tuple[tuple[str, Domain, str, tuple[str, ...]], ...] = (
+    ("rad/s", "rotational", "rad", ("N.m", "rad/s2")),
+    ("m/s", "translational", "m", ("N", "m/s2")),
+    ("rad", "rotational", "", ("N.m",)),
+    ("m", "translational", "", ("N",)),
+    ("K", "thermal", "", ("W", "K/s")),
+    ("V", "electrical", "", ("A", "V/s")),
+    ("A", "electrical", "", ("V", "A/s")),
+    ("Pa", "fluid", "", ("m3/s", "kg/s", "Pa/s")),
+    ("m", "fluid", "", ("m3/s", "kg/s", "m/s")),
+)
+_SAME_VALUE = {"noEvent", "smooth"}  # of their last argument
+
+
+@dataclass(frozen=True)
+class Share:
+    """What a flow adds to an equation.
+
+    Attributes
+    ----------
+    equation, side
+        Number of the equation, and the side from which a flow out is subtracted.
+    added
+        Whether it is added to that side instead, because the derivative has a negative factor.
+    factor
+        Of the flow; None is 1.
+    """
+
+    equation: int
+    side: Side
+    added: bool = False
+    factor: Expression | None = None
+
+    @property
+    def opposite(self) -> Share:
+        """The same for a flow in."""
+        return replace(self, added=not self.added)
+
+    def times(self, factor: Expression | None) -> Share:
+        """Return the same for a flow with a factor."""
+        both = [f for f in (self.factor, factor) if f is not None]
+        return replace(self, factor=Binary(ADDED, "*", *both) if len(both) == 2 else next(iter(both), None))
+
+
+@dataclass(frozen=True)
+class Balance:
+    """An equation that determines a derivative.
+
+    Attributes
+    ----------
+    name
+        The variable that is differentiated.
+    component
+        The component that has the equation.
+    potential, rate
+        Variables; of a speed whose integral the model lacks, there is no potential. A rate of None is the
+        derivative of the potential.
+    units
+        Units of the potential and of the balance; the latter is empty if it cannot be inferred.
+    loop
+        Whether the balance is one of voltages, around a coil whose current is the potential.
+    terms
+        The equation's summands.
+    near
+        Classes of the variables that the balance depends on, through explicit equations, too.
+    """
+
+    name: str
+    component: str
+    domain: Domain
+    potential: str | None
+    rate: str | None
+    units: tuple[str, str]
+    share: Share
+    loop: bool
+    terms: tuple[Expression, ...]
+    near: frozenset[str]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A difference as the model has it: of potentials or their rates; ``negative`` if the other way round."""
+
+    node: Expression
+    rates: bool
+    negative: bool
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A difference of two potentials, of which that of the first balance is subtracted.
+
+    Attributes
+    ----------
+    factors
+        Of the two potentials; None is 1.
+    differences
+        Where the model has it.
+    """
+
+    name: str
+    first: Balance
+    second: Balance
+    factors: tuple[Expression | None, Expression | None]
+    differences: tuple[Difference, ...]
+
+
+@dataclass(frozen=True)
+class _End:
+    """An end of a coupling: a balance, and the factor of its potential."""
+
+    balance: Balance
+    factor: Expression | None
+
+
+class WrittenBalances:
+    """Finds balances and couplings.
+
+    Parameters
+    ----------
+    find
+        Gives the class of a variable: all that are equal have the same one.
+    derived
+        A variable that is the derivative of a class; an empty string if only ``der`` is.
+    covered
+        Classes that physical connectors already give ports to.
+    """
+
+    def __init__(
+        self,
+        flat: FlatModel,
+        find: Callable[[str], str],
+        derived: Mapping[str, str],
+        covered: Collection[str],
+    ) -> None:
+        self._flat = flat
+        self._find = find
+        self._derived = derived
+        self._covered = covered
+        self._explicit = self._definitions()
+
+    def balances(self) -> tuple[Balance, ...]:
+        """Return the balances in the order of the declarations of what they differentiate."""
+        taken: set[int] = set()
+        found = []
+        for name in self._differentiated():
+            for i, equation in self._candidates(name):
+                if i not in taken and (balance := self._balance(name, i, equation)) is not None:
+                    taken.add(i)
+                    found.append(balance)
+                    break
+        return tuple(found)
+
+    def couplings(self, balances: Sequence[Balance]) -> tuple[Coupling, ...]:
+        """Return the differences of potentials, or of their rates, of two balances of one domain."""
+        both = (("potential", False), ("rate", True))
+        of = {
+            self._find(name): (b, rates)
+            for b in balances
+            for what, rates in both
+            if not b.loop and (name := getattr(b, what)) is not None
+        }
+        found: dict[tuple[_End, _End], list[Difference]] = {}
+        for node in self._written():
+            if not (isinstance(node, Binary) and node.operator == "-"):
+                continue
+            plus, minus = (self._end(side, of) for side in (node.left, node.right))
+            if plus is None or minus is None:
+                continue
+            (second, rates), (first, same) = plus, minus
+            alike = (first.balance.domain, first.balance.units) == (second.balance.domain, second.balance.units)
+            if rates == same and alike and first.balance != second.balance:
+                negative = (second, first) in found
+                key = (second, first) if negative else (first, second)
+                found.setdefault(key, []).append(Difference(node, rates, negative))
+        names = [f"{first.balance.name}.{second.balance.name}" for first, second in found]
+        return tuple(
+            Coupling(name, first.balance, second.balance, (first.factor, second.factor), tuple(differences))
+            for i, (name, ((first, second), differences)) in enumerate(zip(names, found.items(), strict=True))
+            if name not in names[:i]
+        )
+
+    def held(self, balance: Balance, couplings: Sequence[Coupling]) -> bool:
+        """Return whether a spring to the ground seems to act: the balance has the position itself in a term."""
+        between = [difference.node for coupling in couplings for difference in coupling.differences]
+        own = self._find(balance.potential) if balance.potential is not None else ""
+        waiting, seen = [*balance.terms], set[str]()
+        while own and waiting:
+            for name in map(self._find, _names_of_term(waiting.pop())):
+                if name == own:
+                    return True
+                if name not in seen:
+                    seen.add(name)
+                    waiting += [t for e in self._explicit.get(name, ()) if e not in between for t in _summands(e)]
+        return False
+
+    def _written(self) -> Iterator[Node]:
+        for _, e in self._own():
+            yield from walk((e.left, e.right))
+        for v in self._flat.variables.values():
+            if v.binding is not None and v.variability == "continuous":
+                yield from walk((v.binding,))
+
+    def _end(self, side: Expression, of: Mapping[str, tuple[Balance, bool]]) -> tuple[_End, bool] | None:
+        """Return the balance whose potential a side is, with its factor, and whether it is the rate instead."""
+        match side:
+            case Reference():
+                known, factor = of.get(self._find(flat_name(side))), None
+            case Binary(operator="*", left=one, right=Reference() as other) if self._given(one):
+                known, factor = of.get(self._find(flat_name(other))), one
+            case Binary(operator="*", left=Reference() as other, right=one) if self._given(one):
+                known, factor = of.get(self._find(flat_name(other))), one
+            case Binary(operator="/", left=Reference() as other, right=one) if self._given(one):
+                known, factor = of.get(self._find(flat_name(other))), Binary(ADDED, "/", number(1.0), one)
+            case _:
+                return None
+        if known is None:
+            return None
+        anywhere = None if factor is None else transform(factor, lambda node: replace(node, at=ADDED))
+        return _End(known[0], anywhere), known[1]
+
+    def _given(self, e: Expression) -> bool:
+        names = [flat_name(r) for r in references((e,))]
+        declared = [self._flat.variables.get(n) for n in names]
+        return all(v is not None and v.variability in ("constant", "parameter") for v in declared)
+
+    def _own(self) -> Iterator[tuple[int, Equation]]:
+        """Yield the equations that are written in a class that is no block, with their numbers."""
+        kinds = {c.path: c.kind for c in self._flat.components.values()}
+        for i, e in enumerate(self._flat.equations):
+            if e.origin.kind in ("class", "binding") and kinds.get(e.origin.component) != "block":
+                yield i, e
+
+    def _definitions(self) -> dict[str, tuple[Expression, ...]]:
+        """Return what a variable is explicitly equal to, by class."""
+        found: dict[str, tuple[Expression, ...]] = {}
+        for _, e in self._own():
+            for one, other in ((e.left, e.right), (e.right, e.left)):
+                if isinstance(one, Reference) and not isinstance(other, Reference):
+                    found.setdefault(self._find(flat_name(one)), (other,))
+        for v in self._flat.variables.values():
+            if v.binding is not None and v.variability == "continuous":
+                found.setdefault(self._find(v.name), (v.binding,))
+        return found
+
+    def _differentiated(self) -> list[str]:
+        """Return the variables whose derivative is differentiated no further, in the order of declarations."""
+        of: dict[str, str] = {}
+        written = {name for name in map(differentiated, self._written()) if name is not None}
+        for v in self._flat.variables.values():
+            if v.name in written and not v.shape:
+                of.setdefault(self._find(v.name), v.name)
+        lower = {c for c, d in self._derived.items() if d and self._find(d) in self._derived}
+        return [n for c, n in of.items() if c not in lower and c not in self._covered]
+
+    def _candidates(self, name: str) -> list[tuple[int, Equation]]:
+        """Return equations that may be the balance of a variable; those that only define another one come last."""
+        found = []
+        for i, e in self._own():
+            sides = (e.left, e.right)
+            if not any(self._is_derivative(node, name) for node in walk(sides)):
+                continue
+            plain = [isinstance(side, Reference) or differentiated(side) is not None for side in sides]
+            flows = (self._flat.variables.get(flat_name(r)) for r in references(sides))
+            if all(plain) or any(v is not None and v.flow for v in flows):
+                continue
+            defines = any(isinstance(s, Reference) and not self._is_derivative(s, name) for s in sides)
+            found.append((defines, i, e))
+        return [(i, e) for _, i, e in sorted(found, key=lambda one: one[:2])]
+
+    def _is_derivative(self, node: object, name: str) -> bool:
+        inner = differentiated(node)
+        if inner is not None:
+            return self._find(inner) == self._find(name)
+        speed = self._derived.get(self._find(name))
+        return (
+            bool(speed) and isinstance(node, Reference) and self._find(flat_name(node)) == self._find(speed or "")
+        )
+
+    def _balance(self, name: str, i: int, e: Equation) -> Balance | None:
+        left = self._sign(e.left, name)
+        sign = left or self._sign(e.right, name)
+        own, other = (e.left, e.right) if left else (e.right, e.left)
+        near = self._near(e)
+        # If the equation is solved for the derivative, the balance is the sum that is divided by an inertia.
+        divided = _divided(other) if self._is_derivative(own, name) else None
+        ways = [divided, (None, (own, other))] if divided is not None else [(None, (own, other))]
+        found = ((way, physics) for way in ways if (physics := self._physics(name, way[1], near)) is not None)
+        (factor, sums), physics = next(found, ((None, ()), None))
+        if not sign or physics is None:
+            return None
+        domain, potential, rate, units = physics
+        share = Share(i, "right" if left else "left", added=sign < 0, factor=factor)
+        terms = tuple(term for one in sums for term in _summands(one))
+        loop = domain == "electrical" and units[0] == "A"
+        return Balance(name, e.origin.component, domain, potential, rate, units, share, loop, terms, near)
+
+    def _sign(self, e: Expression, name: str) -> int:
+        """Return the sign of the factor of the derivative in an expression; 0 if there is none."""
+        if self._is_derivative(e, name):
+            return 1
+        match e:
+            case Unary():
+                return -self._sign(e.operand, name) if e.operator == "-" else self._sign(e.operand, name)
+            case Binary(operator="+" | "-"):
+                second = self._sign(e.right, name)
+                return self._sign(e.left, name) or (-second if e.operator == "-" else second)
+            case Binary(operator="*"):
+                pairs = ((e.left, e.right), (e.right, e.left))
+                return next((s * self._sign_of(other) for one, other in pairs if (s := self._sign(one, name))), 0)
+            case Binary(operator="/"):
+                return self._sign(e.left, name) * self._sign_of(e.right)
+            case If():
+                parts = (*(branch for _, branch in e.branches), e.otherwise)
+                return next((s for part in parts if (s := self._sign(part, name))), 0)
+            case Call(arguments=(*_, value)) if e.function in _SAME_VALUE and value is not None:
+                return self._sign(value, name)
+        return 0
+
+    def _sign_of(self, e: Expression) -> int:
+        """Return the sign of a factor: of a number or a parameter; anything else counts as positive."""
+        match e:
+            case Unary(operator="-"):
+                return -self._sign_of(e.operand)
+            case Binary(operator="*" | "/"):
+                return self._sign_of(e.left) * self._sign_of(e.right)
+            case Reference():
+                declared = self._flat.variables.get(flat_name(e))
+                value = None if declared is None else constant(declared.binding)
+            case _:
+                value = constant(e)
+        return -1 if value is not None and value < 0.0 else 1
+
+    def _near(self, e: Equation) -> frozenset[str]:
+        found, waiting = set[str](), [e.left, e.right]
+        while waiting:
+            for reference in references((waiting.pop(),)):
+                own = self._find(flat_name(reference))
+                if own not in found:
+                    found.add(own)
+                    waiting += self._explicit.get(own, ())
+        return frozenset(found)
+
+    def _physics(
+        self, name: str, sums: Sequence[Expression], near: Collection[str]
+    ) -> tuple[Domain, str | None, str | None, tuple[str, str]] | None:
+        """Return domain, potential, rate and units of a balance; None if its units are of no domain.
+
+        Without units, what is differentiated twice counts as a position.
+        """
+        own = self._flat.variables[name].unit
+        if own is None:
+            integral = self._integral(name)
+            return None if integral is None else ("translational", integral, name, ("1", "1"))
+        flow = next((found for e in sums if (found := dimension(self._flat, e)) is not None), None)
+        for unit, domain, potential, flows in _DOMAINS:
+            fitting = [f for f in flows if flow is None or flow.exponents == _exponents(f)]
+            if not fitting or _exponents(own) != _exponents(unit):
+                continue
+            if "rad" in unit and "rad" not in own and "N.m" not in fitting:  # a frequency
+                continue
+            if fitting == ["m/s"] and not self._has_area(near):  # kinematics
+                continue
+            units = (potential or own, "" if flow is None else fitting[0])
+            if potential:
+                return domain, self._integral(name), name, units
+            return domain, name, self._derived.get(self._find(name)) or None, units
+        return None
+
+    def _has_area(self, near: Collection[str]) -> bool:
+        """Return whether a balance contains an area or a flow of volume, as that of a level does."""
+        units = {v.unit for v in self._flat.variables.values() if v.unit and self._find(v.name) in near}
+        return not {_exponents(unit) for unit in units}.isdisjoint({_exponents("m2"), _exponents("m3/s")})
+
+    def _integral(self, name: str) -> str | None:
+        """Return the variable whose derivative a speed is."""
+        own = self._find(name)
+        at = (c for c, d in self._derived.items() if d and self._find(d) == own)
+        first = next(at, None)
+        return next((v.name for v in self._flat.variables.values() if self._find(v.name) == first), None)
+
+
+def _divided(e: Expression) -> tuple[Expression | None, tuple[Expression, ...]] | None:
+    """Return the factor of a sum that is divided by an inertia or a capacity, and the sum; None for others."""
+    match e:
+        case Binary(operator="/"):
+            return Binary(ADDED, "/", number(1.0), e.right), (e.left,)
+        case Binary(operator="*", right=Binary(operator="+" | "-")):
+            return e.left, (e.right,)
+        case Binary(operator="*", left=Binary(operator="+" | "-")):
+            return e.right, (e.left,)
+    return None
+
+
+def _summands(e: Expression) -> list[Expression]:
+    """Return the terms of a sum."""
+    if isinstance(e, Binary) and e.operator in ("+", "-"):
+        return [*_summands(e.left), *_summands(e.right)]
+    return _summands(e.operand) if isinstance(e, Unary) else [e]
+
+
+def _exponents(unit: str) -> tuple[Fraction, ...] | None:
+    found = dimension_of_unit(unit)
+    return None if found is None else found.exponents
+
+
+def _names_of_term(e: Expression) -> Iterator[str]:
+    """Yield the variables in a product, but not those in differences and functions."""
+    match e:
+        case Reference():
+            yield flat_name(e)
+        case Binary(operator="*" | "/" | "^"):
+            yield from _names_of_term(e.left)
+            yield from _names_of_term(e.right)
+        case Unary():
+            yield from _names_of_term(e.operand)

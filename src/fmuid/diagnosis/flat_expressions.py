@@ -1,0 +1,91 @@
+"""Values over time of expressions of a flat model, from those of its variables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from fmu_build.flat_model import differentiated, flat_name
+from fmu_build.model_ports import Port
+from fmu_build.syntax import Binary, Call, Expression, If, Literal, Reference, Unary, references
+from fmuid.core.immutable import FloatArray
+
+_FUNCTIONS: Mapping[str, Callable[..., FloatArray]] = {
+    "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
+    "atan2": np.arctan2, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "exp": np.exp, "log": np.log,
+    "log10": np.log10, "sqrt": np.sqrt, "abs": np.abs, "sign": np.sign, "min": np.minimum, "max": np.maximum,
+    "noEvent": np.asarray, "smooth": lambda *both: both[1], "homotopy": lambda *both: both[0],
+}  # fmt: skip
+_PREFIXES: Mapping[str, Callable[[FloatArray], FloatArray]] = {
+    "-": np.negative, "+": np.positive, "not": np.logical_not,
+}  # fmt: skip
+_OPERATORS: Mapping[str, Callable[[FloatArray, FloatArray], FloatArray]] = {
+    "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "^": np.power,
+    "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "==": np.equal,
+    "<>": np.not_equal, "and": np.logical_and, "or": np.logical_or,
+}  # fmt: skip
+
+
+class _UnknownError(Exception):
+    """An expression has a variable or an operation that is not known here."""
+
+
+def names_at(port: Port) -> list[str]:
+    """Return the variables that the quantities and the flows of a port without connectors depend on."""
+    every = (*port.quantities.values(), *port.terms) if port.shares else ()
+    return list(dict.fromkeys(flat_name(reference) for reference in references(every)))
+
+
+def courses_at(port: Port, courses: Mapping[str, FloatArray], time: FloatArray) -> dict[str, FloatArray]:
+    """Return the quantities of a port without connectors over time, as far as they are known."""
+    found = {name: values_of(e, courses, time) for name, e in port.quantities.items()}
+    return {name: course for name, course in found.items() if course is not None}
+
+
+def largest_flow(port: Port, courses: Mapping[str, FloatArray], time: FloatArray) -> float:
+    """Return the largest absolute value of a summand of a port without connectors."""
+    found = (values_of(term, courses, time) for term in port.terms)
+    return max((float(np.abs(course).max()) for course in found if course is not None), default=0.0)
+
+
+def values_of(e: Expression, courses: Mapping[str, FloatArray], time: FloatArray) -> FloatArray | None:
+    """Return the values of an expression at (N,) times; None if it is not known, or not finite.
+
+    Derivatives are differences of neighbouring samples.
+
+    Parameters
+    ----------
+    courses
+        (N,) values of variables.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            found = np.broadcast_to(np.asarray(_value(e, courses, time), dtype=np.float64), time.shape)
+    except _UnknownError:
+        return None
+    return found if np.isfinite(found).all() else None
+
+
+def _value(e: Expression | None, courses: Mapping[str, FloatArray], time: FloatArray) -> FloatArray:
+    def values(*inner: Expression | None) -> list[FloatArray]:
+        return [_value(one, courses, time) for one in inner]
+
+    match e:
+        case Literal():
+            return np.asarray(e.value)
+        case Reference() if (name := flat_name(e)) in (known := {**courses, "time": time}):
+            return known[name]
+        case Unary() if e.operator in _PREFIXES:
+            return _PREFIXES[e.operator](*values(e.operand))
+        case Binary() if e.operator in _OPERATORS:
+            return _OPERATORS[e.operator](*values(e.left, e.right))
+        case If(branches=((condition, branch), *further)):
+            rest = replace(e, branches=tuple(further)) if further else e.otherwise
+            return np.where(*values(condition, branch, rest))
+        case Call(arguments=(inner,)) if differentiated(e) is not None:
+            return np.gradient(*values(inner), time)
+        case Call() if e.function in _FUNCTIONS:
+            return _FUNCTIONS[e.function](*values(*e.arguments))
+    raise _UnknownError
