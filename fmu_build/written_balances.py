@@ -160,7 +160,9 @@ class WrittenBalances:
         self._find = find
         self._derived = derived
         self._covered = covered
+        self._speeds = {find(speed): own for own, speed in derived.items() if speed}
         self._explicit = self._definitions()
+        self._equations = self._with_derivatives()
 
     def balances(self) -> tuple[Balance, ...]:
         """Return the balances in the order of the declarations of what they differentiate."""
@@ -279,10 +281,8 @@ class WrittenBalances:
     def _candidates(self, name: str) -> list[tuple[int, Equation]]:
         """Return equations that may be the balance of a variable; those that only define another one come last."""
         found = []
-        for i, e in self._own():
+        for i, e in self._equations.get(self._find(name), ()):
             sides = (e.left, e.right)
-            if not any(self._is_derivative(node, name) for node in walk(sides)):
-                continue
             plain = [isinstance(side, Reference) or differentiated(side) is not None for side in sides]
             flows = (self._flat.variables.get(flat_name(r)) for r in references(sides))
             if all(plain) or any(v is not None and v.flow for v in flows):
@@ -291,14 +291,23 @@ class WrittenBalances:
             found.append((defines, i, e))
         return [(i, e) for _, i, e in sorted(found, key=lambda one: one[:2])]
 
+    def _with_derivatives(self) -> dict[str, list[tuple[int, Equation]]]:
+        """Return the equations that contain a derivative, by the class of what is differentiated."""
+        found: dict[str, list[tuple[int, Equation]]] = {}
+        for i, e in self._own():
+            inside = map(self._differentiated_by, walk((e.left, e.right)))
+            for own in dict.fromkeys(c for c in inside if c is not None):
+                found.setdefault(own, []).append((i, e))
+        return found
+
+    def _differentiated_by(self, node: object) -> str | None:
+        """Return the class that a call of ``der``, or a variable that equals one, differentiates."""
+        if (inner := differentiated(node)) is not None:
+            return self._find(inner)
+        return self._speeds.get(self._find(flat_name(node))) if isinstance(node, Reference) else None
+
     def _is_derivative(self, node: object, name: str) -> bool:
-        inner = differentiated(node)
-        if inner is not None:
-            return self._find(inner) == self._find(name)
-        speed = self._derived.get(self._find(name))
-        return (
-            bool(speed) and isinstance(node, Reference) and self._find(flat_name(node)) == self._find(speed or "")
-        )
+        return self._differentiated_by(node) == self._find(name)
 
     def _balance(self, name: str, i: int, e: Equation) -> Balance | None:
         left = self._sign(e.left, name)
@@ -384,6 +393,8 @@ class WrittenBalances:
                 continue
             if fitting == ["m/s"] and not self._has_area(near):  # kinematics
                 continue
+            if flow is None and unit in ("m", "rad"):  # of a level, of a position, or kinematics
+                continue
             units = (potential or own, "" if flow is None else fitting[0])
             if potential:
                 return domain, self._integral(name), name, units
@@ -397,10 +408,8 @@ class WrittenBalances:
 
     def _integral(self, name: str) -> str | None:
         """Return the variable whose derivative a speed is."""
-        own = self._find(name)
-        at = (c for c, d in self._derived.items() if d and self._find(d) == own)
-        first = next(at, None)
-        return next((v.name for v in self._flat.variables.values() if self._find(v.name) == first), None)
+        own = self._speeds.get(self._find(name))
+        return next((v.name for v in self._flat.variables.values() if self._find(v.name) == own), None)
 
 
 def _divided(e: Expression) -> tuple[Expression | None, tuple[Expression, ...]] | None:

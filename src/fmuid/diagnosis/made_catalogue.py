@@ -78,6 +78,7 @@ class _Law(Table):
     two_sided: bool = False
     compliant: bool = False
     body: bool = False
+    absolute: bool = False
     variant: bool = False
     trials: list[dict[str, str]] | None = None
 
@@ -98,7 +99,7 @@ class _Law(Table):
             cuts and port.kind == "branch" and not port.rigid
         ):
             return False
-        if self.body and "acceleration" not in port.quantities:
+        if (self.body and "acceleration" not in port.quantities) or (self.absolute and port.units[0] != "K"):
             return False
         drops = port.kind == "loop" or bool(port.differences)
         if port.shares and (cuts or self.reaction or (self.acts == "potential" and not drops)):
