@@ -70,7 +70,8 @@ def drawing(graph: ModelGraph, ports: Collection[str]) -> Drawing | None:
     """Return the picture of a model with `ports` marked; None if there is nothing to show, or too much."""
     beside = _beside(graph)
     layers = _layers(beside)
-    if not 2 <= len(graph.parts) <= _MOST:
+    components = [part for part in graph.parts.values() if part.kind not in ("input", "output")]
+    if not components or not 2 <= len(graph.parts) <= _MOST:
         return None
     marked = {part for port in ports for part in graph.ports.get(port, (port,))} & graph.parts.keys()
     across = len(layers) <= _ACROSS
