@@ -206,6 +206,8 @@ def _with_written_drop(flat: FlatModel, port: Port, terms: Sequence[Term]) -> Fl
     if not port.differences:
         raise ModelicaError(f"'{port.name}' is no branch, so it has no potential drop", where=terms[0].where)
     name = f"{port.name}.difference"
+    while name in flat.variables:  # of an earlier diagnosis
+        name += "_"
     flat = flat.with_variable(Variable(name, ADDED, unit=port.units[0] or None))
     new: dict[bool, Expression] = {False: variable(name), True: Call(ADDED, "der", (variable(name),))}
 

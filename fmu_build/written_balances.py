@@ -220,7 +220,9 @@ class WrittenBalances:
         return False
 
     def _written(self) -> Iterator[Node]:
-        for _, e in self._own():
+        """Yield the nodes of all that is written, and of what an earlier diagnosis added."""
+        added = (e for e in self._flat.equations if e.origin.kind == "added")
+        for e in (*(e for _, e in self._own()), *added):
             yield from walk((e.left, e.right))
         for v in self._flat.variables.values():
             if v.binding is not None and v.variability == "continuous":

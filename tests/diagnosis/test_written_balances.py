@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fmu_build import load
-from fmu_build.instrument import Added, Term
+from fmu_build.instrument import Added, Term, instrument
 from fmu_build.model_ports import find_ports
 from fmuid.cli.app import run
 from fmuid.core.campaign import ModelSource
@@ -137,6 +137,17 @@ def test_backlash_in_a_written_difference_is_backlash():
     plain = simulated(built_model(source("Shaft")), "Shaft")
     assert np.abs(wanted - plain).max() > 0.1
     np.testing.assert_allclose(simulated(slack, "Shaft"), wanted, atol=1e-4 * np.ptp(wanted))
+
+
+def test_a_shaft_that_has_backlash_already_can_have_more():
+    drop = "-max(min(p, {gap}), -{gap})"
+    once = instrument(flat("Shaft"), [Term("wl.w", "potential", drop.format(gap="gap"))], [Added("gap", 0.02)])
+    assert "wl.w" in {port.name for port in find_ports(once)}
+    more = [Term("wl.w", "potential", drop.format(gap="more"))], [Added("more", 0.03)]
+    wider = [Term("wl.w", "potential", drop.format(gap="wide"))], [Added("wide", 0.05)]
+    twice = simulated(built_with_terms(source("Shaft"), once, *more), "Shaft")
+    wanted = simulated(built_with_terms(source("Shaft"), flat("Shaft"), *wider), "Shaft")
+    np.testing.assert_allclose(twice, wanted, atol=1e-4 * np.ptp(wanted))
 
 
 @pytest.mark.parametrize("name", ["Shaft", "Loudspeaker", "Tanks", "Oven", "Cart", "Plain", "Filtered"])
