@@ -271,6 +271,12 @@ class FlatModel:
             if e.origin.component == component and e.origin.kind in own
         )
 
+    def bindings(self) -> Iterator[tuple[str, Expression]]:
+        """Yield name and value of each continuous variable that is declared with one."""
+        for v in self.variables.values():
+            if v.binding is not None and v.variability == "continuous":
+                yield v.name, v.binding
+
     # ---- changes
 
     def with_variable(self, variable: Variable) -> FlatModel:

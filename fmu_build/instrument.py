@@ -204,7 +204,8 @@ def _with_drop(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
 def _with_written_drop(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:
     """Put another difference of potentials in the place of the one that the model has written."""
     if not port.differences:
-        raise ModelicaError(f"'{port.name}' is no branch, so it has no potential drop", where=terms[0].where)
+        what = f"'{port.name}' is not a difference of two potentials, so it has no potential drop"
+        raise ModelicaError(what, where=terms[0].where)
     name = f"{port.name}.difference"
     while name in flat.variables:  # of an earlier diagnosis
         name += "_"

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal as Choice
 
+from fmu_build.domains import MECHANICAL, Domain, alike, domain_of
 from fmu_build.flat_model import (
     Connector,
     Equation,
@@ -28,21 +29,9 @@ from fmu_build.flat_model import (
     variable,
 )
 from fmu_build.syntax import Binary, Call, Expression, Reference, Unary, references, walk
-from fmu_build.unit_strings import parse_unit
 from fmu_build.written_balances import Balance, Coupling, Difference, Share, WrittenBalances
 
 Kind = Choice["node", "branch", "joint", "signal", "loop"]
-Domain = Choice["rotational", "translational", "electrical", "thermal", "fluid", "signal"]
-
-_DOMAINS: tuple[tuple[Domain, str, tuple[str, ...]], ...] = (
-    ("rotational", "rad", ("N.m",)),
-    ("translational", "m", ("N",)),
-    ("electrical", "V", ("A",)),
-    ("thermal", "K", ("W",)),
-    ("fluid", "Pa", ("m3/s", "kg/s")),
-    ("fluid", "m", ("m3/s", "kg/s")),
-)
-MECHANICAL = ("rotational", "translational")
 
 
 @dataclass(frozen=True)
@@ -125,20 +114,6 @@ def held_parameters(flat: FlatModel) -> tuple[Variable, ...]:
         and not (v.final or v.evaluate or v.protected) and v.name not in flat.structural
         and constant(v.binding) is not None
     )  # fmt: skip
-
-
-def domain_of(potential: str | None, flow: str | None) -> Domain | None:
-    """Return the domain of a potential and a flow with these units, None if there is none."""
-    p, f = _dimension(potential), _dimension(flow)
-    for domain, one, others in _DOMAINS:
-        if p is not None and p == _dimension(one) and f in [_dimension(other) for other in others]:
-            return domain
-    return None
-
-
-def _dimension(unit: str | None) -> tuple[int, ...] | None:
-    parsed = parse_unit(unit) if unit else None
-    return None if parsed is None else parsed[2]
 
 
 def fed_inputs(flat: FlatModel) -> Iterator[tuple[int, str, Reference]]:
@@ -254,9 +229,8 @@ class _Finder:
         for equation in self.flat.equations:
             yield equation.left, equation.right
             yield equation.right, equation.left
-        for v in self.flat.variables.values():
-            if v.binding is not None and v.variability == "continuous":
-                yield variable(v.name), v.binding
+        for name, binding in self.flat.bindings():
+            yield variable(name), binding
 
     def _physics(self, c: Connector) -> tuple[Domain, str, str] | None:
         """Return domain, potential and flow of a connector that has one of each."""
@@ -332,8 +306,7 @@ class _Finder:
         domain = self.physical[group[0]][0]
         held, mounting = dict[str, Expression](), dict[str, Expression]()
         moving = {self._potential(path) for b in branches if b.slides for path in b.connectors}
-        alike = MECHANICAL if domain in MECHANICAL else (domain,)
-        springs = [b for b in branches if b.compliant and not b.slides and b.domain in alike]
+        springs = [b for b in branches if b.compliant and not b.slides and b.domain in alike(domain)]
         joined = self._sharing(group)
         while True:
             for branch in springs:
@@ -572,9 +545,7 @@ class _Finder:
         written = WrittenBalances(self.flat, self.classes.find, self.derived, potentials | speeds | flows)
         has = {(self.flat.connectors[path].component, found[0]) for path, found in self.physical.items()}
         balances = [
-            b
-            for b in written.balances()
-            if not any((b.component, d) in has for d in (MECHANICAL if b.domain in MECHANICAL else (b.domain,)))
+            b for b in written.balances() if not any((b.component, domain) in has for domain in alike(b.domain))
         ]
         couplings = written.couplings(balances)
         for b in balances:

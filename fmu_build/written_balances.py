@@ -12,25 +12,19 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Literal as Choice
 
+from fmu_build.domains import DOMAINS, MECHANICAL, Domain
 from fmu_build.flat_model import ADDED, Equation, FlatModel, constant, differentiated, flat_name, number
 from fmu_build.syntax import Binary, Call, Expression, If, Node, Reference, Unary, references, transform, walk
 from fmu_build.unit_check import dimension, dimension_of_unit
 
-Domain = Choice["rotational", "translational", "electrical", "thermal", "fluid"]
 Side = Choice["left", "right"]
 
 # By the unit of what is differentiated: domain, unit of the potential if that is another variable, and the units
-# that a balance may have. The last one is that of an equation solved for the derivative.
+# that a balance may have. The one with the seconds is that of an equation solved for the derivative.
 _DOMAINS: tuple[tuple[str, Domain, str, tuple[str, ...]], ...] = (
-    ("rad/s", "rotational", "rad", ("N.m", "rad/s2")),
-    ("m/s", "translational", "m", ("N", "m/s2")),
-    ("rad", "rotational", "", ("N.m",)),
-    ("m", "translational", "", ("N",)),
-    ("K", "thermal", "", ("W", "K/s")),
-    ("V", "electrical", "", ("A", "V/s")),
+    *((f"{p}/s", domain, p, (*flows, f"{p}/s2")) for domain, p, flows in DOMAINS if domain in MECHANICAL),
+    *((p, domain, "", flows if domain in MECHANICAL else (*flows, f"{p}/s")) for domain, p, flows in DOMAINS),
     ("A", "electrical", "", ("V", "A/s")),
-    ("Pa", "fluid", "", ("m3/s", "kg/s", "Pa/s")),
-    ("m", "fluid", "", ("m3/s", "kg/s", "m/s")),
 )
 _SAME_VALUE = {"noEvent", "smooth"}  # of their last argument
 
@@ -84,8 +78,6 @@ class Balance:
         Whether the balance is one of voltages, around a coil whose current is the potential.
     terms
         The equation's summands.
-    near
-        Classes of the variables that the balance depends on, through explicit equations, too.
     """
 
     name: str
@@ -97,7 +89,6 @@ class Balance:
     share: Share
     loop: bool
     terms: tuple[Expression, ...]
-    near: frozenset[str]
 
 
 @dataclass(frozen=True)
@@ -216,7 +207,8 @@ class WrittenBalances:
                     return True
                 if name not in seen:
                     seen.add(name)
-                    waiting += [t for e in self._explicit.get(name, ()) if e not in between for t in _summands(e)]
+                    e = self._explicit.get(name)
+                    waiting += [] if e is None or e in between else _summands(e)
         return False
 
     def _written(self) -> Iterator[Node]:
@@ -224,9 +216,8 @@ class WrittenBalances:
         added = (e for e in self._flat.equations if e.origin.kind == "added")
         for e in (*(e for _, e in self._own()), *added):
             yield from walk((e.left, e.right))
-        for v in self._flat.variables.values():
-            if v.binding is not None and v.variability == "continuous":
-                yield from walk((v.binding,))
+        for _, binding in self._flat.bindings():
+            yield from walk((binding,))
 
     def _end(self, side: Expression, of: Mapping[str, tuple[Balance, bool]]) -> tuple[_End, bool] | None:
         """Return the balance whose potential a side is, with its factor, and whether it is the rate instead."""
@@ -258,16 +249,15 @@ class WrittenBalances:
             if e.origin.kind in ("class", "binding") and kinds.get(e.origin.component) != "block":
                 yield i, e
 
-    def _definitions(self) -> dict[str, tuple[Expression, ...]]:
+    def _definitions(self) -> dict[str, Expression]:
         """Return what a variable is explicitly equal to, by class."""
-        found: dict[str, tuple[Expression, ...]] = {}
+        found: dict[str, Expression] = {}
         for _, e in self._own():
             for one, other in ((e.left, e.right), (e.right, e.left)):
                 if isinstance(one, Reference) and not isinstance(other, Reference):
-                    found.setdefault(self._find(flat_name(one)), (other,))
-        for v in self._flat.variables.values():
-            if v.binding is not None and v.variability == "continuous":
-                found.setdefault(self._find(v.name), (v.binding,))
+                    found.setdefault(self._find(flat_name(one)), other)
+        for name, binding in self._flat.bindings():
+            found.setdefault(self._find(name), binding)
         return found
 
     def _differentiated(self) -> list[str]:
@@ -315,11 +305,10 @@ class WrittenBalances:
         left = self._sign(e.left, name)
         sign = left or self._sign(e.right, name)
         own, other = (e.left, e.right) if left else (e.right, e.left)
-        near = self._near(e)
         # If the equation is solved for the derivative, the balance is the sum that is divided by an inertia.
         divided = _divided(other) if self._is_derivative(own, name) else None
         ways = [divided, (None, (own, other))] if divided is not None else [(None, (own, other))]
-        found = ((way, physics) for way in ways if (physics := self._physics(name, way[1], near)) is not None)
+        found = ((way, physics) for way in ways if (physics := self._physics(name, way[1])) is not None)
         (factor, sums), physics = next(found, ((None, ()), None))
         if not sign or physics is None:
             return None
@@ -327,7 +316,7 @@ class WrittenBalances:
         share = Share(i, "right" if left else "left", added=sign < 0, factor=factor)
         terms = tuple(term for one in sums for term in _summands(one))
         loop = domain == "electrical" and units[0] == "A"
-        return Balance(name, e.origin.component, domain, potential, rate, units, share, loop, terms, near)
+        return Balance(name, e.origin.component, domain, potential, rate, units, share, loop, terms)
 
     def _sign(self, e: Expression, name: str) -> int:
         """Return the sign of the factor of the derivative in an expression; 0 if there is none."""
@@ -365,18 +354,8 @@ class WrittenBalances:
                 value = constant(e)
         return -1 if value is not None and value < 0.0 else 1
 
-    def _near(self, e: Equation) -> frozenset[str]:
-        found, waiting = set[str](), [e.left, e.right]
-        while waiting:
-            for reference in references((waiting.pop(),)):
-                own = self._find(flat_name(reference))
-                if own not in found:
-                    found.add(own)
-                    waiting += self._explicit.get(own, ())
-        return frozenset(found)
-
     def _physics(
-        self, name: str, sums: Sequence[Expression], near: Collection[str]
+        self, name: str, sums: Sequence[Expression]
     ) -> tuple[Domain, str | None, str | None, tuple[str, str]] | None:
         """Return domain, potential, rate and units of a balance; None if its units are of no domain.
 
@@ -393,7 +372,7 @@ class WrittenBalances:
                 continue
             if "rad" in unit and "rad" not in own and "N.m" not in fitting:  # a frequency
                 continue
-            if fitting == ["m/s"] and not self._has_area(near):  # kinematics
+            if fitting == ["m/s"] and not self._has_area(sums):  # kinematics
                 continue
             if flow is None and unit in ("m", "rad"):  # of a level, of a position, or kinematics
                 continue
@@ -403,8 +382,14 @@ class WrittenBalances:
             return domain, name, self._derived.get(self._find(name)) or None, units
         return None
 
-    def _has_area(self, near: Collection[str]) -> bool:
-        """Return whether a balance contains an area or a flow of volume, as that of a level does."""
+    def _has_area(self, sums: Sequence[Expression]) -> bool:
+        """Return whether a balance depends on an area or a flow of volume, as that of a level does."""
+        near, waiting = set[str](), [*sums]
+        while waiting:
+            for own in map(self._find, map(flat_name, references((waiting.pop(),)))):
+                if own not in near:
+                    near.add(own)
+                    waiting += [self._explicit[own]] if own in self._explicit else []
         units = {v.unit for v in self._flat.variables.values() if v.unit and self._find(v.name) in near}
         return not {_exponents(unit) for unit in units}.isdisjoint({_exponents("m2"), _exponents("m3/s")})
 

@@ -15,10 +15,11 @@ from scipy.optimize import brentq
 
 from fmu_build import compile_flat, load
 from fmu_build.codegen import PARAMETERS
+from fmu_build.domains import domain_of
 from fmu_build.errors import ModelicaError
 from fmu_build.idle import without_branches
 from fmu_build.instrument import Added, Term, instrument
-from fmu_build.model_ports import Port, domain_of, find_ports, held_parameters
+from fmu_build.model_ports import Port, find_ports, held_parameters
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.cli.app import run
 from fmuid.core.campaign import ModelSource, ModelSpec

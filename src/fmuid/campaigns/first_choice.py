@@ -177,6 +177,8 @@ class _Seen:
     ----------
     values
         Values of parameters instead of their start values.
+    scale
+        Ranges of the outputs; those of the response by default.
     """
 
     def __init__(
@@ -185,12 +187,15 @@ class _Seen:
         task: Task,
         measured: FloatArray,
         runner: Runner,
+        *,
         values: Mapping[str, float] | None = None,
+        scale: FloatArray | None = None,
     ) -> None:
         self._model, self._task, self._measured, self._runner = model, task, measured, runner
         self._values = values or {}
         self.nominal = simulated(runner, model, task, self._values)
-        self.scale = np.maximum(np.ptp(self.nominal, axis=1, keepdims=True), 1e-12)
+        own = np.maximum(np.ptp(self.nominal, axis=1, keepdims=True), 1e-12)
+        self.scale = own if scale is None else scale
 
     def linear(self) -> _Seen:
         """Return the same run with linear interpolation of its inputs."""
@@ -198,9 +203,7 @@ class _Seen:
 
     def _at(self, values: Mapping[str, float]) -> _Seen:
         """Return the same run with these values of parameters, relative to the same ranges."""
-        one = _Seen(self._model, self._task, self._measured, self._runner, values)
-        one.scale = self.scale
-        return one
+        return _Seen(self._model, self._task, self._measured, self._runner, values=values, scale=self.scale)
 
     def _value(self, parameter: Variable) -> float:
         return self._values.get(parameter.name, parameter.start or 0.0)

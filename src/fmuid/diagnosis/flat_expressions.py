@@ -62,21 +62,22 @@ def values_of(e: Expression, courses: Mapping[str, FloatArray], time: FloatArray
     """
     try:
         with np.errstate(all="ignore"):
-            found = np.broadcast_to(np.asarray(_value(e, courses, time), dtype=np.float64), time.shape)
+            values = np.asarray(_value(e, {"time": time, **courses}), dtype=np.float64)
+            found = np.broadcast_to(values, time.shape)
     except _UnknownError:
         return None
     return found if np.isfinite(found).all() else None
 
 
-def _value(e: Expression | None, courses: Mapping[str, FloatArray], time: FloatArray) -> FloatArray:
+def _value(e: Expression | None, courses: Mapping[str, FloatArray]) -> FloatArray:
     def values(*inner: Expression | None) -> list[FloatArray]:
-        return [_value(one, courses, time) for one in inner]
+        return [_value(one, courses) for one in inner]
 
     match e:
         case Literal():
             return np.asarray(e.value)
-        case Reference() if (name := flat_name(e)) in (known := {**courses, "time": time}):
-            return known[name]
+        case Reference() if (name := flat_name(e)) in courses:
+            return courses[name]
         case Unary() if e.operator in _PREFIXES:
             return _PREFIXES[e.operator](*values(e.operand))
         case Binary() if e.operator in _OPERATORS:
@@ -85,7 +86,7 @@ def _value(e: Expression | None, courses: Mapping[str, FloatArray], time: FloatA
             rest = replace(e, branches=tuple(further)) if further else e.otherwise
             return np.where(*values(condition, branch, rest))
         case Call(arguments=(inner,)) if differentiated(e) is not None:
-            return np.gradient(*values(inner), time)
+            return np.gradient(*values(inner), courses["time"])
         case Call() if e.function in _FUNCTIONS:
             return _FUNCTIONS[e.function](*values(*e.arguments))
     raise _UnknownError

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fmu_build.domains import MECHANICAL
 from fmu_build.flat_model import FlatModel
-from fmu_build.model_ports import MECHANICAL, Port, find_ports
+from fmu_build.model_ports import Port, find_ports
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.flat_expressions import courses_at, largest_flow, names_at
