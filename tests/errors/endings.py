@@ -135,7 +135,7 @@ JOURNAL, DIAGNOSIS = "runs/bench/history.journal", "runs/bench-diagnosis/diagnos
 USER = '{ signal = "position", kind = "user", options = { function = "own:judge" } }'
 ENDINGS = [
     Ending("SIGTERM, from a batch system", IDENTIFY, 130, "continue with", endless, signalled(JOURNAL, "SIGTERM")),
-    Ending("SIGHUP, from a terminal that is closed", IDENTIFY, 130, "go on", endless, signalled(JOURNAL, "SIGHUP")),
+    Ending("SIGHUP, from a terminal that is closed", IDENTIFY, 130, "continue with", endless, signalled(JOURNAL, "SIGHUP")),
     Ending("SIGTERM while it diagnoses", "diagnose bench", 130, "continue with", end=signalled(DIAGNOSIS, "SIGTERM")),
     Ending("Ctrl-C while libraries are loaded", IDENTIFY, 130, "interrupted", end=while_loading),
     Ending("a second Ctrl-C while the first is handled", IDENTIFY, 130, "stopped at once", endless, hurried),
