@@ -13,6 +13,7 @@ import pytest
 from scipy.io import savemat
 
 from benchmarks.abroad.logs import Recording, write_logs
+from benchmarks.abroad.rehearsal_rigs import REHEARSED_ON
 from benchmarks.abroad.shaker import SHAKER
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.campaigns.first_choice import independent_columns, is_drawn
@@ -174,6 +175,17 @@ def test_init_sees_it_through_parameters_that_are_off_and_a_law_that_is_missing(
     assert code == 0
     (spec,) = load_campaign("campaign").models.values()
     assert spec.interpolation == ("linear" if linear else "hold")
+
+
+def test_init_sees_it_though_an_axis_drifts_away_from_its_plant(tmp_path: Path, fmuid: Command) -> None:
+    """Nothing holds the carriage; a stiff belt, dry friction and a fifth less torque lead short searches astray."""
+    (rig,) = (r for r in REHEARSED_ON if r.model == "BeltAxis")
+    logs = write_logs(rig, {"motor.k": 0.82}, {}, tmp_path, Recording(1), np.random.default_rng(3))
+    code, _, _ = fmuid(
+        "init", *logs, "--model", rig.file, "--class", rig.model, "--out", tmp_path / "out", "--workers", "0"
+    )
+    assert code == 0
+    assert load_campaign(tmp_path / "out").models["BeltAxis"].interpolation == "hold"
 
 
 def test_init_says_what_it_holds_and_why(

@@ -8,6 +8,7 @@ import pytest
 from plants import Mass, misread, plant
 from tones import SIGMA, STRENGTHS, TIME, heard
 
+from fmuid.diagnosis.calibration import Calibration
 from fmuid.diagnosis.candidates import (
     _best_start,
     add_effect,
@@ -205,6 +206,18 @@ def test_what_leaves_a_rest_at_its_own_place_is_not_named(truth, error, verdict)
     ).diagnosis.verdict
     assert (said.kind, said.effects, said.ports)[: len(verdict)] == verdict
     assert said.rest is None or said.rest.where.endswith("(it enters at reading)")
+
+
+@pytest.mark.parametrize("repeats", [1, 5])
+def test_without_repeats_only_what_is_true_nine_times_in_ten_is_named(repeats):
+    subject = heard({"first": {1: 1.0}, "second": {2: 1.0}}, {1: 1.0}, repeats=repeats)
+    for offset, kind in ((6.0, "effect"), (-4.0, "effect" if repeats > 1 else "insufficient")):
+        found = diagnose_subject(subject, calibration=Calibration({"effect": (offset, 1.0)}, 50, "of a test"))
+        assert found.diagnosis.verdict.kind == kind
+        likeliest = next(a for a in found.diagnosis.answers if a.effects == ("first",))
+        assert (likeliest.probability > 0.9) is (offset > 0.0)
+        assert (found.diagnosis.gap.corrected < 0.5) is (kind == "effect")
+        assert ("first closes 1.00" in str(found)) is (kind == "insufficient")  # comes closest
 
 
 def test_laws_of_one_place_that_do_the_same_are_named_once():

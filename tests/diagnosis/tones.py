@@ -56,7 +56,11 @@ class Reading:
 
 
 def heard(
-    laws: Mapping[str, Mapping[int, float]], truth: Mapping[int, float], *, ports: Mapping[str, str] | None = None
+    laws: Mapping[str, Mapping[int, float]],
+    truth: Mapping[int, float],
+    *,
+    ports: Mapping[str, str] | None = None,
+    repeats: int = 5,
 ) -> Subject:
     """Return the subject of a diagnosis: readings with the tones of `truth`, effects with `laws` to explain them.
 
@@ -68,7 +72,7 @@ def heard(
         task = Task(TIME, {"u": np.full(TIME.size, strength)}, ("y",))
         true = strength * (tone(0) + sum(w * tone(t) for t, w in truth.items()))
         cases.append(
-            measured_case(f"e{k}", reading, task, {"y": true + SIGMA * rng.standard_normal((5, TIME.size))})
+            measured_case(f"e{k}", reading, task, {"y": true + SIGMA * rng.standard_normal((repeats, TIME.size))})
         )
     model = CampaignModel(tuple(cases))
     at = {name: (ports or {}).get(name, f"at {name}") for name in laws}

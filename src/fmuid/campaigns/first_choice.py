@@ -14,6 +14,7 @@ from fmuid.core.errors import FmuidError, ProblemError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import conversion, convertible
+from fmuid.identification.solvers.trust_region import trust_region
 from fmuid.simulation.runners import Runner, simulated
 from fmuid.simulation.segmented import Growth, Segmented, open_loop
 from fmuid.simulation.simulator import Simulator, Task, Variable, differentiates
@@ -26,8 +27,8 @@ _LEAST_NEW = 1e-2  # least share of an effect that parameters chosen before do n
 _LEAST_EFFECT = 1e-4  # least effect, relative to the largest
 _ALL_BUT = 0.99  # relative to the longest column: a column of this length is as good
 _SAME = 1e-3  # difference between the FMU's solver and fmuid's, relative to an output's range
-_STEPS, _LONGEST = 8, 0.5  # most Gauss-Newton steps of parameters, and the longest relative change in one
-_CONVERGED = 0.9  # share of the squared error that a step leaves if it is the last one
+_WITHIN = 10.0  # factor by which parameters may differ from their start values, as in a first campaign
+_CONVERGED = 1e-3  # relative change of the squared error that ends a refit
 _CLEARLY = 0.8  # remaining share of the squared error for one interpolation of the inputs to count as better
 
 NO_EFFECT = "does not affect any measured output"
@@ -71,8 +72,8 @@ def first_choice(
     Parameters with independent effects on the outputs are free (QR with column pivoting of the relative
     sensitivities). Lengths and ratios come last: if one is redundant with parameters that only measurements can
     show, it is fixed, because it is known from drawings. Inputs are linear between their samples instead of held
-    if that leaves less than four fifths of the squared error after some Gauss-Newton steps of the free parameters,
-    for example if an output responds instantly to an input sampled at the same time.
+    if that leaves less than four fifths of the squared error after a refit of the free parameters to each run, for
+    example if an output responds instantly to an input sampled at the same time.
     """
     parameters = [
         v
@@ -242,25 +243,33 @@ class _Seen:
         return np.asarray((above - below) / self.scale / (2 * _STEP))
 
     def left(self, free: Sequence[Variable]) -> float:
-        """Return the squared error that some Gauss-Newton steps leave, the last one as if it were exact."""
-        one, known = self, np.isfinite(self._measured)
-        for _ in range(_STEPS):
-            error = one._error()[known]
-            effects = one.effects(free)
-            columns = np.array([effect[known] for effect in effects.values()]).T
-            step = np.linalg.lstsq(columns, error, rcond=None)[0]
-            least = float(np.sum((error - columns @ step) ** 2))
-            step *= min(1.0, _LONGEST / max(float(np.abs(step).max(initial=0.0)), 1e-12))
-            try:
-                moved = [v for v in free if v.name in effects]
-                further = one._at({v.name: one._value(v) * np.exp(s) for v, s in zip(moved, step, strict=True)})
-            except SimulationError:
-                return least
-            after = float(np.sum(further._error()[known] ** 2))
-            if not after < _CONVERGED * float(np.sum(error**2)):
-                return min(least, after)
-            one = further
-        return after
+        """Return the squared error that a refit of these parameters leaves, each within a factor of ten."""
+        known, tried = np.isfinite(self._measured), dict[bytes, _Seen | None]()
+
+        def at(x: FloatArray) -> _Seen | None:
+            if x.tobytes() not in tried:
+                values = {v.name: self._value(v) * np.exp(own) for v, own in zip(free, x, strict=True)}
+                try:
+                    tried[x.tobytes()] = self._at(values)
+                except SimulationError:
+                    tried[x.tobytes()] = None
+            return tried[x.tobytes()]
+
+        def residuals(x: FloatArray) -> FloatArray:
+            one = at(x)
+            return np.full(int(known.sum()), np.nan) if one is None else one._error()[known]
+
+        def jacobian(x: FloatArray) -> FloatArray:
+            one = at(x)
+            effects = {} if one is None else one.effects(free)
+            unseen = np.zeros_like(self.nominal)
+            return np.stack([-effects.get(v.name, unseen)[known] for v in free], axis=1)
+
+        start, most = np.zeros(len(free)), np.full(len(free), np.log(_WITHIN))
+        trust_region(
+            residuals, jacobian, start, -most, most, cost_tolerance=_CONVERGED, step_tolerance=_CONVERGED**2
+        )
+        return min(float(np.sum(one._error()[known] ** 2)) for one in tried.values() if one is not None)
 
     def _error(self) -> FloatArray:
         return np.asarray((self._measured - self.nominal) / self.scale)

@@ -26,6 +26,7 @@ GAIN_OF_A_SECOND = 0.25  # a further effect must close at least a quarter of the
 ABOUT_AS_WELL = 1.5  # ratio of remaining gaps: a free function is one linear step, effects are refitted to the end
 CLOSURE_BEYOND_DOUBT = 0.85  # an effect that closes this much is not unknown, though its law may differ in shape
 SAME = 4.0  # standard deviations by which the data must contradict an answer, or a run must separate two
+SURE = 0.9  # probability of what is named without repeats: the level of all intervals
 OPEN = 20.0  # odds against an answer beyond which it is not left open: strong evidence (Kass and Raftery 1995)
 _EQUAL = 0.25  # standard deviations between answers: if one is true, odds stay below 2 in 99 of 100 recordings
 _BLOCK = 20.0  # this many samples of model error carry as much information as one of noise
@@ -205,16 +206,28 @@ def names(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
     A weak gap is largely chance, and if only one experiment shows it, little can be learnt without that
     experiment. It then suffices that the effects complete the model, unless *unknown* is more likely.
     """
-    trained = 1.0 - best.gap / nominal.gap if nominal.gap > 0.0 else 0.0
     closed = closed_by(nominal, best)
     likely = closed * len(best.names) >= _doubt(closed)
-    return closed >= CLOSURE_THAT_NAMES or (likely and finished and trained >= CLOSURE_THAT_FINISHES)
+    return closed >= CLOSURE_THAT_NAMES or (
+        likely and finished and _trained(nominal, best) >= CLOSURE_THAT_FINISHES
+    )
 
 
-def beyond_doubt(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
-    """Return whether nothing unknown could disprove that the gap is due to the effects of `best`."""
+def beyond_doubt(nominal: Fitted, best: Fitted, *, finished: bool, bounded: bool) -> bool:
+    """Return whether nothing unknown could disprove that the gap is due to the effects of `best`.
+
+    They have to close most of it on held-out experiments, which the nominal model may predict worse than it fits
+    them, and also where both are fitted; unless the noise is only `bounded`, since what is left may be noise then.
+    """
     closed = closure(nominal.held_out, best.held_out)
+    if not bounded:
+        closed = min(closed, _trained(nominal, best))
     return closed >= CLOSURE_BEYOND_DOUBT or (finished and names(nominal, best, finished=True))
+
+
+def _trained(nominal: Fitted, best: Fitted) -> float:
+    """Return the closure on the experiments that the models are fitted to."""
+    return 1.0 - best.gap / nominal.gap if nominal.gap > 0.0 else 0.0
 
 
 def strained(fitted: Fitted, effects: Sequence[Effect]) -> bool:

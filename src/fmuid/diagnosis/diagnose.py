@@ -12,7 +12,7 @@ from fmuid.core.formatting import html_lines, html_table, text_table
 from fmuid.core.immutable import FloatArray
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
-from fmuid.diagnosis.calibration import Calibration, shipped
+from fmuid.diagnosis.calibration import Calibration, says, shipped
 from fmuid.diagnosis.candidates import (
     Fitted,
     better_nominal,
@@ -200,6 +200,9 @@ def diagnose_subject(
     weights = decide.weigh(nominal, judgement.surviving, observed, verdict.kind, candidates, seen=evidence.present)
     calibrated = shipped() if calibration is None else calibration
     probability = calibrated.apply(verdict, weights)
+    if judgement.named and calibrated.trials and observed.bounded and says(verdict, probability) < decide.SURE:
+        verdict = Verdict("insufficient")  # what is left may be slow noise, which the odds do not know of
+        judgement = replace(judgement, verdict=verdict)
     corrected = judgement.named[0] if judgement.named else nominal
     ambiguous = verdict.kind == "ambiguous"
     following = suggest(subject, judgement.surviving) if ambiguous else None
@@ -393,7 +396,11 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
     named = tuple(dict.fromkeys(at[n] for s in surviving for n in s.names))
     own = [at[n] for n in best.names] if best is not None else []
     named_at_all = best is not None and plausible and decide.names(nominal, best, finished=done)
-    sure = best is not None and named_at_all and decide.beyond_doubt(nominal, best, finished=done)
+    sure = (
+        best is not None
+        and named_at_all
+        and decide.beyond_doubt(nominal, best, finished=done, bounded=observed.bounded)
+    )
     entered: Mapping[str, Entry] = {}
     imitated, part = False, None
     if not sure:

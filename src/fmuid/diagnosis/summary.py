@@ -113,7 +113,7 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
         found.append(
             Fact("Stable", "no: without one of the experiments, another answer would be preferred", "warn")
         )
-    if verdict["kind"] == "unknown":
+    if verdict["kind"] == "unknown" or (verdict["kind"] == "insufficient" and gap["present"]):
         found += _closest(diagnosis)
     return (*found, *_law_found(diagnosis))
 
@@ -220,7 +220,7 @@ def _beside(law: Mapping[str, Any]) -> str:
 
 
 def _closest(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
-    """Return what comes closest to an explanation when nothing explains the gap."""
+    """Return what comes closest to an explanation when none is named."""
     sets = [*diagnosis["answers"], *({**e, "effects": [e["id"]]} for e in diagnosis["effects"])]
     judged = [a for a in sets if a.get("closure")]
     found = []
