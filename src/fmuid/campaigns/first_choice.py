@@ -28,7 +28,7 @@ _LEAST_EFFECT = 1e-4  # least effect, relative to the largest
 _ALL_BUT = 0.99  # relative to the longest column: a column of this length is as good
 _SAME = 1e-3  # difference between the FMU's solver and fmuid's, relative to an output's range
 _WITHIN = 10.0  # factor by which parameters may differ from their start values, as in a first campaign
-_CONVERGED = 1e-3  # relative change of the squared error that ends a refit
+_CONVERGED = 1e-2  # relative change of the squared error that ends a refit
 _CLEARLY = 0.8  # remaining share of the squared error for one interpolation of the inputs to count as better
 
 NO_EFFECT = "does not affect any measured output"
@@ -266,9 +266,7 @@ class _Seen:
             return np.stack([-effects.get(v.name, unseen)[known] for v in free], axis=1)
 
         start, most = np.zeros(len(free)), np.full(len(free), np.log(_WITHIN))
-        trust_region(
-            residuals, jacobian, start, -most, most, cost_tolerance=_CONVERGED, step_tolerance=_CONVERGED**2
-        )
+        trust_region(residuals, jacobian, start, -most, most, cost_tolerance=_CONVERGED, step_tolerance=1e-4)
         return min(float(np.sum(one._error()[known] ** 2)) for one in tried.values() if one is not None)
 
     def _error(self) -> FloatArray:
