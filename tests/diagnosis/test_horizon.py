@@ -5,9 +5,10 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from plants import plant
 
+from fmuid.diagnosis.candidates import fit_effects
 from fmuid.diagnosis.catalogue import Catalogue
+from fmuid.diagnosis.diagnose import _settled
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.horizon import approached, beginning, early
 from fmuid.diagnosis.observed import Observed
@@ -66,7 +67,17 @@ def test_a_beginning_is_the_same_runs_and_noise_for_a_shorter_time(swing):
     assert early(swing).observed.runs[0].time.size == 300
 
 
-def test_short_runs_are_not_divided():
-    subject = plant({})
-    assert early(subject) is None
-    assert approached(subject, subject.nominal, {}, []) is None
+def test_a_nominal_model_that_fits_badly_is_approached_over_growing_horizons(swing):
+    nearer = replace(swing, nominal=(replace(swing.nominal[0], start=1.4), swing.nominal[1]))
+    stuck = fit_effects(nearer, (), [{}])
+    assert stuck.fit.values["w"] != pytest.approx(TRUE["w"], abs=0.05)
+    _, nominal = _settled(nearer, stuck)
+    assert nominal.fit.values == pytest.approx(TRUE, abs=1e-3)
+
+
+@pytest.mark.parametrize(("samples", "quarter"), [(100, None), (200, None), (300, 75)])
+def test_no_beginning_is_shorter_than_a_spectrum_allows(swing, samples, quarter):
+    short = beginning(swing, samples / TIME.size)
+    part = early(short)
+    assert (part and part.observed.runs[0].time.size) == quarter
+    assert (approached(short, short.nominal, short.starts, []) is None) is (samples < 128)

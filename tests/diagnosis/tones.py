@@ -51,8 +51,8 @@ class Reading:
         for name, law in self.laws.items():
             for t, w in law.items():
                 rows["z" if t < 0 else "y"] += values.get(name, 0.0) * w * tone(abs(t))
-        read = [task.inputs["u"] * rows[n] for n in task.outputs]
-        return np.array(read).reshape(len(read), TIME.size)
+        read = [task.inputs["u"] * rows[n][: len(task.time)] for n in task.outputs]
+        return np.array(read).reshape(len(read), len(task.time))
 
 
 def heard(

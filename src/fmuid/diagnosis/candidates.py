@@ -199,18 +199,27 @@ def moved(subject: Subject, fitted: Fitted, name: str, score: Score) -> Fitted |
 
 
 def led_out(subject: Subject, added: Fitted, score: Score) -> Fitted:
-    """Return a better fit than `added`, to which the scored effect was added, if it is in a local minimum.
-
-    A fit that leaves a gap is approached again over growing horizons.
-    """
+    """Return a better fit than `added`, to which the scored effect was added, if it is in a local minimum."""
     by_id = subject.by_id
-    effect, effects, found = by_id[score.effect], [by_id[name] for name in added.effects], added
-    if added.gap > GAP_THAT_MATTERS:
-        shapes = {tuple(trial[name] for name in effect.shapes if name in trial): trial for trial in score.trials}
-        unbent = {**added.fit.values, **subject.starts, **effect.neutral}
-        near = approached(subject, added.fit.unknowns, unbent, list(shapes.values()))
-        found = added if near is None else _if_better(subject, effects, added, [near])
+    effect, effects = by_id[score.effect], [by_id[name] for name in added.effects]
+    shapes = {tuple(trial[name] for name in effect.shapes if name in trial): trial for trial in score.trials}
+    unbent = {**added.fit.values, **subject.starts, **effect.neutral}
+    found = over_horizons(subject, effects, added, unbent, list(shapes.values()))
     return replace(escaped(subject, effects, found), names=added.names)
+
+
+def over_horizons(
+    subject: Subject,
+    effects: Sequence[Effect],
+    fitted: Fitted,
+    start: Mapping[str, float],
+    trials: Sequence[Mapping[str, float]] = (),
+) -> Fitted:
+    """Return a better fit than one that leaves a gap, approached from `start` and trials over growing horizons."""
+    if fitted.gap <= GAP_THAT_MATTERS:
+        return fitted
+    near = approached(subject, fitted.fit.unknowns, start, trials)
+    return fitted if near is None else _if_better(subject, effects, fitted, [near])
 
 
 def _if_better(

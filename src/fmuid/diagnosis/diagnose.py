@@ -19,6 +19,7 @@ from fmuid.diagnosis.candidates import (
     escaped,
     estimates,
     fit_effects,
+    over_horizons,
     refitted,
     score_further,
     twins,
@@ -287,7 +288,7 @@ def _settled(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
         nominal = fit_effects(subject, (), [before]) or nominal
         if all(abs(nominal.fit.values[u.name] - before[u.name]) <= u.step for u in subject.nominal):
             break  # errors there are those here
-    nominal = escaped(subject, (), nominal)
+    nominal = escaped(subject, (), over_horizons(subject, (), nominal, subject.starts))
     trials = [{**nominal.fit.values, **effect.neutral, **effect.trials[0]} for effect in subject.effects]
     return tightened(subject, trials), nominal
 

@@ -19,7 +19,7 @@ from fmuid.identification.problem.cases import Case
 
 _SHARES = (1 / 8, 1 / 4, 1 / 2)  # of every run
 _EARLY = _SHARES[1]
-_SHORTEST = 64  # samples in a beginning: with fewer, whole runs are not long either
+_SHORTEST = 64  # samples in a beginning: a spectrum needs as many
 _ITERATIONS = 6  # for each horizon: the next one continues
 _KEPT = 3  # starts that go on to the next horizon
 
@@ -37,27 +37,27 @@ def approached(
     None where runs are predicted in segments, which do not drift away, or are too short to be divided, or where no
     start can be simulated.
     """
-    if not _divisible(subject):
-        return None
+    shares = _shares(subject)
     starts: list[Mapping[str, float]] = [start]
-    for share in _SHARES:
+    for share in shares:
         part = beginning(subject, share)
         starts = [*starts, *({**starts[0], **trial} for trial in trials)]
         found = sorted(_ends(part, unknowns, starts), key=lambda end: end[0])
         starts = [values for cost, values in found if cost <= about(found[0][0])][:_KEPT]
         if not starts:
             return None
-    return starts[0]
+    return starts[0] if shares else None
 
 
 def early(subject: Subject) -> Subject | None:
     """Return the subject with only an early part of every run; None if runs cannot be shortened."""
-    return beginning(subject, _EARLY) if _divisible(subject) else None
+    return beginning(subject, _EARLY) if _EARLY in _shares(subject) else None
 
 
-def _divisible(subject: Subject) -> bool:
+def _shares(subject: Subject) -> tuple[float, ...]:
+    """Return the shares of every run that are beginnings of it: none where runs are predicted in segments."""
     shortest = min(len(case.time) for case in subject.model.cases)
-    return not subject.observed.nuisances and shortest * _SHARES[0] >= _SHORTEST
+    return () if subject.observed.nuisances else tuple(s for s in _SHARES if shortest * s >= _SHORTEST)
 
 
 def beginning(subject: Subject, share: float) -> Subject:
