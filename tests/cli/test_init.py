@@ -177,15 +177,29 @@ def test_init_sees_it_through_parameters_that_are_off_and_a_law_that_is_missing(
     assert spec.interpolation == ("linear" if linear else "hold")
 
 
-def test_init_sees_it_though_an_axis_drifts_away_from_its_plant(tmp_path: Path, fmuid: Command) -> None:
-    """Nothing holds the carriage; a stiff belt, dry friction and a fifth less torque lead short searches astray."""
-    (rig,) = (r for r in REHEARSED_ON if r.model == "BeltAxis")
-    logs = write_logs(rig, {"motor.k": 0.82}, {}, tmp_path, Recording(1), np.random.default_rng(3))
+@pytest.mark.parametrize(
+    ("model", "factors", "missing"),
+    [
+        pytest.param("BeltAxis", {"motor.k": 0.82}, {}, id="an axis that drifts away from its plant"),
+        pytest.param(
+            "ThermalBlock",
+            {"air.G": 1.054, "body.C": 1.19, "casing.C": 0.855, "wall.G": 0.892},
+            {"capacity@body": 219.0, "capacity@body.shape": 1757.0},
+            id="a store that reacts late, as if the heat acted earlier",
+        ),
+    ],
+)
+def test_init_does_not_take_what_is_wrong_with_a_model_for_linear_inputs(
+    model: str, factors: dict[str, float], missing: dict[str, float], tmp_path: Path, fmuid: Command
+) -> None:
+    """Both plants hold their inputs; linear ones would explain them better after a short search, or at all."""
+    (rig,) = (r for r in REHEARSED_ON if r.model == model)
+    logs = write_logs(rig, factors, missing, tmp_path, Recording(1), np.random.default_rng(3))
     code, _, _ = fmuid(
-        "init", *logs, "--model", rig.file, "--class", rig.model, "--out", tmp_path / "out", "--workers", "0"
+        "init", *logs, "--model", rig.file, "--class", model, "--out", tmp_path / "out", "--workers", "0"
     )
     assert code == 0
-    assert load_campaign(tmp_path / "out").models["BeltAxis"].interpolation == "hold"
+    assert load_campaign(tmp_path / "out").models[model].interpolation == "hold"
 
 
 def test_init_says_what_it_holds_and_why(

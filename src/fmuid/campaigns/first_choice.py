@@ -29,6 +29,7 @@ _ALL_BUT = 0.99  # relative to the longest column: a column of this length is as
 _SAME = 1e-3  # difference between the FMU's solver and fmuid's, relative to an output's range
 _WITHIN = 10.0  # factor by which parameters may differ from their start values, as in a first campaign
 _CONVERGED = 1e-2  # relative change of the squared error that ends a refit
+_HALF = 0.5  # samples by which linear inputs act earlier than held ones, on average; nearly, to half of it
 _CLEARLY = 0.8  # remaining share of the squared error for one interpolation of the inputs to count as better
 
 NO_EFFECT = "does not affect any measured output"
@@ -199,8 +200,9 @@ class _Seen:
         self.scale = own if scale is None else scale
 
     def linear(self) -> _Seen:
-        """Return the same run with linear interpolation of its inputs."""
-        return _Seen(self._model, replace(self._task, interpolation="linear"), self._measured, self._runner)
+        """Return the same run with linear interpolation of its inputs, relative to the same ranges."""
+        task = replace(self._task, interpolation="linear")
+        return _Seen(self._model, task, self._measured, self._runner, values=self._values, scale=self.scale)
 
     def _at(self, values: Mapping[str, float]) -> _Seen:
         """Return the same run with these values of parameters, relative to the same ranges."""
@@ -242,8 +244,8 @@ class _Seen:
         )
         return np.asarray((above - below) / self.scale / (2 * _STEP))
 
-    def left(self, free: Sequence[Variable]) -> float:
-        """Return the squared error that a refit of these parameters leaves, each within a factor of ten."""
+    def refitted(self, free: Sequence[Variable]) -> _Seen:
+        """Return the run where these parameters explain it best, each within a factor of ten of its value."""
         known, tried = np.isfinite(self._measured), dict[bytes, _Seen | None]()
 
         def at(x: FloatArray) -> _Seen | None:
@@ -267,7 +269,23 @@ class _Seen:
 
         start, most = np.zeros(len(free)), np.full(len(free), np.log(_WITHIN))
         trust_region(residuals, jacobian, start, -most, most, cost_tolerance=_CONVERGED, step_tolerance=1e-4)
-        return min(float(np.sum(one._error()[known] ** 2)) for one in tried.values() if one is not None)
+        return min((one for one in tried.values() if one is not None), key=lambda one: one.left)
+
+    def towards(self, other: _Seen, free: Sequence[Variable]) -> tuple[float, float]:
+        """Return the product of the error with the way to another simulation, and the square of that way.
+
+        Of both, only what the parameters cannot imitate counts; the quotient is how far along that way the run is.
+        """
+        known = np.isfinite(self._measured)
+        columns = np.stack([effect[known] for effect in self.effects(free).values()], axis=1)
+        way = ((other.nominal - self.nominal) / self.scale)[known]
+        way -= columns @ np.linalg.lstsq(columns, way, rcond=None)[0]
+        return float(way @ self._error()[known]), float(way @ way)
+
+    @property
+    def left(self) -> float:
+        """Squared error."""
+        return float(np.nansum(self._error() ** 2))
 
     def _error(self) -> FloatArray:
         return np.asarray((self._measured - self.nominal) / self.scale)
@@ -290,9 +308,16 @@ def _seen(model: Simulator, run: Experiment, mapping: Mapping[str, str], runner:
 
 
 def _interpolation(seen: Sequence[_Seen], free: Sequence[Variable]) -> tuple[Interpolation, float]:
-    """Return the interpolation of the inputs, and the factor by which the alternative explains the runs worse."""
+    """Return the interpolation of the inputs, and the factor by which the alternative explains the runs worse.
+
+    A missing effect may look like inputs that act earlier, but hardly by the half sample of linear ones.
+    """
     try:
-        held, on_lines = (sum(one.left(free) for one in s) for s in (seen, [one.linear() for one in seen]))
+        held, on_lines = ([one.refitted(free) for one in s] for s in (seen, [one.linear() for one in seen]))
+        products, squares = zip(*(one.towards(one.linear(), free) for one in held), strict=True)
     except FmuidError:
         return "hold", 1.0  # an FMU that does not interpolate its inputs
-    return ("linear", held / max(on_lines, 1e-300)) if on_lines < _CLEARLY * held else ("hold", 1.0)
+    worse = sum(one.left for one in held) / max(sum(one.left for one in on_lines), 1e-300)
+    earlier = _HALF * sum(products) / max(sum(squares), 1e-300)  # samples by which the inputs act, than held ones
+    nearly = abs(earlier - _HALF) < _HALF / 2
+    return ("linear", worse) if worse > 1 / _CLEARLY and nearly else ("hold", 1.0)
