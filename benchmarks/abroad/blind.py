@@ -224,7 +224,10 @@ def _commit() -> str:
     git = ["git", "-C", str(FROZEN.parent)]
     head = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
     changed = subprocess.run(
-        [*git, "status", "--porcelain", "--", ".", "../../src"], capture_output=True, text=True, check=False
+        [*git, "status", "--porcelain", "--", ".", "../../src", f":!{FROZEN.name}"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if head.returncode != 0:
         return "unknown"
