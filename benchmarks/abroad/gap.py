@@ -105,8 +105,14 @@ class SizedPlant:
             return np.full(len(measured), 1e6)
 
     def beside(self, effects: Mapping[str, float], other: Mapping[str, float]) -> float:
-        """Return the gap in floors of `effects` beside a model that has the `other` one of them, in any size."""
-        return float(np.sqrt(np.mean(self._nearest(effects, other) ** 2)))
+        """Return the gap in floors of `effects` beside a model that has the `other` one of them, in any size.
+
+        It is infinite where they cannot be simulated together, although each can.
+        """
+        try:
+            return float(np.sqrt(np.mean(self._nearest(effects, other) ** 2)))
+        except SimulationError:
+            return np.inf
 
     def separation(
         self, effect: Mapping[str, float], other: Mapping[str, float], recordings: float, every: int = 1
