@@ -66,6 +66,15 @@ def test_a_constant_is_told_from_a_slope_as_well_as_the_noise_allows():
     assert plant.gap(offset) > 2.0 * coloured.gap(offset) > 0.0
 
 
+def test_effects_that_cannot_be_simulated_together_leave_an_infinite_gap():
+    rig = BY_MODEL["ShipDrive"]
+    plant = SizedPlant(rig, dict.fromkeys(rig.parameters, 1.0))
+    effect = {"viscous@engine": -1e7, "viscous@engine.shape": 1.0}
+    assert plant.gap(effect) == np.inf
+    assert plant.beside(effect, {"viscous@hull": 10.0, "viscous@hull.shape": 1.0}) == np.inf
+    assert 0.0 < plant.beside({"offset@U": 0.1}, {"viscous@hull": 10.0, "viscous@hull.shape": 1.0}) < np.inf
+
+
 def test_the_rigs_of_the_check_are_not_those_that_rules_were_found_on():
     assert {r.model for r in REHEARSED_ON} == {r.model for r in FOUND_ON}
     assert not {r.model for r in CHECKED_ON} & {r.model for r in FOUND_ON}
