@@ -29,7 +29,7 @@ _ALL_BUT = 0.99  # relative to the longest column: a column of this length is as
 _SAME = 1e-3  # difference between the FMU's solver and fmuid's, relative to an output's range
 _WITHIN = 10.0  # factor by which parameters may differ from their start values, as in a first campaign
 _CONVERGED = 1e-2  # relative change of the squared error that ends a refit
-_HALF = 0.5  # samples by which linear inputs act earlier than held ones, on average; nearly, to half of it
+_NEARLY = 0.5  # half samples by which inputs that act earlier than held ones may miss the one of linear inputs
 _CLEARLY = 0.8  # remaining share of the squared error for one interpolation of the inputs to count as better
 
 NO_EFFECT = "does not affect any measured output"
@@ -73,8 +73,9 @@ def first_choice(
     Parameters with independent effects on the outputs are free (QR with column pivoting of the relative
     sensitivities). Lengths and ratios come last: if one is redundant with parameters that only measurements can
     show, it is fixed, because it is known from drawings. Inputs are linear between their samples instead of held
-    if that leaves less than four fifths of the squared error after a refit of the free parameters to each run, for
-    example if an output responds instantly to an input sampled at the same time.
+    if that leaves less than four fifths of the squared error after a refit of the free parameters to each run, and
+    they seem to act about half a sample earlier; for example if an output responds instantly to an input sampled
+    at the same time.
     """
     parameters = [
         v
@@ -106,7 +107,7 @@ def first_choice(
         else:
             reason = CONSTRUCTION if variable.name in drawn else EXPLAINED
         held[reason].append(variable)
-    interpolation, gain = _interpolation(seen, free)
+    interpolation, gain = _interpolation(seen, free) if free else ("hold", 1.0)
     return FirstChoice(free, {r: tuple(v) for r, v in held.items() if v}, interpolation, gain)
 
 
@@ -262,10 +263,7 @@ class _Seen:
             return np.full(int(known.sum()), np.nan) if one is None else one._error()[known]
 
         def jacobian(x: FloatArray) -> FloatArray:
-            one = at(x)
-            effects = {} if one is None else one.effects(free)
-            unseen = np.zeros_like(self.nominal)
-            return np.stack([-effects.get(v.name, unseen)[known] for v in free], axis=1)
+            return -(at(x) or self)._columns(free)
 
         start, most = np.zeros(len(free)), np.full(len(free), np.log(_WITHIN))
         trust_region(residuals, jacobian, start, -most, most, cost_tolerance=_CONVERGED, step_tolerance=1e-4)
@@ -276,11 +274,15 @@ class _Seen:
 
         Of both, only what the parameters cannot imitate counts; the quotient is how far along that way the run is.
         """
-        known = np.isfinite(self._measured)
-        columns = np.stack([effect[known] for effect in self.effects(free).values()], axis=1)
+        known, columns = np.isfinite(self._measured), self._columns(free)
         way = ((other.nominal - self.nominal) / self.scale)[known]
         way -= columns @ np.linalg.lstsq(columns, way, rcond=None)[0]
         return float(way @ self._error()[known]), float(way @ way)
+
+    def _columns(self, free: Sequence[Variable]) -> FloatArray:
+        """Return the changes of the measured samples with each parameter's relative change: 0 where unknown."""
+        known, effects = np.isfinite(self._measured), self.effects(free)
+        return np.stack([effects.get(v.name, np.zeros_like(self.nominal))[known] for v in free], axis=1)
 
     @property
     def left(self) -> float:
@@ -318,6 +320,5 @@ def _interpolation(seen: Sequence[_Seen], free: Sequence[Variable]) -> tuple[Int
     except FmuidError:
         return "hold", 1.0  # an FMU that does not interpolate its inputs
     worse = sum(one.left for one in held) / max(sum(one.left for one in on_lines), 1e-300)
-    earlier = _HALF * sum(products) / max(sum(squares), 1e-300)  # samples by which the inputs act, than held ones
-    nearly = abs(earlier - _HALF) < _HALF / 2
-    return ("linear", worse) if worse > 1 / _CLEARLY and nearly else ("hold", 1.0)
+    earlier = sum(products) / max(sum(squares), 1e-300)  # than held inputs, in half samples
+    return ("linear", worse) if worse > 1 / _CLEARLY and abs(earlier - 1.0) < _NEARLY else ("hold", 1.0)
