@@ -184,8 +184,9 @@ class Check:
         None if that run shows no gap.
         """
         from fmuid.campaigns.campaign_toml import load_campaign
+        from fmuid.diagnosis.cross_validation import share_closed
         from fmuid.diagnosis.observed import GAP_THAT_MATTERS
-        from fmuid.diagnosis.validation import closure, validate_diagnosis
+        from fmuid.diagnosis.validation import validate_diagnosis
 
         kept = self.out / "held_out" / f"{name}.json"
         if not kept.is_file():
@@ -193,7 +194,7 @@ class Check:
             gaps = validate_diagnosis(answer, campaign).gaps
             write_atomically(kept, json.dumps({n: list(g) for n, g in gaps.items()}) + "\n")
         before, after = json.loads(kept.read_text())["all"]
-        return closure(before, after) if before > GAP_THAT_MATTERS else None
+        return share_closed(before, after) if before > GAP_THAT_MATTERS else None
 
 
 def write_case(case: Case, truth: Mapping[str, Any], folder: Path, *, seed: int) -> None:

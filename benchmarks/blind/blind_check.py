@@ -108,8 +108,9 @@ class Check:
     def _closures(self, answers: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
         """Measure on held-out runs what every answer that names an effect closes."""
         from fmuid.campaigns.campaign_toml import load_campaign
+        from fmuid.diagnosis.cross_validation import share_closed
         from fmuid.diagnosis.summary import named
-        from fmuid.diagnosis.validation import closure, validate_diagnosis
+        from fmuid.diagnosis.validation import validate_diagnosis
 
         closures = {}
         with WorkerPool(self.workers) as pool:
@@ -124,7 +125,7 @@ class Check:
                     campaign = replace(campaign, effects=made)
                     gaps = validate_diagnosis(answer, campaign, runner=pool.run).gaps
                     write_atomically(kept, json.dumps(gaps) + "\n")
-                closures[name] = closure(*json.loads(kept.read_text())["all"])
+                closures[name] = share_closed(*json.loads(kept.read_text())["all"])
         return closures
 
     def _second_round(self, answers: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:

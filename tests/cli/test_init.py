@@ -192,7 +192,7 @@ def test_init_sees_it_through_parameters_that_are_off_and_a_law_that_is_missing(
 def test_init_does_not_take_what_is_wrong_with_a_model_for_linear_inputs(
     model: str, factors: dict[str, float], missing: dict[str, float], tmp_path: Path, fmuid: Command
 ) -> None:
-    """Both plants hold their inputs; linear ones would explain them better after a short search, or at all."""
+    """Both plants hold their inputs. Linear ones fit better after a short search, and in the second case even after a long one."""
     (rig,) = (r for r in REHEARSED_ON if r.model == model)
     logs = write_logs(rig, factors, missing, tmp_path, Recording(1), np.random.default_rng(3))
     code, _, _ = fmuid(

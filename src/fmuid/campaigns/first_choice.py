@@ -29,7 +29,7 @@ _ALL_BUT = 0.99  # relative to the longest column: a column of this length is as
 _SAME = 1e-3  # difference between the FMU's solver and fmuid's, relative to an output's range
 _WITHIN = 10.0  # factor by which parameters may differ from their start values, as in a first campaign
 _CONVERGED = 1e-2  # relative change of the squared error that ends a refit
-_NEARLY = 0.5  # half samples by which inputs that act earlier than held ones may miss the one of linear inputs
+_NEARLY = 0.5  # tolerance, in half samples: linear inputs act half a sample earlier than held ones
 _CLEARLY = 0.8  # remaining share of the squared error for one interpolation of the inputs to count as better
 
 NO_EFFECT = "does not affect any measured output"
@@ -247,7 +247,8 @@ class _Seen:
 
     def refitted(self, free: Sequence[Variable]) -> _Seen:
         """Return the run where these parameters explain it best, each within a factor of ten of its value."""
-        known, tried = np.isfinite(self._measured), dict[bytes, _Seen | None]()
+        start, most = np.zeros(len(free)), np.full(len(free), np.log(_WITHIN))
+        known, tried = np.isfinite(self._measured), dict[bytes, _Seen | None]({start.tobytes(): self})
 
         def at(x: FloatArray) -> _Seen | None:
             if x.tobytes() not in tried:
@@ -265,7 +266,6 @@ class _Seen:
         def jacobian(x: FloatArray) -> FloatArray:
             return -(at(x) or self)._columns(free)
 
-        start, most = np.zeros(len(free)), np.full(len(free), np.log(_WITHIN))
         trust_region(residuals, jacobian, start, -most, most, cost_tolerance=_CONVERGED, step_tolerance=1e-4)
         return min((one for one in tried.values() if one is not None), key=lambda one: one.left)
 

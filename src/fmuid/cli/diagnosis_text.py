@@ -24,7 +24,8 @@ def print_diagnosis(diagnosis: Mapping[str, Any], printer: Printer) -> None:
 
 def print_validation(found: DiagnosisValidation, answer: Mapping[str, Any], printer: Printer) -> None:
     """Print what the corrected model is and which runs judge it, errors by run and signal, then gaps by run."""
-    from fmuid.diagnosis.validation import closure, law_of
+    from fmuid.diagnosis.cross_validation import share_closed
+    from fmuid.diagnosis.validation import law_of
 
     verdict, law = answer["verdict"], law_of(answer)
     if law is not None:
@@ -54,7 +55,7 @@ def print_validation(found: DiagnosisValidation, answer: Mapping[str, Any], prin
             c.rmse_corrected,
             f"{100 * c.nrmse_nominal:.3g} %",
             f"{100 * c.nrmse_corrected:.3g} %",
-            f"{100 * closure(c.rmse_nominal, c.rmse_corrected):.3g} %",
+            f"{100 * share_closed(c.rmse_nominal, c.rmse_corrected):.3g} %",
         ]
         for c in found.comparisons
     ]

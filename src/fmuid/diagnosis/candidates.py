@@ -215,7 +215,10 @@ def over_horizons(
     start: Mapping[str, float],
     trials: Sequence[Mapping[str, float]] = (),
 ) -> Fitted:
-    """Return a better fit than one that leaves a gap, approached from `start` and trials over growing horizons."""
+    """Return a better fit than `fitted`, if that leaves a gap and growing horizons lead to one.
+
+    They begin at `start`, and at `trials` from there.
+    """
     if fitted.gap <= GAP_THAT_MATTERS:
         return fitted
     near = approached(subject, fitted.fit.unknowns, start, trials)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -138,9 +139,19 @@ def losses(
     return HeldOut(read_only(np.array(loss)), tuple(per_run), read_only(np.array(size)))
 
 
-def closure(before: HeldOut, after: HeldOut) -> float:
-    """Return 1 - G1/G0, the share of the gap that is closed; 0 if there was no gap."""
-    return 1.0 - after.gap / before.gap if before.gap > 0 else 0.0
+class _WithGap(Protocol):
+    @property
+    def gap(self) -> float: ...
+
+
+def closure(before: _WithGap, after: _WithGap) -> float:
+    """Return the share of the gap that is closed: of models where they are fitted, or of losses."""
+    return share_closed(before.gap, after.gap)
+
+
+def share_closed(before: float, after: float) -> float:
+    """Return 1 - G1/G0, the share of a gap that is closed; 0 if there was no gap."""
+    return 1.0 - after / before if before > 0.0 else 0.0
 
 
 def closure_interval(

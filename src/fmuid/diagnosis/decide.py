@@ -182,8 +182,7 @@ def stable(surviving: Sequence[Fitted], rivals: Sequence[Fitted], observed: Obse
 
 def worth_adding(before: Fitted, after: Fitted) -> bool:
     """Return whether another effect closes enough of the remaining gap, also on held-out experiments."""
-    left = 1.0 - after.gap / before.gap if before.gap > 0 else 0.0
-    if left < GAIN_OF_A_SECOND:
+    if closure(before, after) < GAIN_OF_A_SECOND:
         return False
     for worse, better in ((before.held_out, after.held_out), (before.judged, after.judged)):
         gained, error = advantage(better, worse)
@@ -209,7 +208,7 @@ def names(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
     closed = closed_by(nominal, best)
     likely = closed * len(best.names) >= _doubt(closed)
     return closed >= CLOSURE_THAT_NAMES or (
-        likely and finished and _trained(nominal, best) >= CLOSURE_THAT_FINISHES
+        likely and finished and closure(nominal, best) >= CLOSURE_THAT_FINISHES
     )
 
 
@@ -221,13 +220,8 @@ def beyond_doubt(nominal: Fitted, best: Fitted, *, finished: bool, bounded: bool
     """
     closed = closure(nominal.held_out, best.held_out)
     if not bounded:
-        closed = min(closed, _trained(nominal, best))
+        closed = min(closed, closure(nominal, best))
     return closed >= CLOSURE_BEYOND_DOUBT or (finished and names(nominal, best, finished=True))
-
-
-def _trained(nominal: Fitted, best: Fitted) -> float:
-    """Return the closure on the experiments that the models are fitted to."""
-    return 1.0 - best.gap / nominal.gap if nominal.gap > 0.0 else 0.0
 
 
 def strained(fitted: Fitted, effects: Sequence[Effect]) -> bool:

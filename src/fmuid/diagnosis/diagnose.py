@@ -527,7 +527,7 @@ class _Closing:
     def __call__(self, fitted: Fitted) -> Closure:
         nominal = self.nominal
         return Closure(
-            1.0 - fitted.gap / nominal.gap if nominal.gap > 0 else 0.0,
+            closure(nominal, fitted),
             closure(nominal.held_out, fitted.held_out),
             self._interval(fitted),
             self._physical(fitted),

@@ -15,7 +15,7 @@ from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
 from fmuid.core.one_thread import in_one_thread
-from fmuid.diagnosis.cross_validation import closure_interval, losses
+from fmuid.diagnosis.cross_validation import closure_interval, losses, share_closed
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.observed import Observed, gap
@@ -67,16 +67,11 @@ class DiagnosisValidation:
             "used_for_the_diagnosis": None if self.used is None else list(self.used),
             "comparisons": [asdict(c) for c in self.comparisons],
             "gaps": {
-                n: {"nominal": a, "corrected": b, "closure": closure(a, b)} for n, (a, b) in self.gaps.items()
+                n: {"nominal": a, "corrected": b, "closure": share_closed(a, b)} for n, (a, b) in self.gaps.items()
             },
             "closure_interval": None if self.interval is None else list(self.interval),
             "notes": list(self.notes),
         }
-
-
-def closure(before: float, after: float) -> float:
-    """Return 1 - G1/G0; 0 where there was no gap."""
-    return 1.0 - after / before if before > 0.0 else 0.0
 
 
 def read_diagnosis(path: Path) -> dict[str, Any]:

@@ -361,7 +361,6 @@ class _Search:
         nominal, fitted, law_ = self.found.nominal, law.fitted, law.law
         null = self.noise.null(nominal_basis(nominal.fit, self.found.subject.observed), ())
         interval = closure_interval(nominal.held_out, fitted.held_out, null=null, seed=seed)
-        trained = 1.0 - fitted.gap / nominal.gap if nominal.gap > 0.0 else 0.0
         parameters = {}
         for name, estimate in estimates(fitted, law.subject).items():
             if name in law.effect.units:
@@ -377,7 +376,7 @@ class _Search:
             effect=entry(law.effect),
             parameters=parameters,
             values=dict(fitted.fit.values),
-            closure=Closure(trained, closure(nominal.held_out, fitted.held_out), interval),
+            closure=Closure(closure(nominal, fitted), closure(nominal.held_out, fitted.held_out), interval),
             gap=fitted.gap,
             p_value=self.p_value(law),
             curve=curve(law_, fitted.fit.values),
