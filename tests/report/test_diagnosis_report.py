@@ -9,6 +9,7 @@ from fmuid.diagnosis.summary import facts, likeliest, sentences, summary, verdic
 from fmuid.diagnosis.validation import read_diagnosis
 from fmuid.report import DiagnosisPictures, write_diagnosis_report
 from fmuid.report.diagnosis_figures import effects_figure, effects_table, gap_figure, range_text, seen_table
+from fmuid.report.interactive import specification
 
 
 def test_a_reader_sees_where_what_and_how_much(tmp_path):
@@ -159,6 +160,27 @@ def test_of_an_unknown_effect_the_closest_is_named_and_nothing_is_called_correct
         "nominal parameters refitted",
         "noise floor",
     ]
+
+
+@pytest.mark.parametrize(
+    ("description", "words"),
+    [
+        ("Friction grows with load", "friction grows with load"),
+        ("T_hot.balance: loss of heat", "T_hot.balance: loss of heat"),
+    ],
+)
+def test_a_description_goes_on_in_lower_case_but_for_names(description, words):
+    diagnosis = copy.deepcopy(samples.diagnosis())
+    next(e for e in diagnosis["effects"] if e["id"] == "mesh_loss")["description"] = description
+    assert {fact.label: fact.value for fact in facts(diagnosis)}["In words"] == words
+
+
+@pytest.mark.parametrize(("gap", "decades"), [(50.0, 1), (5e5, 2)])
+def test_ticks_of_a_wide_gap_do_not_overlap(gap, decades):
+    diagnosis = copy.deepcopy(samples.diagnosis())
+    diagnosis["gap"]["nominal"] = gap
+    layout = specification(gap_figure(diagnosis))["layout"]
+    assert layout["xaxis"]["dtick"] == decades
 
 
 def test_the_gap_is_drawn_effect_by_effect():

@@ -281,7 +281,8 @@ def _capital(sentence: str) -> str:
 
 
 def _lowered(sentence: str) -> str:
-    return sentence[:1].lower() + sentence[1:]
+    """Return a sentence that goes on after a colon; what comes before a colon of its own is a name."""
+    return sentence if sentence.partition(" ")[0].endswith(":") else sentence[:1].lower() + sentence[1:]
 
 
 def likeliest(diagnosis: Mapping[str, Any]) -> list[list[str]]:

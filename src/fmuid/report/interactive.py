@@ -38,6 +38,7 @@ _DASHES = {"solid": "solid", "dash": "6px,3px", "dot": "2px,2px"}
 _MARKERS = {"circle": "circle", "square": "square", "diamond": "diamond", "triangle": "triangle-up"}
 _GRID = "#E6E6E6"
 _FONT = {"family": "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif", "size": 12, "color": style.INK}
+_MOST_TICKS = 4.0  # from one end of a logarithmic axis of bars to the other
 
 
 def specification(figure: Figure) -> Spec:
@@ -308,6 +309,12 @@ def _map_places(figure: MapFigure, columns: int) -> Spec:
     return places
 
 
+def _decades(figure: BarFigure) -> int:
+    """Return the decades from one tick of a logarithmic axis to the next, so that labels do not overlap."""
+    low, high = figure.limits or (1.0, 1.0)
+    return math.ceil(max(1.0, math.log10(high / low) / _MOST_TICKS))
+
+
 def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
     bars = figure.bars
     above = [0.0 if b.interval is None else b.interval[1] - b.value for b in bars]
@@ -339,7 +346,9 @@ def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
         "height": 100 + 28 * max(1, len(bars)),
         "margin": {"l": 10, "r": 90, "t": 48, "b": 44},
         "showlegend": False,
-        "xaxis": _axis(figure.quantity) | {"tickangle": 0} | ({"dtick": 1} if figure.quantity.log else {}),
+        "xaxis": _axis(figure.quantity)
+        | {"tickangle": 0}
+        | ({"dtick": _decades(figure)} if figure.quantity.log else {}),
         "yaxis": {
             "tickvals": list(range(len(bars))),
             "ticktext": [html.escape(b.label, quote=False) for b in bars],
