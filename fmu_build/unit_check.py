@@ -1,8 +1,8 @@
 """Consistency of the units of a flat class: dimensional analysis of its equations, bindings and attributes.
 
-A variable without a unit, ``time`` (in ``sin(10*time)`` the literal has the unit), a non-integer literal, and the
-result of a function fit everything. An integer literal counts as a pure number in products and fits everything in
-sums. An angle in rad is a pure number.
+A variable without a unit, ``time`` (in ``sin(10*time)`` the literal has the unit), what is made of literals alone,
+and the result of a function fit everything. A factor made of whole literals is a pure number, and so is an angle
+in rad.
 """
 
 from __future__ import annotations
@@ -105,6 +105,9 @@ class _Checker:
 
     def _unit(self, node: Any) -> Dimension | None:
         """Return the unit of an expression tree, None if unknown; records inconsistencies inside it."""
+        return None if _literals(node) else self._unit_of_names(node)
+
+    def _unit_of_names(self, node: Any) -> Dimension | None:
         match node:
             case Reference():
                 variable = self._flat.variables.get(node.name)
@@ -132,9 +135,9 @@ class _Checker:
         return None
 
     def _factor(self, node: Any) -> Dimension | None:
-        """Return the unit of a factor, where a whole number is a pure number."""
-        value = _literal(node)
-        return self._unit(node) if value is None else _NUMBER if value == int(value) else None
+        """Return the unit of a factor, where whole literals make a pure number."""
+        literals = _literals(node)
+        return _NUMBER if literals and all(value.is_integer() for value in literals) else self._unit(node)
 
     def _binary(self, node: Binary) -> Dimension | None:
         op, at = node.operator, node.at
@@ -176,6 +179,30 @@ def _literal(node: Any) -> float | None:
     if not isinstance(node, Literal) or isinstance(node.value, bool | str):
         return None
     return float(node.value)
+
+
+def _literals(node: Any) -> list[float]:
+    """Return the numbers of an expression that is made of them alone; of any other, none."""
+    value = _literal(node)
+    if value is not None:
+        return [value]
+    parts: tuple[Any, ...]
+    match node:
+        case Unary():
+            parts = (node.operand,)
+        case Binary():
+            parts = (node.right, node.left)  # in a long sum, the right one has no further parts
+        case Call():
+            parts = node.arguments
+        case _:
+            return []
+    found: list[float] = []
+    for part in parts:
+        values = _literals(part)
+        if not values:
+            return []
+        found += values
+    return found
 
 
 def dimension_of_unit(text: str | None) -> Dimension | None:

@@ -272,6 +272,24 @@ def test_a_model_may_use_a_library_in_another_folder(
     )
 
 
+def test_a_model_may_be_in_a_package_that_is_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("Motors").mkdir()
+    Path("Motors/package.mo").write_text(f"package Motors\n{WINDING}end Motors;\n")
+    _, in_folder, _ = fmuid("effects", "Motors", "Motors.Winding")
+    assert in_folder == fmuid("effects", "Motors/package.mo", "Motors.Winding")[1] != ""
+    code, _, err = fmuid("effects", "Motors")
+    assert (code, err) == (2, "fmuid: package.mo:1: 'Motors' is a package, not a model\n")
+
+    time = np.linspace(0.0, 2.0, 201)
+    signals = recorded(np.sign(np.sin(5 * time)), time, at_once=False)
+    write_csv(Table(time, {n: signals[n] for n in ("u", "i")}, {}), "run.csv")
+    assert fmuid("init", "run.csv", "--model", "Motors", "--class", "Motors.Winding", "--workers", "0")[0] == 0
+    assert 'source = "../Motors/package.mo"' in Path("campaign/campaign.toml").read_text()
+
+
 @pytest.mark.parametrize("option", ["--unit", "--sigma"])
 def test_init_knows_the_signals_that_options_name(
     option: str, winding: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command

@@ -75,6 +75,16 @@ def test_declarations_and_when_clauses_are_looked_at(tmp_path, more, units):
     assert found.endswith(f"the units differ: {' and '.join(units)}")
 
 
+@pytest.mark.parametrize("value", ["1/50", "-2*3", "380e3*sqrt(2/3)", "max(1, 2)^2"])
+def test_a_value_made_of_literals_has_the_unit_of_what_it_is_given_to(tmp_path, value):
+    assert findings(tmp_path, "m*der(v) = F;", f'  parameter Real period(unit = "s") = {value};\n') == ()
+
+
+def test_a_factor_made_of_whole_literals_changes_no_unit(tmp_path):
+    (found,) = findings(tmp_path, "m*der(v) = (1/2)*c*v;")
+    assert found.endswith("the units differ: kg.m/s2 and kg.m/s3")
+
+
 def test_connected_signals_have_one_unit(tmp_path):
     file = tmp_path / "M.mo"
     file.write_text(

@@ -484,9 +484,8 @@ def _source(table: _ModelTable, folder: Path, where: str) -> ModelSource | None:
         raise CampaignError(
             "source applies to a single FMU only", where=where, fix="leave it out for coupled ones"
         )
-    file = folder / table.source
     effects = folder / table.effects if table.effects else None
-    return ModelSource(file, table.class_ or file.stem, effects, tuple(folder / root for root in table.roots))
+    return ModelSource.at(folder / table.source, table.class_, effects, (folder / root for root in table.roots))
 
 
 def _file_of(path: Path) -> Path:

@@ -9,7 +9,7 @@ from typing import Any
 
 from fmuid.campaigns.campaign_toml import FILE_NAME, load_campaign
 from fmuid.campaigns.new_campaign import new_campaign
-from fmuid.core.campaign import Campaign, ModelSource
+from fmuid.core.campaign import Campaign, ModelSource, is_modelica
 from fmuid.core.errors import CampaignError, FmuidError
 from fmuid.data.recordings.resampling import TimeBase
 from fmuid.simulation.pool.choice import runner_on
@@ -31,13 +31,13 @@ def given_model(model: Path, class_name: str | None = None, roots: Sequence[Path
     FmuidError
         The FMU cannot be built, or `class_name` or `roots` are given without a Modelica file.
     """
-    if model.suffix.casefold() != ".mo":
+    if not is_modelica(model):
         for what, value in (("a class", class_name), ("folders of libraries", roots)):
             if value:
                 fix = "give the Modelica file (.mo) in its place"
                 raise FmuidError(f"{what} without a Modelica model", where=model, fix=fix)
         return GivenModel(model)
-    source = ModelSource(model, class_name or model.stem, roots=tuple(roots))
+    source = ModelSource.at(model, class_name, roots=roots)
     from fmuid.simulation.model_source import built_model  # slow to import
 
     return GivenModel(built_model(source), source)

@@ -18,7 +18,12 @@ if TYPE_CHECKING:
 
 
 def effects(
-    what: Annotated[Path, typer.Argument(metavar="CAMPAIGN|MODEL.mo", help="A campaign, or a Modelica file.")],
+    what: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CAMPAIGN|MODEL.mo", help="A campaign, a Modelica file, or the folder of a package."
+        ),
+    ],
     class_name: Annotated[
         str | None, typer.Argument(metavar="[CLASS]", help="Class in the file; by default the one with its name.")
     ] = None,
@@ -39,10 +44,12 @@ def effects(
 
     Example: fmuid effects campaigns/drive --out campaigns/drive/effects.toml
     """
+    from fmuid.core.campaign import is_modelica
+
     printer = Printer(quiet, json)
     if out is not None:
         check_folder(out.parent)
-    if what.suffix == ".mo":
+    if is_modelica(what) and not (what / "campaign.toml").is_file():
         if out is not None:
             raise CampaignError(
                 "sizes of effects come from recorded runs, and a model has none",
@@ -75,7 +82,7 @@ def _of_model(file: Path, class_name: str | None, roots: list[Path]) -> dict[str
     from fmuid.diagnosis.made_catalogue import possible_laws
     from fmuid.simulation.model_source import flat_model
 
-    flat = flat_model(ModelSource(file, class_name or file.stem, roots=tuple(roots)))
+    flat = flat_model(ModelSource.at(file, class_name, roots=roots))
     return possible_laws(flat) | {v.name: ["value"] for v in held_parameters(flat) if constant(v.binding)}
 
 

@@ -37,6 +37,19 @@ class ModelSource:
     effects: Path | None = None
     roots: tuple[Path, ...] = ()
 
+    @classmethod
+    def at(
+        cls, path: Path, class_name: str | None = None, effects: Path | None = None, roots: Iterable[Path] = ()
+    ) -> ModelSource:
+        """Return the source at `path`, a file or the folder of a package; by default, its class has that name."""
+        file = path / "package.mo" if path.is_dir() else path
+        return cls(file, class_name or path.stem, effects, tuple(roots))
+
+
+def is_modelica(path: Path) -> bool:
+    """Whether `path` is a Modelica file or the folder of a package."""
+    return path.suffix.casefold() == ".mo" or (path / "package.mo").is_file()
+
 
 @dataclass(frozen=True, slots=True)
 class ModelSpec:
