@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import time
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -495,6 +497,21 @@ def test_an_fmu_in_the_cache_that_was_compiled_otherwise_is_not_used(tmp_path, m
         model_source, "compile_flat", lambda flat: pytest.fail("compiled although it is in the cache")
     )
     assert built_with_terms(source, model, *terms) == fast
+
+
+def test_fmus_with_laws_that_nobody_has_asked_for_lately_leave_the_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    source, model = ModelSource(RIGS, "Rigs.TwoMass"), flat("TwoMass")
+
+    def built(law):
+        return built_with_terms(source, model, [Term("rotor", "flow", law)], [])
+
+    plain, used, unused = built_model(source), built("0.1*rate"), built("0.2*rate")
+    for file in (plain, used, unused):
+        os.utime(file, times=(time.time() - 100 * 86_400,) * 2)
+    assert built("0.1*rate") == used
+    new = built("0.3*rate")
+    assert {plain.name, used.name, new.name} == {p.name for p in plain.parent.glob("*.fmu")}
 
 
 @pytest.fixture(scope="module")

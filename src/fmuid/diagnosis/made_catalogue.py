@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -21,7 +22,7 @@ from fmuid.campaigns.signal_catalogue import RecordedSetup, signal_catalogue
 from fmuid.core.campaign import Campaign, EffectsSpec, ModelSource, ModelSpec, ParameterSpec
 from fmuid.core.errors import CampaignError
 from fmuid.core.experiments import Experiment
-from fmuid.core.files import user_cache, write_atomically
+from fmuid.core.files import remove_unused, user_cache, write_atomically
 from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray
 from fmuid.core.toml_tables import Table, convert, read_toml, toml_document, toml_text
@@ -455,10 +456,8 @@ def with_catalogue(
             )
     else:
         text = made_catalogue(campaign, load, runner=runner)
-        file = user_cache() / "catalogues" / f"{_digest(text)}.toml"
-        write_atomically(file, text)
-        spec = replace(_spec(campaign), catalogue=file)
-        catalogue = load_catalogue(file)
+        spec = replace(_spec(campaign), catalogue=_in_cache(text))
+        catalogue = load_catalogue(spec.file)
     carriers, models = {}, dict(campaign.models)
     for name, setup in setups.items():
         plain = built_model(setup.source)
@@ -466,9 +465,7 @@ def with_catalogue(
         models[name] = replace(setup.model, fmu=plain)
     if carriers:
         text = _with_models(text, carriers)
-        file = user_cache() / "catalogues" / f"{_digest(text)}.toml"
-        write_atomically(file, text)
-        spec = replace(spec, catalogue=file)
+        spec = replace(spec, catalogue=_in_cache(text))
     return replace(campaign, effects=spec, models=models)
 
 
@@ -477,13 +474,15 @@ def with_effect(campaign: Campaign, id: str, table: Mapping[str, Any]) -> Campai
     assert campaign.effects is not None
     tables = {key: table for key, table in read_toml(campaign.effects.file).items() if key != "models"}
     text = toml_document({**tables, "effects": {**tables["effects"], id: table}})
-    file = user_cache() / "catalogues" / f"{_digest(text)}.toml"
+    return replace(campaign, effects=replace(campaign.effects, catalogue=_in_cache(text)))
+
+
+def _in_cache(text: str) -> Path:
+    folder = user_cache() / "catalogues"
+    remove_unused(folder, "*.toml")
+    file = folder / f"{hashlib.sha256(text.encode()).hexdigest()[:16]}.toml"
     write_atomically(file, text)
-    return replace(campaign, effects=replace(campaign.effects, catalogue=file))
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return file
 
 
 def _with_models(text: str, carriers: Mapping[str, str]) -> str:

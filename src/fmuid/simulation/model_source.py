@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +17,7 @@ from fmu_build.model_ports import find_ports
 from fmu_build.packaging import package
 from fmuid.core.campaign import ModelSource
 from fmuid.core.errors import CampaignError
-from fmuid.core.files import user_cache
+from fmuid.core.files import remove_unused, user_cache
 from fmuid.core.toml_tables import read_toml
 
 
@@ -72,7 +74,10 @@ def built_with_terms(source: ModelSource, flat: FlatModel, terms: Sequence[Term]
     names = [*added]
     target = _folder(source) / f"{_stem(source)}-{_digest(source, flat, terms, names)[:12]}.fmu"
     if target.is_file():
+        with suppress(OSError):  # a cache that may only be read
+            os.utime(target)
         return target
+    remove_unused(_models(), "*/*-*.fmu")  # an edited model has others
     model = compile_flat(instrument(flat, terms, names))
     return package(replace(model, name=_stem(source)), target)
 
@@ -114,4 +119,8 @@ def _stem(source: ModelSource) -> str:
 def _folder(source: ModelSource) -> Path:
     parts = [source.file.resolve(), source.class_name, *(root.resolve() for root in source.roots)]
     digest = hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()
-    return user_cache() / "models" / digest[:16]
+    return _models() / digest[:16]
+
+
+def _models() -> Path:
+    return user_cache() / "models"
