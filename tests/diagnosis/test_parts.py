@@ -221,6 +221,21 @@ def test_a_refit_goes_around_values_with_which_the_model_grows_without_limit():
     assert refit(predict, observed, unknown, starts=[{}, {"k": 1.0}]).values["k"] == pytest.approx(2.0, rel=1e-2)
 
 
+def test_a_refit_ends_beside_values_with_which_nothing_can_be_simulated():
+    """A controller is stable up to a gain that the true one nearly has: a step beyond it is taken back."""
+    time = np.linspace(0.0, 1.0, 200)
+    observed = one_run(time, 2.0 * time)
+
+    def predict(points):
+        failed = SimulationError("unstable")
+        return [failed if p["k"] > 2.02 else (p["k"] * time[None],) for p in points]
+
+    fit = refit(predict, observed, [Unknown("k", 1.5, -9.0, 9.0, 0.05)])
+    assert fit.values["k"] == pytest.approx(2.0, abs=0.01)
+    slope = observed.whiten((time[None],))[0]
+    assert np.allclose(fit.jacobian[0][:, 0], slope)
+
+
 def test_a_refit_gets_over_ripples_of_the_cost():
     """What hits and sticks makes ripples that local slopes see and no step keeps; the trend leads to the truth."""
     time = np.linspace(0.0, 1.0, 200)

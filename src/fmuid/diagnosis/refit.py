@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -236,6 +236,16 @@ def _with_squares(parts: tuple[FloatArray, ...]) -> tuple[FloatArray, ...] | Sim
     return parts if finite else SimulationError("predictions grow beyond all numbers")
 
 
+def _all_simulated(outcomes: Iterable[tuple[FloatArray, ...] | SimulationError]) -> list[tuple[FloatArray, ...]]:
+    """Return the outcomes, or raise the first failure."""
+    found = []
+    for outcome in outcomes:
+        if isinstance(outcome, SimulationError):
+            raise outcome
+        found.append(outcome)
+    return found
+
+
 class _ExhaustedError(Exception):
     """The budget of Jacobians is used up."""
 
@@ -278,12 +288,7 @@ class _Campaign:
 
     def _simulated(self, points: Sequence[FloatArray]) -> list[tuple[FloatArray, ...]]:
         """Return the residuals of every experiment at each point, or raise the first failure."""
-        found = []
-        for outcome in self.evaluate(points):
-            if isinstance(outcome, SimulationError):
-                raise outcome
-            found.append(outcome)
-        return found
+        return _all_simulated(self.evaluate(points))
 
     def parts(self, x: FloatArray) -> tuple[FloatArray, ...]:
         """Return the residuals of every experiment; those of the last points are remembered."""
@@ -331,17 +336,30 @@ class _Campaign:
         base = self.parts(x)
         left = [k for k in range(len(x)) if k not in columns]
         away = np.diag(np.where(x + self.steps > self.upper, -self.steps, self.steps))[left]
-        ends = [self.clipped(x + (wide or 1.0) * step) for step in away]
-        begins = [self.clipped(x - wide * step) for step in away] if wide else []
-        moved = self._simulated([*ends, *begins])
-        origins = moved[len(ends) :] or [base] * len(left)
-        for n, k in enumerate(left):
-            width = ends[n][k] - (begins[n] if wide else x)[k]
-            columns[k] = tuple((p - q) / width for p, q in zip(moved[n], origins[n], strict=True))
+        if wide:
+            points = [self.clipped(x + sign * wide * step) for sign in (1.0, -1.0) for step in away]
+            found = list(zip(points, self._simulated(points), strict=True))
+            ends, begins = found[: len(left)], found[len(left) :]
+        else:
+            ends, begins = self._beside(x, away), [(x, base)] * len(left)
+        for k, (end, p), (begin, q) in zip(left, ends, begins, strict=True):
+            columns[k] = tuple((a - b) / (end[k] - begin[k]) for a, b in zip(p, q, strict=True))
         return tuple(
             np.stack([columns[k][e] for k in range(len(x))], axis=1) if len(x) else np.zeros((b.size, 0))
             for e, b in enumerate(base)
         )
+
+    def _beside(self, x: FloatArray, steps: FloatArray) -> list[tuple[FloatArray, tuple[FloatArray, ...]]]:
+        """Return the point after each step, with its residuals; on the other side of `x` where it has none."""
+        points = [self.clipped(x + step) for step in steps]
+        found = self.evaluate(points)
+        failed = [n for n, outcome in enumerate(found) if isinstance(outcome, SimulationError)]
+        others = [self.clipped(x - steps[n]) for n in failed]
+        for n, other, outcome in zip(failed, others, self.evaluate(others) if others else (), strict=True):
+            if np.array_equal(other, x) or isinstance(outcome, SimulationError):
+                continue
+            points[n], found[n] = other, outcome
+        return list(zip(points, _all_simulated(found), strict=True))
 
     def _exactly(self, x: FloatArray) -> dict[int, tuple[FloatArray, ...]]:
         inside = [k for k in range(len(x)) if self.lower[k] + self.steps[k] < x[k] < self.upper[k] - self.steps[k]]
