@@ -105,6 +105,20 @@ main()
     assert (run.returncode, run.stderr) == (130, "fmuid: interrupted\n")
 
 
+def test_ctrl_c_when_everything_is_done_changes_nothing() -> None:
+    script = """
+import atexit, signal
+from fmuid.cli import main, app
+def run():
+    atexit.register(signal.raise_signal, signal.SIGINT)
+    return 3
+app.run = run
+main()
+"""
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (3, "")
+
+
 def test_other_errors_are_shown_whole() -> None:
     script = "from fmuid.cli import main, app; app.run = lambda: 1 / 0; main()"
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)

@@ -11,6 +11,7 @@ from types import FrameType
 from typing import Any
 
 INTERRUPTED = 130
+_RUNNING = -1  # no exit code
 _MOMENT = 0.01  # s
 
 
@@ -28,7 +29,7 @@ class Interruption:
     """
 
     def __init__(self) -> None:
-        self._stopping = self._interrupted = False
+        self._stopping, self._code = False, _RUNNING
         atexit.register(self._leave)  # registered first, so called after everything else has been cleaned up
         if hasattr(signal, "setitimer"):  # Windows has none
             signal.signal(signal.SIGALRM, self._received)
@@ -39,11 +40,11 @@ class Interruption:
                 signal.signal(number, self._received)
 
     def end(self, code: int) -> None:
-        """Have every further Ctrl-C end the process at once: there is nothing left to save."""
-        self._stopping, self._interrupted = True, code == INTERRUPTED
+        """Have every further Ctrl-C end the process at once, with this code: there is nothing left to save."""
+        self._stopping, self._code = True, code
 
     def _leave(self) -> None:
-        if self._interrupted:
+        if self._code == INTERRUPTED:
             for stream in (sys.stdout, sys.stderr):
                 with suppress(OSError, ValueError):  # the reader is gone
                     stream.flush()
@@ -62,6 +63,8 @@ class Interruption:
             self._stopping = True
             raise KeyboardInterrupt
         if number == signal.SIGINT:
+            if self._code not in (_RUNNING, INTERRUPTED):  # everything was done when the first one came
+                os._exit(self._code)
             shown = b"\x1b[?25h" if sys.stderr is not None and sys.stderr.isatty() else b""  # the cursor again
             os.write(2, shown + b"\nfmuid: stopped at once\n")
             os._exit(INTERRUPTED)
