@@ -237,6 +237,12 @@ def test_a_scale_that_all_parameters_share_is_held_although_the_model_resonates(
     assert free == {"coil.k", "table.m", "specimen.m", "suspension.c", "suspension.d", "mount.c"}
 
 
+def write_square_wave(file: str) -> None:
+    time = np.linspace(0.0, 2.0, 201)
+    signals = recorded(np.sign(np.sin(5 * time)), time, at_once=False)
+    write_csv(Table(time, {n: signals[n] for n in ("u", "i")}, {}), file)
+
+
 def test_a_model_may_use_a_library_in_another_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
 ) -> None:
@@ -244,9 +250,7 @@ def test_a_model_may_use_a_library_in_another_folder(
     Path("libraries").mkdir()
     Path("libraries/Motors.mo").write_text(f"package Motors\n{WINDING}end Motors;\n")
     Path("Drive.mo").write_text("model Drive\n  extends Motors.Winding;\nend Drive;\n")
-    time = np.linspace(0.0, 2.0, 201)
-    signals = recorded(np.sign(np.sin(5 * time)), time, at_once=False)
-    write_csv(Table(time, {n: signals[n] for n in ("u", "i")}, {}), "run.csv")
+    write_square_wave("run.csv")
 
     lacking = (
         "'Motors' is in no library; give its directory with --root, or as `roots` of the model in campaign.toml"
@@ -283,9 +287,7 @@ def test_a_model_may_be_in_a_package_that_is_a_folder(
     code, _, err = fmuid("effects", "Motors")
     assert (code, err) == (2, "fmuid: package.mo:1: 'Motors' is a package, not a model\n")
 
-    time = np.linspace(0.0, 2.0, 201)
-    signals = recorded(np.sign(np.sin(5 * time)), time, at_once=False)
-    write_csv(Table(time, {n: signals[n] for n in ("u", "i")}, {}), "run.csv")
+    write_square_wave("run.csv")
     assert fmuid("init", "run.csv", "--model", "Motors", "--class", "Motors.Winding", "--workers", "0")[0] == 0
     assert 'source = "../Motors/package.mo"' in Path("campaign/campaign.toml").read_text()
 

@@ -11,8 +11,6 @@ from pathlib import Path
 from fmuid.core.errors import FmuidError
 
 _UNFINISHED = ".fmuid-unfinished"
-
-
 _UNUSED = 90 * 86_400.0  # s: work that goes on comes back to its models sooner
 
 
