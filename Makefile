@@ -174,7 +174,7 @@ blind: | $(READY)
 	  $(FIRST:%=--first %) $(SEED:%=--seed %) --page docs/blind.md --notes docs/blind_notes.md \
 	  --command "make blind COUNT=$(COUNT)$(FIRST:%= FIRST=%)$(SEED:%= SEED=%)"
 
-# The same on eight rigs on which no rule was developed. Continues where it was interrupted. CASES=100: the first 100 of the
+# The same on eight rigs other than actuators, whose labels were read in earlier grids. Continues where it was interrupted. CASES=100: the first 100 of the
 # grid, a fair sample of it; WORKERS=2: cases in parallel. LABELS_ABROAD must be empty for a new grid.
 blind-abroad: | $(READY)
 	$(BIN)/python -m benchmarks.abroad.blind --labels $(LABELS_ABROAD) --page docs/blind_abroad.md \

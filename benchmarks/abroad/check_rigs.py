@@ -1,4 +1,4 @@
-"""The rigs that the check abroad is made on; no rule may be found on them."""
+"""The rigs of the check abroad. They are not unseen: rules came from labels of earlier grids of them."""
 
 from __future__ import annotations
 

@@ -27,8 +27,8 @@ _HEAD = """\
 How often `fmuid diagnose` finds the [equation](diagnosis.md#a-law-found) of what no catalogue has. Plants in
 code of their own have such a law at one place, beside parameters that differ from the model's by up to a fifth,
 and noise. A diagnosis gets the plain model and logs of three runs, three times each; a fourth run is kept back.
-Four of the rigs are those that the rules of the diagnosis were found on; on the fifth, a shaker, no rule was
-found. The lists of cases (`cases.toml`, `shaker.toml` and `unseen.toml` in `benchmarks/discovery`) were frozen
+Rules of the diagnosis come from four of the rigs, and later ones from cases of the fifth, a shaker (see
+below). The lists of cases (`cases.toml`, `shaker.toml` and `unseen.toml` in `benchmarks/discovery`) were frozen
 before any of them was diagnosed.
 
     make discovery
