@@ -14,7 +14,7 @@ from benchmarks.sealed import verdict_in_words
 _INTRODUCTION = """\
 # The blind check abroad
 
-How often a diagnosis is right on eight rigs other than actuators. They are not unseen: labels of earlier grids of the same rigs
+How often a diagnosis is right on eight rigs other than actuators. They are not unseen: labels of earlier grids
 were read, and rules came from them. Each rig has a plain Modelica model; its plant
 is independent code in C, with parameters up to a fifth off, and with none, one or two effects, with something
 that no catalogue has, or with a held parameter that is wrong. The diagnosis gets logs and the plain model, as
