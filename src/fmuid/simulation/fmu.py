@@ -51,8 +51,8 @@ class Fmu:
 
     Notes
     -----
-    * Inputs without a signal in the task keep their start value. * Start values can be set of parameters (fixed
-    and tunable), of inputs, and of variables with ``initial``
+    * Inputs without a signal in the task keep their start value.
+    * Start values can be set for parameters (fixed and tunable), for inputs, and for variables with ``initial``
       exact (the states' start values) or approx (a guess that the FMU may change), before initialisation.
     * Integer, Boolean and enumeration variables are set by their FMI type and take whole numbers only.
     * The first simulation is repeated after a reset (for up to half a second); an FMU whose reset is missing,
@@ -60,8 +60,8 @@ class Fmu:
       used. If the reset crashes, it ends one worker process of a pool, and the other workers instantiate anew.
       FMUs from ``fmuid build`` can be reset.
     * After a failed simulation the next one gets a new instance, and after fmi2Fatal a new copy of the library, so
-    predictions depend only on the parameters, not on earlier simulations. * One object runs one simulation at a
-    time; use processes for parallel simulations (`simulation.pool.workers`).
+      predictions depend only on the parameters, not on earlier simulations.
+    * One object runs one simulation at a time; use processes for parallel simulations (`simulation.pool.workers`).
 
     Raises
     ------
