@@ -84,12 +84,12 @@ def uncertainty_of(
     """Return the uncertainty of the estimate `best` of a problem.
 
     The covariance is the sandwich ``(J'J)^-1 J' W J (J'J)^-1`` in search space. If sigma was given for every
-    residual, W is that noise, taken as exactly known. If the residuals contradict it (by their energy or colour, at
-    1 %), or if sigma was not given, W contains each case's residual auto- and cross-covariances, tapered (Bartlett)
-    beyond the lag where they vanish in their scatter. Coloured residuals (model error, friction) therefore give a
-    wider covariance than white ones. With only as many residuals as parameters, the noise is unknown, and
-    without a sigma there are no standard errors. At active constraints, the covariance is restricted to directions
-    along them. Errors of parameters fixed at an earlier stage's estimate are added
+    residual, W is that noise, taken as exactly known. If the residuals contradict it (by their energy or
+    colour, at 1 %), or if sigma was not given, W contains each case's residual auto- and cross-covariances,
+    tapered (Bartlett) beyond the lag where they vanish in their scatter. Coloured residuals (model error,
+    friction) therefore give a wider covariance than white ones. With only as many residuals as parameters, the
+    noise is unknown, and without a sigma there are no standard errors. At active constraints, the covariance
+    is restricted to directions along them. Errors of parameters fixed at an earlier stage's estimate are added
     (`fmuid.identification.uncertainty.inherited`).
 
     Parameters
