@@ -51,25 +51,23 @@ class Aliases:
 
 @dataclass(frozen=True)
 class Start:
-    """Start value of a symbol: an expression of parameters, and whether it is fixed or given at all."""
+    """Start value of a symbol: an expression of parameters, whether it is fixed or given at all, and by what."""
 
     value: SX
     fixed: bool
     given: bool
+    source: Declared | None = None
 
 
 def start_of(scope: ModelScope, aliases: Aliases, symbol: SX) -> Start:
-    """Start value of a continuous symbol: that of its alias group's fixed member, or of the first with a start."""
+    """Start value of a continuous symbol: of its aliases, the fixed one's, or the one written highest up."""
     group = aliases.groups.get(key(symbol))
     if group is None:
         return Start(SX(0.0), False, False)
-    fixed = [(d, s) for d, s in group.members if d.fixed]
-    given = [(d, s) for d, s in group.members if d.has_start]
-    first = [m for m in group.members if m[0] is group.representative and m[0].has_start]
-    for declared, sign in [*fixed, *first, *given]:
-        value = scope.start_of(declared)
-        return Start(sign * value, bool(fixed), declared.has_start)
-    return Start(SX(0.0), False, False)
+    declared, sign = min(
+        group.members, key=lambda m: (not m[0].fixed, m[0].start_rank, m[0] is not group.representative)
+    )
+    return Start(sign * scope.start_of(declared), bool(declared.fixed), declared.has_start, declared)
 
 
 def eliminate(scope: ModelScope, equations: list[Equation]) -> Aliases:

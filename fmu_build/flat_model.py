@@ -73,6 +73,7 @@ class Variable:
     flow: bool = False
     binding: Expression | None = None
     start: Expression | None = None
+    start_level: int | None = None
     min: Expression | None = None
     max: Expression | None = None
     nominal: Expression | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,10 +14,12 @@ from fmu_build.aliases import Start, start_of
 from fmu_build.equations import Equation
 from fmu_build.graph import SX, if_else, key
 from fmu_build.scope import ModelScope
+from fmu_build.syntax import Place
 from fmu_build.system import System
 from fmu_build.variables import Declared
 
 _CONSISTENT = 1e-9
+_NO_RANK = 2_000_000  # of the start value of a derivative without a name
 
 
 @dataclass
@@ -75,13 +78,126 @@ def initial_conditions(system: System, equations: list[Equation], start_symbols:
             raise flat.error("initial conditions contradict each other (a fixed start value is one too)", span)
         if free and not abs(value) <= 1e-6:
             raise flat.error("more initial conditions than states (a fixed start value is one too)", span)
-    unsure = [states[i].symbol.name() for i, s in enumerate(starts) if not s.fixed and i not in free]
-    if unsure:
-        scope.parameters.warnings.append(f"start values taken as fixed: {', '.join(unsure)}")
+    written = _Written(system, starts, at_start)
+    needed = [conditions[row] for row in sorted(used)]
+    conditions, free, used = written.chosen(needed, columns, free)
+    scope.parameters.warnings += written.warnings(free)
     residuals = [s.symbol - xs for s, xs in zip(states, start_symbols, strict=True)]
     for column, row in zip(sorted(free), sorted(used), strict=True):
         residuals[column] = conditions[row][0]
     return InitialConditions(starts, residuals, not free, [i in free for i in range(len(states))])
+
+
+class _Written:
+    """Start values in the source that are not fixed, as conditions for states that no other condition determines.
+
+    As section 8.6.3 of the specification recommends, a value that is written at a higher level of the model wins;
+    at the same level, that of a state does.
+    """
+
+    def __init__(self, system: System, starts: list[Start], at_start: dict[int, SX]) -> None:
+        self._system = system
+        self._starts = starts
+        self._at_start = at_start
+        self._others = self._not_states()
+        self._used: set[int] = set()  # positions in `_others`
+
+    def _not_states(self) -> list[tuple[Declared, SX]]:
+        """Return the written start values of explicit variables, and how far these are from them."""
+        system, scope = self._system, self._system.scope
+        states = {key(s.symbol) for s in system.reduced.states}
+        iterates = {key(y) for y in system.solution.iterates}
+        found = []
+        for k, group in system.aliases.groups.items():
+            start = start_of(scope, system.aliases, algebra.sx(group.representative.symbol))
+            declared = start.source
+            if k in states or k in iterates or declared is None or start.fixed or not declared.is_start_written:
+                continue
+            value = system.rewrite(algebra.sx(group.representative.symbol))
+            symbols = scope.graph.symbols(value)
+            if not symbols & iterates and not any(map(scope.is_event_symbol, symbols)):
+                _, sign = system.aliases.of[declared.name]
+                found.append((declared, sign * (value - start.value)))
+        return found
+
+    def chosen(
+        self, conditions: list[tuple[SX, Place]], columns: list[int], free: set[int]
+    ) -> tuple[list[tuple[SX, Place]], set[int], set[int]]:
+        """Add the start values of other variables that precede those of states.
+
+        Returns the conditions, the states that they determine, and the positions of the conditions to use.
+        """
+        states, starts = self._system.reduced.states, self._starts
+        open_ = [i for i in columns if i not in free]
+        worst = max((self._rank(i) for i in open_), default=-1)
+        others = [n for n, (declared, _) in enumerate(self._others) if declared.start_rank < worst]
+        if not others:
+            return conditions, free, set(range(len(conditions)))
+        ranked = sorted(
+            [(self._rank(i), 0, position) for position, i in enumerate(open_)]
+            + [(self._others[n][0].start_rank, 1, n) for n in others]
+        )
+        rows = [c for c, _ in conditions]
+        for _, other, n in ranked:
+            rows.append(self._others[n][1] if other else states[open_[n]].symbol - starts[open_[n]].value)
+        _, found = _independent(self._system, rows, columns, self._at_start)
+        taken = [ranked[row - len(conditions)] for row in sorted(found) if row >= len(conditions)]
+        kept = {open_[n] for _, other, n in taken if not other}
+        self._used = {n for _, other, n in taken if other}
+        out = [*conditions, *((self._others[n][1], self._others[n][0].at) for n in sorted(self._used))]
+        return out, set(columns) - kept, set(range(len(out)))
+
+    def _rank(self, state: int) -> int:
+        source = self._starts[state].source
+        return _NO_RANK if source is None else source.start_rank
+
+    def warnings(self, free: set[int]) -> Iterator[str]:
+        """Yield a line on the start values taken as fixed, and one for each that contradicts them."""
+        taken = [
+            self._shown(s.symbol.name(), start.source)
+            for i, (s, start) in enumerate(zip(self._system.reduced.states, self._starts, strict=True))
+            if not start.fixed and i not in free
+        ]
+        taken += [self._others[n][0].name for n in sorted(self._used)]
+        if taken:
+            yield f"start values taken as fixed: {', '.join(taken)}"
+        for i, (s, start) in enumerate(zip(self._system.reduced.states, self._starts, strict=True)):
+            if start.source is not None and not start.fixed and i not in free:
+                yield from self._contradictions(s.symbol, start)
+        if free:
+            return
+        mine = [(declared, off) for declared, off in self._others if declared.start_rank == 0]
+        far = self._system.point.at_start([off for _, off in mine], self._at_start)
+        for (declared, _), distance in zip(mine, far, strict=True):
+            if abs(distance) > _CONSISTENT * 10:
+                start = self._system.point.number(self._system.scope.start_of(declared))
+                yield (
+                    f"{declared.at}: the start value {start:.6g} of '{declared.name}' is not used: "
+                    f"{start + distance:.6g} follows from the states"
+                )
+
+    @staticmethod
+    def _shown(name: str, source: Declared | None) -> str:
+        return (
+            name
+            if source is None or source.name == name or not source.is_start_written
+            else f"{name} (that of {source.name})"
+        )
+
+    def _contradictions(self, state: SX, start: Start) -> Iterator[str]:
+        """Yield a line for each alias of a state with another start value of the same level."""
+        scope, point, chosen = self._system.scope, self._system.point, start.source
+        assert chosen is not None
+        value = point.number(start.value)
+        for declared, sign in self._system.aliases.groups[key(state)].members:
+            if declared is chosen or declared.start_rank != chosen.start_rank or not declared.is_start_written:
+                continue
+            other = sign * point.number(scope.start_of(declared))
+            if abs(other - value) > _CONSISTENT * max(1.0, abs(value)):
+                yield (
+                    f"{declared.at}: the start value of '{declared.name}' contradicts that of '{chosen.name}', "
+                    "which is used"
+                )
 
 
 def _independent(

@@ -15,6 +15,7 @@ from fmu_build.graph import SX, key
 from fmu_build.model import Type
 from fmu_build.syntax import Place, references
 
+_OF_TYPE, _NO_START = 1_000_000, 2_000_000  # ranks of start values
 Kind = Literal["constant", "parameter", "input", "discrete", "continuous"]
 
 
@@ -52,6 +53,19 @@ class Declared:
         if not fixed:
             return None
         return fixed[self.position] if len(fixed) > 1 else fixed[0]
+
+    @property
+    def start_rank(self) -> int:
+        """Rank of its start value, the lowest first: level at which it is written, that of a type, none."""
+        if self.variable.start is None:
+            return _NO_START
+        level = self.variable.start_level
+        return _OF_TYPE if level is None else level
+
+    @property
+    def is_start_written(self) -> bool:
+        """Whether the model or one of its components, not only the type, gives a start value."""
+        return self.start_rank < _OF_TYPE
 
     @property
     def has_start(self) -> bool:

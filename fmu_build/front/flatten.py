@@ -14,7 +14,7 @@ from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import Algorithm, Component, Connector, Equation, FlatModel, Origin, Variable
 from fmu_build.front.classes import Argument, ClassDef, ComponentDef
 from fmu_build.front.connections import Connections, Written, connector
-from fmu_build.front.instances import NO_MOD, ClassRef, Instance, Slot, World
+from fmu_build.front.instances import NO_MOD, ClassRef, Instance, Mod, Slot, World
 from fmu_build.front.library import Library
 from fmu_build.front.parser import annotation
 from fmu_build.front.resolve import Env, Item, Many, Resolver, Var
@@ -228,6 +228,7 @@ class _Flattener:
         attributes: dict[str, Any] = {}
         for name in ("start", "min", "max", "nominal"):
             attributes[name] = resolver.attribute(var, name)
+        attributes["start_level"] = _level(var.attributes.subs.get("start"))
         for name, key in (("unit", "unit"), ("displayUnit", "display_unit"), ("quantity", "quantity")):
             found = resolver.attribute(var, name)
             if found is not None:
@@ -594,6 +595,12 @@ def _left(equation: Equation) -> Any:
     if isinstance(left, Reference):
         return _bare(left)
     return None
+
+
+def _level(mod: Mod | None) -> int | None:
+    """Level in the tree of components at which a modification is written: 0 is the model; None in a type."""
+    path = mod.scope.root.path if mod is not None and mod.scope is not None else None
+    return None if path is None else path.count(".") + bool(path)
 
 
 def _experiment(definition: ClassDef) -> Experiment:
