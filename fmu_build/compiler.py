@@ -302,7 +302,7 @@ def _generate(
         c_rare=files.rare,
         c_header=files.header,
         content_hash="",
-        warnings=(*flat.warnings, *scope.parameters.warnings, *unit_check.check(flat)),
+        warnings=tuple(dict.fromkeys((*flat.warnings, *scope.parameters.warnings, *unit_check.check(flat)))),
         functions=functions,
     )  # fmt: skip
     what = repr(replace(model, c_source="", c_rare="", c_header="")) + "".join(

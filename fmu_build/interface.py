@@ -8,6 +8,7 @@ from typing import Any
 from fmu_build import algebra
 from fmu_build.aliases import Start, start_of
 from fmu_build.events import Events
+from fmu_build.flat_model import Variable as Declaration
 from fmu_build.graph import SX, is_number, key
 from fmu_build.model import Causality, DependencyKind, Initial, Location, Unit, Variable
 from fmu_build.start import InitialConditions
@@ -98,8 +99,7 @@ class _Describer:
             "type": declared.type,
             "description": variable.description,
             "unit": variable.unit,
-            # FMI requires that a display unit differ from the unit
-            "display_unit": variable.display_unit if variable.display_unit != variable.unit else None,
+            "display_unit": self._display_unit(variable),
             "quantity": variable.quantity,
             "min": number(declared, "min"),
             "max": number(declared, "max"),
@@ -133,6 +133,19 @@ class _Describer:
         if output:
             place |= self._dependencies_of(declared)
         return Variable(**common, **place)
+
+    def _display_unit(self, variable: Declaration) -> str | None:
+        """Return the display unit if it is another unit of the same kind, as FMI requires."""
+        unit, shown = variable.unit, variable.display_unit
+        if not shown or shown == unit:
+            return None
+        if unit and any(d.name == shown for d in make_unit(unit, {shown}).display_units):
+            return shown
+        why = f"is no multiple of the unit '{unit}'" if unit else "belongs to no unit"
+        self.scope.parameters.warnings.append(
+            f"{variable.at}: the displayUnit '{shown}' of '{variable.name}' {why}; it is left out"
+        )
+        return None
 
     def _constant(self, declared: Declared) -> algebra.Scalar:
         value = self.scope.lookup(declared.variable.name)

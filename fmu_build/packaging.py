@@ -92,7 +92,7 @@ def package(model: CompiledModel, out: Path | str, *, fmi: FmiVersion = 2) -> Pa
     out = Path(out)
     if out.suffix != ".fmu":
         out = out / f"{model.name}.fmu"
-    if fmi == 3 and not any(v.causality == "independent" for v in model.variables):
+    if (fmi == 3 or not model.variables) and not any(v.causality == "independent" for v in model.variables):
         time = Variable("time", "Real", Location("t"), "independent", "continuous")
         model = replace(model, variables=(*model.variables, time))
     compiler = _compiler()

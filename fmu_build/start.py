@@ -170,10 +170,10 @@ class _Written:
         far = self._system.point.at_start([off for _, off in mine], self._at_start)
         for (declared, _), distance in zip(mine, far, strict=True):
             if abs(distance) > _CONSISTENT * 10:
-                start = self._system.point.number(self._system.scope.start_of(declared))
+                written = self._system.point.number(self._system.scope.start_of(declared))
                 yield (
-                    f"{declared.at}: the start value {start:.6g} of '{declared.name}' is not used: "
-                    f"{start + distance:.6g} follows from the states"
+                    f"{declared.at}: the start value {written:.6g} of '{declared.name}' is not used: "
+                    f"{written + distance:.6g} follows from the states"
                 )
 
     @staticmethod

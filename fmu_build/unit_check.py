@@ -221,16 +221,20 @@ def _product(a: Dimension | None, b: Dimension | None, sign: int) -> Dimension |
     if b.fits(_NUMBER):
         return a
     exponents = tuple(x + sign * y for x, y in zip(a.exponents, b.exponents, strict=True))
-    return Dimension(exponents, a.factor * b.factor**sign, _name(exponents))
+    factor = a.factor * b.factor**sign
+    return Dimension(exponents, factor, _name(exponents, factor))
 
 
 def _power(a: Dimension, exponent: Fraction) -> Dimension:
     exponents = tuple(e * exponent for e in a.exponents)
-    return Dimension(exponents, a.factor ** float(exponent), _name(exponents))
+    factor = a.factor ** float(exponent)
+    return Dimension(exponents, factor, _name(exponents, factor))
 
 
-def _name(exponents: tuple[Fraction, ...]) -> str:
+def _name(exponents: tuple[Fraction, ...], factor: float) -> str:
+    """Name a product of units, with its scale if that is not 1."""
     named = list(zip(BASE_UNITS, exponents, strict=True))
     top = ".".join(f"{b}{e if e != 1 else ''}" for b, e in named if e > 0) or "1"
     bottom = [f"{b}{-e if e != -1 else ''}" for b, e in named if e < 0]
-    return top if not bottom else f"{top}/{bottom[0] if len(bottom) == 1 else '(' + '.'.join(bottom) + ')'}"
+    name = top if not bottom else f"{top}/{bottom[0] if len(bottom) == 1 else '(' + '.'.join(bottom) + ')'}"
+    return name if isclose(factor, 1.0, rel_tol=1e-9) else f"{factor:.6g} {name}"

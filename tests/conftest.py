@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import pytest
@@ -40,6 +41,22 @@ def build_once(file: Path, class_name: str, out: Path = FMUS, fmi: str = "2", ro
     with (locks / class_name).open("w") as lock, as_a_user_builds():  # `make` takes them as they are
         fcntl.flock(lock, fcntl.LOCK_EX)
         return fmu_build.build(file, class_name, out, fmi, roots=roots)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def valid_fmus() -> Iterator[None]:
+    """Validate every FMU that a test builds: against the XML schema and FMPy's further rules."""
+    packaging = pytest.importorskip("fmu_build.packaging")
+    write = packaging._zip
+
+    def write_valid(path: Path, *rest: Any) -> None:
+        from fmpy.validation import validate_fmu
+
+        write(path, *rest)
+        assert validate_fmu(str(path)) == []
+
+    with mock.patch.object(packaging, "_zip", write_valid):
+        yield
 
 
 class _Setups(Mapping[str, Path]):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import shutil
 
 import pytest
+from fmpy import read_model_description
 
-from fmu_build import compile_modelica
+from fmu_build import build, compile_modelica
 from fmu_build.front.flatten import load
 from fmu_build.unit_check import check
 from tests.conftest import MODELICA
@@ -47,6 +48,36 @@ def findings(tmp_path, equation: str, more: str = "") -> tuple[str, ...]:
     file = tmp_path / "M.mo"
     file.write_text(f"{DECLARED}{more}equation\n  der(s) = v;\n  J*der(w) = tau;\n  {equation}\nend M;\n")
     return tuple(w for w in compile_modelica(file, "M").warnings if "units differ" in w)
+
+
+def test_units_of_another_scale_are_told_with_it(tmp_path):
+    more = '  parameter Real h(unit = "min") = 1; Real f(unit = "1/s") = 1/h;'
+    assert findings(tmp_path, GOOD[0], more) == ("M.mo:12: the units differ: 1/s and 0.0166667 1/s",)
+
+
+DISPLAYED = {
+    'unit = "K", displayUnit = "degF"': "",
+    'unit = "J", displayUnit = "kWh"': "",
+    'unit = "rad/s", displayUnit = "1/min"': "the displayUnit '1/min' of 'x' is no multiple of the unit 'rad/s'",
+    'unit = "furlong", displayUnit = "m"': "the displayUnit 'm' of 'x' is no multiple of the unit 'furlong'",
+    'displayUnit = "bar"': "the displayUnit 'bar' of 'x' belongs to no unit",
+}
+
+
+@pytest.mark.parametrize("attributes", DISPLAYED)
+def test_display_units_that_are_none_are_left_out_and_reported(tmp_path, attributes):
+    file, warning = tmp_path / "D.mo", DISPLAYED[attributes]
+    file.write_text(f"model D\n  Real x[2](each {attributes.replace(',', ', each')}) = {{1, time}};\nend D;\n")
+    build(file, "D", tmp_path)  # which a fixture validates
+    warnings = compile_modelica(file, "D").warnings
+    assert warnings == ((f"D.mo:2: {warning}; it is left out",) if warning else ())
+
+
+def test_a_model_without_variables_is_valid(tmp_path):
+    file = tmp_path / "Empty.mo"
+    file.write_text("model Empty\nend Empty;\n")
+    variables = read_model_description(str(build(file, "Empty", tmp_path))).modelVariables
+    assert [v.name for v in variables] == ["time"]
 
 
 @pytest.mark.parametrize("equation", GOOD)
