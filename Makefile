@@ -207,6 +207,7 @@ lint: $(DEVELOPER)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python benchmarks/plain_english.py
 
 # In two processes, each file in one of them, so that its fixtures are made once.
 ABREAST := --numprocesses 2 --dist loadfile

@@ -1,0 +1,223 @@
+"""Habits of style that this project avoids, found in pages, docstrings, messages and comments.
+
+`make lint` runs this file. Each pattern is a habit, with what to write instead. Code blocks and inline code
+of a page are skipped. `NOT_YET` lists the files that have not been revised; remove a file when it is clean.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import sys
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PLACES = ("*.md", "docs/**/*.md", "src/**/*.py", "fmu_build/**/*.py", "benchmarks/**/*.py", "campaigns/**/*.py")
+NOT_YET: tuple[str, ...] = (
+    "CHANGELOG.md",
+    "README.md",
+    "benchmarks/abroad/__init__.py",
+    "benchmarks/abroad/__main__.py",
+    "benchmarks/abroad/blind.py",
+    "benchmarks/abroad/calibrate.py",
+    "benchmarks/abroad/compiled.py",
+    "benchmarks/abroad/gap.py",
+    "benchmarks/abroad/page.py",
+    "benchmarks/abroad/plant.py",
+    "benchmarks/abroad/score.py",
+    "benchmarks/bench.py",
+    "benchmarks/beside_published.py",
+    "benchmarks/blind/blind_check.py",
+    "benchmarks/blind/blind_page.py",
+    "benchmarks/blind/blind_score.py",
+    "benchmarks/blind/made.py",
+    "benchmarks/chain.py",
+    "benchmarks/designed_actuator.py",
+    "benchmarks/designed_experiments.py",
+    "benchmarks/discovery/__main__.py",
+    "benchmarks/discovery/case.py",
+    "benchmarks/discovery/score.py",
+    "benchmarks/evaluation.py",
+    "benchmarks/identification_speed.py",
+    "benchmarks/mutation.py",
+    "benchmarks/paper_reproduced/pictures.py",
+    "benchmarks/paper_reproduced/recorded.py",
+    "benchmarks/rival_stages.py",
+    "benchmarks/sealed.py",
+    "benchmarks/standard_library.py",
+    "benchmarks/timing.py",
+    "benchmarks/virtual_rig/blind.py",
+    "benchmarks/virtual_rig/blind_effects.py",
+    "benchmarks/virtual_rig/blind_gap.py",
+    "benchmarks/virtual_rig/rig.py",
+    "benchmarks/virtual_rig/rig_plan.py",
+    "campaigns/go1/convert.py",
+    "campaigns/robot/convert.py",
+    "docs/benchmarks.md",
+    "docs/blind.md",
+    "docs/blind_abroad.md",
+    "docs/blind_abroad_notes.md",
+    "docs/blind_notes.md",
+    "docs/diagnosis.md",
+    "docs/fmu_runtime.md",
+    "docs/formats.md",
+    "docs/how-to/design.md",
+    "docs/how-to/drift.md",
+    "docs/how-to/notebook.md",
+    "docs/how-to/runaway.md",
+    "docs/identification.md",
+    "docs/laws.md",
+    "docs/laws_found.md",
+    "docs/modelica.md",
+    "docs/nothing_lost.md",
+    "docs/other-tools.md",
+    "docs/sealed.md",
+    "docs/security.md",
+    "docs/standard_library.md",
+    "docs/tutorials/double_pendulum.md",
+    "docs/tutorials/emps.md",
+    "docs/tutorials/go1.md",
+    "docs/tutorials/own-drive.md",
+    "docs/tutorials/paper.md",
+    "docs/tutorials/report.md",
+    "docs/tutorials/robot.md",
+    "docs/tutorials/three-rigs.md",
+    "fmu_build/aliases.py",
+    "fmu_build/build.py",
+    "fmu_build/compiler.py",
+    "fmu_build/front/flatten.py",
+    "fmu_build/front/instances.py",
+    "fmu_build/front/resolve.py",
+    "fmu_build/model.py",
+    "fmu_build/model_ports.py",
+    "fmu_build/modelica_text.py",
+    "fmu_build/packaging.py",
+    "fmu_build/sorting.py",
+    "fmu_build/start.py",
+    "fmu_build/written_balances.py",
+    "src/fmuid/campaigns/campaign_toml.py",
+    "src/fmuid/campaigns/new_campaign.py",
+    "src/fmuid/cli/building.py",
+    "src/fmuid/cli/comparing.py",
+    "src/fmuid/cli/identifying.py",
+    "src/fmuid/cli/importing.py",
+    "src/fmuid/cli/libraries.py",
+    "src/fmuid/cli/simulating.py",
+    "src/fmuid/core/campaign.py",
+    "src/fmuid/core/coupling.py",
+    "src/fmuid/core/experiments.py",
+    "src/fmuid/core/files.py",
+    "src/fmuid/core/folder_lock.py",
+    "src/fmuid/core/journal.py",
+    "src/fmuid/core/one_thread.py",
+    "src/fmuid/core/toml_tables.py",
+    "src/fmuid/data/noise/outliers.py",
+    "src/fmuid/demo/__init__.py",
+    "src/fmuid/demo/drive.py",
+    "src/fmuid/design/parameters.py",
+    "src/fmuid/design_pipeline.py",
+    "src/fmuid/diagnosis/candidates.py",
+    "src/fmuid/diagnosis/catalogue.py",
+    "src/fmuid/diagnosis/corrected.py",
+    "src/fmuid/diagnosis/decide.py",
+    "src/fmuid/diagnosis/diagnose.py",
+    "src/fmuid/diagnosis/effect_search.py",
+    "src/fmuid/diagnosis/entry.py",
+    "src/fmuid/diagnosis/horizon.py",
+    "src/fmuid/diagnosis/made_catalogue.py",
+    "src/fmuid/diagnosis/next_experiment.py",
+    "src/fmuid/diagnosis/ports.py",
+    "src/fmuid/diagnosis/scores.py",
+    "src/fmuid/diagnosis/subject.py",
+    "src/fmuid/diagnosis/summary.py",
+    "src/fmuid/diagnosis/validation.py",
+    "src/fmuid/diagnosis/variants.py",
+    "src/fmuid/diagnosis_pipeline.py",
+    "src/fmuid/discovery/find_law.py",
+    "src/fmuid/discovery/selection.py",
+    "src/fmuid/identification/history.py",
+    "src/fmuid/identification/identify.py",
+    "src/fmuid/identification/result.py",
+    "src/fmuid/identification/solvers/search.py",
+    "src/fmuid/report/__init__.py",
+    "src/fmuid/report/design_page.py",
+    "src/fmuid/report/diagnosis_arrays.py",
+    "src/fmuid/report/document.py",
+    "src/fmuid/report/identification_page.py",
+    "src/fmuid/report/plots/figure_data.py",
+    "src/fmuid/simulation/branches.py",
+    "src/fmuid/simulation/pool/workers.py",
+)
+HABITS = {
+    r"\breturns? (what|who|whether what)\b": "name the value: 'Return the residuals'",
+    r"(^|[.:;] )of (a|an|all|both|several|the|these|those|two) \w+[^.]{0,40}, ": "put the subject first",
+    r"[,;]? too[.;:)]": "write 'also' before the verb",
+    r"\b(is|are|was|were|be) (said|told)\b": "is reported, is stated, is called",
+    r"\bbesides? (a|an|it|its|the|them|this|these|one|what|another)\b": "next to, in addition to, with",
+    r"\b(held|holds|hold) against\b": "compared with",
+    r"\bfor want of\b": "because there was no ...",
+    r"\bat last\b": "finally",
+    r"\bonce more\b": "again",
+    r"\bpass(es|ed)? for\b": "be mistaken for",
+    r"\bcalled like\b": "named after",
+    r"\bkept back\b": "reserved for validation, held out",
+    r"\bmade catalogues?\b": "generated catalogue",
+    r"\bname (a|an|another|the) (folder|file|path)\b": "choose, give",
+    r"\bunknown hands\b": "untrusted",
+    r"\bone's own\b": "your own",
+    r"\bwithout a word\b": "silently",
+    r"\bgone astray\b": "is stuck in a local minimum",
+    r"\b(who|what) it is that\b": "say who or what",
+    r"\bled out of\b": "escape from",
+    r"\bno actuators?\b": "other than actuators",
+    r"\bis shipped\b|\bare shipped\b|\bnot shipped\b": "is included",
+    r"\bto look through\b": "please review",
+    r"\bdoes? the same as\b": "is equivalent to, behaves like",
+}
+_HABITS = {re.compile(pattern, re.IGNORECASE | re.MULTILINE): advice for pattern, advice in HABITS.items()}
+_CODE = re.compile(r"^```.*?^```|`[^`\n]+`", re.MULTILINE | re.DOTALL)
+
+
+def prose(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield the texts of a file that people read, each with its first line."""
+    text = path.read_text()
+    if path.suffix == ".md":
+        yield 1, _CODE.sub(lambda match: "\n" * match[0].count("\n") + "_", text)
+        return
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type in (tokenize.COMMENT, tokenize.STRING, getattr(tokenize, "FSTRING_MIDDLE", -1)):
+            yield token.start[0], token.string
+
+
+def faults(path: Path) -> list[str]:
+    """Return one line for each habit that a file shows."""
+    found = []
+    for line, text in prose(path):
+        for habit, advice in _HABITS.items():
+            for match in habit.finditer(text):
+                place = f"{path.relative_to(ROOT)}:{line + text.count(chr(10), 0, match.start())}"
+                found.append(f"{place}: '{' '.join(match[0].split())}': {advice}")
+    return found
+
+
+def files() -> list[Path]:
+    """Return the files that are checked."""
+    every = {path.resolve() for place in PLACES for path in ROOT.glob(place)}
+    return sorted(
+        path
+        for path in every
+        if path.relative_to(ROOT).as_posix() not in NOT_YET and path != Path(__file__).resolve()
+    )
+
+
+def main() -> int:
+    """Print the habits found; return 1 if there are any."""
+    lines = [line for path in files() for line in faults(path)]
+    print("\n".join(lines), end="\n" if lines else "")
+    return bool(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
