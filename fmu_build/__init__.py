@@ -17,6 +17,7 @@ __all__ = ["build", "compile_flat", "compile_modelica", "load"]
 
 def load(file: Path, class_name: str, roots: Sequence[Path] = ()) -> FlatModel:
     """Flatten a Modelica class; see `fmu_build.front.flatten.load`."""
+    check_tools()
     from fmu_build.front.flatten import load as load_
 
     return load_(file, class_name, roots)
@@ -24,6 +25,7 @@ def load(file: Path, class_name: str, roots: Sequence[Path] = ()) -> FlatModel:
 
 def compile_flat(flat: FlatModel) -> CompiledModel:
     """Translate a flat model; see `fmu_build.compiler.compile_flat`."""
+    check_tools()
     from fmu_build.compiler import compile_flat as compile_
 
     return compile_(flat)

@@ -106,7 +106,7 @@ def build(
     return built
 
 
-_TOOLS = ("casadi", "fmpy")
+_TOOLS = ("casadi",)
 
 
 def check_tools() -> None:

@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import Literal as Choice
 from typing import cast
 
-from fmu_build.builtin_functions import SUPPORTED, UNSUPPORTED
 from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import ADDED, Equation, FlatModel, Variable, flat_name, number, variable
 from fmu_build.front.parser import expression as parse_expression
@@ -140,6 +139,7 @@ def _total(flat: FlatModel, terms: Sequence[Term], quantities: Mapping[str, Expr
 
 def _expression(flat: FlatModel, term: Term, quantities: Mapping[str, Expression]) -> Expression:
     """Parse a term and substitute the meaning of its names."""
+    from fmu_build.builtin_functions import SUPPORTED, UNSUPPORTED  # needs CasADi, and the types here do not
 
     def resolve(node: Expression) -> Expression:
         if isinstance(node, Call) and not (node.function in SUPPORTED or node.function in flat.functions):

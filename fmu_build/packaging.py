@@ -16,7 +16,6 @@ import tempfile
 import zipfile
 from dataclasses import replace
 from importlib import resources
-from importlib.util import find_spec
 from pathlib import Path
 
 from fmu_build.errors import BuildError
@@ -136,20 +135,12 @@ def _runtime(fmi: FmiVersion) -> dict[str, str]:
 
 def _sources(model: CompiledModel, fmi: FmiVersion) -> dict[str, str]:
     """All files that the C compiler needs, by name; C files first."""
-    headers = _fmi_headers()
+    headers = resources.files("fmu_build") / "runtime" / "fmi"
     files = {"model.c": model.c_source, "model_rare.c": model.c_rare, **_runtime(fmi), "model.h": model.c_header}
     files |= switches_code(model.functions.get("derivatives"))
     files["model_config.h"] = configuration(model, _guid(model, fmi))
     files |= {name: (headers / name).read_text() for name in _FMI_HEADERS[fmi]}
     return files
-
-
-def _fmi_headers() -> Path:
-    """Folder of FMPy with the headers of FMI; importing FMPy would take a fifth of a build."""
-    found = find_spec("fmpy")
-    if found is None or not found.submodule_search_locations:
-        raise BuildError("the Modelica export needs fmpy", fix="pip install 'fmuid[build]'")
-    return Path(found.submodule_search_locations[0]) / "c-code"
 
 
 def _text(value: str) -> str:

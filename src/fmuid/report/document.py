@@ -15,6 +15,7 @@ from fmuid.core.files import write_atomically
 from fmuid.core.folder_lock import claim
 from fmuid.core.formatting import Fact
 from fmuid.report.interactive import specification
+from fmuid.report.plotly_js import plotly_js
 from fmuid.report.plots import Format, save_data, save_figures
 from fmuid.report.plots.figure_data import Cell, Figure, ParallelFigure, Table, slug, tables
 
@@ -102,8 +103,6 @@ def write_document(
 
 def rendered(document: Document) -> str:
     """Return the HTML of `document`."""
-    from plotly.offline import get_plotlyjs
-
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("fmuid.report"),
         autoescape=True,
@@ -123,7 +122,7 @@ def rendered(document: Document) -> str:
         most_rows=_MOST_ROWS,
     )
     # The library is 5 MB, so it is inserted last and the template engine need not carry it.
-    return page.replace(_PLACEHOLDER, get_plotlyjs().replace("</script", "<\\/script"), 1)
+    return page.replace(_PLACEHOLDER, plotly_js().replace("</script", "<\\/script"), 1)
 
 
 def _json(spec: Any) -> str:

@@ -9,6 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from fmuid.identification import provenance
+from fmuid.report.plotly_js import plotly_js_version
 from fmuid.report.plots.figure_data import Table
 
 _PACKAGES = ("fmuid", "numpy", "scipy", "nlopt", "h5py", "casadi")
@@ -38,5 +39,5 @@ def hashes(paths: Iterable[Path], folder: Path) -> dict[str, str]:
 
 def provenance_table(values: Mapping[str, str]) -> Table:
     """Return `values`, as recorded by the run, and the version that wrote the report, as a table."""
-    writer = ", ".join(f"{n} {version(n)}" for n in ("fmuid", "matplotlib", "plotly"))
+    writer = f"fmuid {version('fmuid')}, matplotlib {version('matplotlib')}, plotly.js {plotly_js_version()}"
     return Table(("what", "value"), (*values.items(), ("report written by", writer)), "provenance")

@@ -14,7 +14,6 @@ from fmu_build.build import built_by
 from fmu_build.flat_model import FlatModel
 from fmu_build.instrument import Added, State, Term, instrument
 from fmu_build.model_ports import find_ports
-from fmu_build.packaging import package
 from fmuid.core.campaign import ModelSource
 from fmuid.core.errors import CampaignError
 from fmuid.core.files import remove_unused, user_cache
@@ -78,6 +77,8 @@ def built_with_terms(source: ModelSource, flat: FlatModel, terms: Sequence[Term]
             os.utime(target)
         return target
     remove_unused(_models(), "*/*-*.fmu")  # an edited model has others
+    from fmu_build.packaging import package  # needs CasADi
+
     model = compile_flat(instrument(flat, terms, names))
     return package(replace(model, name=_stem(source)), target)
 
