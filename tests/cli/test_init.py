@@ -80,7 +80,7 @@ def test_init_makes_a_campaign_that_runs(
 def test_init_without_a_fitting_column(folder: Path, oscillator: Path, fmuid: Command) -> None:
     Path("run.csv").write_text("time,a,b\n0,1,2\n1,2,3\n")
     assert fmuid("init", "run.csv", "--fmu", oscillator, "--out", "drive") == (
-        2, "", "fmuid: run.csv: no column matches an output of Oscillator.fmu by name or unit; rename columns, or state their units (--unit); known: x [m], y [V]\n"
+        2, "", "fmuid: run.csv: no column matches an output of Oscillator.fmu by name or unit; choose columns (--columns 'x [m]=COLUMN,...') or state their units (--unit); known: x [m], y [V]\n"
     )  # fmt: skip
     assert not Path("drive").exists()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from fmuid.data.measurements import check_measurements, write_measurements
 from fmuid.data.noise.level import conversion_at
 from fmuid.data.recordings.conversion import Run, experiment_from_table, read_run, with_repeats
 from fmuid.data.recordings.resampling import TimeBase
+from fmuid.data.table_layout import TableLayout
 from fmuid.simulation.coupled.coupled_model import CoupledModel
 from fmuid.simulation.coupled.loading import load_model
 from fmuid.simulation.fmu import Fmu, load_fmu
@@ -54,7 +55,7 @@ def new_campaign(
     base: TimeBase | None = None,
     units: Mapping[str, str] | None = None,
     sigmas: Mapping[str, float] | None = None,
-    columns: Sequence[str] = (),
+    layout: TableLayout | None = None,
     progress: Callable[[float], None] | None = None,
     runner: Runner = in_process,
 ) -> NewCampaign:
@@ -78,8 +79,8 @@ def new_campaign(
         Common time base for signals with different time bases.
     units, sigmas
         Units (these win over the logs') and noise standard deviations by column.
-    columns
-        Column headers for CSV files without a header.
+    layout
+        Names of columns, and the rate of logs without times.
     progress
         Called with the fraction done (0 to 1).
     runner
@@ -101,7 +102,7 @@ def new_campaign(
     mapping: dict[str, str] = {}
     for id, log in logs.items():
         file = log if isinstance(log, Path) else Path(id)
-        run = read_run(log, signals, base, columns, name=id)
+        run = read_run(log, signals, base, layout, name=id)
         run = replace(run, table=_with_units(run.table, units or {}))
         table = run.table
         matched = match_columns(table, ports)
@@ -199,7 +200,8 @@ def _require_output(matched: Mapping[str, str], ports: Mapping[str, Variable], f
         raise CampaignError(
             f"no column matches an output of {fmu.name} by name or unit",
             where=file,
-            fix=f"rename columns, or state their units (--unit); {known_names(outputs)}",
+            fix=f"choose columns (--columns '{outputs[0]}=COLUMN,...') or state their units (--unit);"
+            f" {known_names(outputs)}",
         )
 
 

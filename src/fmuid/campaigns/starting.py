@@ -12,6 +12,7 @@ from fmuid.campaigns.new_campaign import new_campaign
 from fmuid.core.campaign import Campaign, ModelSource, is_modelica
 from fmuid.core.errors import CampaignError, FmuidError
 from fmuid.data.recordings.resampling import TimeBase
+from fmuid.data.table_layout import TableLayout
 from fmuid.simulation.pool.choice import runner_on
 
 
@@ -72,6 +73,7 @@ def start(
     units: Mapping[str, str] | None = None,
     sigmas: Mapping[str, float] | None = None,
     columns: Sequence[str] = (),
+    rate: float | None = None,
     workers: int | None = 0,
     say: Callable[[str], object] = print,
 ) -> Campaign:
@@ -98,7 +100,10 @@ def start(
     units, sigmas
         Units (these win over the logs') and noise standard deviations by column.
     columns
-        Column headers for CSV files without a header.
+        Column headers for CSV files without a header, or chosen columns as ``HEADER=SOURCE``; see
+        `fmuid.data.table_layout.TableLayout`.
+    rate
+        Samples per second of logs without times.
     workers
         Number of worker processes; 0 for none, None for one per processor.
     say
@@ -134,7 +139,7 @@ def start(
             base=base,
             units=units,
             sigmas=sigmas,
-            columns=columns,
+            layout=TableLayout(tuple(columns), rate),
             runner=runner,
         )
     for line in made.guesses:

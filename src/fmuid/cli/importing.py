@@ -16,6 +16,7 @@ from fmuid.core.errors import FmuidError
 if TYPE_CHECKING:
     from fmuid.campaigns.starting import GivenModel
     from fmuid.data.recordings.resampling import TimeBase
+    from fmuid.data.table_layout import TableLayout
 
 
 _METHODS = ("linear", "hold", "mean")
@@ -35,8 +36,13 @@ Methods = Annotated[
 Columns = Annotated[
     str | None,
     typer.Option(
-        metavar="NAMES", help="Headers of CSV files that have none: 'time,tau [N.m]', one for each column."
+        metavar="NAMES",
+        help="Headers of files that have none: 'time,tau [N.m]', one for each column; or chosen columns:"
+        " 'time=data[1],tau [N.m]=data[4]', by name or number.",
     ),
+]
+Rate = Annotated[
+    float | None, typer.Option(metavar="HZ", help="Samples per second of files without a time column.")
 ]
 Units = Annotated[list[str] | None, typer.Option(metavar="NAME=UNIT", help="Unit of a signal (repeat).")]
 Sigmas = Annotated[
@@ -71,6 +77,7 @@ def import_(
         ),
     ] = None,
     columns: Columns = None,
+    rate: Rate = None,
     cut: Annotated[
         list[str] | None,
         typer.Option(
@@ -128,7 +135,7 @@ def import_(
         if file.stem in experiments:
             raise FmuidError(f"a run '{file.stem}' already exists", where=file, fix="rename the file")
         with printer.working(f"reading {file}"):
-            run = read_run(file, signal or (), base, _listed(columns))
+            run = read_run(file, signal or (), base, _layout(columns, rate))
         notes += [(str(file), note) for note in run.notes]
         begin, end = spans.get(file.stem, (float("-inf"), float("inf")))
         shifts = numbers(shift or [], "--shift")
@@ -236,6 +243,7 @@ def init(
     unit: Units = None,
     sigma: Sigmas = None,
     columns: Columns = None,
+    rate: Rate = None,
     workers: Workers = None,
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,
@@ -264,7 +272,7 @@ def init(
             base=_time_base(resample, align, method or []),
             units=pairs(unit or [], "--unit"),
             sigmas=numbers(sigma or [], "--sigma"),
-            columns=_listed(columns),
+            layout=_layout(columns, rate),
             progress=progress,
             runner=runner,
         )
@@ -276,8 +284,10 @@ def init(
     printer.write({"out": out, "guesses": made.guesses})
 
 
-def _listed(columns: str | None) -> list[str]:
-    return [name.strip() for name in columns.split(",")] if columns else []
+def _layout(columns: str | None, rate: float | None) -> TableLayout:
+    from fmuid.data.table_layout import TableLayout
+
+    return TableLayout(tuple(name.strip() for name in columns.split(",")) if columns else (), rate)
 
 
 def _of_run(texts: list[str], run: str) -> list[str]:

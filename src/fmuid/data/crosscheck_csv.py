@@ -1,7 +1,8 @@
 """CSV files: written as in the FMI Cross-Check (comma, quoted header, `time` first), and read in logger formats.
 
-A logger's file may separate cells by semicolons or tabs and then use decimal commas; it may state units in the
-header or in a separate row, and time in a unit other than s. The table's notes list what was detected.
+A logger's file may separate cells by semicolons, tabs or blanks and then use decimal commas; it may state units in
+the header or in a separate row, and time in a unit other than s; a cell may be a list. The table's notes list
+what was detected.
 """
 
 from __future__ import annotations
@@ -21,18 +22,27 @@ import numpy as np
 from fmuid.core.errors import MeasurementsError, UnitError
 from fmuid.core.files import write_atomically
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
-from fmuid.core.units import check_unit, conversion
+from fmuid.core.units import check_unit, conversion, convertible
+from fmuid.data.table_layout import TableLayout, source_of
 
 MAX_BYTES = 2_000_000_000
 MAX_COLUMNS = 10_000
 TIMES = ("time", "t", "timestamp", "timestamps", "datetime", "zeit")
 """Names of a time axis, in upper or lower case."""
 _DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab"}
-_PER_MINUTE = ("1/min", "min-1", "min^-1", "/min")
+_BLANKS = " "
+_AS_WRITTEN = TableLayout()
+_FIRST_LINE = 'write a header "time","..." and the samples'
+PER_MINUTE = ("1/min", "min-1", "min^-1", "/min")
+"""Units that loggers write for rpm."""
 _PREAMBLE = 100  # lines searched for a header
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 # "tau [N.m]", "tau[N.m]", "tau (N.m)": a name and its unit; but lossTable[1,2] and der(v) are names.
 _QUOTIENT = re.compile(r"(?P<name>.*\S)\s(?:/|in)\s(?P<unit>\S+)")  # "Drehmoment / N.m", as in ISO 80000
+_NUMBER = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?|nan|[-+]?inf", re.IGNORECASE)
+_MISSING = ("", "na", "n/a", "null", "none")
+_LIST = re.compile(r"\[(?P<items>[^\[\]]*)\]|\((?P<round>[^()]*)\)")
+_COMMENT = re.compile(r"\A(?P<before>\s*)[#%]+[ \t]*")  # before a header
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 _WITH_UNIT = re.compile(
     r"(?P<name>.*\S)(?:\s+\[(?P<square>[^\[\]]*)\]|\[(?P<tight>[^\[\]]*[^\W\d][^\[\]]*)\]|\s+\((?P<round>[^()]*)\))"
@@ -72,18 +82,18 @@ class Table:
         return Table(self.time, {n: self.columns[n] for n in names}, units, self.notes)
 
 
-def read_csv(path: str | Path, columns: Sequence[str] = ()) -> Table:
-    """Read a CSV file with a header row whose first column is `time`.
+def read_csv(path: str | Path, layout: TableLayout = _AS_WRITTEN) -> Table:
+    """Read a CSV file with a header row, one of whose columns is `time`.
 
     Lines before the header are skipped, and row numbers before the time. Text is UTF-8, UTF-16 or otherwise
-    Windows-1252.
+    Windows-1252. Columns of text are left out.
 
     Parameters
     ----------
     path
         The file.
-    columns
-        Column headers for a file without a header, with units as in ``tau [N.m]``.
+    layout
+        Names of the columns of a file without a header, columns to choose, and the rate of a file without times.
 
     Raises
     ------
@@ -91,48 +101,88 @@ def read_csv(path: str | Path, columns: Sequence[str] = ()) -> Table:
         The file is missing or is not such a table; the message names row and column.
     """
     path = Path(path)
-    text, encoding = _read_text(path)
-    text, numbered = (text, False) if columns else _without_row_numbers(text)
-    text, skipped = (text, 0) if columns else _without_preamble(text)
-    delimiter = _delimiter_of(text, columns, path) if columns else _delimiter(text)
-    rows = csv.reader(io.StringIO(text), delimiter=delimiter, strict=True, skipinitialspace=True)
-    try:
-        found = (row for row in rows if any(cell.strip() for cell in row))
-        header = list(columns) if columns else next(found, None)
-    except csv.Error as error:
-        raise _malformed(path, 1, error) from None
-    if header is None:
-        raise MeasurementsError("is empty", where=path, fix='write a header "time","..." and the samples')
-    names, units = _read_header(header, path)
-    notes = [f"read as {encoding}"] if encoding else []
-    notes += ["the first column has no name, so it is taken for row numbers and left out"] if numbered else []
-    notes += [f"the header is on line {skipped + 1}"] if skipped else []
-    notes += [] if delimiter == "," else [f"cells are separated by {_DELIMITERS[delimiter]}s"]
-    skip = rows.line_num
+    text, notes = _read_text(path)
+    text, delimiter, more = _separated(text, layout, path)
+    notes += more
+    header, skip = _header(text, layout, delimiter, path)
+    names, units = _read_header(header, layout, path)
     if not units and (below := _units_row(text, skip, names, delimiter)):
         units = {n: u for n, u in zip(names, below, strict=True) if u}
         notes.append(f"units are on line {skip + 1}")
         skip += 1
+    text, dated = _dates_as_seconds(text, skip, delimiter) if names[0].casefold() in TIMES else (text, False)
+    notes += ["time starts at the first date"] if dated else []
+    found, decimal_comma, others = _read_numbers(text, skip, names, path, delimiter)
+    notes += ["decimal commas"] if decimal_comma else []
+    notes += [f"not used (not numeric): {', '.join(others)}"] if others else []
+    of_lists = {n: units[n.partition("[")[0]] for n in found if n.partition("[")[0] in units}
+    units = of_lists | {n: u for n, u in units.items() if n in found}
+    if layout.chosen:
+        found, units = _chosen(found, names, units, layout=layout, path=path)
     for name, unit in units.items():
-        if unit.replace(" ", "") in _PER_MINUTE:
+        if unit.replace(" ", "") in PER_MINUTE:
             units[name] = "rpm"
-            notes.append(f"'{name}' in {unit} is read as revolutions per minute (rpm)")
-    text, dated = _dates_as_seconds(text, skip, delimiter)
-    if dated:
-        notes.append("time starts at the first date")
-    values, decimal_comma = _read_numbers(text, skip, names, path, delimiter)
-    if decimal_comma:
-        notes.append("decimal commas")
-    if len(values) < 2:
-        raise MeasurementsError(
-            f"has {len(values)} row(s) of values", where=path, fix="a run has at least 2 samples"
-        )
-    unit = units.pop(names[0], "s")
-    unit = "s" if dated else unit
-    time = _in_seconds(values[:, 0], unit, path)
-    if unit != "s":
-        notes.append(f"time converted from {unit} to s")
-    return Table(time, {name: values[:, i] for i, name in enumerate(names) if i}, units, tuple(notes))
+            notes.append(per_minute_note(name, unit))
+    return _over_time(found, units, notes, dated=dated, layout=layout, path=path)
+
+
+def _over_time(
+    columns: dict[str, FloatArray],
+    units: dict[str, str],
+    notes: list[str],
+    *,
+    dated: bool,
+    layout: TableLayout,
+    path: Path,
+) -> Table:
+    """Return columns as a table over the times in one of them, or of the layout's rate."""
+    time_name = next((name for name in columns if name.casefold() in TIMES), None)
+    rows = len(next(iter(columns.values()), ()))
+    if rows < 2:
+        raise MeasurementsError(f"has {rows} row(s) of values", where=path, fix="a run has at least 2 samples")
+    if layout.rate is not None:
+        if time_name is not None:
+            raise two_time_axes(time_name, path)
+        return Table(np.arange(rows) / layout.rate, columns, units, tuple(notes))
+    if time_name is None:
+        fix = "choose one, as in --columns 'time [ms]=1,...', or give --rate"
+        raise MeasurementsError("has no column of times", where=path, fix=fix)
+    stated = units.pop(time_name, "s")
+    unit = "s" if dated else stated
+    time = _in_seconds(columns.pop(time_name), unit, path)
+    notes += [f"time converted from {unit} to s"] if unit != "s" else []
+    if not columns:
+        raise MeasurementsError("has no column except time", where=path, fix="add the signals")
+    return Table(time, columns, units, tuple(notes))
+
+
+def two_time_axes(time_name: str, path: Path) -> MeasurementsError:
+    """Return the error of a file with times for which a rate is given."""
+    what = f"has times in '{time_name}', and a rate is given"
+    return MeasurementsError(what, where=path, fix="leave --rate out, or choose other columns with --columns")
+
+
+def _separated(text: str, layout: TableLayout, path: Path) -> tuple[str, str, list[str]]:
+    """Return the text from the header on, the delimiter of its cells, and notes."""
+    notes: list[str] = []
+    skipped = 0
+    if layout.rate is None and not layout.ordered:
+        text, numbered = _without_row_numbers(text)
+        text, skipped = _without_preamble(text)
+        notes += ["the first column has no name, so it is taken for row numbers and left out"] if numbered else []
+        notes += [f"the header is on line {skipped + 1}"] if skipped else []
+    text = _COMMENT.sub(r"\g<before>", text)
+    delimiter = _delimiter(text, layout, path)
+    if delimiter == _BLANKS:
+        text = "\n".join(re.sub(r"[ \t]+", "\t", line.strip()) for line in text.split("\n"))
+        return text, "\t", [*notes, "cells are separated by blanks"]
+    notes += [] if delimiter == "," else [f"cells are separated by {_DELIMITERS[delimiter]}s"]
+    return text, delimiter, notes
+
+
+def per_minute_note(name: str, unit: str) -> str:
+    """Return the note on a signal in `PER_MINUTE`."""
+    return f"'{name}' in {unit} is read as revolutions per minute (rpm)"
 
 
 def name_and_unit(header: str) -> tuple[str, str | None]:
@@ -158,8 +208,8 @@ def write_csv(table: Table, path: str | Path) -> None:
     write_atomically(Path(path), "\n".join(lines) + "\n")
 
 
-def _read_text(path: Path) -> tuple[str, str]:
-    """Return the text of a file, and its encoding if that is not UTF-8."""
+def _read_text(path: Path) -> tuple[str, list[str]]:
+    """Return the text of a file, and notes on its encoding and on damaged lines."""
     try:
         if path.stat().st_size > MAX_BYTES:
             raise MeasurementsError("is larger than 2 GB", where=path, fix="split it")
@@ -168,20 +218,38 @@ def _read_text(path: Path) -> tuple[str, str]:
         raise MeasurementsError("no such file", where=path, fix="check the path") from None
     except OSError as error:
         raise MeasurementsError(f"cannot be read ({error.strerror})", where=path, fix="check the path") from None
+    begin, encodings = content[:1000], [("utf-8-sig", ""), ("cp1252", "Windows-1252")]
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         encodings = [("utf-16", "UTF-16")]
-    elif b"\0" in content[:1000] and len(content) % 2 == 0:
-        little = content[:1000:2].count(0) < content[1:1000:2].count(0)
-        encodings = [("utf-16-le" if little else "utf-16-be", "UTF-16")]
-    else:
-        encodings = [("utf-8-sig", ""), ("cp1252", "Windows-1252")]
+    elif b"\0" in begin and len(content) % 2 == 0:
+        low, high = begin[::2].count(0), begin[1::2].count(0)
+        if max(low, high) > 0.4 * len(begin[::2]) and min(low, high) < 0.1 * max(low, high):
+            encodings = [("utf-16-le" if low < high else "utf-16-be", "UTF-16")]
     for encoding, name in encodings:
         with suppress(UnicodeDecodeError):
-            text = content.decode(encoding).replace("\r\n", "\n")
+            text, notes = _without_nul(content.decode(encoding).replace("\r\n", "\n"))
             # Text has no control characters, so a file with them is not text in any encoding.
             if not name or not _CONTROL.search(text[:10_000]):
-                return text, name
+                return text, [*([f"read as {name}"] if name else []), *notes]
     raise MeasurementsError("is not text", where=path, fix="save it as CSV in UTF-8")
+
+
+def _without_nul(text: str) -> tuple[str, list[str]]:
+    """Return the text without NUL characters, and a note on them.
+
+    A logger that lost power leaves a block of them, and the rest of a line next to it is not a row. If most lines
+    have some, they fill up cells and mean nothing.
+    """
+    if "\0" not in text:
+        return text, []
+    lines = text.split("\n")
+    damaged = [k for k, line in enumerate(lines) if "\0" in line]
+    if 2 * len(damaged) > len(lines) and len(lines) > 2:
+        return text.replace("\0", ""), ["NUL bytes are left out"]
+    for k in damaged:
+        lines[k] = ""
+    count = f"{len(damaged)} line{'s' if len(damaged) > 1 else ''}"
+    return "\n".join(lines), [f"NUL bytes: {count} left out (line {damaged[0] + 1} first)"]
 
 
 def _without_row_numbers(text: str) -> tuple[str, bool]:
@@ -209,49 +277,102 @@ def _first_line(text: str) -> str:
 
 
 def _names_time(line: str, delimiter: str) -> bool:
-    cell = line.split(delimiter, 1)[0].strip().strip('"')
-    return delimiter in line and name_and_unit(cell)[0].casefold() in TIMES
+    cells = _cells(line, delimiter)
+    return len(cells) > 1 and any(_is_time(cell) for cell in cells)
 
 
-def _delimiter_of(text: str, columns: Sequence[str], path: Path) -> str:
-    """Return the delimiter of cells in a file without a header."""
-    first = _first_line(text)
-    counts = {d: len(first.split(d)) for d in (";", "\t", ",")}
-    for delimiter, count in counts.items():
-        if count == len(columns):
-            if not any(c.isdigit() for c in first.split(delimiter)[0]):
-                raise MeasurementsError("has a header", where=path, fix="leave --columns out")
-            return delimiter
-    raise MeasurementsError(
-        f"has {max(counts.values())} columns, {len(columns)} are named", where=path, fix="name every column"
-    )
+def _cells(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a header line, without quotes and a comment sign before the first."""
+    cells = line.lstrip("#% ").split(None if delimiter == _BLANKS else delimiter)
+    return [cell.strip().strip('"').strip() for cell in cells]
 
 
-def _delimiter(text: str) -> str:
-    """Return the first of comma, semicolon and tab that leaves `time` alone in the first cell."""
-    first = _first_line(text)
-    for delimiter in _DELIMITERS:
-        if _names_time(first, delimiter):
+def _is_time(header: str) -> bool:
+    return _suffixed_time(header) or name_and_unit(header)[0].casefold() in TIMES
+
+
+def _suffixed_time(header: str) -> bool:
+    """Return whether a header such as ``t_s`` or ``time_ms`` names the time and its unit."""
+    name, _, unit = header.strip().rpartition("_")
+    return name.casefold() in TIMES and _is_unit(unit) and convertible(unit, "s")
+
+
+def _name_and_suffix(header: str) -> tuple[str, str | None]:
+    """Return the name and the unit in ``u_V``; None without a unit."""
+    name, _, unit = header.strip().rpartition("_")
+    return (name, unit) if name and _is_unit(unit) else (header.strip(), None)
+
+
+def _is_unit(text: str) -> bool:
+    with suppress(UnitError):
+        check_unit(text)
+        return bool(text)
+    return False
+
+
+def _delimiter(text: str, layout: TableLayout, path: Path) -> str:
+    """Return the delimiter of cells: for a named time the one that isolates it, else that of the first lines."""
+    lines = [line for line in text.split("\n", 200) if line.strip()][:2]
+    if not lines:
+        raise MeasurementsError("is empty", where=path, fix=_FIRST_LINE)
+    every = (*_DELIMITERS, _BLANKS)
+    if layout.ordered:
+        counts = {d: len(_cells(lines[0], d)) for d in (";", "\t", ",", _BLANKS)}
+        for delimiter, count in counts.items():
+            if count == len(layout.ordered):
+                return delimiter
+        what = f"has {max(counts.values())} columns, {len(layout.ordered)} are named"
+        raise MeasurementsError(what, where=path, fix="name every column")
+    named = [d for d in every if _names_time(lines[0], d)]
+    if named and layout.rate is None:
+        return named[0]
+    for delimiter in (";", "\t", ",", _BLANKS):
+        widths = {len(_cells(line, delimiter)) for line in lines}
+        if len(widths) == 1 and widths != {1}:
             return delimiter
     return ","
 
 
-def _read_header(header: list[str], path: Path) -> tuple[list[str], dict[str, str]]:
-    cells = [name_and_unit(cell) for cell in header]
+def _header(text: str, layout: TableLayout, delimiter: str, path: Path) -> tuple[list[str], int]:
+    """Return the headers, and the number of lines up to and including theirs."""
+    first = _first_line(text)
+    cells = [cell.strip().strip('"') for cell in first.split(delimiter)]
+    bare = bool(_NUMBER.fullmatch(cells[0]) or _LIST.fullmatch(cells[0]))
+    if layout.ordered:
+        if not bare and not any(c.isdigit() for c in cells[0]):
+            raise MeasurementsError("has a header", where=path, fix="leave --columns out")
+        return list(layout.ordered), 0
+    if bare and not layout.chosen:
+        shown = ", ".join(cells[:4]) + (", ..." if len(cells) > 4 else "")
+        fix = "name its columns: --columns 'time,tau [N.m]', one name for each"
+        what = f"has no header (its first row has {len(cells)} cells: {shown})"
+        raise MeasurementsError(what, where=path, fix=fix)
+    if bare:
+        return [str(k + 1) for k in range(len(cells))], 0
+    rows = csv.reader(io.StringIO(text), delimiter=delimiter, strict=True, skipinitialspace=True)
+    try:
+        found = next((row for row in rows if any(cell.strip() for cell in row)), None)
+    except csv.Error as error:
+        raise _malformed(path, 1, error) from None
+    if found is None:
+        raise MeasurementsError("is empty", where=path, fix=_FIRST_LINE)
+    return found, rows.line_num
+
+
+def _read_header(header: list[str], layout: TableLayout, path: Path) -> tuple[list[str], dict[str, str]]:
+    """Return the names and the units of columns; in the style ``t_s``, units follow the last underscore."""
+    suffixed = any(_suffixed_time(cell) for cell in header)
+    cells = [_name_and_suffix(cell) if suffixed else name_and_unit(cell) for cell in header]
     names = [name for name, _ in cells]
-    if re.fullmatch(r"[-+\d.,;eE\s]+", names[0]):
+    if not layout.chosen and layout.rate is None and not any(name.casefold() in TIMES for name in names):
         raise MeasurementsError(
-            "has no header", where=path, fix="name its columns: --columns 'time,tau [N.m]', one name for each"
-        )
-    if names[0].casefold() not in TIMES:
-        raise MeasurementsError(
-            f"the first column is '{names[0][:40]}'", where=path, fix="it must be 'time', in s"
+            f"no column is named 'time' (the first one is '{names[0][:40]}')",
+            where=path,
+            fix="name it so, or choose it: --columns 'time [s]=1,...'; a file without times needs --rate",
         )
     if len(names) > MAX_COLUMNS:
         what = f"has {len(names)} columns, more than {MAX_COLUMNS}"
         raise MeasurementsError(what, where=path, fix="drop the columns that are not used")
-    if len(names) < 2:
-        raise MeasurementsError("has no column except time", where=path, fix="add the signals")
     seen: set[str] = set()
     for i, name in enumerate(names):
         if not name or not name.isprintable():
@@ -260,6 +381,27 @@ def _read_header(header: list[str], path: Path) -> tuple[list[str], dict[str, st
             raise MeasurementsError(f"column '{name}' appears twice", where=path, fix="rename one of the two")
         seen.add(name)
     return names, {name: unit for name, unit in cells if unit is not None}
+
+
+def _chosen(
+    found: Mapping[str, FloatArray],
+    names: Sequence[str],
+    units: Mapping[str, str],
+    *,
+    layout: TableLayout,
+    path: Path,
+) -> tuple[dict[str, FloatArray], dict[str, str]]:
+    """Return the chosen columns under their new names, and their units."""
+    columns, stated = dict[str, FloatArray](), dict[str, str]()
+    for header, source in layout.chosen:
+        old = source if source in found else names[source_of(source, names, path)]
+        if old not in found:
+            raise MeasurementsError(f"column '{source}' is not numeric", where=path, fix="choose another one")
+        name, unit = name_and_unit(header)
+        columns[name] = found[old]
+        if (unit := units.get(old) if unit is None else unit) is not None:
+            stated[name] = unit
+    return columns, stated
 
 
 def _units_row(text: str, skip: int, names: list[str], delimiter: str) -> list[str]:
@@ -316,8 +458,13 @@ def _in_seconds(time: FloatArray, unit: str, path: Path) -> FloatArray:
     return time
 
 
-def _read_numbers(text: str, skip: int, names: list[str], path: Path, delimiter: str) -> tuple[FloatArray, bool]:
-    """Return the values (N, columns), and whether they are written with decimal commas."""
+def _read_numbers(
+    text: str, skip: int, names: list[str], path: Path, delimiter: str
+) -> tuple[dict[str, FloatArray], bool, list[str]]:
+    """Return the columns, whether they are written with decimal commas, and the names of columns of text.
+
+    Columns of lists become one column per element: ``q[1]``, ``q[2]``.
+    """
     n = len(names)
     body = text.split("\n", skip)[skip] if text.count("\n") >= skip else ""
     decimal_comma = delimiter != "," and "." not in body and "," in body
@@ -326,29 +473,58 @@ def _read_numbers(text: str, skip: int, names: list[str], path: Path, delimiter:
         with warnings.catch_warnings(action="error"):  # it warns about a file without rows
             values = np.loadtxt(io.StringIO(plain), delimiter=delimiter, ndmin=2, quotechar='"', comments=None)
         if values.shape[1] == n:
-            return values, decimal_comma
+            return {name: values[:, i] for i, name in enumerate(names)}, decimal_comma, []
     except (ValueError, UserWarning):
         pass
-    cells: list[list[float]] = []
+    cells: list[list[str]] = []
+    lines: list[int] = []
     rows = csv.reader(io.StringIO(body), delimiter=delimiter, strict=True, skipinitialspace=True)
     try:
         for row in rows:
             if not any(cell.strip() for cell in row):
                 continue
-            where = f"{path} line {skip + rows.line_num}"
             if len(row) != n:
+                where = f"{path} line {skip + rows.line_num}"
                 raise MeasurementsError(
                     f"has {len(row)} cells, the header has {n}", where=where, fix="write one cell per column"
                 )
-            cells.append([_number(c, name, where, decimal_comma) for c, name in zip(row, names, strict=True)])
+            cells.append(row)
+            lines.append(skip + rows.line_num)
     except csv.Error as error:
         raise _malformed(path, skip + rows.line_num, error) from None
-    return np.array(cells, dtype=np.float64).reshape(-1, n), decimal_comma
+    found: dict[str, FloatArray] = {}
+    others: list[str] = []
+    for name, column in zip(names, zip(*cells, strict=True), strict=False):
+        texts = [cell.strip() for cell in column]
+        if any(texts) and all(_LIST.fullmatch(cell) for cell in texts if cell):
+            found |= _elements(name, texts, lines, path)
+        elif name.casefold() not in TIMES and any(texts) and not any(_NUMBER.fullmatch(cell) for cell in texts):
+            others.append(name)
+        else:
+            numbers = [
+                _number(c, name, f"{path} line {k}", decimal_comma) for c, k in zip(texts, lines, strict=True)
+            ]
+            found[name] = np.array(numbers, dtype=np.float64)
+    return found, decimal_comma, others
+
+
+def _elements(name: str, cells: Sequence[str], lines: Sequence[int], path: Path) -> dict[str, FloatArray]:
+    """Return the columns of the elements of lists, NaN where a cell is empty."""
+    split = [re.split(r"[\s,;]+", cell[1:-1].strip(" ,;")) if cell else [] for cell in cells]
+    width = max(map(len, split))
+    values = np.full((len(cells), width), np.nan)
+    for k, (items, line) in enumerate(zip(split, lines, strict=True)):
+        where = f"{path} line {line}"
+        if items and len(items) != width:
+            what = f"the list in column '{name}' has {len(items)} elements, others have {width}"
+            raise MeasurementsError(what, where=where, fix="write lists of one length")
+        values[k, : len(items)] = [_number(item, name, where, decimal_comma=False) for item in items]
+    return {f"{name}[{i + 1}]": values[:, i] for i in range(width)}
 
 
 def _number(cell: str, name: str, where: str, decimal_comma: bool) -> float:
     text = cell.strip()
-    if not text:
+    if text.casefold() in _MISSING:
         return np.nan
     is_comma = _DECIMAL_COMMA.fullmatch(text) is not None
     try:

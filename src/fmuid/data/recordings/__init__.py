@@ -7,13 +7,15 @@ here: signals with different time bases stay separate until the user says how to
 from __future__ import annotations
 
 import importlib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
+from functools import partial
 from pathlib import Path
 
 from fmuid.core.errors import MeasurementsError
 from fmuid.data.crosscheck_csv import read_csv
 from fmuid.data.isolated_reader import read_isolated
 from fmuid.data.recordings.recording import Recording
+from fmuid.data.table_layout import TableLayout
 
 __all__ = ["Recording", "read_recording"]
 
@@ -30,7 +32,10 @@ _MODULES = {
 }
 
 
-def read_recording(path: str | Path, names: Collection[str] = (), columns: Sequence[str] = ()) -> Recording:
+_SELF_DESCRIBED = ("mdf", "rosbag")
+
+
+def read_recording(path: str | Path, names: Collection[str] = (), layout: TableLayout | None = None) -> Recording:
     """Read one recorded run.
 
     Parameters
@@ -40,8 +45,8 @@ def read_recording(path: str | Path, names: Collection[str] = (), columns: Seque
         name is read as CSV.
     names
         Signals to read; all by default.
-    columns
-        Column headers for a CSV file without a header.
+    layout
+        Names of columns, and the rate of a file without times.
 
     Returns
     -------
@@ -57,10 +62,19 @@ def read_recording(path: str | Path, names: Collection[str] = (), columns: Seque
     if not path.is_file():
         what = "is a folder, not a file" if path.is_dir() else "no such file"
         raise MeasurementsError(what, where=path, fix="check the path")
-    module = _MODULES.get(path.suffix.casefold())
+    module, layout = _MODULES.get(path.suffix.casefold()), layout or TableLayout()
     if module is None:
-        table = read_csv(path, columns)
+        table = read_csv(path, layout)
         found = Recording((table,), notes=table.notes)
     else:
-        found = read_isolated(importlib.import_module(f"fmuid.data.recordings.{module}").read, path)
+        read = importlib.import_module(f"fmuid.data.recordings.{module}").read
+        if module not in _SELF_DESCRIBED:
+            read = partial(read, layout=layout)
+        elif layout != TableLayout():
+            raise MeasurementsError(
+                "has names and times for its signals",
+                where=path,
+                fix="leave out --columns and --rate, and choose signals with --signal",
+            )
+        found = read_isolated(read, path)
     return found.only(names, path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,10 @@ from fmuid.data.crosscheck_csv import Table
 from fmuid.data.recordings import read_recording
 from fmuid.data.recordings.dataframe import from_frame
 from fmuid.data.recordings.resampling import TimeBase, aliased, one_time_base
+from fmuid.data.table_layout import TableLayout
 
+_MOST_STEPS = 0.25  # share of rows at the time of another one: more are times without enough digits
+_STEP_APART = 1e-3  # of the shortest step: the distance of the two rows of a step
 _NEARLY = 0.05  # of an input's standard deviation
 
 
@@ -35,11 +38,13 @@ def read_run(
     log: Path | Any,
     signals: Collection[str] = (),
     base: TimeBase | None = None,
-    columns: Sequence[str] = (),
+    layout: TableLayout | None = None,
     *,
     name: str = "",
 ) -> Run:
     """Read one run from a file or data frame called `name`, and resample it to one time base as `base` says.
+
+    Two rows at one time are a step: the second one is moved to a later time by a thousandth of the shortest step.
 
     Raises
     ------
@@ -48,11 +53,12 @@ def read_run(
     """
     path = log if isinstance(log, Path) else Path(name)
     if log is path:
-        recording = read_recording(path, signals, columns)
+        recording = read_recording(path, signals, layout)
     else:
-        recording = from_frame(log, name).only(signals, path)
+        recording = from_frame(log, name, layout or TableLayout()).only(signals, path)
     table, resampled = one_time_base(recording, base, path)
-    notes = [*recording.notes, *(f"'{name}' resampled: {how}" for name, how in resampled.items())]
+    table, steps = _with_steps_apart(table, path)
+    notes = [*recording.notes, *steps, *(f"'{name}' resampled: {how}" for name, how in resampled.items())]
     fast = aliased(table, recording, base) if base is not None else ()
     if fast:
         notes.append(
@@ -60,6 +66,35 @@ def read_run(
             " new rate, --method mean averages them out"
         )
     return Run(table, resampled, tuple(notes))
+
+
+def _with_steps_apart(table: Table, path: Path) -> tuple[Table, list[str]]:
+    """Return the table with distinct times, and a note if two rows at one time became a step.
+
+    Of more than two rows at one time, the first and the last are kept; of equal rows, the first.
+    """
+    time = table.time
+    same = np.diff(time) == 0.0
+    if not same.any():
+        return table, []
+    if np.mean(same) > _MOST_STEPS:
+        raise MeasurementsError(
+            f"{int(same.sum()) + 1} of {time.size} rows have the time of another row",
+            where=path,
+            fix="write times with more digits, or choose the other columns (--columns) and give --rate",
+        )
+    follows, precedes = np.append(False, same), np.append(same, False)
+    keep = ~(follows & precedes)
+    values = np.column_stack(list(table.columns.values()))
+    first = np.flatnonzero(keep & ~follows)
+    begins = first[np.searchsorted(first, np.arange(time.size), side="right") - 1]
+    keep &= ~follows | ~np.all((values == values[begins]) | (np.isnan(values) & np.isnan(values[begins])), axis=1)
+    moved = keep & follows
+    later = time + np.where(moved, _STEP_APART * float(np.min(np.diff(time)[~same])), 0.0)
+    apart = replace(table, time=later[keep], columns={n: v[keep] for n, v in table.columns.items()})
+    count = int(moved.sum())
+    note = f"{count} time{'s' if count > 1 else ''} with two rows: the second row is a step right after the first"
+    return apart, [note] if count else ["repeated rows are left out"]
 
 
 def experiment_from_table(

@@ -8,42 +8,55 @@ from typing import Any
 import narwhals as nw
 import numpy as np
 
-from fmu_build.suggest import known_names
 from fmuid.core.errors import MeasurementsError
 from fmuid.core.frames import columns_of
 from fmuid.core.immutable import FloatArray
 from fmuid.data.crosscheck_csv import TIMES, name_and_unit
-from fmuid.data.recordings.recording import Recording, Vector, by_time_base, in_seconds, left_out
+from fmuid.data.recordings.recording import Column, Recording, from_columns, left_out
+from fmuid.data.table_layout import TableLayout
 
 
-def from_frame(frame: Any, run: str) -> Recording:
+def from_frame(frame: Any, run: str, layout: TableLayout) -> Recording:
     """Return the recording in a data frame whose column names state units, as in ``tau [N.m]``.
 
     Time is a column or a named pandas index with numbers or dates; the first date becomes 0 s. Null marks a
-    missing sample.
+    missing sample. A column of lists becomes one column per element.
 
     Raises
     ------
     MeasurementsError
         There is no time, or no other column.
     """
-    where, columns = Path(run), columns_of(frame)
-    header = next((h for h in columns if name_and_unit(h)[0].casefold() in TIMES), None)
-    if header is None:
-        fix = f"give one column this name, with times in s; {known_names(columns)}"
-        raise MeasurementsError("has no column 'time' or 't'", where=run, fix=fix)
-    column = columns.pop(header)
-    values = _numbers(column)
-    if values is None:
-        raise MeasurementsError(f"column '{header}' does not contain times", where=run, fix="write it in s")
-    dates = column.dtype.is_temporal()
-    time = values if dates else in_seconds(values, name_and_unit(header)[1], where)
-    numbers = {header: _numbers(column) for header, column in columns.items()}
-    vectors = [
-        Vector(name_and_unit(h)[0], time, v, name_and_unit(h)[1]) for h, v in numbers.items() if v is not None
-    ]
-    notes = left_out([h for h, v in numbers.items() if v is None], "not numeric")
-    return by_time_base(vectors, where, (*notes, *(["time starts at the first date"] if dates else [])))
+    found: dict[str, Column] = {}
+    others, dates = [], False
+    for header, column in columns_of(frame).items():
+        name, unit = name_and_unit(header)
+        values, is_time = _numbers(column), name.casefold() in TIMES
+        if values is None:
+            if is_time:
+                raise MeasurementsError(
+                    f"column '{header}' does not contain times", where=run, fix="write it in s"
+                )
+            elements = _elements(column)
+            found |= {f"{name}[{k + 1}]": Column(v, unit) for k, v in enumerate(elements)}
+            others += [] if len(elements) else [header]
+            continue
+        temporal = column.dtype.is_temporal()
+        dates |= temporal and is_time
+        found[name] = Column(values, "s" if temporal else unit)
+    notes = left_out(others, "not numeric")
+    return from_columns(
+        found, layout, Path(run), notes=(*notes, *(["time starts at the first date"] if dates else []))
+    )
+
+
+def _elements(column: nw.Series[Any]) -> FloatArray:
+    """Return the (k, N) elements of a column of lists of one length; none if it has another type."""
+    try:
+        rows = [np.asarray(cell, dtype=np.float64) for cell in column.to_list()]
+        return np.stack(rows).T if rows and rows[0].ndim == 1 else np.empty((0, 0))
+    except (TypeError, ValueError):
+        return np.empty((0, 0))
 
 
 def _numbers(column: nw.Series[Any]) -> FloatArray | None:

@@ -8,10 +8,19 @@ from fmuid.core.errors import MeasurementsError
 from fmuid.data import hdf5
 from fmuid.data.crosscheck_csv import TIMES
 from fmuid.data.measurements import FORMAT
-from fmuid.data.recordings.recording import Recording, Vector, by_time_base, in_seconds, left_out
+from fmuid.data.recordings.recording import (
+    Column,
+    Recording,
+    Vector,
+    by_time_base,
+    from_columns,
+    in_seconds,
+    left_out,
+)
+from fmuid.data.table_layout import TableLayout
 
 
-def read(path: Path) -> Recording:
+def read(path: Path, layout: TableLayout) -> Recording:
     """Read an HDF5 file; see `fmuid.data.recordings.read_recording`.
 
     A vector belongs to the time axis of its group or of the nearest group above. Its unit is the attribute `unit`
@@ -20,6 +29,9 @@ def read(path: Path) -> Recording:
     kind, found, others = hdf5.vectors(path)
     if kind == FORMAT:
         raise MeasurementsError("is already a measurement file", where=path, fix="name it in campaign.toml")
+    if layout != TableLayout():
+        columns = {".".join(place): Column(v.values, v.unit) for place, v in found.items()}
+        return from_columns(columns, layout, path, notes=left_out(others, "not vectors"))
     times = {p: v for p, v in found.items() if p[-1].casefold() in TIMES}
     axes = {p[:-1]: in_seconds(v.values, v.unit, path) for p, v in times.items()}
     vectors = []

@@ -1,4 +1,4 @@
-"""MATLAB files: vectors as long as `time` or `t`. These files state no units."""
+"""MATLAB files: vectors, and columns of matrices, as long as the time. These files state no units."""
 
 from __future__ import annotations
 
@@ -7,35 +7,32 @@ from typing import Any
 
 import numpy as np
 
-from fmu_build.suggest import known_names
 from fmuid.core.errors import MeasurementsError
-from fmuid.data.crosscheck_csv import TIMES
-from fmuid.data.recordings.recording import Recording, Vector, by_time_base, is_numeric, left_out
+from fmuid.data.recordings.recording import Column, Recording, from_columns, is_numeric, left_out
+from fmuid.data.table_layout import TableLayout
 
 
-def read(path: Path) -> Recording:
-    """Read a ``.mat`` file of any version; see `fmuid.data.recordings.read_recording`."""
+def read(path: Path, layout: TableLayout) -> Recording:
+    """Read a ``.mat`` file of any version; see `fmuid.data.recordings.read_recording`.
+
+    The columns of a matrix ``data`` are ``data[1]``, ``data[2]`` and so on.
+    """
     variables = _variables(path)
     if variables is None:  # version 7.3 is HDF5
         from fmuid.data.recordings import hdf5_vectors
 
-        return hdf5_vectors.read(path)
-    name = next((n for n in variables if n.casefold() in TIMES), None)
-    if name is None:
-        raise MeasurementsError(
-            "has no vector 'time' or 't'", where=path, fix=f"save one, in s; {known_names(variables)}"
-        )
-    time = variables[name]
-    if not _is_vector(time) or time.size < 2:
-        raise MeasurementsError(f"'{name}' is not a vector of times", where=path, fix="save it N by 1, in s")
-    fitting = {n: v for n, v in variables.items() if n != name and _is_vector(v) and v.size == time.size}
-    if not fitting:
-        raise MeasurementsError(
-            f"has no vector as long as '{name}' ({time.size})", where=path, fix="save the signals, N by 1"
-        )
-    others = [n for n in variables if n != name and n not in fitting]
-    vectors = (Vector(n, time.astype(np.float64), v.astype(np.float64)) for n, v in fitting.items())
-    return by_time_base(vectors, path, left_out(others, f"not vectors as long as '{name}'"))
+        return hdf5_vectors.read(path, layout)
+    columns: dict[str, Column] = {}
+    others = []
+    for name, found in variables.items():
+        value = np.atleast_1d(found) if isinstance(found, int | float | np.number) else found
+        if not is_numeric(value) or value.ndim > 2:
+            others.append(name)
+        elif value.ndim < 2:
+            columns[name] = Column(value.reshape(-1).astype(np.float64))
+        else:
+            columns |= {f"{name}[{k + 1}]": Column(c.astype(np.float64)) for k, c in enumerate(value.T)}
+    return from_columns(columns, layout, path, notes=left_out(others, "not numeric"))
 
 
 def _variables(path: Path) -> dict[str, Any] | None:
@@ -50,7 +47,3 @@ def _variables(path: Path) -> dict[str, Any] | None:
             "is not a readable MATLAB file", where=path, fix="save it with: save -v7"
         ) from None
     return {name: value for name, value in found.items() if not name.startswith("__")}
-
-
-def _is_vector(value: Any) -> bool:
-    return is_numeric(value) and value.ndim == 1

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from fmu_build.suggest import known_names
 from fmuid.core.errors import MeasurementsError
 from fmuid.data.crosscheck_csv import TIMES, name_and_unit
-from fmuid.data.recordings.recording import Recording, Vector, by_time_base, in_seconds, left_out
+from fmuid.data.recordings.recording import Column, Recording, from_columns, left_out
+from fmuid.data.table_layout import TableLayout
 
 try:
     from pyarrow import parquet
@@ -21,7 +21,7 @@ else:
     import pyarrow.compute as pc
 
 
-def read(path: Path) -> Recording:
+def read(path: Path, layout: TableLayout) -> Recording:
     """Read a Parquet file; see `fmuid.data.recordings.read_recording`.
 
     Units are in the columns' names, as in ``tau [N.m]``, or in their metadata, as ``unit``. The time axis contains
@@ -36,27 +36,23 @@ def read(path: Path) -> Recording:
     except (pa.ArrowException, OSError, ValueError) as error:
         words = str(error).splitlines()[0].rpartition("'<Buffer>': ")[2]
         raise MeasurementsError(f"cannot be read as Parquet ({words})", where=path, fix="write it again") from None
-    named = {header: name_and_unit(header) for header in columns}
-    time_header = next((h for h, (n, _) in named.items() if n.casefold() in TIMES), None)
-    if time_header is None:
-        raise MeasurementsError(
-            "has no column 'time' or 't'", where=path, fix=f"write a time column in s; {known_names(columns)}"
-        )
-    values = columns.pop(time_header)
-    kind = table.schema.field(time_header).type
-    if values is None:
-        raise MeasurementsError(f"column '{time_header}' does not contain times", where=path, fix="write it in s")
-    dates = pa.types.is_temporal(kind)
-    time = values if dates else in_seconds(values, named[time_header][1], path)
-    vectors = []
-    for header, column in columns.items():
-        if column is not None:
-            name, unit = named[header]
-            metadata = table.schema.field(header).metadata or {}
+    found: dict[str, Column] = {}
+    dates = False
+    for header, values in columns.items():
+        field = table.schema.field(header)
+        if values is not None:
+            name, unit = name_and_unit(header)
+            metadata = field.metadata or {}
             stated = metadata.get(b"unit", metadata.get(b"units"))
-            vectors.append(Vector(name, time, column, unit if stated is None else stated.decode(errors="replace")))
+            temporal = pa.types.is_temporal(field.type)
+            dates |= temporal and name.casefold() in TIMES
+            found[name] = Column(
+                values, "s" if temporal else unit if stated is None else stated.decode(errors="replace")
+            )
+        elif name_and_unit(header)[0].casefold() in TIMES:
+            raise MeasurementsError(f"column '{header}' does not contain times", where=path, fix="write it in s")
     notes = left_out([h for h, c in columns.items() if c is None], "not numeric")
-    return by_time_base(vectors, path, (*notes, *(["time starts at the first date"] if dates else [])))
+    return from_columns(found, layout, path, notes=(*notes, *(["time starts at the first date"] if dates else [])))
 
 
 def _numbers(column: Any) -> Any:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fmu_build.suggest import suggestion
+from fmu_build.suggest import known_names, suggestion
 from fmuid.core.errors import MeasurementsError, UnitError
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import conversion
-from fmuid.data.crosscheck_csv import Table
+from fmuid.data.crosscheck_csv import PER_MINUTE, TIMES, Table, name_and_unit, per_minute_note, two_time_axes
+from fmuid.data.table_layout import TableLayout, source_of
+
+_STEPS = ("Ts", "ts", "dt", "Fs", "fs")  # names of a sample time or rate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +64,80 @@ class Vector:
     time: FloatArray
     values: FloatArray
     unit: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Column:
+    """Values of a column or vector, and its unit if the file states it."""
+
+    values: FloatArray
+    unit: str | None = None
+
+
+def from_columns(
+    columns: Mapping[str, Column], layout: TableLayout, path: Path, *, notes: Collection[str] = ()
+) -> Recording:
+    """Return the recording in columns, one of which is the time unless the layout gives a rate.
+
+    Columns of another length are left out.
+
+    Raises
+    ------
+    MeasurementsError
+        There is no time, or no column as long as it; or a chosen column is missing.
+    """
+    if layout.ordered:
+        fix = "choose columns: --columns 'w [rad/s]=NAME,...'"
+        raise MeasurementsError("has names for its columns", where=path, fix=fix)
+    columns = _chosen(columns, layout, path) if layout.chosen else columns
+    time_name, time = _times(columns, layout, path)
+    fitting = {n: c for n, c in columns.items() if n != time_name and c.values.shape == time.shape}
+    others = [n for n in columns if n != time_name and n not in fitting]
+    if not fitting:
+        raise MeasurementsError(
+            f"has no vector as long as '{time_name or 'the others'}' ({time.size})",
+            where=path,
+            fix="save the signals, N by 1",
+        )
+    what = f"as long as '{time_name}'" if time_name else f"of {time.size} samples"
+    notes = [*notes, *left_out(others, f"not vectors {what}")]
+    vectors = []
+    for name, column in fitting.items():
+        unit = column.unit
+        if unit is not None and unit.replace(" ", "") in PER_MINUTE:
+            notes.append(per_minute_note(name, unit))
+            unit = "rpm"
+        vectors.append(Vector(name, time, column.values.astype(np.float64), unit))
+    return by_time_base(vectors, path, notes)
+
+
+def _chosen(columns: Mapping[str, Column], layout: TableLayout, path: Path) -> dict[str, Column]:
+    names, chosen = list(columns), dict[str, Column]()
+    for header, source in layout.chosen:
+        old = columns[names[source_of(source, names, path)]]
+        name, unit = name_and_unit(header)
+        chosen[name] = Column(old.values, unit or old.unit)
+    return chosen
+
+
+def _times(columns: Mapping[str, Column], layout: TableLayout, path: Path) -> tuple[str | None, FloatArray]:
+    """Return the name of the column of times, None for a rate, and the times."""
+    name = next((n for n in columns if n.casefold() in TIMES), None)
+    if layout.rate is not None:
+        if name is not None:
+            raise two_time_axes(name, path)
+        sizes = [c.values.size for c in columns.values()]
+        if max(sizes, default=0) < 2:
+            raise MeasurementsError("has no signal", where=path, fix="save the signals, N by 1")
+        return None, np.arange(max(sizes, key=lambda n: (sizes.count(n) if n > 1 else 0, n))) / layout.rate
+    if name is None:
+        steps = [f" (the file has {n} = {c.values[0]:g})" for n, c in columns.items() if n in _STEPS]
+        fix = f"save one, choose one (--columns 'time=NAME,...') or give --rate HZ{''.join(steps[:1])}"
+        raise MeasurementsError("has no column 'time' or 't'", where=path, fix=f"{fix}; {known_names(columns)}")
+    time = in_seconds(columns[name].values, columns[name].unit, path)
+    if time.ndim != 1 or time.size < 2:
+        raise MeasurementsError(f"'{name}' is not a vector of times", where=path, fix="save it N by 1, in s")
+    return name, time
 
 
 def by_time_base(vectors: Iterable[Vector], path: Path, notes: Collection[str] = ()) -> Recording:
