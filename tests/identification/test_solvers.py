@@ -350,7 +350,7 @@ def test_starts_are_simulated_side_by_side(analytic):
     stage = identify(problem, solver="bobyqa", options={"starts": 8}, with_uncertainty=False).stages[0]
     assert max(batches) == 8
     assert sum(batches) == stage.evaluations
-    assert stage.evaluations == sum(s.evaluations for s in stage.starts)
+    assert stage.evaluations >= sum(s.evaluations for s in stage.starts)  # and the check of the best
     assert np.mean(batches) > 3
 
 

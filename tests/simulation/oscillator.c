@@ -248,7 +248,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean n)
 {
     (void)n;
     called(c);
-    if (((Model *)c)->r[FAULT] == ENDS && t >= 0.1) return DISCARD;
+    if (fault((Model *)c) == ENDS && t >= 0.1) return DISCARD;
     return advance(c, t, h);
 }
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind k, fmi2Boolean *b) { (void)c; *b = k == fmi2Terminated; return OK; }
@@ -316,7 +316,7 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
 {
     (void)n;
     *ev = *early = 0;
-    *term = ((Model *)c)->r[FAULT] == ENDS && t >= 0.1;
+    *term = fault((Model *)c) == ENDS && t >= 0.1;
     Status status = advance(c, t, h);
     *last = t + h;
     return status;

@@ -179,6 +179,41 @@ def test_an_fmu_that_misbehaves_in_a_region_does_not_stop_the_search(build, tmp_
     assert all(np.isnan(row.cost) for row in rows if row.failure)
 
 
+BESIDE_A_WALL = [
+    "crash",
+    "segfault",
+    "leaves",
+    "hang",
+    "slow",
+    "interrupts",
+    "nan",
+    "fails",
+    "fatal",
+    "devours",
+    "ends",
+]
+
+
+@pytest.mark.parametrize(
+    ("kind", "solver"),
+    [
+        pytest.param(k, s, marks=() if (k, s) == ("crash", "trf") else pytest.mark.slow)
+        for k in BESIDE_A_WALL
+        for s in ("trf", "bobyqa", "sbplx")
+    ],
+)
+def test_the_truth_beside_a_wall_of_failures_is_found(build, tmp_path, kind, solver):
+    """At c = 130; above 140 the FMU fails, in eleven ways."""
+    folder = campaign(build(2, defines=(f"BAD={FAULTS[kind]}",)), tmp_path / "bench", evaluations=12)
+    more = ["--workers", "2", "--time-limit", "1", "--memory-limit", "200", "--stage", "both", "--solver", solver]
+    done = subprocess.run(command(folder, *more), capture_output=True, text=True, timeout=600, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    (both,) = found(folder)
+    assert both["status"] == "converged"
+    assert both["parameters"]["c"] == pytest.approx(130.0, rel=5e-3)
+    assert both["parameters"]["d"] == pytest.approx(0.7, rel=0.05)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_killed_at_ten_random_moments_it_ends_as_an_unbroken_run(build, tmp_path, workers):

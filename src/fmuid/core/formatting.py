@@ -72,3 +72,9 @@ def once_each(notes: Sequence[tuple[str, str]]) -> list[str]:
     for file, note in notes:
         files.setdefault(note, []).append(file)
     return [f"{on[0]}{f' and {len(on) - 1} more' if len(on) > 1 else ''}: {note}" for note, on in files.items()]
+
+
+def shortened(text: str, most: int = 160) -> str:
+    """Return `text` with its middle left out if it is longer than `most` characters."""
+    half = (most - 5) // 2
+    return text if len(text) <= most else f"{text[:half]} ... {text[-half:]}"

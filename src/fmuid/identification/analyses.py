@@ -69,11 +69,7 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | Non
             free = uncertainty_of(
                 problem, best, evaluate=evaluate, floor=floor, held=held, evaluate_held=evaluate_held
             )
-            bound = [s.name for s in problem.space.free if at_bound(best.parameters[s.name], s.lower, s.upper)]
-            if problem.combination.kind != "weighted_sum":
-                bound = list(problem.space.names)
-                found.warnings.append(f"no standard errors: {problem.combination.kind} is not a sum of squares")
-            found.uncertainty = without_intervals(free, bound)
+            found.uncertainty = without_intervals(free, _without_errors(search, best, found.warnings))
             found.warnings += free.notes
     if found.uncertainty is not None:
         _profile(found, found.uncertainty, spec, search, evaluate)
@@ -86,6 +82,17 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | Non
                 "a point of the front is better than the estimate: continue the search, or use several starts"
             )
     return found
+
+
+def _without_errors(search: Search, best: Evaluation, warnings: list[str]) -> list[str]:
+    """Return the parameters whose standard errors would not be valid; warnings say why."""
+    problem = search.problem
+    if problem.combination.kind != "weighted_sum":
+        warnings.append(f"no standard errors: {problem.combination.kind} is not a sum of squares")
+        return list(problem.space.names)
+    if search.at_edge:  # where the estimate would lie without the edge is unknown
+        return list(problem.space.names)
+    return [s.name for s in problem.space.free if at_bound(best.parameters[s.name], s.lower, s.upper)]
 
 
 def _profile(

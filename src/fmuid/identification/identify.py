@@ -16,6 +16,7 @@ import msgspec
 from fmuid.core.campaign import SEPARATOR, AnalysisSpec, Campaign, ParameterSpec, StageSpec, without_owner
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.folder_lock import claim
+from fmuid.core.formatting import shortened
 from fmuid.core.one_thread import in_one_thread
 from fmuid.identification.analyses import Findings, analyse
 from fmuid.identification.history import History
@@ -26,7 +27,6 @@ from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.provenance import fingerprint, hashes_of, versions
 from fmuid.identification.result import FILE, CriterionValue, Estimate, Result, StageResult, at_bound, finite
 from fmuid.identification.solvers import Outcome, Search, Solver, Status, StopRules, StopSearch, make
-from fmuid.identification.solvers.least_squares import TrustRegion
 from fmuid.identification.solvers.pareto import Objectives
 from fmuid.identification.uncertainty.between_machines import MachineSpread, machine_spread
 from fmuid.identification.uncertainty.confidence import Uncertainty
@@ -36,6 +36,7 @@ from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
 _ALIKE = 0.99
+_REASONS = 3  # why candidates failed: the most frequent ones
 _INTERRUPTED = Outcome(Status.INTERRUPTED, "stopped by the user")
 _LIBRARIES = ("fmuid", "numpy", "scipy", "nlopt")
 
@@ -241,7 +242,7 @@ def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
     )
 
     def record(evaluation: Evaluation, purpose: str, improved: bool) -> None:
-        run.history.record(problem.name, evaluation, purpose, improved, residuals=solver.needs_residuals)
+        run.history.record(problem.name, evaluation, purpose, improved, residuals=search.needs_residuals)
         reached = search.best
         if evaluation.ok and not start_cost:
             start_cost.append(evaluation.cost)
@@ -260,7 +261,7 @@ def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
 
     first: Evaluation | None = None
     try:
-        first = search.evaluate(problem.space.start, differentiated=isinstance(solver, TrustRegion))
+        first = search.evaluate(problem.space.start, differentiated=solver.name in ("trf", "lm"))
         outcome = solver.solve(search, problem.space.start)
     except StopSearch as stopped:
         outcome = stopped.outcome
@@ -443,8 +444,13 @@ def _warnings(search: Search, estimates: Sequence[Estimate], found: Uncertainty 
                 if abs(r) > _ALIKE and not {a, b} & set(found.identifiability.undetermined):
                     warnings.append(f"{b} and {a} are hard to distinguish (correlation {r:+.3f})")
     warnings += [f"{e.name} is at its {e.at_bound} bound" for e in estimates if e.at_bound]
+    if search.at_edge:
+        warnings.append("the estimate lies at the edge of what can be simulated; the best fit may lie beyond it")
     if search.failures:
-        warnings.append(f"{search.failures} of {search.evaluations} candidates could not be simulated")
+        reasons = [f"{shortened(why)} ({count})" for why, count in search.reasons.most_common(_REASONS)]
+        warnings.append(
+            f"{search.failures} of {search.evaluations} candidates could not be simulated: {'; '.join(reasons)}"
+        )
     if search.best is not None and not search.feasible(search.best):
         warnings.append("no candidate satisfies every constraint")
     return tuple(warnings)

@@ -176,7 +176,7 @@ class Result:
     @property
     def status(self) -> Status:
         """The worst status of the stages."""
-        order = [Status.FAILED, Status.INTERRUPTED, Status.BUDGET, Status.CONVERGED]
+        order = [Status.FAILED, Status.INTERRUPTED, Status.STALLED, Status.BUDGET, Status.CONVERGED]
         return min((stage.status for stage in self.stages), key=order.index, default=Status.INTERRUPTED)
 
     @property

@@ -28,6 +28,7 @@ from fmuid.identification.solvers.search import (
     StopSearch,
     number_of,
 )
+from fmuid.identification.solvers.verified import Verified
 
 __all__ = [
     "NAMES",
@@ -74,8 +75,7 @@ def make(name: str, options: Mapping[str, Any], problem: Problem) -> tuple[Solve
                 f"unknown solver option '{next(iter(options))}'",
                 fix=f"in a chain, write {links[0]} = {{ ... }}",
             )
-    if starts > 1:
-        solver = MultiStart(solver, starts)
+    solver = Verified(MultiStart(solver, starts) if starts > 1 else solver, solver)
     if problem.combination.kind == "lexicographic":
         solver = Lexicographic(solver)
     solver.check(problem)

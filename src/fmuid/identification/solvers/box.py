@@ -60,7 +60,7 @@ def around_failures(
         for i in map(int, np.flatnonzero(on_cut)):
             bound = upper if failed_at[i] > x[i] else lower
             bound[i] = 0.5 * (bound[i] + failed_at[i])
-    return Outcome(Status.FAILED, "simulations near the best point keep failing")
+    return Outcome(Status.STALLED, "simulations near the best point keep failing")
 
 
 def _cuts_reached(x: FloatArray, lower: FloatArray, upper: FloatArray, search: Search) -> NDArray[np.bool_]:

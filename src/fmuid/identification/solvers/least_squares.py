@@ -19,12 +19,13 @@ from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.solvers.box import CandidateFailedError, around_failures
 from fmuid.identification.solvers.search import Outcome, Search, Status, StopSearch, number_of
-from fmuid.identification.solvers.trust_region import SettledError, trust_region
+from fmuid.identification.solvers.trust_region import BlockedError, SettledError, trust_region
 
 _FLAT = 3.0  # times the noise of the cost: a smaller change is meaningless
 _FLAT_TRIALS = 2
 _LEVEL = 1e-4  # relative change of the cost below which the search is about to settle
 _MEASUREMENTS = 2
+_BLOCKED, _PROGRESS = 6, 0.1  # failed trials without relative progress of the cost: the way is blocked
 _EXACT = 1e-11  # relative noise of a simulator with hardly more than rounding errors
 _NEAR = 1e-3  # relative size that a last step must not exceed
 _STILL = 1e-9
@@ -72,6 +73,8 @@ class TrustRegion:
             )
         except SettledError:
             ended = Outcome(Status.CONVERGED, "the cost changes by no more than the simulator's noise")
+        except BlockedError:
+            ended = Outcome(Status.STALLED, "every further step fails")
         else:
             ended = Outcome(Status.CONVERGED if status else Status.BUDGET, _in_words(status))
         at_best = ended.status is Status.CONVERGED and search.reached is search.best
@@ -118,7 +121,7 @@ class _Trials:
 
     def __init__(self, search: Search, first: Evaluation) -> None:
         self.search, self.first = search, first
-        self.flat = self.level = self.measured = 0
+        self.flat = self.level = self.measured = self.blocked = 0
         self.floor: NoiseFloor | None = None  # as first measured
         self._differences: Differences | None = None
         self.exact = search.problem.exact.jacobian(first) is not None  # the last Jacobian
@@ -145,7 +148,12 @@ class _Trials:
         again = np.array_equal(x, best.x)
         evaluation = self.search.evaluate(x, differentiated=self._differences is None)
         if not evaluation.ok:
+            self.blocked += 1
+            if self.blocked == _BLOCKED:
+                raise BlockedError
             return np.full(len(self.first.residuals), np.nan)
+        if evaluation.cost < (1.0 - _PROGRESS) * best.cost:
+            self.blocked = 0
         if not again:
             self._judge(evaluation, best)
         return evaluation.residuals
@@ -161,7 +169,7 @@ class _Trials:
         except SimulationError:
             return  # the solver's own tolerances end the search
         change = abs(evaluation.cost - best.cost)
-        self.flat = self.flat + 1 if change <= _meaningless(best, floor) else 0
+        self.flat = self.flat + 1 if change <= meaningless(best, floor) else 0
         self.level = self.level + 1 if change <= _LEVEL * best.cost else 0
         if self.flat == _FLAT_TRIALS:
             raise SettledError
@@ -183,7 +191,7 @@ class _Trials:
                 self.search.noise_floor = found
 
 
-def _meaningless(best: Evaluation, floor: NoiseFloor) -> float:
+def meaningless(best: Evaluation, floor: NoiseFloor) -> float:
     """Return the largest change of the cost that is meaningless."""
     # Scatter of the cost: its gradient by the residuals, 2 r, times their scatter.
     noise = _FLAT * 2.0 * float(np.linalg.norm(best.residuals)) * floor.residual

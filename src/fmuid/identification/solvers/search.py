@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import enum
 import math
-from collections import OrderedDict
+import re
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -26,6 +27,7 @@ class Status(enum.StrEnum):
     """Outcome of a search, as readable text."""
 
     CONVERGED = "converged"
+    STALLED = "stalled"
     BUDGET = "budget spent"
     INTERRUPTED = "interrupted"
     FAILED = "failed"
@@ -110,6 +112,7 @@ class Search:
         self.lower, self.upper = problem.space.lower, problem.space.upper
         self.evaluations = 0
         self.failures = 0
+        self.reasons: Counter[str] = Counter()
         self.seconds = 0.0
         self.best: Evaluation | None = None
         self.reached: Evaluation | None = None  # best since `refocus`
@@ -121,6 +124,7 @@ class Search:
         if problem.combination.kind == "min_max":
             self.goals_of = lambda evaluation: problem.root_weights**2 * evaluation.criteria
         self.noise_floor: NoiseFloor | None = None  # left here by a solver that measured it
+        self.at_edge = False  # set by a solver that ended against a wall of failing candidates
         self._equality = np.array([c.is_equality for c in problem.constraints], dtype=bool)
         self._record, self.recall = record, recall
         self._simulate: Simulate = lambda wanted: problem.evaluate_many(
@@ -128,6 +132,8 @@ class Search:
         )
         self._remembered = _REMEMBERED
         self._recent: OrderedDict[bytes, Evaluation] = OrderedDict()
+        self._failed: list[Evaluation] = []
+        self._plain = True
 
     def __len__(self) -> int:
         return len(self.problem.space)
@@ -135,6 +141,7 @@ class Search:
     def refocus(self, cost_of: Callable[[Evaluation], float], limits_of: Goals) -> None:
         """Minimise another objective from now on, subject to additional limits (each at most 0)."""
         self.cost_of, self.limits_of, self.goals_of = cost_of, limits_of, None
+        self._plain = False
         self.reached, self.starts = None, []
         if self.best is not None:
             self._compare(self.best)
@@ -168,7 +175,7 @@ class Search:
             keys.append(x.tobytes())
             if keys[-1] not in wishes or wish.purpose == "search":
                 wishes[keys[-1]] = wish._replace(x=x)
-        found = {key: e for key in wishes if (e := self._recent.get(key)) is not None}
+        found = {key: self.complete(e) for key in wishes if (e := self._recent.get(key)) is not None}
         recalled = set()
         for key, wish in wishes.items():
             if key not in found and (old := self.recall(wish.x, self.needs_residuals)) is not None:
@@ -184,6 +191,30 @@ class Search:
             elif wish.purpose == "search":
                 self._compare(found[key])
         return [found[key] for key in keys]
+
+    @property
+    def plain(self) -> bool:
+        """Whether the cost is the problem's own, without additional limits."""
+        return self._plain
+
+    def failure_near(self, x: FloatArray, distance: float) -> str | None:
+        """Return why a candidate within this distance of the (n,) point `x` failed; None if there is none."""
+        reach = distance * np.maximum(np.abs(x), 1.0)
+        return next((e.failure for e in self._failed if bool((np.abs(e.x - x) <= reach).all())), None)
+
+    @contextmanager
+    def with_residuals(self) -> Iterator[None]:
+        """Need residuals within the block, whatever the solver needs."""
+        before, self.needs_residuals = self.needs_residuals, True
+        try:
+            yield
+        finally:
+            self.needs_residuals = before
+
+    def complete(self, evaluation: Evaluation) -> Evaluation:
+        """Return an evaluation with its residuals, which a resumed run may have forgotten."""
+        forgotten = self.needs_residuals and evaluation.ok and not evaluation.residuals.size
+        return self.problem.evaluate(evaluation.x) if forgotten else evaluation
 
     def cost(self, x: FloatArray) -> float:
         """Return the cost at `x`, NaN where the simulation fails."""
@@ -229,7 +260,10 @@ class Search:
     def _count(self, evaluation: Evaluation, purpose: str, *, recorded: bool) -> None:
         self.evaluations += 1
         self.seconds += evaluation.seconds
-        self.failures += not evaluation.ok
+        if evaluation.failure is not None:
+            self.failures += 1
+            self.reasons[in_short(evaluation.failure)] += 1
+            self._failed.append(evaluation)
         improved = purpose == "search" and self._compare(evaluation)
         if not recorded:
             self._record(evaluation, purpose, improved)
@@ -261,6 +295,11 @@ class Search:
         self._recent[key] = evaluation
         while len(self._recent) > self._remembered:
             self._recent.popitem(last=False)
+
+
+def in_short(failure: str) -> str:
+    """Return why a candidate failed, without the values that differ from candidate to candidate."""
+    return re.sub(r" \(with [^()]*\)| at [-+.\de]+ s\b", "", failure)
 
 
 class Solver(Protocol):

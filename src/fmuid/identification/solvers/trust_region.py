@@ -14,6 +14,10 @@ class SettledError(Exception):
     """Raised by a residual function when trial points no longer differ by a relevant amount."""
 
 
+class BlockedError(Exception):
+    """Raised by a residual function when trial points keep failing."""
+
+
 def trust_region(
     residuals: Callable[[FloatArray], FloatArray],
     jacobian: Callable[[FloatArray], FloatArray],
