@@ -97,7 +97,7 @@ def page(home: Mapping[str, Mapping[str, Any]], abroad: Mapping[str, Mapping[str
         "Gaps are in noise floors: of the base model with its parameters refitted, and with the verdict's effects",
         "added. The expected closure is that on experiments left out, beyond what refitting closes; *unknown*",
         "and *complete* promise none. [How to read a diagnosis](diagnosis.md);",
-        "[what was looked at before](diagnosis.md#what-was-looked-at-before-the-sealed-campaigns-were-diagnosed).",
+        "[what was known beforehand](quality.md#what-was-known-beforehand).",
         *_section(
             "At home",
             home,

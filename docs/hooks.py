@@ -1,10 +1,12 @@
-"""What the site has beyond the pages in this folder: the commands by Typer, and the names of `fmuid`."""
+"""Parts of the site that are generated: the commands (by Typer), the names of `fmuid`, the catalogue of errors."""
 
 from __future__ import annotations
 
 import contextlib
+import csv
 import io
 import re
+from pathlib import Path
 from typing import Any
 
 from mkdocs.structure.files import File, Files
@@ -23,6 +25,25 @@ def on_files(files: Files, config: Any) -> Files:
     files.append(File.generated(config, "reference/cli.md", content=_commands()))
     files.append(File.generated(config, "reference/python.md", content=_names()))
     return files
+
+
+def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
+    """Insert the catalogue of errors into its page."""
+    return markdown.replace("<!-- errors.csv -->", _errors()) if page.file.src_uri == "errors.md" else markdown
+
+
+def _errors() -> str:
+    with (Path(__file__).parent / "errors.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    lines: list[str] = []
+    for group in dict.fromkeys(row["group"] for row in rows):
+        lines += [f"## {group}", "", "| what is wrong | seen by | the line |", "|---|---|---|"]
+        for row in (r for r in rows if r["group"] == group):
+            mark = "``" if "`" in row["line"] else "`"
+            cells = (row["what is wrong"], f"`fmuid {row['fmuid command']}`", f"{mark}{row['line']}{mark}")
+            lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+        lines.append("")
+    return "\n".join(lines)
 
 
 def _commands() -> str:

@@ -24,61 +24,57 @@ from fmuid.cli.app import run
 _HEAD = """\
 # Laws found
 
-How often `fmuid diagnose` finds the [equation](diagnosis.md#a-law-found) of what no catalogue has. Plants in
-code of their own have such a law at one place, beside parameters that differ from the model's by up to a fifth,
-and noise. A diagnosis gets the plain model and logs of three runs, three times each; a fourth run is kept back.
-Rules of the diagnosis come from four of the rigs, and later ones from cases of the fifth, a shaker (see
-below). The lists of cases (`cases.toml`, `shaker.toml` and `unseen.toml` in `benchmarks/discovery`) were frozen
-before any of them was diagnosed.
+How often `fmuid diagnose` finds the right [equation](diagnosis.md#a-law-found) if no law of the catalogue
+explains the gap, and whether it refrains if no equation can. The plants are simulated by code of their own.
+Each has a law at one place, parameters that differ from the model's by up to a fifth, and noise. A diagnosis
+gets the plain model and the logs of three runs, three times each; a fourth run is held out.
 
     make discovery
 
-goes through the lists. This page has {have} of their {of[0]} plants with a law that an equation can express,
-and {lack} of their {of[1]} that none can: courses over time that differ from run to run, hidden resonators,
-long delays.
+diagnoses {have} of {of[0]} plants with a law that an equation can express, and {lack} of {of[1]} that none can
+express: courses over time that differ from run to run, hidden resonators, long delays.
+"""
+_TERMS = """\
+- *Asked*: the verdict leaves more than noise. Otherwise no law is searched for.
+- *Right form*: the terms are the true ones (with refitted coefficients, within 1 % of the true law), or the law
+  is within 5 % of the true one as it is: root mean square along the plant's trajectory in the held-out run,
+  except for what the nominal parameters imitate at that place.
+- *Closure*: medians over the laws of the right form.
 
-Not all of the first list is unseen. When half of it had been gone through, on the belt axis above all laws of
-other shapes were found, and four things were changed: a law is also looked for where the verdict names an
-effect that leaves more than noise; where no law leaves as little as noise, early parts of the runs are tried; a
-simpler law that does the same along the trajectories of the model with the law takes its place; and `fmuid
-init` finds redundant parameters by exact derivatives. The rule that a law may leave at most one noise floor, and
-the rule that a memory has to fit better than one of second order, were added after all cases of the first two
-lists had been seen; the 25 cases of `unseen.toml` (96 to 120), which no equation expresses, were drawn up for the
-latter. All cases of this page were diagnosed anew, by commit 87b4a17.
+## What was known beforehand
 
-*Asked* are those whose verdict leaves more than noise; elsewhere no law is looked for. A law has the *right
-form* if its terms are the true ones (with coefficients fitted anew, within 1 % of the true law), or if it is
-within 5 % of it as it stands: along the plant's trajectory in the run kept back, root mean square, but for what
-the nominal parameters do at that place. Closures are medians of the laws of the right form.
+Rules of the diagnosis come from four of the rigs, and later ones from cases of the fifth, a shaker. The lists
+of cases (`cases.toml`, `shaker.toml` and `unseen.toml` in `benchmarks/discovery`) were frozen before any of
+them was diagnosed, but not all of the first list is unseen: after half of it, four rules were changed because
+laws of other shapes had been found on the belt axis. The rules that a law may leave at most one noise floor,
+and that a memory has to fit better than one of second order, came after the first two lists; the cases of
+`unseen.toml` (96 to 120) were made for the latter. All cases were diagnosed again by one commit, 87b4a17.
 
-Of the tanks and of the shaker, no run determines the scale that all flows, sections, masses and stiffnesses
-have in common: laws are held against the true ones in the model's scale, that of the parameter that is held.
-(This was seen in the first cases, whose laws were all off by just that factor.) The belt of the axis is so
-stiff that a law at the motor and one at the carriage do the same: they are held against each other through the
-pulley's radius.
+The tanks and the shaker have a scale of all flows, sections, masses and stiffnesses that no run determines;
+their laws are compared in the model's scale. The belt of the axis is so stiff that laws at the motor and at the
+carriage are equivalent; they are compared through the pulley's radius.
 
-The reasons of most misses:
+## Reasons of the misses
 
-- The catalogue has the law, and the verdict names it: a spring that hardens with the square of the deflection, or
-  beyond an onset (80 and 83). Laws of springs had no such shapes when the lists were drawn up.
-- Another effect of the catalogue does the same within noise (3, 41, 43 and 53), or several do, and the verdict
-  leaves open which one (45).
-- The library of terms has no product of a square with another quantity (18, 33, 56 and 82).
-- The runs diagnosed reach only one side of what the law depends on. The law found is right there and says
-  nothing of the other side (15).
-- Of three laws on the belt axis, another one comes closest: it is off by 5.1 % (31), has a memory that the data
-  do not tell from one of second order (19), or leaves 5.4 noise floors (59). The last two are refused.
+- The catalogue has the law, and the verdict names it: a spring that hardens with the square of the deflection,
+  or beyond an onset (80, 83).
+- Another effect of the catalogue fits as well within the noise (3, 41, 43, 53), or several do and the verdict
+  is ambiguous (45).
+- The library of terms has no product of a square with another quantity (18, 33, 56, 82).
+- The runs reach only one side of the quantity that the law depends on; the law is right there and wrong beyond
+  (15).
+- On the belt axis, another law comes closest: it is off by 5.1 % (31), has a memory that the data do not
+  separate from one of second order (19), or leaves 5.4 noise floors (59). The last two are refused.
 
-Where none can be right, none is found. In one of the 49 cases (118), an effect is named: a current that follows
-a voltage after a long delay is *partial: capacity@resistor.n*. The verdict says that this closes 0.62 of the gap
-on experiments left out, and that 41 noise floors are left. It is wrong, but a branch with a memory at that node
-does predict most of the missing current in runs that it was not fitted to.
+In one of the plants without an equation (118), an effect is named: a current that follows a voltage after a
+long delay is *partial: capacity@resistor.n*. This is wrong, although a branch with a memory at that node does
+predict most of the missing current in other runs.
 """
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a diagnosis said of a plant; a law is asked for where it leaves more than noise.
+    """The answer of a diagnosis of a plant; a law is asked for if it leaves more than noise.
 
     Attributes
     ----------
@@ -87,11 +83,11 @@ class Outcome:
     port, formula, reason
         Of the law found, or why there is none.
     difference
-        How far the law is from the true one, in the run that was kept back; None at another place.
+        How far the law is from the true one, in the held-out run; None at another place.
     refitted
         The same with its coefficients fitted to the true one: small if the terms are the same.
     held_out, validated
-        Closure of the law on experiments left out, and in the run that was kept back.
+        Closure of the law on held-out experiments, and in the held-out run.
     seconds
         Processor time of the diagnosis.
     """
@@ -116,13 +112,18 @@ class Outcome:
         return self.close or (self.refitted is not None and self.refitted <= SAME)
 
     @property
+    def rightly_unknown(self) -> bool:
+        """Whether nothing is named where no equation can be right."""
+        return not self.expressible and self.kind == "unknown" and not self.formula
+
+    @property
     def close(self) -> bool:
         """Whether the law is within 5 % of the true one."""
         return self.difference is not None and self.difference <= RIGHT
 
 
 def diagnosed(case: Case, folder: Path) -> Outcome:
-    """Diagnose a case in a folder, and score what was said."""
+    """Diagnose a case in a folder, and score the answer."""
     campaign, out = make_campaign(case, folder), folder / "diagnosis"
     begin = time.process_time()
     code = run(["diagnose", str(campaign), "--out", str(out), "--workers", "0", "--quiet"])
@@ -134,7 +135,7 @@ def diagnosed(case: Case, folder: Path) -> Outcome:
 
 
 def scored(case: Case, folder: Path, seconds: float) -> Outcome:
-    """Hold what was said of a case against the truth."""
+    """Compare the answer of a case with the truth."""
     campaign, out = folder / "campaign", folder / "diagnosis"
     known = (case.name, case.rig.name, case.expressible)
     answer = json.loads((out / "diagnosis.json").read_text())
@@ -170,7 +171,7 @@ def table(outcomes: Sequence[Outcome]) -> str:
     """Return the figures by rig, in Markdown."""
     lines = [
         "| rig | expressible | asked | law found | right form | of these within 5 % | closure, held out"
-        " | closure, run kept back | inexpressible | law found |",
+        " | closure, held-out run | inexpressible | law found |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for rig in [*dict.fromkeys(o.rig for o in outcomes), "all"]:
@@ -201,23 +202,30 @@ def page(outcomes: Sequence[Outcome]) -> str:
     """Return the page of a study."""
     have, lack = (sum(o.expressible == kind for o in outcomes) for kind in (True, False))
     of = [sum(c.expressible == kind for c in cases()) for kind in (True, False)]
+    quiet = sum(o.rightly_unknown for o in outcomes)
     rows = [
         f"| {o.case} | {o.kind} | {', '.join(o.named)} | {law} | {_cell(o)} |"
         for o in outcomes
+        if not o.rightly_unknown
         for law in [f"`{o.formula}` at {o.port}" if o.formula else ""]
     ]
     missing = {c.rig.name for c in cases()} - {o.rig for o in outcomes}
     return "\n".join(
         [
             _HEAD.format(have=have, lack=lack, of=of),
-            *([f"Not gone through yet: {', '.join(sorted(missing))}.", ""] if missing else []),
+            *([f"Not diagnosed yet: {', '.join(sorted(missing))}.", ""] if missing else []),
             table(outcomes),
             "",
+            _TERMS,
             "## Case by case",
+            "",
+            f"Without an equation: *unknown*, without a law, in {quiet} of {lack} cases; the others are listed.",
             "",
             "| case | verdict | effects named | law found | |",
             "|---|---|---|---|---|",
             *rows,
+            "",
+            "Next: [how good it is](quality.md).",
             "",
         ]
     )

@@ -1,10 +1,11 @@
-"""Every wrong input of `cases.py` ends with exit code 2 and the line that `docs/errors.md` has for it.
+"""Every wrong input of `cases.py` ends with exit code 2 and the line that `docs/errors.csv` has for it.
 
-`FMUID_WRITE_ERRORS=1 pytest tests/errors` writes the page anew; read it before you commit it.
+`FMUID_WRITE_ERRORS=1 pytest tests/errors` writes the catalogue again; read it before you commit it.
 """
 
 from __future__ import annotations
 
+import csv
 import os
 import shlex
 import shutil
@@ -22,14 +23,8 @@ from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
 from tests.cli.conftest import TOML as CAMPAIGN
 
-PAGE = Path(__file__).parents[2] / "docs" / "errors.md"
-HEAD = """\
-# Errors
-
-Search this page for the line you got: it shows which input leads to it, and the line says what to do. Every error is one line
-on stderr (where, what, and what to do) with exit code 2, and nothing has been written. A test runs every command and makes
-and checks this page (`tests/errors`). An error that is more than one line, or a traceback, is a bug of fmuid's.
-"""
+CATALOGUE = Path(__file__).parents[2] / "docs" / "errors.csv"
+HEADER = ["group", "what is wrong", "fmuid command", "line"]
 TOML = CAMPAIGN.format(fmu="../Oscillator.fmu").replace('"bench"\n', '"bench"\nmake = "make bench"\n')
 TURNING = """\
 model Turning
@@ -72,10 +67,9 @@ def seen(case: Case, template: Path, folder: Path, capfd: pytest.CaptureFixture[
     return err.removeprefix("fmuid: ").rstrip("\n").replace(f"{folder}/", "")
 
 
-def row(case: Case, line: str) -> str:
-    mark = "``" if "`" in line else "`"
-    cells = (case.what, f"`fmuid {case.command}`", f"{mark}{line}{mark}")
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+def recorded() -> list[list[str]]:
+    with CATALOGUE.open(newline="") as file:
+        return list(csv.reader(file))
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.what)
@@ -83,23 +77,20 @@ def test_a_wrong_input_is_one_line(
     case: Case, template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    found = row(case, seen(case, template, tmp_path, capfd))
+    row = [case.group, case.what, case.command, seen(case, template, tmp_path, capfd)]
     if "FMUID_WRITE_ERRORS" in os.environ:
-        write_page(case, found)
-    assert found in PAGE.read_text().splitlines()
+        write(case, row)
+    assert row in recorded()
 
 
-def write_page(case: Case, found: str) -> None:
-    if case is CASES[0]:
-        PAGE.write_text(HEAD)
-    if case is next(c for c in CASES if c.group == case.group):
-        heading = f"\n## {case.group}\n\n| what is wrong | seen by | the line |\n|---|---|---|\n"
-        PAGE.write_text(PAGE.read_text() + heading)
-    PAGE.write_text(f"{PAGE.read_text()}{found}\n")
+def write(case: Case, row: list[str]) -> None:
+    """Add a row to the catalogue; the first case starts it."""
+    with CATALOGUE.open("w" if case is CASES[0] else "a", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([HEADER, row] if case is CASES[0] else [row])
 
 
-def test_the_page_has_nothing_else() -> None:
-    text, _, _ = PAGE.read_text().partition("\n## Runs that are stopped")  # test_endings.py has those
-    assert text.startswith(HEAD)
-    assert sum(line.startswith("| ") and "`fmuid " in line for line in text.splitlines()) == len(CASES)
+def test_the_catalogue_has_nothing_else() -> None:
+    header, *rows = recorded()
+    assert header == HEADER
+    assert len(rows) == len(CASES)
     assert len({case.what for case in CASES}) == len(CASES) >= 40

@@ -1,4 +1,4 @@
-"""How runs end that are stopped, or that cannot succeed: the last section of `docs/errors.md` has the line of each."""
+"""How runs end that are stopped, or that cannot succeed: `docs/errors.md` has the line of each."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 from endings import ENDINGS, FMUID, Ending, run, shown
-from test_catalogue import PAGE
 
+PAGE = Path(__file__).parents[2] / "docs" / "errors.md"
 HEAD = """
 ## Runs that are stopped, or cannot succeed
 
@@ -38,11 +38,12 @@ def test_how_a_run_ends(ending: Ending, folder: Path) -> None:
     mark = "``" if "`" in line else "`"
     row = f"| {ending.what} | `{ending.program} {ending.command}` | {ending.code} | {mark}{line}{mark} |"
     if "FMUID_WRITE_ERRORS" in os.environ:
-        text = PAGE.read_text() + (HEAD if ending is ENDINGS[0] else "")
-        PAGE.write_text(f"{text}{row}\n")
+        before, _, after = PAGE.read_text().partition(HEAD)
+        rows, end = after[: after.index("\n\n")], after[after.index("\n\n") :]
+        PAGE.write_text(f"{before}{HEAD}{'' if ending is ENDINGS[0] else rows + chr(10)}{row}{end}")
     assert row in PAGE.read_text().splitlines()
 
 
 def test_the_page_has_no_other_endings() -> None:
     _, _, section = PAGE.read_text().partition(HEAD)
-    assert len(section.splitlines()) == len(ENDINGS)
+    assert len(section.partition("\n\n")[0].splitlines()) == len(ENDINGS)

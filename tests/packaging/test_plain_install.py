@@ -46,7 +46,9 @@ def test_an_fmu_is_identified_and_diagnosed_without_extras(tmp_path: Path) -> No
     assert (tmp_path / "run" / "report" / "index.html").is_file()
 
 
-@pytest.mark.parametrize("command", [["build", "M.mo", "M"], ["effects", "M.mo"], ["init", "M.csv", "--model", "M.mo"]])
+@pytest.mark.parametrize(
+    "command", [["build", "M.mo", "M"], ["effects", "M.mo"], ["init", "M.csv", "--model", "M.mo"]]
+)
 def test_what_needs_modelica_names_the_extra_to_install(tmp_path: Path, command: list[str]) -> None:
     (tmp_path / "M.mo").write_text("model M output Real x(start = 1, fixed = true); equation der(x) = -x; end M;")
     (tmp_path / "M.csv").write_text("time,x\n0,1\n0.1,0.9\n0.2,0.8\n")
