@@ -16,7 +16,6 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PLACES = ("*.md", "docs/**/*.md", "src/**/*.py", "fmu_build/**/*.py", "benchmarks/**/*.py", "campaigns/**/*.py")
 NOT_YET: tuple[str, ...] = (
-    "CHANGELOG.md",
     "benchmarks/abroad/__init__.py",
     "benchmarks/abroad/__main__.py",
     "benchmarks/abroad/blind.py",
