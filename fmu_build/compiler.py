@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Literal as Choice
 
 from fmu_build import algebra, algorithms, codegen, events, messages, start, unit_check
-from fmu_build.equations import Assertion, Equations, collect
+from fmu_build.equations import Assertion, Equations, collect, definable
 from fmu_build.flat_model import FlatModel
 from fmu_build.front.flatten import load
 from fmu_build.graph import SX, Graph, Substitution, key
@@ -87,6 +87,7 @@ def _translate(flat: FlatModel, scope: ModelScope) -> CompiledModel:
         equations.add(scope, algorithms.run(scope, section, initial=False))
     for section in flat.initial_algorithms:
         equations.initial += algorithms.run(scope, section, initial=True)
+    _check_discrete(scope, equations)
     equations.asserts += [Assertion(*found) for found in scope.functions.asserts]
     explicit = _initial_parameters(scope, equations)
     system = solved(scope, equations)
@@ -95,6 +96,21 @@ def _translate(flat: FlatModel, scope: ModelScope) -> CompiledModel:
     xs = [SX.sym(f"start({s.symbol.name()})") for s in system.reduced.states]
     conditions = start.initial_conditions(system, [*equations.initial, *system.reduced.invariants], xs)
     return _generate(system, equations, happenings, conditions, xs)
+
+
+def _check_discrete(scope: ModelScope, equations: Equations) -> None:
+    """Refuse equations that give a variable which changes at events only a value that changes between them."""
+    for equation in equations.discrete:
+        targets = definable(scope, equation)
+        values = [side for side in equation.sides or () if not any(key(side) == key(t) for t in targets)]
+        declared = scope.declared(targets[0]) if targets else None
+        if declared is None or not any(map(scope.is_continuous, values)):
+            continue
+        if not {declared.name, declared.variable.name} & scope.in_whens:
+            raise scope.flat.error(
+                f"'{declared.name}' changes at events only, but its value changes between them", equation.at,
+                "assign it in a when-equation",
+            )  # fmt: skip
 
 
 class _Unsolved(Exception):  # noqa: N818  (not an error)

@@ -357,10 +357,13 @@ class Evaluator:
         step = self.scalar(node.step) if node.step else 1
         if isinstance(start, SX) or isinstance(end, SX) or isinstance(step, SX):
             raise UnknownSizeError(next(b for b in (start, end, step) if isinstance(b, SX)))
+        if isinstance(start, bool) and isinstance(end, bool) and node.step is None:
+            items: tuple[Scalar, ...] = tuple(b for b in (False, True) if start <= b <= end)
+            return Array((len(items),), items)
         if step == 0:
             raise ValueError("a range with step 0")
         if all(isinstance(v, int) for v in (start, end, step)):
-            items: tuple[Scalar, ...] = tuple(range(int(start), int(end) + (1 if step > 0 else -1), int(step)))
+            items = tuple(range(int(start), int(end) + (1 if step > 0 else -1), int(step)))
         else:
             n = max(math.floor((end - start) / step * (1 + 1e-15)) + 1, 0)
             items = tuple(start + i * step for i in range(n))

@@ -184,6 +184,7 @@ class Formal:
     shape: tuple[Expression | None, ...] = ()
     default: Expression | None = None
     fields: tuple[Formal, ...] | None = None
+    literals: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -46,8 +46,8 @@ class ModelScope:
         self.graph = graph
         self.assigned = when_targets(flat.whens)  # variables that when-equations assign
         self.in_algorithms = targets(s for a in flat.algorithms for s in a.statements)
-        held = self.assigned | when_targets(s for a in flat.algorithms for s in a.statements)
-        self.declarations = Declarations(flat, held, structural)
+        self.in_whens = self.assigned | when_targets(s for a in flat.algorithms for s in a.statements)
+        self.declarations = Declarations(flat, self.in_whens, structural)
         self.parameters = Parameters(self.declarations)
         self.functions = Functions(flat)
         self.evaluate = Evaluator(flat, self, self.functions)

@@ -32,10 +32,11 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Literal(Node):
-    """A number, a truth value or a string; an enumeration literal is its ordinal, with its name."""
+    """A number, a truth value or a string; an enumeration's literal is its ordinal, with all literals' names."""
 
     value: bool | int | float | str
     name: str = ""
+    literals: tuple[str, ...] = ()
 
 
 class Part(NamedTuple):

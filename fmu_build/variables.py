@@ -15,6 +15,7 @@ from fmu_build.graph import SX, key
 from fmu_build.model import Type
 from fmu_build.syntax import Place, references
 
+_MOST = 2**31  # absolute value of an Integer
 _OF_TYPE, _NO_START = 1_000_000, 2_000_000  # ranks of start values
 Kind = Literal["constant", "parameter", "input", "discrete", "continuous"]
 
@@ -214,6 +215,14 @@ class Parameters:
         ]
         return Array(shape, tuple(items)) if shape else items[0]
 
+    def _checked(self, declared: Declared, value: float) -> float:
+        """Return a number as one of a declared type."""
+        if math.isnan(value):
+            raise self._flat.error(f"the value of '{declared.name}' is not a number", declared.at)
+        if declared.type == "Integer" and abs(value) > _MOST:
+            raise self._flat.error(f"integer overflow: '{declared.name}' would be {value}", declared.at)
+        return float(value) if declared.type == "Real" else value
+
     def _scalar(self, declared: Declared, value: Scalar, final: bool) -> Scalar:
         if isinstance(value, SX):
             value = algebra.fold(value)
@@ -232,10 +241,7 @@ class Parameters:
                 return value
             self.dependent.append((declared, value))
             return declared.symbol
-        if math.isnan(value):
-            raise self._flat.error(f"the value of '{declared.name}' is not a number", declared.at)
-        if declared.type == "Real":
-            value = float(value)
+        value = self._checked(declared, value)
         if declared.kind == "constant" or final:
             declared.kind = "constant"
             declared.symbol = value

@@ -10,7 +10,7 @@ from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import Connector, Equation, Origin
 from fmu_build.front.classes import ClassDef, ComponentDef, Modification
 from fmu_build.front.instances import NO_MOD, ClassRef, Instance, Slot, World
-from fmu_build.front.resolve import Absent, Env, Item, Many, NotInBusError, Resolver, Var
+from fmu_build.front.resolve import Absent, Env, Item, Many, NotInBusError, Resolver, Var, check_visible
 from fmu_build.syntax import All, Assert, Binary, Connect, Expression, Literal, Part, Place, Reference, Unary
 
 Element = tuple[str, tuple[int, ...]]  # variable and index
@@ -354,6 +354,7 @@ class _Path:
                                 fix=World.suggest(name, item.slots))  # fmt: skip
         if isinstance(slot.element, ClassDef):
             raise self._no_connector()
+        check_visible(slot, item.path or "", e.at)
         return self.walk(self._resolver.item(item, name), position + 1)
 
     def _no_connector(self) -> ModelicaError:

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from fmu_build import type_check
 from fmu_build.algebra import Array
 from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import Algorithm, Component, Connector, Equation, FlatModel, Origin, Variable
@@ -144,7 +145,7 @@ class _Flattener:
         variables = {v.name: self._variable(v) for v in self.order}
         components = {i.path or "": self._component(i) for i in self.tree}
         connectors = self._connectors()
-        return FlatModel(
+        flat = FlatModel(
             class_name=class_name,
             description=definition.description,
             variables=MappingProxyType(variables),
@@ -162,6 +163,8 @@ class _Flattener:
             files=tuple(sorted(self.world.library.used)),
             warnings=tuple(self.resolver.warnings),
         )
+        type_check.check(flat)
+        return flat
 
     # ---- the instance tree
 
@@ -293,7 +296,7 @@ class _Flattener:
         for condition, body in item.branches:
             if condition is None:
                 return body
-            if self.resolver.known(self.resolver.expr(condition, scope, env), condition.at):
+            if self.resolver.truth(self.resolver.expr(condition, scope, env), condition.at):
                 return body
         return ()
 

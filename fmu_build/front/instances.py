@@ -23,6 +23,7 @@ from fmu_build.front.classes import (
     Short,
 )
 from fmu_build.front.library import Library
+from fmu_build.front.restrictions import check_base, check_class
 from fmu_build.syntax import Expression, Literal, Node, Part, Place, Reference, Subscripted
 from fmu_build.syntax import Field as FieldOf
 
@@ -318,6 +319,7 @@ class Instance:
     def elaborate(self) -> None:
         """Inherit, and list the elements."""
         definition, world = self.definition, self.world
+        world.check(definition)
         if self.builtin or self.enumeration:
             return
         if world.depth > 200:
@@ -352,6 +354,7 @@ class Instance:
         for element in definition.elements:
             if isinstance(element, Extends):
                 base = self.world.find_class(self, element.type, extends=definition)
+                check_base(definition, base.definition, element)
                 written = modifier(element.modification, self)
                 self._inherit(base, merge(self.mod, merge(body, written, definition.name), definition.name))
             elif isinstance(element, ComponentDef) and element.name not in redeclared:
@@ -403,6 +406,8 @@ class Instance:
 
     def _check_modified(self) -> None:
         for name, mod in self.mod.subs.items():
+            if self.path and name in self.slots and self.slots[name].element.protected:
+                raise ModelicaError(f"'{name}' is protected in '{self.path}' and cannot be modified", where=mod.at)
             if name not in self.slots and not (self.builtin or self.enumeration):
                 if self.definition.loader is not None and self.definition.member(name):
                     continue
@@ -463,8 +468,15 @@ class World:
     def __init__(self, library: Library) -> None:
         self.library = library
         self.depth = 0
+        self._checked: set[ClassDef] = set()
         self._packages: dict[tuple[int, int], Instance] = {}
         self._imports: dict[tuple[int, str], ClassRef | Slot | Literal | None] = {}
+
+    def check(self, definition: ClassDef) -> None:
+        """Check a class, once, for what the specification forbids."""
+        if definition not in self._checked:
+            self._checked.add(definition)
+            check_class(definition)
 
     # ---- lookup
 
@@ -560,7 +572,9 @@ class World:
             return None
         declared = self.package(found, _NOWHERE).enumeration
         names = [n for n, _ in (declared.enumeration if declared is not None else None) or ()]
-        return Literal(_NOWHERE, names.index(literal) + 1, literal) if literal in names else None
+        if literal not in names:
+            return None
+        return Literal(_NOWHERE, names.index(literal) + 1, literal, tuple(names))
 
     def find_class(self, scope: Instance | None, name: Reference, extends: ClassDef | None = None) -> ClassRef:
         """Find a class by its name as written.

@@ -188,10 +188,13 @@ class Resolver:
         if component.outer and not component.inner:
             found = self._inner(root, name, component)
             if found is not None:
+                if slot.mod.value is not None or slot.mod.subs:
+                    raise ModelicaError(f"'{name}' is outer and cannot be modified", where=component.at,
+                                        fix="modify the inner one")  # fmt: skip
                 return found
         if component.condition is not None:
             condition = self.expr(component.condition, slot.scope, {})
-            if not self.known(condition, component.condition.at):
+            if not self.truth(condition, component.condition.at):
                 return ABSENT
         prefix = root.class_name if root.path is None else root.path
         path = f"{prefix}.{name}" if prefix else name
@@ -282,7 +285,7 @@ class Resolver:
             direction = next((p for p in ("input", "output") if p in root.prefixes), None)
         literals: tuple[str, ...] = ()
         if instance.enumeration is not None:
-            type_name, literals = "Integer", tuple(n for n, _ in instance.enumeration.enumeration or ())
+            type_name, literals = "Integer", literal_names(instance.enumeration)
         else:
             type_name = instance.builtin or "Real"
         for name, mod in attributes.subs.items():
@@ -368,6 +371,14 @@ class Resolver:
             raise ModelicaError(str(error), where=error.span or at) from None
         if any(isinstance(s, SX) for s in _scalars(value)):
             raise ModelicaError("this determines the structure, so it must be known at translation", where=at)
+        return value
+
+    def truth(self, condition: Expression, at: Place) -> bool:
+        """Value of a condition that determines the structure."""
+        value = self.known(condition, at)
+        if not isinstance(value, bool):
+            what = "a scalar number" if isinstance(value, int | float) else algebra.kind(value)
+            raise ModelicaError(f"a condition must be a Boolean scalar, not {what}", where=at)
         return value
 
     def maybe_known(self, expression: Expression) -> Value | None:
@@ -476,7 +487,7 @@ class Resolver:
         for condition, value in e.branches:
             test = self.expr(condition, scope, env)
             if isinstance(test, Literal):  # branches that are never chosen may be invalid
-                if test.value:
+                if self.truth(test, e.at):
                     if not branches:
                         return self.expr(value, scope, env)
                     return If(e.at, tuple(branches), self.expr(value, scope, env))
@@ -602,15 +613,14 @@ class Resolver:
         """Values that a loop variable takes."""
         if bounds is None:
             bounds = self._implied(name, body, scope, env)
-        if isinstance(bounds, Reference):
-            literals = self._enumeration_type(bounds, scope) if bounds.parts[0].name not in env else None
-            if literals is not None and bounds.name == "Boolean":
-                return [Literal(bounds.at, value) for value in (False, True)]
-            if literals is not None:
-                return [Literal(bounds.at, i + 1, n) for i, (n, _) in enumerate(literals)]
-        value = self.known(self.expr(bounds, scope, env), bounds.at)
-        items = value.items if isinstance(value, Array) else _scalars(value)
-        return [Literal(bounds.at, i) for i in items]  # type: ignore[arg-type]
+        if isinstance(bounds, Reference) and bounds.parts[0].name not in env:
+            bounds = self._type_range(bounds, scope) or bounds
+        flat = self.expr(bounds, scope, env)
+        value = self.known(flat, bounds.at)
+        if not isinstance(value, Array):
+            raise ModelicaError(f"the range of '{name}' is {algebra.kind(value)}, not an array", where=bounds.at)
+        literals = next((n.literals for n in walk(flat) if isinstance(n, Literal) and n.literals), ())
+        return [self.literal(i, bounds.at, literals) for i in value.items]  # type: ignore[misc]
 
     def _implied(self, name: str, body: Any, scope: Instance, env: Env) -> Expression:
         """Range of a loop without one: the size of the dimension that its variable indexes directly."""
@@ -620,10 +630,33 @@ class Resolver:
                     for position, subscript in enumerate(part.subscripts):
                         if isinstance(subscript, Reference) and subscript.name == name:
                             array = Reference(node.at, (*node.parts[:k], Part(part.name)), node.rooted)
+                            named = self._dimension_range(array, position, scope, env)
+                            if named is not None:
+                                return named
                             size = Call(node.at, "size", (array, Literal(node.at, position + 1)))
                             return Range(node.at, Literal(node.at, 1), None, size)
         at = body.at if hasattr(body, "at") else body[0].at
         raise ModelicaError(f"loop variable '{name}' has no range, and does not index an array directly", where=at)
+
+    def _dimension_range(self, array: Reference, position: int, scope: Instance, env: Env) -> Range | None:
+        """Range of a dimension that Booleans or an enumeration count; None if numbers do."""
+        found = None if array.parts[0].name in env else self.world.find(scope, array.parts[0].name, array.rooted)
+        if len(array.parts) > 1 or not isinstance(found, Slot) or not isinstance(found.element, ComponentDef):
+            return None
+        subscripts = found.effective().element.subscripts
+        subscript = subscripts[position] if position < len(subscripts) else None
+        return self._type_range(subscript, found.scope) if isinstance(subscript, Reference) else None
+
+    def _type_range(self, name: Reference, scope: Instance) -> Range | None:
+        """Range of all values of Boolean or of an enumeration; None for the name of anything else."""
+        literals = self._enumeration_type(name, scope)
+        if literals is None:
+            return None
+        if name.name == "Boolean":
+            return Range(name.at, Literal(name.at, False), None, Literal(name.at, True))
+        names = tuple(n for n, _ in literals)
+        first, last = (Literal(name.at, i, names[i - 1], names) for i in (1, len(names)))
+        return Range(name.at, first, None, last)
 
     # ---- references
 
@@ -645,21 +678,38 @@ class Resolver:
                 fix=self.world.absent(e.name) if len(e.parts) > 1 else World.suggest(first.name, scope.root.slots),
             )  # fmt: skip
         position = 0
+        if isinstance(found, Slot) and isinstance(found.element, ComponentDef):
+            if found.scope.root.function:
+                return self._local(e, scope, env)
+            self._check_use(found, e, scope)
         while isinstance(found, ClassRef) or not isinstance(found.element, ComponentDef):
             position += 1
-            if position >= len(e.parts):
-                raise ModelicaError(f"'{e.name}' is a class, not a variable", where=e.at)
             member = self._member(found, e, position)
             if isinstance(member, Literal):
                 return member
             found = member
         root = found.scope.root
-        if root.function and position == 0:
-            return self._local(e, scope, env)
         return _Path(self, e, scope, env).walk(self.item(root, found.name), position)
+
+    def _check_use(self, found: Slot, e: Reference, scope: Instance) -> None:
+        """Refuse variables of a class around that of the expression, and conditional components."""
+        declared = found.effective().element
+        assert isinstance(declared, ComponentDef)
+        around = found.scope.root is not scope.root and found.scope.root.path is not None
+        if around and not (declared.outer or "constant" in declared.prefixes):
+            raise ModelicaError(
+                f"'{found.name}' belongs to the class around this one and is not constant", where=e.at,
+                fix="pass it as a parameter, or declare it inner and outer",
+            )  # fmt: skip
+        if declared.condition is not None and found.scope.root is scope.root:
+            raise ModelicaError(
+                f"'{found.name}' is conditional, so it may only be used in connections", where=e.at
+            )
 
     def _member(self, found: Slot | ClassRef, e: Reference, position: int) -> Slot | Literal:
         """Element of a package, or literal of an enumeration, that a part of a reference names."""
+        if position >= len(e.parts):
+            raise ModelicaError(f"'{e.name}' is a class, not a variable", where=e.at)
         package = self.world.package(found, e.at)
         name = e.parts[position].name
         if package.enumeration is not None:
@@ -667,13 +717,14 @@ class Resolver:
             if name not in names:
                 raise ModelicaError(f"'{package.class_name}' has no literal '{name}'", where=e.at,
                                     fix=World.suggest(name, names))  # fmt: skip
-            return Literal(e.at, names.index(name) + 1, name)
+            return Literal(e.at, names.index(name) + 1, name, tuple(names))
         member = package.slot(name)
         if member is None:
             raise ModelicaError(
                 f"'{'.'.join(p.name for p in e.parts[:position])}' has no '{name}'", where=e.at,
                 fix=World.suggest(name, package.slots),
             )  # fmt: skip
+        check_visible(member, package.class_name, e.at)
         return member
 
     def _local(self, e: Reference, scope: Instance, env: Env) -> Reference:
@@ -684,18 +735,21 @@ class Resolver:
         """Value of a constant of a package, as literals."""
         if var.name not in self._constants:
             value = self.value(var)
-            self._constants[var.name] = self.literal(value, var.at)
+            self._constants[var.name] = self.literal(value, var.at, var.literals)
         return self._constants[var.name]
 
-    def literal(self, value: Value, at: Place) -> Expression:
-        """Make literals of a value."""
+    def literal(self, value: Value, at: Place, literals: tuple[str, ...] = ()) -> Expression:
+        """Make literals of a value, which are of an enumeration if there are names of `literals`."""
         if isinstance(value, Array):
             if not value.shape:
-                return self.literal(value.items[0], at)
+                return self.literal(value.items[0], at, literals)
             inner = value.shape[1:]
             n = math.prod(inner)
             rows = [value.items[i * n : (i + 1) * n] for i in range(value.shape[0])]
-            return ArrayOf(at, tuple(self.literal(Array(inner, row) if inner else row[0], at) for row in rows))
+            items = (Array(inner, row) if inner else row[0] for row in rows)
+            return ArrayOf(at, tuple(self.literal(item, at, literals) for item in items))
+        if literals and isinstance(value, int) and 1 <= value <= len(literals):
+            return Literal(at, value, literals[value - 1], literals)
         if isinstance(value, bool | int | float | str):
             return Literal(at, value)
         raise ModelicaError("the value of this constant is not known", where=at)
@@ -933,7 +987,7 @@ class Resolver:
             raise ModelicaError(
                 f"'{name}' of '{ref.definition.path}' is not supported in a function", where=component.at
             )
-        return Formal(name, component.at, type_name, shape, default, fields)
+        return Formal(name, component.at, type_name, shape, default, fields, literal_names(instance.enumeration))
 
     def _size(self, subscript: Expression, scope: Instance) -> Expression:
         if isinstance(subscript, Reference):
@@ -1047,7 +1101,7 @@ class Resolver:
         for condition, body in s.branches:
             test = None if condition is None else self.expr(condition, scope, env)
             if isinstance(test, Literal):
-                if not test.value:
+                if not self.truth(test, s.at):
                     continue
                 test = None
             branches.append((test, body))
@@ -1061,9 +1115,7 @@ class Resolver:
         for name, bounds in s.iterators:
             found = self._implied(name, s.body, scope, env) if bounds is None else bounds
             if isinstance(found, Reference) and found.parts[0].name not in inner:
-                literals = self._enumeration_type(found, scope)
-                if literals is not None:
-                    found = Range(found.at, Literal(found.at, 1), None, Literal(found.at, len(literals)))
+                found = self._type_range(found, scope) or found
             iterators.append((name, self.expr(found, scope, inner)))
             inner[name] = None
         return ForStatement(s.at, tuple(iterators), self.statements(s.body, scope, inner))
@@ -1145,6 +1197,7 @@ class _Path:
             raise ModelicaError(f"'{item.path}' has no '{name}'", where=e.at, fix=World.suggest(name, item.slots))
         if isinstance(slot.element, ClassDef):
             raise ModelicaError(f"'{e.name}' is a class, not a variable", where=e.at)
+        check_visible(slot, item.path or "", e.at)
         return self.walk(resolver.item(item, name), position + 1)
 
     def _slice(self, many: Many, position: int) -> Any:
@@ -1263,6 +1316,17 @@ def _in_package(instance: Instance) -> bool:
             return True
         owner = owner.root.owner
     return False
+
+
+def literal_names(enumeration: ClassDef | None) -> tuple[str, ...]:
+    """Names of the literals of an enumeration."""
+    return tuple(n for n, _ in (enumeration.enumeration if enumeration is not None else None) or ())
+
+
+def check_visible(slot: Slot, owner: str, at: Place) -> None:
+    """Refuse a protected element that is named from outside."""
+    if slot.element.protected:
+        raise ModelicaError(f"'{slot.name}' is protected in '{owner}'", where=at)
 
 
 def _has_local(tree: Any, env: Env) -> bool:

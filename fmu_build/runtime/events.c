@@ -191,13 +191,13 @@ Status event_iteration(Instance *me, int initial) {
         if (status > STATUS_WARNING) return status;
         s->next_event = update.next_event;
         if (update.terminate != 0.0) s->terminate = 1;
-        if (initial) return STATUS_OK;
+        if (initial) return whole_numbers(me);
         status = update_sensitivities(me, update.reinit != 0.0);
         if (status > STATUS_WARNING) return status;
         const int again = !same(s->z, s->pz, NZ) || update.reinit != 0.0;
         memcpy(s->pz, s->z, sizeof s->z);
         if (update.reinit != 0.0) memcpy(s->x, update.x, NX * sizeof *s->x);
-        if (!again) return STATUS_OK;
+        if (!again) return whole_numbers(me);
     }
     return report(me, STATUS_ERROR, "t = %.9g: the event iteration does not end", s->t);
 }

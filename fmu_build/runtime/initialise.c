@@ -182,6 +182,7 @@ Status initialise(Instance *me) {
             static const char *const name[] = MODEL_X_NAME;
             status = report(me, STATUS_ERROR, "t = %.9g: the start value of %s is not finite", s->t, name[i]);
         }
+    if (status <= STATUS_WARNING) status = whole_numbers(me);
     if (status <= STATUS_WARNING) s->initialised = 1;
     return status;
 }

@@ -156,6 +156,7 @@ void relations(Instance *me, double t, const double *x, const double *u, double 
 int relations_for_input(Instance *me, double *kept);
 int event_indicators(Instance *me, double *g);
 Status event_iteration(Instance *me, int initial);
+Status whole_numbers(const Instance *me);
 void find_event(Instance *me, double from, double to, int samples);
 void watch_chattering(Instance *me);
 

@@ -21,6 +21,18 @@ Status report(const Instance *me, Status status, const char *format, ...) {
     return status;
 }
 
+/* Integers have 32 bits, but are calculated as doubles. */
+Status whole_numbers(const Instance *me) {
+    for (int i = 0; i < MODEL_N_VARIABLES; i++) {
+        const VariableEntry *entry = &VARIABLE[i];
+        if (entry->type != TYPE_INTEGER || (entry->vector != VECTOR_Z && entry->vector != VECTOR_D)) continue;
+        const double value = (entry->vector == VECTOR_Z ? me->s.z : me->s.d)[entry->index];
+        if (!(fabs(value) <= 2147483648.0))
+            return report(me, STATUS_ERROR, "t = %.9g: integer overflow: %s would be %.9g", me->s.t, entry->name, value);
+    }
+    return STATUS_OK;
+}
+
 /* Brings what `vector` holds up to date at the current point. */
 static Status refresh(Instance *me, Vector vector) {
     State *s = &me->s;

@@ -156,3 +156,12 @@ def test_a_format_that_is_none_is_refused(tmp_path):
     )
     with pytest.raises(ModelicaError, match=r"M\.mo:2: the format 's'"):
         compile_modelica(tmp_path / "M.mo", "M")
+
+
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+def test_an_integer_overflow_ends_the_simulation(simulate, kind):
+    text = "Integer n(start = 1, fixed = true); Real y = n; equation when sample(0.1, 0.1) then n = 10*pre(n); end when;"
+    messages: list[str] = []
+    with pytest.raises(Exception, match="fmi2"):
+        simulate(text, ["y"], fmi_type=kind, logger=lambda *m: messages.append(m[-1].decode()))
+    assert messages[0] == "t = 1: integer overflow: n would be 1e+10"

@@ -164,11 +164,7 @@ package Language "What of Modelica is translated"
     replaceable model Law = Linear;
     Law law;
     parameter Boolean extra = false;
-    Real loss if extra;
-  equation
-    if extra then
-      loss = 2*law.y;
-    end if;
+    Real loss = 2*law.y if extra;
   end Base;
 
   model Linear
