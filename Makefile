@@ -35,7 +35,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility identify-temperature-lab paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind designed-experiments blind-abroad rehearse-abroad discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example screenshots docs clean
+.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility identify-temperature-lab paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind designed-experiments blind-abroad rehearse-abroad discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example screenshots docs release clean
 all: identify
 
 setup: $(READY)
@@ -275,6 +275,11 @@ screenshots: $(DEVELOPER)
 docs: $(READY)
 	$(PIP) --editable ".[build,docs]"
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+# Checks the version, changelog and pages, runs CHECKS, builds sdist and wheel in dist/, tries the wheel and tags the commit.
+CHECKS ?= test docs
+release: $(READY)
+	CHECKS="$(CHECKS)" PYTHON=$(PYTHON) .ci/release
 
 clean:
 	rm -rf build runs $(VENV)
