@@ -7,7 +7,7 @@ from setuptools import Extension, setup
 
 FOLDER = "src/fmuid/simulation"
 SOURCES = ("stepper.c", "model_exchange.c", "coupled/master.c")
-EXPORTED = ("run", "run_coupled", "plan_size", "clear_log", "read_log", "log_fmi2", "log_fmi3")
+EXPORTED = ("run", "run_coupled", "plan_size", "clear_log", "read_log", "log_fmi2", "log_fmi3", "reads_after")
 
 setup(
     ext_modules=[

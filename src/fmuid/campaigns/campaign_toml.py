@@ -30,6 +30,7 @@ from fmuid.core.campaign import (
     Prior,
     RobotSpec,
     StageSpec,
+    Timing,
 )
 from fmuid.core.errors import CampaignError, MeasurementsError, ProblemError
 from fmuid.core.experiments import Causality, Measurements, Outliers, Signal
@@ -57,7 +58,8 @@ class _CampaignTable(Table):
 class _ModelTable(CoupledTable):
     map: dict[str, str] = {}
     initial: dict[str, Any] = {}
-    interpolation: Literal["hold", "linear", "preceding"] = "hold"
+    interpolation: Literal["hold", "linear", "preceding"] | None = None
+    timing: Literal["held", "linear", "held-read-after", "preceding"] | None = None
     interface: Literal["co-simulation", "model exchange"] | None = None
     source: str = ""
     class_: str = msgspec.field(name="class", default="")
@@ -125,6 +127,8 @@ class _SignalTable(Table):
     order: int = 1
     causality: Literal["input", "output"] = "input"
     filter: float | None = None
+    timing: Literal["held", "linear", "held-read-after"] | None = None
+    shift: float = 0.0
 
 
 class _ParetoTable(Table):
@@ -232,7 +236,7 @@ def load_campaign(
     outliers: tuple[Outliers, ...] = ()
     if head.outliers == "leave_out":
         recorded, outliers = without_outliers(recorded)
-    recorded, filters = _signals(document.signals, recorded, str(file))
+    recorded, filters, timings = _signals(document.signals, recorded, str(file))
     parameters = {n: _parameter(n, t, f"{file} [parameters.{n}]") for n, t in document.parameters.items()}
     if not planned and measurements is None:
         _check_owners(parameters, recorded, str(file))
@@ -280,6 +284,7 @@ def load_campaign(
         robot=_robot(document.robot, folder, parameters, f"{file} [robot]"),
         published=frozen_mapping(document.published),
         filters=frozen_mapping(filters),
+        timings=frozen_mapping(timings),
         outliers=outliers,
         trusted=trust,
         file=file,
@@ -319,41 +324,73 @@ def _have_every_run_judged(document: _Document, recorded: Measurements) -> None:
 
 def _signals(
     raw: Mapping[str, _Table], recorded: Measurements, file: str
-) -> tuple[Measurements, dict[str, float]]:
-    """Return the measurements with derived signals and filtered inputs, and the filters of outputs."""
+) -> tuple[Measurements, dict[str, float], dict[str, Timing]]:
+    """Return the measurements with derived, shifted and filtered signals, the filters of outputs, and timings."""
     filters: dict[str, float] = {}
+    timings: dict[str, Timing] = {}
     experiments = dict(recorded.experiments)
     for name, entry in raw.items():
         where = f"{file} [signals.{name}]"
         table = convert(entry, _SignalTable, where)
         source = table.derivative_of or name
         known = dict.fromkeys(n for e in experiments.values() for n in e.signals)
-        if source not in known:
-            raise CampaignError(f"'{source}' is not measured", where=where, fix=suggestion(source, known))
-        if table.derivative_of is not None and name in known:
-            raise CampaignError("is measured already", where=where, fix="give the derivative another name")
-        if table.order not in (1, 2) or (table.derivative_of is None and table.order != 1):
-            raise CampaignError(f"order is {table.order}", where=where, fix="write 1, or 2 beside derivative_of")
-        if table.filter is not None and not (math.isfinite(table.filter) and table.filter > 0):
-            raise CampaignError(f"filter is {table.filter:g}", where=where, fix="write a frequency in Hz")
+        _check_signal_table(name, table, known, where)
         for experiment in [e for e in experiments.values() if source in e.signals]:
             signal = experiment.signals[source]
             causality = signal.causality if table.derivative_of is None else table.causality
             if causality == "output" and table.filter is not None:
-                filters[name] = table.filter
-            if table.derivative_of is None and causality == "output":
-                continue  # filtered with its prediction
+                filters[name] = table.filter  # applied to measurement and prediction
+            if table.timing is not None:
+                timings[name] = _signal_timing(table.timing, causality, where)
             try:
-                made = _derived(experiment.time, signal, name, causality, table)
+                made = _derived(experiment.time, _shifted(experiment.time, signal, table), name, causality, table)
             except MeasurementsError as error:
                 raise CampaignError(f"{error.what} in run '{experiment.id}'", where=where, fix=error.fix) from None
             signals = dict(experiment.signals) | {name: made}
             experiments[experiment.id] = replace(experiment, signals=signals)
-    return replace(recorded, experiments=experiments), filters
+    return replace(recorded, experiments=experiments), filters, timings
+
+
+def _check_signal_table(name: str, table: _SignalTable, known: Collection[str], where: str) -> None:
+    source = table.derivative_of or name
+    if source not in known:
+        raise CampaignError(f"'{source}' is not measured", where=where, fix=suggestion(source, known))
+    if table.derivative_of is not None and name in known:
+        raise CampaignError("is measured already", where=where, fix="give the derivative another name")
+    if table.order not in (1, 2) or (table.derivative_of is None and table.order != 1):
+        raise CampaignError(f"order is {table.order}", where=where, fix="write 1, or 2 beside derivative_of")
+    if table.filter is not None and not (math.isfinite(table.filter) and table.filter > 0):
+        raise CampaignError(f"filter is {table.filter:g}", where=where, fix="write a frequency in Hz")
+
+
+def _signal_timing(timing: Timing, causality: Causality, where: str) -> Timing:
+    known = ("held", "linear") if causality == "input" else ("held", "held-read-after")
+    if timing not in known:
+        what = f"timing is '{timing}', which {causality}s cannot have"
+        raise CampaignError(what, where=where, fix=f"choose {' or '.join(known)}")
+    return timing
+
+
+def _shifted(time: FloatArray, signal: Signal, table: _SignalTable) -> Signal:
+    """Return a signal whose samples belong `shift` seconds later, interpolated at the times of the run."""
+    shift = table.shift
+    if shift == 0.0:
+        return signal
+    if not abs(shift) < float(time[-1] - time[0]):
+        raise MeasurementsError(f"shift is {shift:g} s, longer than the run", fix="write seconds")
+    known = np.isfinite(signal.values)
+    times, values = time[known] + shift, signal.values[known]
+    moved = np.interp(time, times, values)
+    if signal.causality == "output":
+        moved[~known | (time < times[0]) | (time > times[-1])] = np.nan
+    note = f"shifted by {shift:g} s"
+    return replace(signal, values=moved, resampled="; ".join(filter(None, [signal.resampled, note])))
 
 
 def _derived(time: FloatArray, signal: Signal, name: str, causality: Causality, table: _SignalTable) -> Signal:
     values, unit = signal.values, signal.unit
+    if table.derivative_of is None and (causality == "output" or table.filter is None):
+        return signal
     if table.filter is not None and causality == "input":
         values = LowPass(table.filter)(time, values)
     if table.derivative_of is not None:
@@ -463,12 +500,19 @@ def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
         fmu=folder / (table.fmu or "+".join(table.fmus)),
         map=frozen_mapping(table.map),
         initial=frozen_mapping(numbers(table.initial, f"{where} initial")),
-        interpolation=table.interpolation,
+        timing=_timing(table, where),
         coupling=coupling,
         interface=table.interface,
         source=source,
         signal_effects=tuple(table.signal_effects),
     )
+
+
+def _timing(table: _ModelTable, where: str) -> Timing:
+    if table.timing is not None and table.interpolation is not None:
+        raise CampaignError("has timing and interpolation", where=where, fix="remove interpolation")
+    old: dict[str | None, Timing] = {"hold": "held", "linear": "linear", "preceding": "preceding", None: "held"}
+    return table.timing or old[table.interpolation]
 
 
 def _source(table: _ModelTable, folder: Path, where: str) -> ModelSource | None:

@@ -14,7 +14,7 @@ import numpy as np
 from fmu_build.suggest import known_names, suggestion
 from fmuid.campaigns.campaign_toml import FILE_NAME, load_campaign
 from fmuid.campaigns.first_choice import FirstChoice, first_choice, runs_away, solver_error
-from fmuid.core.campaign import Interface, ModelSource
+from fmuid.core.campaign import Interface, ModelSource, Timing
 from fmuid.core.errors import CampaignError, FmuidError, MeasurementsError, UnitError
 from fmuid.core.experiments import Experiment, Measurements
 from fmuid.core.files import check_folder, path_from, write_atomically
@@ -34,6 +34,11 @@ from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.segmented import Growth
 from fmuid.simulation.simulator import Variable
 
+_TIMINGS = {
+    "held": "inputs are held between their samples",
+    "linear": "inputs are linear between their samples",
+    "held-read-after": "inputs are held between their samples, and outputs are read just after they act",
+}
 _MAX_NAMES = 8  # fixed parameters named in one line
 
 
@@ -254,10 +259,13 @@ def _for_identification(runs: Mapping[str, Experiment]) -> list[Experiment]:
 
 
 def _choice_lines(choice: FirstChoice, driven: bool) -> list[str]:
-    lines = ["inputs are held between their samples"] if driven else []
-    if choice.interpolation == "linear":
-        worse = f"held inputs explain the runs {choice.gain:.2g} times worse"
-        lines = [f"inputs are linear between their samples; {worse}"]
+    timing = choice.timing
+    lines = [_TIMINGS[timing.timing]] if driven else []
+    if timing.timing != "held":
+        lines[0] += f"; held inputs explain the runs {timing.worse:.2g} times worse"
+    if timing.signals:
+        lines.append(f"read before the inputs act: {', '.join(timing.signals)}")
+    lines += map(str, choice.lost)
     lines.append(f"free parameters: {', '.join(v.name for v in choice.free)}")
     for reason, variables in choice.held.items():
         names = [v.name for v in variables]
@@ -311,14 +319,16 @@ def _toml(
         f"[models.{toml_text(setup)}]",
         *named,
         f"map = {{ {renamed} }}" if renamed else "map = {}",
-        "# Inputs between samples: hold, linear, or preceding (a sample acts from the time of the previous one).",
-        f"interpolation = {toml_text(choice.interpolation)}",
+        "# Inputs are held until the next sample, and outputs are read before an input acts (held) or after it",
+        "# (held-read-after); or linear between samples, or held since the preceding one (preceding).",
+        f"timing = {toml_text(choice.timing.timing)}",
         *(
             ["# Simulated with fmuid's solver, not the FMU's.", f"interface = {toml_text(interface)}"]
             if interface
             else []
         ),
         "",
+        *_signal_lines(mapping, choice.timing.signals),
         "# Parameters: start and bounds in the FMU's unit. Narrow the bounds to what you know.",
     ]
     for variable in choice.free:
@@ -346,6 +356,14 @@ def _toml(
         "",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _signal_lines(mapping: Mapping[str, str], timings: Mapping[str, Timing]) -> list[str]:
+    lines: list[str] = []
+    for variable, timing in timings.items():
+        name = next((n for n, v in mapping.items() if v == variable), variable)
+        lines += [f"[signals.{toml_text(name)}]", f"timing = {toml_text(timing)}", ""]
+    return lines
 
 
 def _parameter_lines(variable: Variable) -> list[str]:

@@ -14,7 +14,7 @@ from fmuid.core.experiments import Measurements, Outliers
 from fmuid.core.immutable import frozen_mapping
 
 Interpolation = Literal["hold", "linear"]
-Sampling = Literal["hold", "linear", "preceding"]
+Timing = Literal["held", "linear", "held-read-after", "preceding"]
 Interface = Literal["co-simulation", "model exchange"]
 SEPARATOR = "@"  # "offset@run_3" is the parameter `offset` as it is in experiment run_3
 
@@ -58,7 +58,8 @@ class ModelSpec:
     `map` translates names of measured signals, settings and parameters to FMU variables; a name that is not in it
     is looked up as it is. A signal mapped to ``gradient(v)`` is compared with the central difference of the FMU's
     `v` over the samples, as a differentiated encoder measures it. `initial` contains start values by FMU variable.
-    `interpolation` says when input sample k acts: ``hold`` on [t_k, t_{k+1}), ``linear`` between the samples,
+    `timing` says when input sample k acts and when outputs are read: ``held`` on [t_k, t_{k+1}), outputs just
+    before it acts; ``held-read-after`` the same, but outputs just after it acts; ``linear`` between the samples;
     ``preceding`` on (t_{k-1}, t_k] (a recorder that writes a row after each step).
 
     `interface` says how the FMU is simulated: ``co-simulation`` (with the solver inside it) or ``model exchange``
@@ -73,7 +74,7 @@ class ModelSpec:
     fmu: Path
     map: Mapping[str, str] = field(default_factory=dict)
     initial: Mapping[str, float] = field(default_factory=dict)
-    interpolation: Sampling = "hold"
+    timing: Timing = "held"
     coupling: Coupling | None = None
     interface: Interface | None = None
     source: ModelSource | None = None
@@ -422,6 +423,9 @@ class Campaign:
     filters
         Cut-off frequency (Hz) by signal, of a zero-phase low-pass that is applied to the measured and the
         simulated output before they are compared.
+    timings
+        Timing of single signals that differ from their model's: ``held`` or ``linear`` for inputs, ``held`` or
+        ``held-read-after`` for outputs.
     outliers
         Outliers in the recording; they are missing samples in `measurements`.
     trusted
@@ -443,6 +447,7 @@ class Campaign:
     robot: RobotSpec | None = None
     published: Mapping[str, Any] = field(default_factory=dict)
     filters: Mapping[str, float] = field(default_factory=dict)
+    timings: Mapping[str, Timing] = field(default_factory=dict)
     outliers: tuple[Outliers, ...] = ()
     trusted: bool = False
     file: Path | None = None

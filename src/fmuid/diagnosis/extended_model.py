@@ -363,7 +363,7 @@ def _task(want: _Wanted, disturbed: Disturbed | None) -> Task:
         # A line from zero begins at the sample before.
         shared = (want.index, max(0, min(begins) - bool(linear))) if begins else None
     inputs = {**task.inputs, **disturbed.inputs}
-    return replace(task, time=disturbed.time, inputs=inputs, linear=linear, shared=shared)
+    return replace(task, time=disturbed.time, inputs=inputs, linear=(*task.linear, *linear), shared=shared)
 
 
 def _disturbed(

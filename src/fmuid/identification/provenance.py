@@ -27,7 +27,8 @@ def fingerprint(problem: Problem, solver: Solver, options: Mapping[str, Any], se
         simulator = case.simulator
         digest.update(str(getattr(simulator, "token", type(simulator).__qualname__)).encode())
         task = case.task
-        digest.update(repr((case.id, task.outputs, dict(task.start_values), task.interpolation)).encode())
+        how = (task.interpolation, task.linear, task.after)
+        digest.update(repr((case.id, task.outputs, dict(task.start_values), *how)).encode())
         for array in (task.time, *task.inputs.values(), *(c.repeats for c in case.channels)):
             digest.update(np.ascontiguousarray(array).tobytes())
         means = {channel.signal: np.nan_to_num(channel.mean) for channel in case.channels}

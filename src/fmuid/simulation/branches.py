@@ -24,7 +24,7 @@ _Key = tuple[object, ...]
 class _Branch:
     """A state of the FMU at a sample, and what led to it.
 
-    `inputs` are (sample, number of inputs), `outputs` (number of outputs, sample + 1).
+    `inputs` are those up to the sample, (n, number of inputs), `outputs` (number of outputs, sample + 1).
     """
 
     sample: int
@@ -48,16 +48,17 @@ class Branches:
         if task.shared is None:
             return None
         plan.from_state, plan.kept, plan.branch = None, None, -1
-        branch = task.shared[1]
+        act = bool(task.after)  # inputs of a sample have then acted when the state is kept
+        branch = task.shared[1] - act
         able = all(prepared.library.functions[FUNCTIONS.index(name)] for name in _NEEDED)
-        if branch == 0 or not able or plan.n_times < len(task.time) or plan.n_directions:
+        if branch <= 0 or not able or plan.n_times < len(task.time) or plan.n_directions:
             return None  # the first inputs act in the initialisation, too
         key, begun = _key(prepared), 0
         known = self._known.get(key)
         if (
             known is not None
             and known.sample <= branch
-            and np.array_equal(known.inputs, prepared.inputs[: known.sample])
+            and np.array_equal(known.inputs, prepared.inputs[: known.sample + act])
         ):
             begun = known.sample
             outputs[:, : begun + 1] = known.outputs
@@ -76,7 +77,8 @@ class Branches:
             return
         if key in self._known or len(self._known) == _MOST:
             self._forget(plan.instance, prepared.library, key if key in self._known else next(iter(self._known)))
-        inputs, before = prepared.inputs[: plan.branch].copy(), outputs[:, : plan.branch + 1].copy()
+        inputs = prepared.inputs[: plan.branch + bool(prepared.task.after)].copy()
+        before = outputs[:, : plan.branch + 1].copy()
         self._known[key] = _Branch(plan.branch, plan.kept, inputs, before)
 
     def clear(self, instance: int | None, library: FmuLibrary | None) -> None:
@@ -94,7 +96,7 @@ class Branches:
 def _key(prepared: PreparedTask) -> _Key:
     task = prepared.task
     assert task.shared is not None
-    names = tuple(task.inputs), task.linear, task.outputs, prepared.names, tuple(task.start_values)
+    names = tuple(task.inputs), task.linear, task.outputs, task.after, prepared.names, tuple(task.start_values)
     return (
         task.shared[0],
         names,

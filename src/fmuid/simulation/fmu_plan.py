@@ -18,7 +18,7 @@ from fmuid.simulation.fmu_description import FmuDescription
 from fmuid.simulation.fmu_library import FmuLibrary
 from fmuid.simulation.fmu_variables import Slot
 from fmuid.simulation.simulator import Feedback, Task, Variable
-from fmuid.simulation.stepper import DTYPES, FUNCTIONS, SAMPLES, Group, Plan
+from fmuid.simulation.stepper import DTYPES, FUNCTIONS, SAMPLES, Group, Plan, require_reading_after
 
 UNKNOWN_TOLERANCE = 1e-6  # for FMUs that suggest none
 _MAX_PREPARED = 64 * 2**20  # bytes of prepared tasks kept in memory; the oldest is dropped first
@@ -95,7 +95,9 @@ class PreparedTask:
         plan.row = self._pointer(np.zeros(max(inputs.shape[1], len(task.outputs), 1)))
         plan.n_start_groups, plan.start_groups = self._groups([*back, *fixed, *names], "Set")
         plan.n_input_groups, plan.input_groups = self._groups(list(task.inputs), "Set")
-        plan.n_output_groups, plan.output_groups = self._groups(list(task.outputs), "Get")
+        plan.n_output_groups, plan.output_groups = self._groups(list(task.outputs), "Get", after=task.after)
+        if task.after:
+            require_reading_after()
         if task.feedback is not None:
             self._feed_back(task.feedback)
         if task.along:
@@ -157,21 +159,26 @@ class PreparedTask:
     def _pointer(self, array: NDArray[Any]) -> int:
         return _pointer_to(self._kept, array)
 
-    def _groups(self, names: Sequence[str], action: str, only: Sequence[int] | None = None) -> tuple[int, Any]:
+    def _groups(
+        self, names: Sequence[str], action: str, only: Sequence[int] | None = None, after: Sequence[str] = ()
+    ) -> tuple[int, Any]:
         """Return the layout of variables; tasks that set or read the same ones share it."""
-        key, known = (tuple(names), action, None if only is None else tuple(only)), self.library.layouts
+        key = (tuple(names), action, None if only is None else tuple(only), tuple(after))
+        known = self.library.layouts
         if key not in known:
             if len(known) == _MAX_LAYOUTS:
                 del known[next(iter(known))]
-            known[key] = self._laid_out(names, action, only)
+            known[key] = self._laid_out(names, action, only, after)
         count, array, kept = known[key]
         self._kept.append(kept)
         return count, ctypes.cast(array, ctypes.POINTER(Group))
 
     def _laid_out(
-        self, names: Sequence[str], action: str, only: Sequence[int] | None
+        self, names: Sequence[str], action: str, only: Sequence[int] | None, after: Sequence[str]
     ) -> tuple[int, Any, list[Any]]:
         """Lay out variables, all or `only` those columns of the row, as one call for each FMI type.
+
+        Outputs that are read `after` the inputs of their sample act have calls of their own.
 
         Return the number of groups, their array, and all that it points to.
         """
@@ -179,8 +186,9 @@ class PreparedTask:
         kept: list[Any] = []
         pointer = partial(_pointer_to, kept)
         chosen = range(len(names)) if only is None else only
-        for suffix in dict.fromkeys(self._slots[names[j]].suffix for j in chosen):
-            columns = [j for j in chosen if self._slots[names[j]].suffix == suffix]
+        kinds = {j: (self._slots[names[j]].suffix, names[j] in after) for j in chosen}
+        for suffix, late in dict.fromkeys(kinds.values()):
+            columns = [j for j in chosen if kinds[j] == (suffix, late)]
             members = [self._slots[names[j]] for j in columns]
             offsets: dict[int, int] = {}
             buffer: list[float] = []
@@ -212,6 +220,7 @@ class PreparedTask:
                     type=storage,
                     direct=int(storage == 0 and len(columns) == len(names) == len(buffer) == len(offsets)),
                     n_columns=len(columns),
+                    after=int(late),
                     column=pointer(np.array(columns, dtype=np.int32)),
                     place=pointer(np.array([offsets[s.reference] + s.element for s in members], dtype=np.int32)),
                     buffer=pointer(values),

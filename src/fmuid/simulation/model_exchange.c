@@ -319,6 +319,12 @@ static int32_t take_inputs(Plan *plan, const Work *w, size_t k, double t)
     return settle(plan, w);
 }
 
+int32_t act(Plan *plan, size_t k)
+{
+    Work w = cut(plan);
+    return take_inputs(plan, &w, k, plan->time[k]);
+}
+
 int32_t integrate(Plan *plan, size_t k)
 {
     Work w = cut(plan);

@@ -210,7 +210,7 @@ def disturbed_task(
     """
     linear = task.interpolation == "linear"
     courses = {
-        n: disturbed_input(task.time, u, effects[n], linear=linear, others=task.inputs)
+        n: disturbed_input(task.time, u, effects[n], linear=linear or n in task.linear, others=task.inputs)
         for n, u in task.inputs.items()
         if n in effects
     }
@@ -232,7 +232,8 @@ def disturbed_task(
         thirds = np.linspace(breaks[:-1], breaks[1:], 3, endpoint=False, axis=1)
         grid = np.append(thirds.ravel(), breaks[-1])
     if grid is not task.time:
-        courses = {n: Course(task.time, u, linear) for n, u in task.inputs.items()} | courses
+        plain = {n: Course(task.time, u, linear or n in task.linear) for n, u in task.inputs.items()}
+        courses = plain | courses
     return Disturbed(grid, {n: c.on(grid) for n, c in courses.items()}, task.time, breaks, late)
 
 

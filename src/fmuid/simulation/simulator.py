@@ -82,6 +82,9 @@ class Task:
     shared
         The group of tasks that this one belongs to, and a sample: those of a group whose inputs are the same up to
         a sample may be simulated up to there together. None if it belongs to none.
+    after
+        Outputs that are read after the inputs of their sample act; the others are read before. The outputs differ
+        if they depend on an input without delay.
     feedback
         Output feedback, for FMUs with model exchange: outputs are then predictions from the preceding samples.
     """
@@ -96,6 +99,7 @@ class Task:
     feedback: Feedback | None = None
     linear: tuple[str, ...] = ()
     shared: tuple[int, int] | None = None
+    after: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", read_only(self.time))
@@ -109,7 +113,8 @@ class Simulator(Protocol):
     """A model that can be simulated: an FMU, a reference model or an analytic one.
 
     Outputs at ``time[0]`` are those after initialisation with the first input sample; outputs at
-    ``time[k+1]`` are those at the end of the step from ``time[k]``, before input sample k+1 is set.
+    ``time[k+1]`` are those at the end of the step from ``time[k]``, before input sample k+1 is set, or after it
+    for those in `Task.after`.
     """
 
     @property

@@ -59,9 +59,11 @@ int32_t set_values(Plan *plan, const Group *groups, int32_t n_groups, const doub
     return DONE;
 }
 
-int32_t get_values(Plan *plan, double *row)
+/* Read all outputs, or only those that are read after the inputs act. */
+static int32_t get_groups(Plan *plan, double *row, bool after)
 {
     for (const Group *g = plan->output_groups; g < plan->output_groups + plan->n_output_groups; g++) {
+        if (after && !g->after) continue;
         TRY(exchange(plan, plan->fmi, g, GET_VALUES, g->direct ? row : g->buffer));
         if (g->direct) continue;
         switch (g->type) {
@@ -80,12 +82,48 @@ int32_t get_values(Plan *plan, double *row)
     return DONE;
 }
 
-static int32_t read_sensitivities(Plan *plan, size_t k)
+int32_t get_values(Plan *plan, double *row) { return get_groups(plan, row, false); }
+
+int32_t fmuid_reads_after(const Plan *plan)
+{
+    for (const Group *g = plan->output_groups; g < plan->output_groups + plan->n_output_groups; g++)
+        if (g->after) return 1;
+    return 0;
+}
+
+static int32_t get_sensitivities(Plan *plan, size_t first, size_t count, double *to)
+{
+    CALL(GET_SENSITIVITIES, int32_t (*)(Instance, const uint32_t *, size_t, double *), plan->instance,
+         plan->output_references + first, count, to);
+    return DONE;
+}
+
+static double *sensitivities_now(const Plan *plan)
+{
+    return plan->sensitivities + plan->n_kept * plan->n_outputs * plan->n_directions;
+}
+
+/* Let the inputs of the sample act, and read again the outputs that a machine reads after that. */
+static int32_t read_after(Plan *plan, size_t k)
+{
+    if (plan->model_exchange)
+        TRY(act(plan, k));
+    else
+        TRY(set_values(plan, plan->input_groups, plan->n_input_groups, plan->inputs + k * plan->n_inputs));
+    TRY(get_groups(plan, plan->row, true));
+    if (plan->n_directions == 0) return DONE;
+    for (const Group *g = plan->output_groups; g < plan->output_groups + plan->n_output_groups; g++)
+        for (int32_t i = 0; g->after && i < g->n_columns; i++) {
+            size_t j = (size_t)g->column[i];
+            TRY(get_sensitivities(plan, j, 1, sensitivities_now(plan) + j * plan->n_directions));
+        }
+    return DONE;
+}
+
+static int32_t keep_sensitivities(Plan *plan, size_t k)
 {
     const size_t n = plan->n_outputs, directions = plan->n_directions, size = n * directions;
-    double *now = plan->sensitivities + plan->n_kept * size;
-    CALL(GET_SENSITIVITIES, int32_t (*)(Instance, const uint32_t *, size_t, double *), plan->instance,
-         plan->output_references, n, now);
+    double *now = sensitivities_now(plan);
     for (size_t i = 0; i < size; i++)
         if (!isfinite(now[i])) {
             plan->column = (int32_t)(i / directions);
@@ -106,6 +144,8 @@ static int32_t read_outputs(Plan *plan, size_t k)
 {
     double *row = plan->row;
     TRY(get_values(plan, row));
+    if (plan->n_directions > 0) TRY(get_sensitivities(plan, 0, plan->n_outputs, sensitivities_now(plan)));
+    if (k > 0 && fmuid_reads_after(plan)) TRY(read_after(plan, k)); /* at first, the inputs act already */
     for (size_t j = 0; j < plan->n_outputs; j++) {
         plan->outputs[j * plan->n_times + k] = row[j];
         if (!isfinite(row[j])) {
@@ -114,7 +154,7 @@ static int32_t read_outputs(Plan *plan, size_t k)
             return NOT_FINITE;
         }
     }
-    if (plan->n_directions > 0) TRY(read_sensitivities(plan, k));
+    if (plan->n_directions > 0) TRY(keep_sensitivities(plan, k));
     if (plan->measured) TRY(feed_back(plan, k));
     plan->reached = (int64_t)k;
     plan->reached_time = plan->time[k];
@@ -200,7 +240,7 @@ static int32_t any_steps(Plan *plan, size_t k, size_t last)
 
 static bool all_real(const Plan *plan)
 {
-    return !plan->model_exchange && plan->n_directions == 0 && plan->n_slopes == 0 && plan->n_output_groups == 1 && plan->output_groups->direct
+    return !plan->model_exchange && plan->n_directions == 0 && plan->n_slopes == 0 && !fmuid_reads_after(plan) && plan->n_output_groups == 1 && plan->output_groups->direct
         && (plan->n_input_groups == 0 || (plan->n_input_groups == 1 && plan->input_groups->direct));
 }
 

@@ -33,7 +33,7 @@ typedef struct {           /* variables of one type, set or read by one call */
     int32_t type;
     int32_t direct;        /* the buffer is laid out as the row of numbers: no copying */
     int32_t n_columns;
-    int32_t unused;
+    int32_t after;         /* outputs: read after the inputs of the sample act, else before */
     const int32_t *column; /* where in the row of numbers ... */
     const int32_t *place;  /* ... and where in the buffer */
     void *buffer;
@@ -123,6 +123,7 @@ int32_t enter_initialisation(Plan *plan);
 int32_t do_step(Plan *plan, size_t k);
 int32_t begin_model_exchange(Plan *plan);
 int32_t integrate(Plan *plan, size_t k);
+int32_t act(Plan *plan, size_t k);
 int32_t feed_back(Plan *plan, size_t k);
 
 #endif

@@ -91,7 +91,7 @@ class Group(ctypes.Structure):
         ("type", c_int32),
         ("direct", c_int32),
         ("n_columns", c_int32),
-        ("unused", c_int32),
+        ("after", c_int32),
         ("column", c_void_p),
         ("place", c_void_p),
         ("buffer", c_void_p),
@@ -185,6 +185,12 @@ def library() -> ctypes.CDLL:
     stepper.fmuid_clear_log.restype = None
     stepper.fmuid_read_log.restype = c_char_p
     return stepper
+
+
+def require_reading_after() -> None:
+    """Raise FmuError if the compiled stepper is from before outputs could be read after the inputs act."""
+    if not hasattr(library(), "fmuid_reads_after"):
+        raise FmuError("the compiled stepper is older than the code", where="fmuid", fix=_REINSTALL)
 
 
 class Patience:

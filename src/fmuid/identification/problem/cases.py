@@ -336,12 +336,24 @@ def _case(
     known = _settings(campaign, first, model, simulator, where)
     time, raw_inputs = first.time, {name: signal.values for name, signal in first.inputs.items()}
     lead = 0
-    if model.interpolation == "preceding":
+    if model.timing == "preceding":
         lead = 1
         time = np.concatenate([[2 * time[0] - time[1]], time])
         inputs = {name: np.append(values, values[-1]) for name, values in inputs.items()}
-    kind: Interpolation = "linear" if model.interpolation == "linear" else "hold"
-    task = Task(time, inputs, tuple(c.variable for c in channels), known, kind)
+    timings = {model.variable(n): campaign.timings.get(n, model.timing) for n in first.inputs}
+    lines = tuple(n for n in inputs if timings[n] == "linear")
+    whole = len(lines) == len(inputs) and model.timing == "linear"
+    kind: Interpolation = "linear" if whole else "hold"
+    late = [c for c in channels if campaign.timings.get(c.signal, model.timing) == "held-read-after"]
+    task = Task(
+        time,
+        inputs,
+        tuple(c.variable for c in channels),
+        known,
+        kind,
+        linear=() if whole else lines,
+        after=tuple(dict.fromkeys(c.variable for c in late)),
+    )
     setting = {}
     for spec in campaign.parameters.values():
         variable = model.variable(spec.name)

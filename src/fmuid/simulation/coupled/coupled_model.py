@@ -268,6 +268,12 @@ class CoupledModel:
         key = id(task), tuple(parameters)
         layout = self._layouts.get(key)
         if layout is None:
+            if task.after or task.linear:
+                raise FmuError(
+                    "coupled FMUs have one timing for all signals, which are read before the inputs act",
+                    where=self.path,
+                    fix='use timing = "held" or "linear"',
+                )
             starts = self._by_component({k: v for k, v in task.start_values.items() if k not in parameters})
             inputs = {name: self._driven_by(name) for name in task.inputs}
             for name, ends in inputs.items():

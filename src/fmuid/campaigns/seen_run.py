@@ -1,0 +1,176 @@
+"""A recorded run and the response of a model to it, for the choices of a first campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from fmuid.core.campaign import Interpolation
+from fmuid.core.errors import FmuidError, SimulationError
+from fmuid.core.experiments import Experiment
+from fmuid.core.immutable import FloatArray
+from fmuid.core.units import conversion
+from fmuid.identification.solvers.trust_region import trust_region
+from fmuid.simulation.runners import Runner, simulated
+from fmuid.simulation.simulator import Simulator, Task, Variable, differentiates
+
+_STEP = 0.01  # relative change of a parameter for estimating its effect
+_WITHIN = 10.0  # factor by which parameters may differ from their start values, as in a first campaign
+_CONVERGED = 1e-2  # relative change of the squared error that ends a refit
+
+
+class SeenRun:
+    """A run, with the model's response at the start values; outputs are divided by their ranges.
+
+    Parameters
+    ----------
+    values
+        Values of parameters instead of their start values.
+    scale
+        Ranges of the outputs; those of the response by default.
+    """
+
+    def __init__(
+        self,
+        model: Simulator,
+        task: Task,
+        measured: FloatArray,
+        runner: Runner,
+        *,
+        values: Mapping[str, float] | None = None,
+        scale: FloatArray | None = None,
+    ) -> None:
+        self._model, self._task, self._measured, self._runner = model, task, measured, runner
+        self._values = values or {}
+        self.nominal = simulated(runner, model, task, self._values)
+        own = np.maximum(np.ptp(self.nominal, axis=1, keepdims=True), 1e-12)
+        self.scale = own if scale is None else scale
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """The measured outputs of the model."""
+        return self._task.outputs
+
+    @property
+    def time(self) -> FloatArray:
+        """(N,) times of the samples, s."""
+        return self._task.time
+
+    @property
+    def response(self) -> FloatArray:
+        """(outputs, N) response of the model, relative to the ranges."""
+        return np.asarray(self.nominal / self.scale)
+
+    def timed(self, interpolation: Interpolation, after: tuple[str, ...] = ()) -> SeenRun:
+        """Return the same run with another timing of its signals, relative to the same ranges."""
+        task = replace(self._task, interpolation=interpolation, after=after)
+        return SeenRun(self._model, task, self._measured, self._runner, values=self._values, scale=self.scale)
+
+    def _at(self, values: Mapping[str, float]) -> SeenRun:
+        """Return the same run with these values of parameters, relative to the same ranges."""
+        return SeenRun(self._model, self._task, self._measured, self._runner, values=values, scale=self.scale)
+
+    def _value(self, parameter: Variable) -> float:
+        return self._values.get(parameter.name, parameter.start or 0.0)
+
+    def effects(
+        self, parameters: Sequence[Variable], tell: Callable[[], object] | None = None
+    ) -> dict[str, FloatArray]:
+        """Return the (outputs, N) change of the outputs with each parameter's relative change.
+
+        Redundant parameters look alike as far as derivatives are exact, which differences are not. Structural and
+        otherwise delicate parameters, with which the model cannot be simulated, are left out. `tell` is called for
+        every parameter.
+        """
+        exact = [v for v in parameters if differentiates(self._model, [v.name])]
+        found: dict[str, FloatArray] = {}
+        if exact:
+            along = tuple({v.name: self._value(v)} for v in exact)
+            with suppress(SimulationError):
+                rows = simulated(self._runner, self._model, replace(self._task, along=along), self._values)
+                slopes = np.split(rows, len(exact) + 1)[1:]
+                found = {v.name: slope / self.scale for v, slope in zip(exact, slopes, strict=True)}
+        for parameter in parameters:
+            if tell is not None:
+                tell()
+            if parameter.name not in found:
+                with suppress(FmuidError):
+                    found[parameter.name] = self._difference(parameter)
+        return found
+
+    def _difference(self, parameter: Variable) -> FloatArray:
+        own = self._value(parameter)
+        above, below = (
+            simulated(self._runner, self._model, self._task, {**self._values, parameter.name: own * factor})
+            for factor in (1 + _STEP, 1 - _STEP)
+        )
+        return np.asarray((above - below) / self.scale / (2 * _STEP))
+
+    def refitted(self, free: Sequence[Variable]) -> SeenRun:
+        """Return the run where these parameters explain it best, each within a factor of ten of its value."""
+        start, most = np.zeros(len(free)), np.full(len(free), np.log(_WITHIN))
+        known, tried = np.isfinite(self._measured), dict[bytes, SeenRun | None]({start.tobytes(): self})
+
+        def at(x: FloatArray) -> SeenRun | None:
+            if x.tobytes() not in tried:
+                values = {v.name: self._value(v) * np.exp(own) for v, own in zip(free, x, strict=True)}
+                try:
+                    tried[x.tobytes()] = self._at(values)
+                except SimulationError:
+                    tried[x.tobytes()] = None
+            return tried[x.tobytes()]
+
+        def residuals(x: FloatArray) -> FloatArray:
+            one = at(x)
+            return np.full(int(known.sum()), np.nan) if one is None else one.errors[known]
+
+        def jacobian(x: FloatArray) -> FloatArray:
+            return -(at(x) or self)._columns(free)
+
+        trust_region(residuals, jacobian, start, -most, most, cost_tolerance=_CONVERGED, step_tolerance=1e-4)
+        return min((one for one in tried.values() if one is not None), key=lambda one: one.left)
+
+    def towards(self, other: SeenRun, free: Sequence[Variable]) -> tuple[float, float]:
+        """Return the product of the error with the way to another simulation, and the square of that way.
+
+        Of both, only what the parameters cannot imitate counts; the quotient is how far along that way the run is.
+        """
+        known, columns = np.isfinite(self._measured), self._columns(free)
+        way = ((other.nominal - self.nominal) / self.scale)[known]
+        way -= columns @ np.linalg.lstsq(columns, way, rcond=None)[0]
+        return float(way @ self.errors[known]), float(way @ way)
+
+    def _columns(self, free: Sequence[Variable]) -> FloatArray:
+        """Return the changes of the measured samples with each parameter's relative change: 0 where unknown."""
+        known, effects = np.isfinite(self._measured), self.effects(free)
+        return np.stack([effects.get(v.name, np.zeros_like(self.nominal))[known] for v in free], axis=1)
+
+    @property
+    def left(self) -> float:
+        """Squared error."""
+        return float(np.nansum(self.errors**2))
+
+    @property
+    def errors(self) -> FloatArray:
+        """(outputs, N) errors, relative to the ranges; NaN where nothing was measured."""
+        return np.asarray((self._measured - self.nominal) / self.scale)
+
+
+def ports_of(
+    model: Simulator, run: Experiment, mapping: Mapping[str, str]
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Return the (N,) inputs and measured outputs of a run by the model's variables, in their units."""
+    found: tuple[dict[str, FloatArray], dict[str, FloatArray]] = {}, {}
+    for name, signal in run.signals.items():
+        port = model.variables[mapping.get(name, name)]
+        found[signal.causality == "output"][port.name] = conversion(signal.unit, port.unit)(signal.values)
+    return found
+
+
+def seen_run(model: Simulator, run: Experiment, mapping: Mapping[str, str], runner: Runner) -> SeenRun:
+    """Return a run with the response of a model at its start values."""
+    inputs, measured = ports_of(model, run, mapping)
+    return SeenRun(model, Task(run.time, inputs, tuple(measured)), np.array(list(measured.values())), runner)

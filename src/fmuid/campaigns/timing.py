@@ -1,0 +1,203 @@
+"""Timing of the signals of recorded runs: when inputs act, when outputs are read, and rows that a log has lost.
+
+These are conventions of the recorder, each worth at most a sample. They are judged before a lag or a delay of less
+than a sample is blamed on the machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.campaigns.seen_run import SeenRun
+from fmuid.core.campaign import Timing
+from fmuid.core.errors import FmuidError
+from fmuid.core.immutable import FloatArray
+from fmuid.simulation.simulator import Variable
+
+_NEARLY = 0.5  # of the way between two conventions: another effect rarely looks like the whole way
+_CLEARLY = 0.8  # remaining share of the squared error for a convention to count as better
+_SURE = 12.0  # log likelihood ratio for a lost row
+_ONE = 0.3  # deviation from one row for a row to be lost
+_AROUND = 3  # samples on either side of a lost row that have to be as usual
+
+
+@dataclass(frozen=True, slots=True)
+class Convention:
+    """One timing of all signals, and how well a model explains the runs with it.
+
+    Attributes
+    ----------
+    timing
+        Timing of the model.
+    signals
+        Outputs of the model that differ from it, with their timing.
+    worse
+        Factor by which held signals explain the runs worse (squared error, free parameters refitted).
+    evidence
+        Logarithm of the likelihood ratio to held signals, from the changes between samples, in which slow errors
+        of a model hardly show.
+    along
+        Place of the runs on the way from held signals (0) to this convention (1).
+    """
+
+    timing: Timing
+    signals: Mapping[str, Timing] = field(default_factory=dict)
+    worse: float = 1.0
+    evidence: float = 0.0
+    along: float = 0.0
+
+    @property
+    def explains(self) -> bool:
+        """Whether the runs support this convention against held signals."""
+        return self.worse > 1 / _CLEARLY and abs(self.along - 1.0) < _NEARLY
+
+
+@dataclass(frozen=True, slots=True)
+class LostRow:
+    """A row that a run seems to lack, right before `sample`; later times are too early by its step."""
+
+    run: str
+    sample: int
+    time: float
+    evidence: float
+
+    def __str__(self) -> str:
+        """Return the finding in words."""
+        return (
+            f"a row seems to be missing in '{self.run}' right before {self.time:.6g} s:"
+            " the outputs move by two rows at once"
+        )
+
+
+def timing_conventions(seen: Sequence[SeenRun], free: Sequence[Variable]) -> tuple[Convention, ...]:
+    """Judge the conventions that a model can be simulated with, the best supported first.
+
+    Each run is refitted with every convention. A missing effect may look like inputs that act earlier, but hardly
+    by the whole way from one convention to another; so a convention has to leave less than four fifths of the
+    squared error of held signals, and the runs have to lie near it on the way from there. Among those that do, the
+    changes between samples decide.
+
+    Parameters
+    ----------
+    seen
+        The runs, with held inputs and outputs read before these act.
+    free
+        Parameters to refit.
+    """
+    held = [one.refitted(free) for one in seen]
+    found = [Convention("held")]
+    for convention in (Convention("linear"), *_read_after(held)):
+        try:
+            tried = [timed(one, convention) for one in seen]
+            if all(np.array_equal(a.nominal, b.nominal) for a, b in zip(seen, tried, strict=True)):
+                continue
+            refits = [one.refitted(free) for one in tried]
+            ways = [one.towards(timed(one, convention), free) for one in held]
+        except FmuidError:
+            continue  # an FMU that does not interpolate its inputs
+        products, squares = np.sum(ways, axis=0)
+        worse = sum(one.left for one in held) / max(sum(one.left for one in refits), 1e-300)
+        evidence = sum(_evidence(a, b) for a, b in zip(held, refits, strict=True))
+        found.append(
+            Convention(
+                convention.timing, convention.signals, worse, evidence, float(products / max(squares, 1e-300))
+            )
+        )
+    return tuple(sorted(found, key=lambda c: (not c.explains and c.timing != "held", -c.evidence)))
+
+
+def chosen(conventions: Sequence[Convention]) -> Convention:
+    """Return the convention that the runs support, held signals if they support no other."""
+    supported = [c for c in conventions if c.explains]
+    return supported[0] if supported else next(c for c in conventions if c.timing == "held")
+
+
+def lost_rows(seen: Sequence[SeenRun], names: Sequence[str], free: Sequence[Variable]) -> tuple[LostRow, ...]:
+    """Return the rows that logs seem to have lost: where outputs move by two rows of their prediction at once.
+
+    A log that counts rows instead of reading a clock is too early from there on. Outputs that follow the logged
+    inputs at once do not show it.
+    """
+    found = []
+    for name, run in zip(names, seen, strict=True):
+        fitted = run.refitted(free)
+        stored = _stored(fitted)
+        if not stored.any():
+            continue
+        changes, moves = (np.diff(rows[stored], axis=1) for rows in (fitted.errors, fitted.response))
+        sample, evidence = _most_likely_gap(changes, moves)
+        if evidence > _SURE:
+            found.append(LostRow(name, sample, float(fitted.time[sample]), evidence))
+    return tuple(found)
+
+
+def _stored(run: SeenRun) -> NDArray[np.bool_]:
+    """Return which outputs do not depend on an input without delay; none if the model cannot tell."""
+    try:
+        before, after = run.timed("hold").nominal, run.timed("hold", run.outputs).nominal
+        return np.asarray(np.all(before == after, axis=1))
+    except FmuidError:  # coupled FMUs
+        return np.zeros(len(run.outputs), dtype=bool)
+
+
+def _most_likely_gap(changes: FloatArray, moves: FloatArray) -> tuple[int, float]:
+    """Return the sample before which a row is missing most likely, and the log likelihood ratio.
+
+    `changes` and `moves` are those of the errors and of the prediction from sample to sample, (outputs, N - 1).
+    """
+    scale = 1.4826 * np.nanmedian(np.abs(changes), axis=1, keepdims=True)
+    scale = np.maximum(scale, 1e-9)
+    off, move = changes / scale, np.append(moves[:, 1:], moves[:, -1:], axis=1) / scale
+    known = np.isfinite(off)
+    off = np.where(known, off, 0.0)
+    move = np.where(known, move, 0.0)
+    product, square = np.sum(off * move, axis=0), np.sum(move**2, axis=0)
+    share = product / np.maximum(square, 1e-300)
+    gain = product - 0.5 * square  # of one whole row
+    gain[np.abs(share - 1.0) > _ONE] = -np.inf
+    k = int(np.argmax(gain))
+    left = off.copy()
+    left[:, k] -= move[:, k]
+    around = left[:, max(0, k - _AROUND) : k + _AROUND + 1]
+    usual = float(np.max(np.abs(around), initial=0.0)) < 5.0
+    return k + 1, float(gain[k]) if usual else -np.inf
+
+
+def _read_after(held: Sequence[SeenRun]) -> list[Convention]:
+    """Return held inputs with those outputs read after them that then fit better; none if no output differs."""
+    outputs = held[0].outputs
+    try:
+        late = [one.timed("hold", outputs) for one in held]
+    except FmuidError:  # coupled FMUs
+        return []
+    before, after = (sum(_roughness(one) for one in runs) for runs in (held, late))
+    same = np.all([np.all(a.nominal == b.nominal, axis=1) for a, b in zip(held, late, strict=True)], axis=0)
+    better = ~same & (after < _CLEARLY * before)
+    if not better.any():
+        return []
+    own: dict[str, Timing] = {n: "held" for n, b, s in zip(outputs, better, same, strict=True) if not (b or s)}
+    return [Convention("held-read-after", own)]
+
+
+def timed(run: SeenRun, convention: Convention) -> SeenRun:
+    """Return a run with another timing of its signals."""
+    if convention.timing == "linear":
+        return run.timed("linear")
+    after = convention.timing == "held-read-after"
+    return run.timed("hold", tuple(n for n in run.outputs if after and n not in convention.signals))
+
+
+def _roughness(run: SeenRun) -> FloatArray:
+    """Return the sum of squared changes of each output's error between samples."""
+    return np.asarray(np.nansum(np.diff(run.errors, axis=1) ** 2, axis=1))
+
+
+def _evidence(held: SeenRun, other: SeenRun) -> float:
+    """Return the log likelihood ratio of two responses to one run, from changes between samples."""
+    count = np.sum(np.isfinite(np.diff(held.errors, axis=1)), axis=1)
+    floor = 1e-12 * count  # changes far below the range of an output
+    return float(np.sum(0.5 * count * np.log((_roughness(held) + floor) / (_roughness(other) + floor))))
