@@ -1,0 +1,179 @@
+"""`python -m benchmarks.blind`: draw, diagnose, publish and verify the blind check (``docs/blind.md``).
+
+run SEED      draw cases, diagnose each in a process of its own that knows nothing of its label; continues
+publish SEED  write what is committed of a seed: `benchmarks/blind/published/<seed>/`
+page          write docs/blind.md from what is published
+verify        recompute the page from what is committed, and logs of some cases from their seeds
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from benchmarks.blind.plants.cases import CHECK, REHEARSAL, draw_case, write_case
+from benchmarks.blind.plants.grammar import VERSION
+from benchmarks.blind.plants.network import DivergedError
+from benchmarks.study_command import ended
+
+PUBLISHED = Path(__file__).with_name("published")
+PAGE = Path("docs/blind.md")
+
+
+def answered(seed: int, number: int, work: Path, labels: Path, limit: float) -> str:
+    """Draw a case, diagnose it unless that was done, and return a line on it."""
+    name = f"c{number:04d}"
+    folder, out, label = work / "cases" / name, work / "answers" / name, labels / f"{name}.json"
+    if not label.is_file():
+        case = draw_case(seed, number)
+        hashes = write_case(case, folder)
+        _write(label, {**case.label, "sha256": hashes})
+    record = out / "record.json"
+    if not record.is_file():
+        out.mkdir(parents=True, exist_ok=True)
+        command = [sys.executable, "-m", "benchmarks.blind.diagnose", str(folder), str(out)]
+        begun = time.monotonic()
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)
+            if not record.is_file():
+                _write(
+                    record,
+                    {
+                        "diagnose": done.returncode,
+                        "said": done.stderr.strip()[-600:],
+                        "elapsed": time.monotonic() - begun,
+                    },
+                )
+        except subprocess.TimeoutExpired:
+            _write(record, {"diagnose": -1, "said": f"no answer in {limit:g} s", "elapsed": limit})
+    found = json.loads(record.read_text())
+    return f"{name}: {_words(found)}  ({found.get('seconds', found['elapsed']):.0f} s)"
+
+
+def _words(record: dict[str, Any]) -> str:
+    from benchmarks.blind.score import in_words
+
+    return in_words(record["answer"]) if "answer" in record else f"no answer: {record.get('said', '')[-160:]}"
+
+
+def _write(file: Path, value: Any) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    scratch = file.with_suffix(".part")
+    scratch.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
+    scratch.replace(file)
+
+
+def _lines(values: Iterable[Any]) -> str:
+    return "".join(json.dumps(v, separators=(",", ":")) + "\n" for v in values)
+
+
+def publish(seed: int, work: Path, labels: Path) -> Path:
+    """Write a seed's labels, answers and hashes of logs as text, and return the folder."""
+    target = PUBLISHED / str(seed)
+    target.mkdir(parents=True, exist_ok=True)
+    made = [json.loads(f.read_text()) for f in sorted(labels.glob("c*.json"))]
+    records = []
+    for label in made:
+        file = work / "answers" / label["case"] / "record.json"
+        if file.is_file():
+            records.append({"case": label["case"], **json.loads(file.read_text())})
+    commit = subprocess.run(
+        ["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=False
+    ).stdout.strip()
+    hashes = [
+        f"{digest}  {label['case']}/{name}" for label in made for name, digest in label.pop("sha256").items()
+    ]
+    (target / "labels.jsonl").write_text(_lines(made), encoding="utf-8")
+    (target / "answers.jsonl").write_text(_lines(records), encoding="utf-8")
+    (target / "logs.sha256").write_text("\n".join(hashes) + "\n", encoding="utf-8")
+    told = {"seed": seed, "grammar": VERSION, "commit": commit, "cases": len(made), "answers": len(records)}
+    (target / "seed.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    return target
+
+
+def verify(count: int) -> list[str]:
+    """Return what of the committed page and logs cannot be recomputed, a line each."""
+    import tempfile
+
+    from benchmarks.blind.page import page, read_published
+
+    wrong = []
+    if PAGE.read_text(encoding="utf-8") != page(PUBLISHED):
+        wrong.append(f"{PAGE} is not what the published labels and answers give")
+    for seed in read_published(PUBLISHED):
+        hashes: dict[str, dict[str, str]] = {}
+        for line in (PUBLISHED / str(seed.seed) / "logs.sha256").read_text().split("\n")[:-1]:
+            digest, _, path = line.partition("  ")
+            case, _, name = path.partition("/")
+            hashes.setdefault(case, {})[name] = digest
+        chosen = sorted(hashes)[:: max(len(hashes) // count, 1)][:count] if count else []
+        for name in chosen:
+            with tempfile.TemporaryDirectory() as folder:
+                case = draw_case(seed.seed, int(name[1:]))
+                if write_case(case, Path(folder)) != hashes[name]:
+                    wrong.append(
+                        f"seed {seed.seed}: the logs of {name} are not those that its hashes were published of"
+                    )
+        print(f"seed {seed.seed}: {len(seed.labels)} cases, logs of {len(chosen)} of them made again", flush=True)
+    return wrong
+
+
+def main() -> int:
+    """Run the command; return the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.blind",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name in ("run", "publish"):
+        one = commands.add_parser(name)
+        one.add_argument("seed", type=int)
+        one.add_argument("--work", type=Path, help="default: runs/blind/<seed>")
+        one.add_argument("--labels", type=Path, required=True, help="folder of the labels, elsewhere")
+        if name == "run":
+            one.add_argument("--first", type=int, default=0)
+            one.add_argument("--count", type=int, default=REHEARSAL + CHECK)
+            one.add_argument("--workers", type=int, default=1)
+            one.add_argument("--time-limit", type=float, default=300.0)
+    commands.add_parser("page")
+    commands.add_parser("verify").add_argument("--regenerate", type=int, default=5, help="cases of each seed")
+    given = parser.parse_args()
+
+    def work() -> list[str]:
+        if given.command == "page":
+            from benchmarks.blind.page import page
+
+            PAGE.write_text(page(PUBLISHED), encoding="utf-8")
+            return []
+        if given.command == "verify":
+            return verify(given.regenerate)
+        folder = given.work or Path("runs/blind") / str(given.seed)
+        labels = given.labels / str(given.seed)
+        if given.command == "publish":
+            print(publish(given.seed, folder, labels))
+            return []
+        failed = []
+
+        def one(number: int) -> None:
+            try:
+                print(answered(given.seed, number, folder, labels, given.time_limit), flush=True)
+            except DivergedError as error:
+                failed.append(f"c{number:04d}: {error}")
+
+        with ThreadPoolExecutor(given.workers) as pool:
+            list(pool.map(one, range(given.first, given.first + given.count)))
+        return failed
+
+    return ended(work, resumes=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,219 @@
+"""Runs of a plant with its effects, and how large a gap they leave once a user's free parameters are refitted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from benchmarks.blind.plants.effects import Candidate, Effect, SignalEffect, Usual, acting, parts_of
+from benchmarks.blind.plants.grammar import Rig
+from benchmarks.blind.plants.network import Controller, DivergedError, Floats, Network
+
+MEMORY = 20.0  # samples, of coloured noise
+_STEP = 1e-3  # of a parameter's logarithm, for derivatives
+_APART = 3.0  # standard deviations, below which two effects are the same to the sensors
+Any_ = Effect | SignalEffect
+_SHARP = {"stribeck", "coulomb", "presliding", "hysteresis", "backlash", "asymmetry", "voltage_drop", "relay"}
+
+
+@dataclass(frozen=True)
+class Run:
+    """One experiment as it is driven: inputs (inputs, N), where it starts, columns that something varies with."""
+
+    u: Floats
+    start: Floats
+    columns: Floats | None = None
+
+
+@dataclass(frozen=True)
+class Way:
+    """How runs are recorded: when outputs are read (share of a sample late), and whether inputs are linear."""
+
+    read: float = 0.0
+    linear: bool = False
+
+
+def simulate(
+    rig: Rig, network: Network, effects: Sequence[Any_], run: Run, way: Way, typical: Usual, *,
+    controller: Controller | None = None, reference: Floats | None = None, noise: Floats | None = None,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """Return readings (outputs, N) without noise and the recorded inputs."""
+    inner, outer = acting(rig, effects)
+    parts = parts_of(outer)
+    network = network.with_effects(inner)
+    steps = steps_of(rig, network)
+    u = run.u
+    if controller is not None:
+        y, u = network.run(
+            rig.dt, u, steps, start=run.start, read=way.read, columns=run.columns,
+            controller=controller, reference=reference, noise=noise,
+        )  # fmt: skip
+        if not outer:
+            return y, u
+    samples = u.shape[1]
+    fine = np.repeat(u, parts, axis=1)
+    if way.linear and parts > 1:
+        grid = np.arange(samples * parts) / parts
+        fine = np.stack([np.interp(grid, np.arange(samples), one) for one in u])
+    for effect in (e for e in outer if e.is_input):
+        k = effect.index
+        fine[k] = effect.applied(fine[k], fine, typical.inputs[k], 0.0)
+    columns = None if run.columns is None else np.repeat(run.columns, parts, axis=1)
+    fine_steps = max(-(-steps // parts), 1)
+    y, _ = network.run(
+        rig.dt / parts, fine, fine_steps, start=run.start, columns=columns, linear=way.linear,
+        read=way.read if parts == 1 else 0.0,
+    )  # fmt: skip
+    raw = y.copy()
+    for effect in (e for e in outer if not e.is_input):
+        k = effect.index
+        y[k] = effect.applied(y[k], raw, typical.outputs[k], typical.zeros[k])
+    if parts > 1:
+        at = np.minimum(np.arange(samples) * parts + int(round(way.read * parts)), samples * parts - 1)
+        y = y[:, at]
+    return y, u
+
+
+def steps_of(rig: Rig, network: Network) -> int:
+    """Return the steps of a sample: more where an effect changes its sign fast."""
+    sharp = {e.law for e in network.effects} & _SHARP
+    return int(np.ceil(rig.steps * (2.5 if sharp else 1.0)))
+
+
+def whitened(y: Floats, noise: str) -> Floats:
+    """Return differences (outputs, N) in standard deviations, such that their noise would be white."""
+    if noise == "coloured":
+        keep = float(np.exp(-1.0 / MEMORY))
+        return np.asarray(lfilter([1.0, -keep], [1.0], y, axis=-1) / np.sqrt(1.0 - keep**2))
+    if noise == "drift":
+        t = np.linspace(-1.0, 1.0, y.shape[-1])
+        basis = np.linalg.qr(np.stack([np.ones_like(t), t], axis=1))[0]
+        return np.asarray(y - (y @ basis) @ basis.T)
+    return y
+
+
+class Gaps:
+    """A plant with its true parameters, its runs, and the gap that any effect leaves on them."""
+
+    def __init__(
+        self, rig: Rig, values: Mapping[str, float], runs: Sequence[Run], way: Way, typical: Usual, noise: str
+    ) -> None:
+        self.rig, self.values, self.runs, self.way, self.typical, self.noise = (
+            rig,
+            values,
+            runs,
+            way,
+            typical,
+            noise,
+        )
+        self._sigma = np.array(rig.noise)[:, None]
+        self._directions: dict[str, Floats | None] = {}
+        self.plain = self.readings({})
+        columns = [(self.readings({p.name: _STEP}) - self.plain) / _STEP for p in rig.parameters]
+        self._jacobian = np.column_stack(columns)
+        u, s, vt = np.linalg.svd(self._jacobian, full_matrices=False)
+        keep = s > 1e-5 * s[0]
+        self._basis = u[:, keep]
+        self._inverse = (vt[keep].T / s[keep]) @ u[:, keep].T
+        # A parameter that the runs determine has no share in a direction that they do not.
+        self.determined = [
+            p.name
+            for k, p in enumerate(rig.parameters)
+            if np.sum(vt[~keep, k] ** 2) < 1e-6 and s.size == len(keep)
+        ]
+
+    def readings(self, moved: Mapping[str, float], effects: Sequence[Any_] = ()) -> Floats:
+        """Return all readings in standard deviations, whitened, one behind the other."""
+        network = self.rig.with_values({n: v * np.exp(moved.get(n, 0.0)) for n, v in self.values.items()})
+        parts = []
+        for run in self.runs:
+            y, _ = simulate(self.rig, network, effects, run, self.way, self.typical)
+            parts.append(whitened(y / self._sigma, self.noise).ravel())
+        return np.concatenate(parts)
+
+    def left(self, effects: Sequence[Any_], beside: Sequence[Any_] = ()) -> Floats:
+        """Return what parameters, refitted without the effects, leave of readings with them."""
+        target = self.readings({}, [*effects, *beside])
+        names = [p.name for p in self.rig.parameters]
+        moved, best = np.zeros(len(names)), target - (self.plain if not beside else self.readings({}, beside))
+        base = best
+        for _ in range(3):
+            step = self._inverse @ base
+            if np.abs(step).max() < 1e-4:
+                break
+            moved = np.clip(moved + step, -1.0, 1.0)
+            try:
+                base = target - self.readings(dict(zip(names, moved.tolist(), strict=True)), beside)
+            except DivergedError:
+                break
+            if np.linalg.norm(base) > np.linalg.norm(best):
+                break
+            best = base
+        return best - self._basis @ (self._basis.T @ best)
+
+    def gap(self, effects: Sequence[Any_], beside: Sequence[Any_] = ()) -> float:
+        """Return the gap in floors; infinite where the plant cannot be simulated."""
+        try:
+            left = self.left(effects, beside)
+        except DivergedError:
+            return np.inf
+        return float(np.sqrt(np.mean(left**2)))
+
+    def sized(self, candidate: Candidate, target: float, sign: float = 1.0) -> tuple[Any_, float]:
+        """Return a candidate at the size whose gap comes close to `target`, and that gap.
+
+        Where no plausible size is large enough, the largest one.
+        """
+        size, low, high, gap = 0.1, 0.0, candidate.most, 0.0
+        for _ in range(14):
+            gap = self.gap([candidate.sized(sign * size)])
+            if abs(gap / target - 1.0) < 0.07 or (gap < target and size >= candidate.most):
+                break
+            low, high = (size, high) if gap < target else (low, size)
+            guess = size * float(np.clip(target / max(gap, 1e-9), 0.02, 20.0)) if np.isfinite(gap) else 0.1 * size
+            size = (
+                min(guess, candidate.most) if low < guess < high else float(np.sqrt(max(low, 1e-4 * high) * high))
+            )
+        return candidate.sized(sign * size), gap
+
+    def twins_of(self, effect: Any_, others: Sequence[Candidate], repeats: int) -> list[str]:
+        """Return the ids of candidates that these runs cannot tell from an effect.
+
+        A candidate, at its best size and with the parameters refitted beside it, differs by less than three
+        standard deviations over all runs.
+        """
+        try:
+            target = self.left([effect])
+        except DivergedError:
+            return []
+        found = []
+        for other in others:
+            size, apart, direction = 0.05, np.inf, self._direction(other)
+            for _ in range(4):
+                if direction is None or not np.any(direction):
+                    break
+                along = float(direction @ target) / float(direction @ direction)
+                apart = float(np.linalg.norm(target - along * direction)) * np.sqrt(repeats)
+                if apart > 10.0 * _APART or (size * along < 0 and not other.two_sided) or 0.9 < along < 1.1:
+                    break
+                size = float(np.clip(size * along, -other.most, other.most))
+                try:
+                    direction = self.left([other.sized(size)])
+                except DivergedError:
+                    break
+            if apart < _APART:
+                found.append(other.id)
+        return found
+
+    def _direction(self, other: Candidate) -> Floats | None:
+        """Return what a candidate of a small size leaves, to first order."""
+        if other.id not in self._directions:
+            try:
+                moved = self.readings({}, [other.sized(0.05)]) - self.plain
+                self._directions[other.id] = moved - self._basis @ (self._basis.T @ moved)
+            except DivergedError:
+                self._directions[other.id] = None
+        return self._directions[other.id]
