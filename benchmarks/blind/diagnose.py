@@ -1,7 +1,7 @@
 """`python -m benchmarks.blind.diagnose CASE OUT`: the diagnosing process of the blind check.
 
-It knows a folder with logs and a model, calls ``fmuid init``, ``fmuid diagnose`` and ``fmuid validate`` as a user does, and
-writes what they answered. A log that ``init`` refuses by name is left out, as a user would.
+It knows a folder with logs and a model, calls ``fmuid init``, ``fmuid diagnose`` and ``fmuid validate`` as a user
+does, and writes what they answered. A log that ``init`` refuses by name is left out, as a user would.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """The score of the blind check."""
 
 from __future__ import annotations
+
 from typing import Any
 
 

@@ -17,7 +17,16 @@ import numpy as np
 from scipy.signal import lfilter
 
 from benchmarks.blind.plants.effects import (
-    Candidate, Effect, SignalEffect, Usual, candidates, gated, shaped, unknowns, usual, varying,
+    Candidate,
+    Effect,
+    SignalEffect,
+    Usual,
+    candidates,
+    gated,
+    shaped,
+    unknowns,
+    usual,
+    varying,
 )  # fmt: skip
 from benchmarks.blind.plants.grammar import KINDS_OF_WAVE, VERSION, Rig, controller_of, draw_rig, wave
 from benchmarks.blind.plants.modelica import class_name, modelica, place_of
@@ -36,7 +45,10 @@ _UNITS = {
     "m": ("mm", 1e3), "rad": ("deg", 180 / np.pi), "V": ("mV", 1e3), "A": ("mA", 1e3), "N.m": ("kN.m", 1e-3),
     "Pa": ("kPa", 1e-3), "kg/s": ("g/s", 1e3), "W": ("kW", 1e-3), "N": ("kN", 1e-3),
 }  # fmt: skip
-_SIZED = ("viscous", "quadratic", "asymmetry", "weight", "coulomb", "leakage", "loss", "gain", "offset", "drift", "dead_zone", "lag", "delay")  # fmt: skip
+_SIZED = (
+    "viscous", "quadratic", "asymmetry", "weight", "coulomb", "leakage", "loss", "gain",
+    "offset", "drift", "dead_zone", "lag", "delay",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -142,8 +154,8 @@ def _drawn(seed: int, number: int, rng: np.random.Generator) -> Case:
             reference=control[1] if control else None, noise=np.zeros(rig.samples),
         )  # fmt: skip
     label |= {
-        "case": f"c{number:04d}", "number": number, "seed": seed, "grammar": VERSION, "rig": rig.number, "kind": rig.kind,
-        "components": rig.components, "style": rig.style, "stratum": stratum, "same": same,
+        "case": f"c{number:04d}", "number": number, "seed": seed, "grammar": VERSION, "rig": rig.number,
+        "kind": rig.kind, "components": rig.components, "style": rig.style, "stratum": stratum, "same": same,
         "gap": together, "background": total, "loud": loud, "background_effects": behind,
         "repeats": repeats, "noise": noise, "experiments": count, "timing": timing, "moving": moving,
         "closed": sum(c is not None for c in controllers), "values": values, "determined": gaps.determined,

@@ -15,10 +15,11 @@ from benchmarks.blind.plants.modelica import place_of
 from benchmarks.blind.plants.network import Effect, Floats
 
 SHAPES = {
-    "viscous": 2, "coulomb": 3, "stribeck": 3, "asymmetry": 2, "quadratic": 2, "presliding": 3, "cogging": 3, "weight": 1,
-    "hardening": 3, "hysteresis": 3, "backlash": 2, "leakage": 2, "capacity": 2, "loss": 3, "radiation": 2, "outflow": 2,
-    "overflow": 2, "voltage_drop": 3, "eddy": 1, "gain": 1, "offset": 2, "drift": 2, "lag": 3, "delay": 2,
-    "saturation": 3, "dead_zone": 3, "crosstalk": 1,
+    "viscous": 2, "coulomb": 3, "stribeck": 3, "asymmetry": 2, "quadratic": 2, "presliding": 3, "cogging": 3,
+    "weight": 1, "hardening": 3, "hysteresis": 3, "backlash": 2, "leakage": 2, "capacity": 2, "loss": 3,
+    "radiation": 2, "outflow": 2,
+    "overflow": 2, "voltage_drop": 3, "eddy": 1, "gain": 1, "offset": 2, "drift": 2, "lag": 3,
+    "delay": 2, "saturation": 3, "dead_zone": 3, "crosstalk": 1,
 }  # fmt: skip
 UNKNOWN = ("resonator", "wear", "pulsation", "relay", "chaos", "slip")
 AT_INPUTS = ("gain", "offset", "delay", "lag", "saturation", "dead_zone")
@@ -93,7 +94,7 @@ def _late(y: Floats, steps: float, shape: int) -> Floats:
     if steps <= 0:
         return y
     if shape == 3:  # a moving mean
-        width = max(int(round(2 * steps)), 1)
+        width = max(round(2 * steps), 1)
         padded = np.concatenate([np.full(width - 1, y[0]), y])
         total = np.cumsum(np.concatenate([[0.0], padded]))
         mean = (total[width:] - total[:-width]) / width
@@ -253,7 +254,8 @@ def _at_node(rig: Rig, typical: Usual, rng: np.random.Generator, k: int, law: st
         "stribeck": rng.uniform(0.1, 0.4) * p, "presliding": rng.uniform(0.01, 0.06) * far,
         "cogging": min(order, max(0.35 * np.pi / (rig.dt * p), 1.0)), "weight": float(node.domain == "rotational"),
         "capacity": rng.uniform(0.5, 3.0) * t, "overflow": node.start + rng.uniform(0.4, 0.8) * p,
-        "resonator": rng.uniform(3.0, 9.0) / t, "relay": rng.uniform(0.1, 0.4) * t, "chaos": rng.uniform(0.3, 0.8) * t,
+        "resonator": rng.uniform(3.0, 9.0) / t, "relay": rng.uniform(0.1, 0.4) * t,
+        "chaos": rng.uniform(0.3, 0.8) * t,
         "slip": rng.uniform(0.35, 0.65), "pulsation": rng.uniform(4.0, 14.0),
     }.get(law, 0.0)  # fmt: skip
     s2 = float(rng.uniform(0.0, 6.0)) if law in ("cogging", "pulsation") else 0.0
@@ -368,7 +370,7 @@ def gated(candidate: Candidate, typical: Usual, rng: np.random.Generator) -> Can
     )
 
 
-def acting(rig: Rig, effects: Sequence[Effect | SignalEffect]) -> tuple[list[Effect], list[SignalEffect]]:
+def acting(effects: Sequence[Effect | SignalEffect]) -> tuple[list[Effect], list[SignalEffect]]:
     """Split effects into those of the network and those of signals."""
     return (
         [e for e in effects if isinstance(e, Effect)],

@@ -1,4 +1,4 @@
-"""The grammar of the blind check: it draws rigs of 2 to 8 components in one or two domains. Imports nothing of the tool.
+"""The grammar of the blind check: rigs of 2 to 8 components in one or two domains. Imports nothing of the tool.
 
 A rig is a network in dimensionless numbers near 1, which is then given units: one power and one time for all
 domains, and a usual potential for each.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -189,7 +190,7 @@ def controller_of(rig: Rig, rng: np.random.Generator) -> tuple[Controller, Float
     None where none suits.
     """
     for k, (what, node) in enumerate(rig.network.readings):
-        if what != "potential" or rig.network.nodes[node].mechanical and len(rig.network.nodes) > 3:
+        if what != "potential" or (rig.network.nodes[node].mechanical and len(rig.network.nodes) > 3):
             continue
         domain, signal = rig.network.nodes[node].domain, rig.inputs[0]
         gain = 0.5 * (signal.high - signal.low) / rig.scale[domain]
@@ -217,7 +218,7 @@ class _Drawing:
         self.inputs: list[Signal] = []
         self.taken: dict[str, int] = {}
 
-    # Numbers near 1, and names ------------------------------------------------------------------------------------
+    # Numbers near 1, and names
 
     def near(self, low: float = -0.4, high: float = 0.4) -> float:
         return float(10.0 ** self.rng.uniform(low, high))
@@ -235,7 +236,7 @@ class _Drawing:
         self.taken[name] = 1
         return name
 
-    # Units --------------------------------------------------------------------------------------------------------
+    # Units
 
     def measure(self, family: str, domains: Sequence[str]) -> None:
         self.T = float(10.0 ** self.rng.uniform(*_TIMES[family]))
@@ -253,7 +254,7 @@ class _Drawing:
         self.parameters.append(Parameter(name, rounded, unit, words, slot, inverse))
         return 1.0 / rounded if inverse else rounded
 
-    # Parts --------------------------------------------------------------------------------------------------------
+    # Parts
 
     def store(self, domain: str, size: float | None = None) -> int:
         name, k = self.called(domain), len(self.nodes)
@@ -328,7 +329,7 @@ class _Drawing:
         bodies = [] if first is None else [first]
         while len(bodies) < count:
             bodies.append(self.store(domain))
-        for a, b in zip(bodies, bodies[1:], strict=False):
+        for a, b in pairwise(bodies):
             self.spring(a, b)
         rubbed = [b for b in bodies if self.chance(0.5)] or [bodies[-1]]
         for body in rubbed:
@@ -421,11 +422,12 @@ class _Drawing:
             self.add(Element("valve", name, a, b, p=(size, float(f"{0.03 * p0:.1g}"))))
         return tanks
 
-    # Whole rigs ---------------------------------------------------------------------------------------------------
+    # Whole rigs
 
     def rig(self, number: int) -> Rig:
         kinds = (
-            "rotational", "translational", "electrical", "thermal", "tank", "motor", "rack", "heater", "cylinder", "stream",
+            "rotational", "translational", "electrical", "thermal", "tank", "motor", "rack", "heater", "cylinder",
+            "stream",
         )  # fmt: skip
         kind = kinds[(number + int(self.rng.integers(2))) % len(kinds)]
         getattr(self, f"_{kind}")()
@@ -472,10 +474,11 @@ class _Drawing:
         begin = self.driven("electrical")
         name, k = self.called("motor"), len(self.elements)
         z = self.P["electrical"] / self.F["electrical"]
+        constant = self.near(-0.2, 0.2) * self.F["rotational"] / self.F["electrical"]
         p = (
             self.keep(f"{name}.L", self.near(-1.0, -0.4) * z * self.T, "H", "Inductance", ("element", k, 0)),
             self.keep(f"{name}.R", self.near(-0.5, 0.0) * z, "Ohm", "Resistance", ("element", k, 1)),
-            self.keep(f"{name}.k", self.near(-0.2, 0.2) * self.F["rotational"] / self.F["electrical"], "N.m/A", "Torque constant", ("element", k, 2)),
+            self.keep(f"{name}.k", constant, "N.m/A", "Torque constant", ("element", k, 2)),
         )  # fmt: skip
         shaft = self.store("rotational")
         self.elements.append(Element("motor", name, begin, shaft, p=p))
@@ -489,10 +492,11 @@ class _Drawing:
         name, k = self.called("rack"), len(self.elements)
         r0, stiff = self.P["translational"] / self.P["rotational"], self.near(0.7, 1.3)
         unit = self.F["translational"] / self.P["translational"]
+        loss = 2 * self.near(-1.2, -0.6) * float(np.sqrt(stiff)) * unit
         p = (
             self.keep(f"{name}.r", self.near(-0.2, 0.2) * r0, "m", "Radius of the pinion", ("element", k, 0)),
             self.keep(f"{name}.c", stiff * unit / self.T, "N/m", "Stiffness", ("element", k, 1)),
-            self.keep(f"{name}.d", 2 * self.near(-1.2, -0.6) * float(np.sqrt(stiff)) * unit, "N.s/m", "Damping", ("element", k, 2)),
+            self.keep(f"{name}.d", loss, "N.s/m", "Damping", ("element", k, 2)),
         )  # fmt: skip
         self.elements.append(Element("gear", name, first[-1], body, p=p))
         self.chain("translational", 1, first=body)
@@ -557,7 +561,7 @@ class _Drawing:
         for k in own:
             node = self.nodes[k]
             end = k in (own[0], own[-1])
-            if not end and self.chance(0.5) or k == own[0] and len(own) > 2 and self.chance(0.25):
+            if (not end and self.chance(0.5)) or (k == own[0] and len(own) > 2 and self.chance(0.25)):
                 continue
             letter, unit, words = units[node.domain]
             what = "potential"
@@ -570,7 +574,7 @@ class _Drawing:
             readings.append((what, k))
             outputs.append(Signal(f"{letter}_{node.name}", unit, f"{words} of the {node.name}"))
         for k, element in enumerate(self.elements):
-            if element.kind == "motor" or element.kind == "coil" and self.chance(0.5):
+            if element.kind == "motor" or (element.kind == "coil" and self.chance(0.5)):
                 readings.append(("state", k))
                 outputs.append(Signal(f"i_{element.name}", "A", f"Current of the {element.name}"))
         return tuple(readings), tuple(outputs)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from benchmarks.blind.plants.grammar import Rig
 from benchmarks.blind.plants.network import Element
 
@@ -32,7 +34,10 @@ def place_of(rig: Rig, what: str, k: int) -> str:
         return rig.network.nodes[k].name if what == "node" else rig.network.elements[k].name
     if what == "node":
         return f"{_state(rig, k)}.balance"
-    return rig.network.elements[k].name
+    element = rig.network.elements[k]
+    if element.kind in ("coil", "motor"):
+        return f"i_{element.name}.balance"
+    return ".".join(sorted(_state(rig, n) for n in (element.a, element.b)))
 
 
 def _signals(rig: Rig) -> list[str]:
@@ -80,7 +85,7 @@ def _with_components(rig: Rig) -> str:
         for node, port in ends:
             ports[node].append(f"{_instance_name(element)}.{port}")
     for joined in ports.values():
-        connected += [f"  connect({a}, {b});" for a, b in zip(joined, joined[1:], strict=False)]
+        connected += [f"  connect({a}, {b});" for a, b in pairwise(joined)]
     read = []
     for (what, k), signal in zip(network.readings, rig.outputs, strict=True):
         if what == "state":
@@ -101,7 +106,12 @@ def _instance_name(element: Element) -> str:
 
 def _connector(domain: str) -> str:
     name, potential, p_unit, flow, f_unit, *_ = _DOMAINS[domain]
-    return f'  connector {name}\n    Real {potential}(unit="{p_unit}");\n    flow Real {flow}(unit="{f_unit}");\n  end {name};'
+    lines = [
+        f"  connector {name}",
+        f'    Real {potential}(unit="{p_unit}");',
+        f'    flow Real {flow}(unit="{f_unit}");',
+    ]
+    return "\n".join([*lines, f"  end {name};"])
 
 
 _SOURCE_VOLTAGE = """\
@@ -122,7 +132,8 @@ def _store(domain: str, start: float) -> str:
     head = f'  model {model}\n    {connector} port;\n    parameter Real {letter}(unit="{unit}", min=0) = 1;\n'
     if potential != rate:
         return head + (
-            f'    Real {potential}(unit="{p_unit}", start=0, fixed=true), {rate}(unit="{r_unit}", start=0, fixed=true);\n'
+            f'    Real {potential}(unit="{p_unit}", start=0, fixed=true);\n'
+            f'    Real {rate}(unit="{r_unit}", start=0, fixed=true);\n'
             f"  equation\n    {potential} = port.{potential};\n    {rate} = der({potential});\n"
             f"    {letter}*der({rate}) = port.{flow};\n  end {model};"
         )
@@ -193,14 +204,16 @@ def _component(rig: Rig, e: Element) -> tuple[str, str, list[tuple[int, str]], l
         return name, model(name, [both, real.format("K", "m2.5/s")], [law]), ends, []
     if e.kind == "motor":
         declared = [
-            "    Pin a;", "    Flange b;", real.format("L", "H"), real.format("R", "Ohm"), real.format("k", "N.m/A"),
+            "    Pin a;\n    Flange b;", real.format("L", "H"),
+            real.format("R", "Ohm"), real.format("k", "N.m/A"),
             '    Real i(unit="A", start=0, fixed=true);',
         ]  # fmt: skip
         text = model("DCMotor", declared, ["i = a.i;", "L*der(i) = a.v - R*i - k*der(b.phi);", "b.tau = -k*i;"])
         return "DCMotor", text, ends, []
     if e.kind == "gear":
         declared = [
-            "    Flange a;", "    Slide b;", real.format("r", "m"), real.format("c", "N/m"), real.format("d", "N.s/m"),
+            "    Flange a;\n    Slide b;", real.format("r", "m"),
+            real.format("c", "N/m"), real.format("d", "N.s/m"),
             '    Real rel(unit="m");',
         ]  # fmt: skip
         laws = ["rel = r*a.phi - b.s;", "b.f = -(c*rel + d*der(rel));", "a.tau = -r*b.f;"]
@@ -312,7 +325,8 @@ def _as_equations(rig: Rig) -> str:
     starts = {_state(rig, k): n.start for k, n in enumerate(nodes)}
     for s in rig.outputs:  # every output is a state
         signals.append(
-            f'  output Real {s.name}(unit="{s.unit}", start={_number(starts.get(s.name, 0.0))}, fixed=true) "{s.words}";'
+            f'  output Real {s.name}(unit="{s.unit}", start={_number(starts.get(s.name, 0.0))}, fixed=true)'
+            f' "{s.words}";'
         )
     name = class_name(rig)
     return (

@@ -20,8 +20,8 @@ KINDS = ("cond", "spring", "coil", "valve", "motor", "gear", "piston", "heater",
 TARGETS = ("node", "beside", "drop", "varies")
 LAWS = (
     "viscous", "coulomb", "stribeck", "asymmetry", "quadratic", "presliding", "cogging", "weight", "hardening",
-    "hysteresis", "backlash", "leakage", "capacity", "loss", "radiation", "outflow", "overflow", "voltage_drop", "eddy",
-    "coefficient", "resonator", "wear", "pulsation", "relay", "chaos", "slip",
+    "hysteresis", "backlash", "leakage", "capacity", "loss", "radiation", "outflow", "overflow", "voltage_drop",
+    "eddy", "coefficient", "resonator", "wear", "pulsation", "relay", "chaos", "slip",
 )  # fmt: skip
 READINGS = ("potential", "position", "state", "force")
 _HIDDEN = 4

@@ -41,7 +41,7 @@ def simulate(
     controller: Controller | None = None, reference: Floats | None = None, noise: Floats | None = None,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Return readings (outputs, N) without noise and the recorded inputs."""
-    inner, outer = acting(rig, effects)
+    inner, outer = acting(effects)
     parts = parts_of(outer)
     network = network.with_effects(inner)
     steps = steps_of(rig, network)
@@ -72,7 +72,7 @@ def simulate(
         k = effect.index
         y[k] = effect.applied(y[k], raw, typical.outputs[k], typical.zeros[k])
     if parts > 1:
-        at = np.minimum(np.arange(samples) * parts + int(round(way.read * parts)), samples * parts - 1)
+        at = np.minimum(np.arange(samples) * parts + round(way.read * parts), samples * parts - 1)
         y = y[:, at]
     return y, u
 
