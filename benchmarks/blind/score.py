@@ -1,16 +1,411 @@
-"""The score of the blind check."""
+"""The score of the blind check: answers against labels, figure by figure of the table of aims.
+
+Cases cluster by rig: intervals hold 90 % and allow for it, and the interval for a new rig is wider still. Effects
+that a case's runs cannot tell apart count as one, and effects of the background are not wrong: the plant has them.
+A case without an answer is not right.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from scipy.stats import norm, t
 
-def in_words(answer: dict[str, Any]) -> str:
+_NAMING = ("effect", "partial", "ambiguous")
+_BINS = 10  # of the probability, each with as many cases
+_NEAR = 0.03  # of an aim: how far an interval may reach beyond it
+LISDD = {"detection": 1.0, "localisation F1": 0.80, "parameter bias": 0.002, "right form": 1.0}  # arXiv 2606.23215
+
+
+def canonical(name: str) -> str:
+    """Return an id with the two ends of a branch in alphabetical order, as written models name them."""
+    law, at, place = name.partition("@")
+    place, bracket, rest = place.partition("(")
+    ends = place.split(".")
+    if len(ends) == 2 and ends[1] != "balance":
+        place = ".".join(sorted(ends))
+    return f"{law}{at}{place}{bracket}{rest}"
+
+
+def in_words(answer: Mapping[str, Any]) -> str:
     """Return the verdict of a diagnosis in a few words."""
     verdict = answer["verdict"]
     joined = " and ".join(verdict["effects"])
     if verdict["one_of"]:
         either = " or ".join(" and ".join(names) for names in verdict["one_of"])
         joined = f"{joined} and ({either})" if joined else either
-    kind = ("provisional " if verdict.get("provisional") else "") + verdict["kind"]
+    kind = ("provisional " if verdict.get("provisional") else "") + str(verdict["kind"])
     return f"{kind}: {joined}" if joined else kind
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A case: its label and what was answered, as JSON; see the module."""
+
+    label: Mapping[str, Any]
+    record: Mapping[str, Any]
+
+    @property
+    def answer(self) -> Mapping[str, Any] | None:
+        """The diagnosis, if there is one."""
+        return self.record.get("answer")
+
+    @property
+    def verdict(self) -> Mapping[str, Any]:
+        """Of the diagnosis; of a case without an answer, an empty one."""
+        return (
+            self.answer["verdict"]
+            if self.answer
+            else {"kind": "none given", "effects": [], "one_of": [], "ports": []}
+        )
+
+    @property
+    def kind(self) -> str:
+        """Of the verdict."""
+        return str(self.verdict["kind"])
+
+    @property
+    def provisional(self) -> bool:
+        """Whether the verdict says that it is."""
+        return bool(self.verdict.get("provisional"))
+
+    @property
+    def sets(self) -> list[set[str]]:
+        """The sets of effects that the verdict leaves open."""
+        effects = self.verdict["effects"]
+        return [{canonical(n) for n in (*effects, *names)} for names in self.verdict["one_of"] or [[]]]
+
+    def is_a(self, name: str, truth: str) -> bool:
+        """Return whether a name is the truth, or one that the runs cannot tell from it."""
+        if truth.startswith("varies@"):
+            parameter = truth.partition("@")[2]
+            variables = [v.lower() for v in self.label["variable"]]
+            law, _, rest = name.partition("@")
+            place, _, variable = rest.rstrip(")").partition("(")
+            return law == "varies" and place == parameter and any(v in variable.lower() for v in variables)
+        same = [truth, *self.label["same"].get(truth, ())]
+        return canonical(name) in {canonical(n) for n in same}
+
+    @property
+    def behind(self) -> set[str]:
+        """Effects of the background."""
+        return {canonical(n) for n in self.label["background_effects"]}
+
+    @property
+    def right(self) -> bool:
+        """Whether the verdict is exactly right."""
+        truths, stratum = self.label["effects"], self.label["stratum"]
+        if stratum == "none":
+            return self.kind == "complete"
+        if stratum == "unknown":
+            return self.kind == "unknown"
+        return self.kind in _NAMING and all(
+            all(any(self.is_a(n, truth) for n in s) for truth in truths) and not self._foreign(s)
+            for s in self.sets
+        )
+
+    def _foreign(self, names: set[str]) -> set[str]:
+        truths = self.label["effects"] if self.label["stratum"] != "unknown" else []
+        return {n for n in names if n not in self.behind and not any(self.is_a(n, truth) for truth in truths)}
+
+    @property
+    def wrong(self) -> bool:
+        """Whether an effect is named that the plant does not have, in every set that the verdict leaves open."""
+        return self.kind in _NAMING and all(self._foreign(s) for s in self.sets)
+
+    @property
+    def alarmed(self) -> bool:
+        """Whether the verdict says that the model lacks something."""
+        return self.kind in (*_NAMING, "unknown")
+
+    @property
+    def placed(self) -> bool:
+        """Whether the true place is among those that the verdict names."""
+        named = {canonical("@" + p)[1:].removesuffix(".balance") for p in self.verdict.get("ports") or []}
+        return any(p.removesuffix(".balance") in named for p in self.label.get("places", ()))
+
+    @property
+    def likeliest(self) -> tuple[float, bool] | None:
+        """The probability of the likeliest answer, and whether it is true."""
+        if not self.answer or not self.answer["answers"]:
+            return None
+        best = max(self.answer["answers"], key=lambda a: float(a["probability"] or 0.0))
+        names, truths = set(best["effects"]), self.label["effects"]
+        if names <= {"none", "unknown"}:
+            true = (names == {"none"} and not truths) or (
+                names == {"unknown"} and self.label["stratum"] == "unknown"
+            )
+        else:
+            true = (
+                bool(truths)
+                and all(any(self.is_a(n, x) for n in names) for x in truths)
+                and not self._foreign(names)
+            )
+        return float(best["probability"] or 0.0), bool(true)
+
+    @property
+    def reason(self) -> str:
+        """Why the case is not right, as far as a program can say it."""
+        if not self.answer:
+            return f"no answer: {str(self.record.get('said', '')).splitlines()[-1:] or ['']}"[:160]
+        if self.wrong:
+            return "names " + ", ".join(sorted(set().union(*map(self._foreign, self.sets))))
+        if self.kind == "insufficient":
+            best = (self.answer.get("best") or {}).get("effects") or []
+            return f"not enough data to say; best explanation: {' and '.join(best) or 'none'}"
+        if self.label["stratum"] == "none":
+            return f"a complete model is called {self.kind}"
+        if self.kind == "complete":
+            return "the gap is not seen"
+        if self.kind == "unknown":
+            return "called unknown" + ("" if self.placed else ", at another place")
+        return "not every effect is named, or others beside it"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A line of the table of aims: a value with its intervals, how many cases and rigs, and what is aimed at."""
+
+    name: str
+    value: float | None
+    cases: int
+    rigs: int = 0
+    lower: float | None = None
+    upper: float | None = None
+    interval: tuple[float, float] | None = None
+    new_rig: tuple[float, float] | None = None
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the aim is met, by the figure and by its interval but for a little; None without an aim."""
+        if self.value is None or (self.lower is None and self.upper is None):
+            return None
+        worst, best = self.interval or (self.value, self.value)
+        low, high = self.lower is None or self.value >= self.lower, self.upper is None or self.value <= self.upper
+        if self.lower is not None and self.upper is not None:  # a range: the interval has to reach it
+            return best >= self.lower and worst <= self.upper
+        near_low = self.lower is None or worst >= self.lower - _NEAR
+        near_high = self.upper is None or best <= self.upper + _NEAR
+        return low and high and near_low and near_high
+
+
+def share(
+    name: str,
+    cases: Sequence[Scored],
+    holds: Callable[[Scored], bool],
+    *,
+    lower: float | None = None,
+    upper: float | None = None,
+) -> Figure:
+    """Return a share of cases with its interval and that for a new rig."""
+    if not cases:
+        return Figure(name, None, 0, 0, lower, upper)
+    by_rig: dict[tuple[int, int], list[bool]] = {}
+    for case in cases:
+        by_rig.setdefault((case.label["seed"], case.label["rig"]), []).append(bool(holds(case)))
+    hits = np.array([sum(x) for x in by_rig.values()], dtype=float)
+    sizes = np.array([len(x) for x in by_rig.values()], dtype=float)
+    n, k = sizes.sum(), len(sizes)
+    p = float(hits.sum() / n)
+    binomial = p * (1 - p) / n
+    clustered = float(np.sum((hits - p * sizes) ** 2) / n**2 * k / max(k - 1, 1))
+    effective = n / max(clustered / binomial, 1.0) if binomial > 0 else k
+    z = float(norm.ppf(0.95))
+    middle = (p + z**2 / (2 * effective)) / (1 + z**2 / effective)
+    half = z * np.sqrt(p * (1 - p) / effective + z**2 / (4 * effective**2)) / (1 + z**2 / effective)
+    between = max(float(np.average((hits / sizes - p) ** 2, weights=sizes)) - p * (1 - p) * k / n, 0.0)
+    far = float(t.ppf(0.95, max(k - 1, 1))) * np.sqrt(between + half**2 / z**2)
+    interval = (max(middle - half, 0.0), min(middle + half, 1.0))
+    new = (max(min(p - far, interval[0]), 0.0), min(max(p + far, interval[1]), 1.0))
+    return Figure(name, p, int(n), k, lower, upper, interval, new)
+
+
+def figures(everything: Sequence[Scored]) -> list[Figure]:
+    """Return every figure of the table of aims, single runs first."""
+    cases = [c for c in everything if not c.label["twin_of"] and not c.label["own_shape"]]
+    calm = [c for c in cases if not c.label["loud"]]
+    by = {
+        (s, r): [c for c in cases if c.label["stratum"] == s and (c.label["repeats"] == 1) is r]
+        for s in _STRATA
+        for r in (True, False)
+    }
+    none = {
+        r: [c for c in calm if c.label["stratum"] == "none" and (c.label["repeats"] == 1) is r]
+        for r in (True, False)
+    }
+    both = {s: by[s, True] + by[s, False] for s in _STRATA}
+    sizes, closures = _known(cases, _size_covered), _known(cases, _closure_covered)
+    seconds = [float(c.record["seconds"]) for c in cases if "seconds" in c.record]
+    tables = [x for c in both["unknown"] if (x := _learned(c)) is not None]
+    own = [c for c in everything if c.label["own_shape"] and not c.label["twin_of"]]
+    damaged = [c for c in cases if c.label["damaged"]]
+    return [
+        share("single runs: one effect right, firm or provisional", by["one", True], _right, lower=0.80),
+        share("single runs: false alarm on complete models", none[True], lambda c: c.alarmed, upper=0.05),
+        share("single runs: complete called complete", none[True], _right),
+        share("repeated runs: one effect right", by["one", False], _right, lower=0.92),
+        share("repeated runs: false alarm on complete models", none[False], lambda c: c.alarmed, upper=0.03),
+        share("repeated runs: complete called complete", none[False], _right),
+        share("wrong name, firm", cases, lambda c: c.wrong and not c.provisional, upper=0.02),
+        share("wrong name, provisional", cases, lambda c: c.wrong and c.provisional, upper=0.08),
+        share("a coefficient that varies: it and its variable right", both["varies"], _right, lower=0.75),
+        share("unknown: place right", both["unknown"], lambda c: c.placed, lower=0.85),
+        Figure("unknown: learned table closes on left-out runs, median", _median(tables), len(tables), lower=0.7),
+        share("two effects: both right", both["two"], _right, lower=0.80),
+        share(
+            "size inside its 90 % interval", [c for c, _ in sizes], lambda c: _of(sizes, c), lower=0.85, upper=0.95
+        ),
+        share(
+            "promised closure kept on a new run",
+            [c for c, _ in closures],
+            lambda c: _of(closures, c),
+            lower=0.85,
+            upper=0.95,
+        ),
+        Figure("calibration error of the likeliest answer", *calibration(cases), upper=0.03),
+        _same_information(everything),
+        Figure("median processor time, s", _median(seconds), len(seconds), upper=10.0),
+        share("cases with an answer", cases, lambda c: c.answer is not None),
+        share("the catalogue's own shapes: one effect right", own, _right),
+        share(
+            "damaged log refused by name, the others diagnosed",
+            damaged,
+            lambda c: bool(c.record.get("refused") and c.answer),
+        ),
+    ]
+
+
+_STRATA = ("none", "one", "two", "varies", "unknown", "regime")
+
+
+def _known(cases: Sequence[Scored], covered: Callable[[Scored], bool | None]) -> list[tuple[Scored, bool]]:
+    return [(case, x) for case in cases if (x := covered(case)) is not None]
+
+
+def _of(known: Sequence[tuple[Scored, bool]], case: Scored) -> bool:
+    return next(x for c, x in known if c is case)
+
+
+def _right(case: Scored) -> bool:
+    return case.right
+
+
+def _median(values: Sequence[float]) -> float | None:
+    return float(np.median(values)) if values else None
+
+
+def _size_covered(case: Scored) -> bool | None:
+    """Return whether the size that the catalogue's law should have is in the 90 % interval; None without one."""
+    if not case.answer or not case.right:
+        return None
+    for truth, size in case.label["sizes"].items():
+        for effect in case.answer["effects"]:
+            if canonical(effect["id"]) != canonical(truth) or not effect.get("parameters"):
+                continue
+            name = next(
+                (n for n in effect["parameters"] if n.rpartition(".")[2] in ("size", "lag", "delay", "width")),
+                None,
+            )
+            found = effect["parameters"].get(name) if name else None
+            if not found or not found.get("standard_error"):
+                return None
+            error = abs(found["value"] - size) / found["standard_error"]
+            return bool(error < norm.ppf(0.95))
+    return None
+
+
+def _closure_covered(case: Scored) -> bool | None:
+    """Return whether the closure on the run that was kept is in the promised interval."""
+    validated = case.record.get("validate")
+    if not isinstance(validated, dict) or case.kind not in _NAMING or not validated.get("closure_interval"):
+        return None
+    gap = validated["gaps"]["all"]
+    if gap["nominal"] < 0.5:  # a run that shows no gap
+        return None
+    low, high = validated["closure_interval"]
+    return bool(low <= gap["closure"] <= high)
+
+
+def _learned(case: Scored) -> float | None:
+    best = (case.answer or {}).get("best") or {}
+    closure = best.get("closure") or {}
+    value = closure.get("held_out") if isinstance(closure, dict) else closure
+    return float(value) if value is not None and case.kind == "unknown" else None
+
+
+def calibration(cases: Sequence[Scored]) -> tuple[float | None, int]:
+    """Return the calibration error of the likeliest answer, without what sampling adds to it, and how many cases.
+
+    It is the root of the mean squared difference of share and probability over bins of as many cases each (Kumar,
+    Liang, Ma: Verified uncertainty calibration. NeurIPS 2019).
+    """
+    known = [x for c in cases if (x := c.likeliest) is not None]
+    if len(known) < 2 * _BINS:
+        return None, len(known)
+    sure, hits = np.array(known, dtype=float).T
+    squared = 0.0
+    for chosen in np.array_split(np.argsort(sure, kind="stable"), _BINS):
+        rate, n = hits[chosen].mean(), len(chosen)
+        squared += n / len(known) * ((rate - sure[chosen].mean()) ** 2 - rate * (1 - rate) / (n - 1))
+    return float(np.sqrt(max(squared, 0.0))), len(known)
+
+
+def _same_information(cases: Sequence[Scored]) -> Figure:
+    named = {(c.label["seed"], c.label["case"]): c for c in cases}
+    twins = [c for c in cases if c.label["twin_of"] and (c.label["seed"], c.label["twin_of"]) in named]
+
+    def same(case: Scored) -> bool:
+        other = named[case.label["seed"], case.label["twin_of"]]
+        return case.kind == other.kind and {frozenset(s) for s in case.sets} == {frozenset(s) for s in other.sets}
+
+    return share("same information, same verdict", twins, same, lower=0.98)
+
+
+# Effects in one regime only --------------------------------------------------------------------------------------
+
+
+def localisation(case: Scored) -> float:
+    """Return the F1 score of the samples that the diagnosis places the gap at, of those where the effect acts.
+
+    Of the regimes that ``where`` names, those of the variable that decides count; without one, no sample is named.
+    """
+    regime = case.label["regime"]
+    x = np.array(regime["trace"])
+    value = np.abs(x) if regime["what"] == "rate" else x
+    truth, found = value > regime["over"], np.zeros(len(x), dtype=bool)
+    node = case.label["places"][0].removesuffix(".balance")
+    for place in (case.answer or {"where": []})["where"]:
+        bounds = place.get("regime")
+        if bounds and node in bounds["variable"].removesuffix(".balance"):
+            found |= (x >= bounds["from"]) & (x <= bounds["to"])
+    hit = float(np.sum(truth & found))
+    return 2 * hit / max(float(truth.sum() + found.sum()), 1.0)
+
+
+def bias(case: Scored) -> float | None:
+    """Return the mean relative error of the free parameters that the runs determine."""
+    if not case.answer:
+        return None
+    found = case.answer["model"]["parameters"]
+    errors = [
+        abs(found[n] / v - 1.0)
+        for n, v in case.label["values"].items()
+        if n in found and n in case.label["determined"] and n in case.record.get("free", ())
+    ]
+    return float(np.mean(errors)) if errors else None
+
+
+def regimes(cases: Sequence[Scored]) -> list[tuple[str, float | None, int, float]]:
+    """Return the figures of the stratum with effects in one regime only, each beside LISDD's published one."""
+    own = [c for c in cases if c.label["stratum"] == "regime" and not c.label["twin_of"]]
+    biases = [b for c in own if (b := bias(c)) is not None]
+    mean = lambda x: float(np.mean(x)) if len(x) else None  # noqa: E731
+    return [
+        ("detection", mean([c.alarmed for c in own]), len(own), LISDD["detection"]),
+        ("localisation F1", mean([localisation(c) for c in own]), len(own), LISDD["localisation F1"]),
+        ("parameter bias", float(np.median(biases)) if biases else None, len(biases), LISDD["parameter bias"]),
+        ("right form", mean([c.right for c in own]), len(own), LISDD["right form"]),
+    ]

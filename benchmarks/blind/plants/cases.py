@@ -35,6 +35,7 @@ from benchmarks.blind.plants.readings import MEMORY, Gaps, Run, Way, simulate
 
 REHEARSAL, CHECK = 100, 400
 PER_RIG = 4
+_TWIN = 8  # of so many cases, the last one is the one before it in other units, with other columns beside
 _BLOCK = ("none",) * 5 + ("one",) * 6 + ("two",) * 2 + ("varies",) * 2 + ("unknown",) * 3 + ("regime",) * 2
 _REPEATS = (1,) * 12 + (2,) * 3 + (3,) * 3 + (5,) * 2
 _NOISE = ("white",) * 8 + ("coloured", "heteroscedastic", "quantised", "drift", "spikes", "inputs") * 2
@@ -83,6 +84,11 @@ def stratum_of(seed: int, number: int) -> str:
 
 def draw_case(seed: int, number: int) -> Case:
     """Return case `number` of a seed; a plant that cannot be simulated is drawn again."""
+    if number % _TWIN == _TWIN - 1:
+        case = draw_case(seed, number - 1)
+        units, columns = not case.label["units"], not case.label["columns"]
+        own = {"case": f"c{number:04d}", "number": number, "twin_of": case.label["case"], "damaged": None}
+        return replace(case, label={**case.label, **own, "units": units, "columns": columns})
     for attempt in range(50):
         try:
             return _drawn(seed, number, np.random.default_rng([seed, number, attempt, 5]))
@@ -160,7 +166,7 @@ def _drawn(seed: int, number: int, rng: np.random.Generator) -> Case:
         "repeats": repeats, "noise": noise, "experiments": count, "timing": timing, "moving": moving,
         "closed": sum(c is not None for c in controllers), "values": values, "determined": gaps.determined,
         "damaged": str(rng.choice(_DAMAGE)) if rng.random() < 0.05 else None,
-        "columns": bool(rng.random() < 0.4), "units": bool(rng.random() < 0.15),
+        "twin_of": None, "columns": bool(rng.random() < 0.4), "units": bool(rng.random() < 0.15),
         "sizes": _sizes(gaps, chosen, known),
     }  # fmt: skip
     if stratum == "regime":
@@ -337,12 +343,13 @@ def noisy(y: Floats, sigma: Floats, noise: str, rng: np.random.Generator) -> Flo
 
 def write_case(case: Case, folder: Path) -> dict[str, str]:
     """Write what a user has; return SHA-256 of every log by name."""
-    rig, label, rng = case.rig, case.label, np.random.default_rng(case.rng)
+    rig, label = case.rig, case.label
     folder.mkdir(parents=True, exist_ok=True)
     network, sigma = rig.with_values(case.values), np.array(rig.noise)[:, None]
     logs, hashes = [], {}
     for run, name, control in zip(case.runs, case.names, case.controllers, strict=True):
         for k in range(case.repeats):
+            rng = np.random.default_rng([case.rng, len(logs)])
             own = rng.normal(size=rig.samples) * rig.noise[control[0].output] if control else None
             y, u = simulate(
                 rig, network, case.effects, run, case.way, case.typical,

@@ -1,0 +1,221 @@
+"""The page about the blind check, `docs/blind.md`, from what is published of every seed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.blind.plants.cases import CHECK, REHEARSAL
+from benchmarks.blind.score import Figure, Scored, figures, in_words, regimes, share
+
+_INTRODUCTION = """\
+# The blind check
+
+How often a diagnosis is right on machines that nobody has seen. Rigs are drawn at random from a grammar:
+networks of 2 to 8 components in one or two domains, with parameters, inputs, sensors, rates and noise. Each has
+a plain Modelica model, half of them with components and half as equations, and a plant by nodal assembly in C
+that shares nothing with the program. Plants differ from their models by parameters up to a fifth off, by a
+background of three to six small effects, and by what is asked for: nothing, one or two effects of the
+catalogue's kinds in shapes that are not the catalogue's, a coefficient that varies, something that no catalogue
+has, or an effect in one operating regime only. Logs are as they come: six of ten are single runs; some start in
+motion, run in a closed loop, have the timing of a PLC, columns that nothing uses, or a damaged file beside
+them.
+
+`fmuid init` and `fmuid diagnose` get logs and model as from a user. Every seed is used once and then published
+whole, in `benchmarks/blind/published/<seed>/`: version of the grammar, labels, answers, SHA-256 of every log.
+The first {rehearsal} cases of a seed are a rehearsal, whose labels may be read while rules change; the next
+{check} are the check.
+
+    make blind SEED=...       # draw and diagnose
+    make blind-verify         # recompute this page from what is committed, and logs from their seeds
+
+Before any diagnosis, 50 random rigs were compared with their models: `make blind-agreement` (largest difference
+0.001 standard deviations of the noise).
+
+A gap is in noise floors of a sample after a refit of all parameters. Effects that a case's runs cannot tell
+apart (less than 3 standard deviations over all runs, by the plant) count as one. Intervals hold 90 %; cases
+cluster by rig, and the intervals allow for it. The interval for a new rig is where the share of a rig that is
+not among these lies.
+"""
+_REGIMES = """\
+Beside the figures that LISDD (arXiv 2606.23215) published of its controlled experiments, which are other systems:
+whether a discrepancy is seen; F1 of the samples that are named, of those where the effect acts; the relative
+error of the parameters that the runs determine (mean over parameters, median over cases); whether the law is
+named."""
+
+
+@dataclass(frozen=True)
+class Seed:
+    """What is published of a seed."""
+
+    seed: int
+    told: dict[str, Any]
+    labels: list[dict[str, Any]]
+    records: dict[str, dict[str, Any]]
+    reasons: dict[str, str]
+
+    def cases(self, first: int, last: int) -> list[Scored]:
+        """Return the cases of these numbers that were diagnosed."""
+        return [
+            Scored(label, self.records[label["case"]])
+            for label in self.labels
+            if first <= label["number"] < last and label["case"] in self.records
+        ]
+
+
+def read_published(folder: Path) -> list[Seed]:
+    """Return what is published, seed by seed."""
+    found = []
+    for file in sorted(folder.glob("*/seed.json")):
+        told = json.loads(file.read_text())
+        labels, records = (
+            [json.loads(line) for line in (file.parent / name).read_text().splitlines()]
+            for name in ("labels.jsonl", "answers.jsonl")
+        )
+        reasons = file.with_name("reasons.json")
+        found.append(
+            Seed(
+                told["seed"], told, labels, {r["case"]: r for r in records},
+                json.loads(reasons.read_text()) if reasons.is_file() else {},
+            )
+        )  # fmt: skip
+    return found
+
+
+def page(folder: Path) -> str:
+    """Return the Markdown page."""
+    parts = [_INTRODUCTION.format(rehearsal=REHEARSAL, check=CHECK)]
+    for seed in read_published(folder):
+        for title, cases in (
+            ("the check", seed.cases(REHEARSAL, REHEARSAL + CHECK)),
+            ("a rehearsal", seed.cases(0, REHEARSAL)),
+        ):
+            if cases:
+                parts.append(_section(f"Seed {seed.seed}: {title}", seed, cases))
+    if len(parts) == 1:
+        parts.append("No seed has been published yet.\n")
+    return "\n".join(parts)
+
+
+def _section(title: str, seed: Seed, cases: Sequence[Scored]) -> str:
+    rigs = len({c.label["rig"] for c in cases})
+    lines = [
+        f"## {title}",
+        "",
+        f"{len(cases)} cases on {rigs} rigs, diagnosed by commit `{seed.told['commit'][:10]}`, grammar"
+        f" {seed.told['grammar']}.",
+        "",
+        _aims(figures(cases)),
+        "### Effects in one regime only",
+        "",
+        _REGIMES,
+        "",
+        _table(
+            ("figure", "here", "cases", "LISDD"),
+            ([n, number(v), str(k), f"{p:g}"] for n, v, k, p in regimes(cases)),
+        ),
+        "### By stratum, repeats, noise and rig",
+        "",
+        _shares(cases),
+        "### Every case that is not right",
+        "",
+        _misses(seed, cases),
+    ]
+    return "\n".join(lines)
+
+
+def number(value: float | None) -> str:
+    """Return a figure as text."""
+    return (
+        ""
+        if value is None
+        else f"{value:.3f}"
+        if abs(value) < 0.01 and value
+        else f"{value:.2f}"
+        if abs(value) < 10
+        else f"{value:.0f}"
+    )
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [
+        "| " + " | ".join(head) + " |",
+        "|" + "---|" * len(head),
+        *("| " + " | ".join(r) + " |" for r in rows),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _aims(found: Sequence[Figure]) -> str:
+    def bounds(pair: tuple[float, float] | None) -> str:
+        return "" if pair is None else f"{pair[0]:.2f} to {pair[1]:.2f}"
+
+    rows = []
+    for f in found:
+        aim = f"{f.lower:g} to {f.upper:g}" if f.lower is not None and f.upper is not None else ""
+        aim = aim or (f"≥ {f.lower:g}" if f.lower is not None else f"≤ {f.upper:g}" if f.upper is not None else "")
+        met = {True: "yes", False: "no", None: ""}[f.met]
+        rows.append(
+            [
+                f.name,
+                aim,
+                number(f.value),
+                bounds(f.interval),
+                bounds(f.new_rig),
+                str(f.cases),
+                str(f.rigs or ""),
+                met,
+            ]
+        )
+    return _table(("figure", "aim", "value", "90 %", "a new rig", "cases", "rigs", "met"), rows)
+
+
+def _shares(cases: Sequence[Scored]) -> str:
+    rows = []
+    for title in ("stratum", "repeats", "noise", "timing", "moving", "closed", "style", "kind", "loud"):
+        groups: dict[str, list[Scored]] = {}
+        for case in cases:
+            value = case.label[title]
+            groups.setdefault(str(bool(value) if title == "closed" else value), []).append(case)
+        for name, own in sorted(groups.items()):
+            found = share("", own, lambda c: c.right)
+            kinds: dict[str, int] = {}
+            for case in own:
+                kinds[case.kind] = kinds.get(case.kind, 0) + 1
+            seconds = [c.record["seconds"] for c in own if "seconds" in c.record]
+            rows.append(
+                [
+                    title, name, str(len(own)), number(found.value),
+                    ", ".join(f"{k} {n}" for k, n in sorted(kinds.items())),
+                    f"{np.median(seconds):.0f}" if seconds else "",
+                ]
+            )  # fmt: skip
+    return _table(("by", "which", "cases", "right", "verdicts", "seconds"), rows)
+
+
+def _misses(seed: Seed, cases: Sequence[Scored]) -> str:
+    rows = []
+    for case in cases:
+        label = case.label
+        if case.right or label["twin_of"]:
+            continue
+        how = [
+            f"{label['repeats']} runs",
+            label["noise"],
+            *([label["timing"]] if label["timing"] != "held" else []),
+        ]
+        how += [word for word in ("moving", "closed") if label[word]]
+        rows.append(
+            [
+                label["case"], label["kind"] + ", " + label["style"],
+                f"{label['stratum']}: {' and '.join(label['effects']) or 'none'}",
+                number(label["gap"]), number(label["background"]), ", ".join(how),
+                in_words(case.answer) if case.answer else "none", seed.reasons.get(label["case"], case.reason),
+            ]
+        )  # fmt: skip
+    return _table(("case", "rig", "truth", "gap", "background", "logs", "verdict", "reason"), rows)
