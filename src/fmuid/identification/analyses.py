@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 
+import numpy as np
+
 from fmuid.core.campaign import AnalysisSpec, ParetoSpec
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray
@@ -69,7 +71,7 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | Non
             free = uncertainty_of(
                 problem, best, evaluate=evaluate, floor=floor, held=held, evaluate_held=evaluate_held
             )
-            found.uncertainty = without_intervals(free, _without_errors(search, best, found.warnings))
+            found.uncertainty = without_intervals(free, _without_errors(search, best, free, found.warnings))
             found.warnings += free.notes
     if found.uncertainty is not None:
         _profile(found, found.uncertainty, spec, search, evaluate)
@@ -84,7 +86,23 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | Non
     return found
 
 
-def _without_errors(search: Search, best: Evaluation, warnings: list[str]) -> list[str]:
+def bounds_reached(problem: Problem, best: Evaluation, found: Uncertainty | None) -> dict[str, str]:
+    """Return which bound, by name, each parameter at a bound is at, judged against its standard error if known."""
+    errors: list[float | None] = [None] * len(problem.space)
+    if found is not None:
+        variances = np.maximum(np.diag(np.array(found.covariance)), 0.0)
+        errors = [
+            None if name in found.identifiability.undetermined else float(error)
+            for name, error in zip(found.names, problem.space.slope(best.x) * np.sqrt(variances), strict=True)
+        ]
+    sides = {
+        spec.name: at_bound(best.parameters[spec.name], spec.lower, spec.upper, error=e, log=spec.scale == "log")
+        for spec, e in zip(problem.space.free, errors, strict=True)
+    }
+    return {name: side for name, side in sides.items() if side}
+
+
+def _without_errors(search: Search, best: Evaluation, free: Uncertainty, warnings: list[str]) -> list[str]:
     """Return the parameters whose standard errors would not be valid; warnings say why."""
     problem = search.problem
     if problem.combination.kind != "weighted_sum":
@@ -92,7 +110,7 @@ def _without_errors(search: Search, best: Evaluation, warnings: list[str]) -> li
         return list(problem.space.names)
     if search.at_edge:  # where the estimate would lie without the edge is unknown
         return list(problem.space.names)
-    return [s.name for s in problem.space.free if at_bound(best.parameters[s.name], s.lower, s.upper)]
+    return list(bounds_reached(problem, best, free))
 
 
 def _profile(

@@ -18,14 +18,15 @@ from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.folder_lock import claim
 from fmuid.core.formatting import shortened
 from fmuid.core.one_thread import in_one_thread
-from fmuid.identification.analyses import Findings, analyse
+from fmuid.identification.analyses import Findings, analyse, bounds_reached
 from fmuid.identification.history import History
 from fmuid.identification.misfit import misfit
 from fmuid.identification.observer import Observer, Progress
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
+from fmuid.identification.problem.zero_starts import sized
 from fmuid.identification.provenance import fingerprint, hashes_of, versions
-from fmuid.identification.result import FILE, CriterionValue, Estimate, Result, StageResult, at_bound, finite
+from fmuid.identification.result import FILE, CriterionValue, Estimate, Result, StageResult, finite
 from fmuid.identification.solvers import Outcome, Search, Solver, Status, StopRules, StopSearch, make
 from fmuid.identification.solvers.pareto import Objectives
 from fmuid.identification.uncertainty.between_machines import MachineSpread, machine_spread
@@ -178,6 +179,7 @@ def identify(
         run = _Run(history, observer or Observer(), seed, specs)
         for step in plan:
             asked = posed(step, best, runner)
+            asked = replace(asked, problem=sized(asked.problem))
             result = _stage(run, asked, known)
             results.append(result)
             best = dict(result.parameters)
@@ -341,6 +343,7 @@ def _result(
     best, found = search.best, findings.uncertainty
     values = problem.space.tried(problem.space.start)[0] if best is None else dict(best.parameters)
     values = {name: value for name, value in values.items() if math.isfinite(value)}  # no tie without a value
+    bounds = {} if best is None else bounds_reached(problem, best, found)
     estimates = []
     for i, free in enumerate(problem.space.free):
         spec = run.specs.get(without_owner(free.name), free)
@@ -354,10 +357,11 @@ def _result(
                 finite(free.upper),
                 None if found is None else found.standard_errors[i],
                 None if found is None else found.intervals[i],
-                at_bound(values[free.name], free.lower, free.upper),
+                bounds.get(free.name),
                 spec.truth,
                 spec.description,
                 None if found is None or found.standard_errors[i] is None else found.inherited_shares[i],
+                free.scale,
             )
         )
     for name in problem.space.ties:

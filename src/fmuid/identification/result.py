@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from fmuid.core.frames import Library
 
 FILE = "result.json"
+_WITHIN, _NEAR = 0.1, 1e-3  # standard errors, and share of the range, within which an estimate is at its bound
+_TOUCHING, _ROUNDING = 1e-6, 1e-14  # share of the range, without a standard error and at least
 LEAST_SHOWN = 0.005  # share of a variance from which on a column is shown
 
 
@@ -62,6 +64,7 @@ class Estimate:
     truth: float | None = None
     description: str = ""
     inherited: float | None = None
+    scale: str = "linear"
 
     @property
     def relative_error(self) -> float | None:
@@ -318,7 +321,7 @@ def _reached(stage: StageHistory) -> StageResult:
 def _bound(estimate: Estimate, values: Mapping[str, float]) -> str | None:
     ends = (estimate.lower, estimate.upper)
     low, high = (end if e is None else e for e, end in zip(ends, (-math.inf, math.inf), strict=True))
-    return at_bound(values[estimate.name], low, high)
+    return at_bound(values[estimate.name], low, high, log=estimate.scale == "log")
 
 
 def finite(value: float) -> float | None:
@@ -361,9 +364,20 @@ def _cells(estimates: Sequence[Estimate]) -> list[list[str]]:
     return rows
 
 
-def at_bound(value: float, lower: float, upper: float) -> str | None:
-    """Return ``lower`` or ``upper`` if `value` is at that bound, within a thousandth of the range."""
+def at_bound(
+    value: float, lower: float, upper: float, *, error: float | None = None, log: bool = False
+) -> str | None:
+    """Return ``lower`` or ``upper`` if `value` is at that bound, else None.
+
+    It is if the distance in search space is below a tenth of the standard `error` and a thousandth of the range;
+    without an error, if it is within a millionth of the range.
+    """
+    if log:
+        error = None if error is None else error / value
+        lower, value, upper = (math.log(v) if v > 0.0 else -math.inf for v in (lower, value, upper))
     width = upper - lower if math.isfinite(upper - lower) else max(abs(value), 1e-300)
-    if value - lower <= 1e-3 * width:
+    reach = _TOUCHING * width if error is None else min(_WITHIN * error, _NEAR * width)
+    reach = max(reach, _ROUNDING * width)
+    if value - lower <= reach:
         return "lower"
-    return "upper" if upper - value <= 1e-3 * width else None
+    return "upper" if upper - value <= reach else None

@@ -26,8 +26,8 @@ class Combination:
     - ``min_max``: the largest weight * value. Solvers that take constraints get the smooth epigraph form:
       minimise t subject to weight * value <= t.
     - ``p_norm`` or ``p_norm(8)``: (sum (weight * value)^p)^(1/p), between the two; p = 8 by default.
-    - ``lexicographic``: by the criteria's option `priority` (1 first): a later group is minimised while no
-      earlier criterion gets worse.
+    - ``lexicographic``: by the criteria's option `priority` (1 first): while later groups are minimised, earlier
+      criteria may worsen up to their demands, or up to their best values if those are larger.
     """
 
     kind: str = "weighted_sum"

@@ -21,7 +21,7 @@ from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.problem.exact_derivatives import ExactDerivatives
 from fmuid.identification.problem.search_space import SearchSpace, expanded
 from fmuid.identification.problem.segments import observed, segmented
-from fmuid.identification.problem.solver_error import SolverAccuracy, solver_accuracy
+from fmuid.identification.problem.solver_error import SolverAccuracy, check_repeatable, solver_accuracy
 from fmuid.simulation.predictor import Predictor
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
@@ -111,6 +111,8 @@ class Problem:
         here, nowhere = space.tried(space.start)
         accuracy = SolverAccuracy()
         # Segments and observers keep predictions close to the measurements.
+        if settled and nowhere is None:
+            check_repeatable(cases, [case.start_values(here) for case in cases], runner)
         if settled and nowhere is None and stage.segments is None and not stage.observer:
             accuracy = solver_accuracy(cases, here, [case.start_values(here) for case in cases], runner)
         if accuracy.until:

@@ -61,12 +61,15 @@ class SearchSpace:
         Follower name -> expression of other parameters.
     least
         Name of a free parameter -> the smallest unit of its search coordinate, independent of its start.
+    sizes
+        Name of a free parameter -> the unit of its search coordinate, if neither start nor bounds show it.
     """
 
     free: tuple[ParameterSpec, ...]
     fixed: Mapping[str, float] = field(default_factory=dict)
     ties: Mapping[str, Expression] = field(default_factory=dict)
     least: Mapping[str, float] = field(default_factory=dict)
+    sizes: Mapping[str, float] = field(default_factory=dict)
     _order: tuple[str, ...] = field(init=False, default=())
     _unit: FloatArray = field(init=False, default_factory=lambda: np.ones(0))
     _log: NDArray[np.bool_] = field(init=False, default_factory=lambda: np.zeros(0, bool))
@@ -94,7 +97,10 @@ class SearchSpace:
         object.__setattr__(self, "fixed", frozen_mapping(self.fixed))
         object.__setattr__(self, "ties", frozen_mapping(self.ties))
         object.__setattr__(self, "_log", np.array([spec.scale == "log" for spec in self.free], dtype=bool))
-        units = [max(_reference(spec), self.least.get(spec.name, 0.0)) for spec in self.free]
+        units = [
+            self.sizes.get(spec.name) or max(_reference(spec), self.least.get(spec.name, 0.0))
+            for spec in self.free
+        ]
         object.__setattr__(self, "_unit", np.array(units))
         limits = tuple(read_only([getattr(s, end) for s in self.free]) for end in ("lower", "upper"))
         object.__setattr__(self, "_limits", limits)

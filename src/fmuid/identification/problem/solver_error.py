@@ -14,14 +14,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fmuid.core.errors import SimulationError
+from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.cases import Case
+from fmuid.simulation.pool.parcels import name_of
 from fmuid.simulation.runners import Outcome, Runner
 from fmuid.simulation.simulator import Task, default_tolerance
 
 UNSEEN = 0.2
 _TIGHTEST = 1e-10
+_SAME = 1e-9  # relative difference of two equal simulations that is rounding
 _SHRINKING = 0.25  # a tenth of the tolerance should leave less than this share of the previous change
 
 
@@ -54,6 +56,33 @@ class SolverAccuracy:
             f"'{case}' cannot be predicted from {time:.6g} s on and is left out from there: "
             "the prediction changes however tight the solver's tolerance is"
             for case, time in self.until.items()
+        )
+
+
+def check_repeatable(cases: Sequence[Case], starts: Sequence[Mapping[str, float]], runner: Runner) -> None:
+    """Simulate one case of every model twice.
+
+    Raises
+    ------
+    ProblemError
+        The two simulations differ by more than the noise: the model draws random numbers, or keeps a state.
+    """
+    first = {id(case.simulator): k for k, case in reversed(list(enumerate(cases)))}
+    jobs = [(cases[k].simulator, cases[k].task, starts[k]) for k in first.values() for _ in range(2)]
+    outcomes = runner(jobs)
+    for k, one, two in zip(first.values(), outcomes[::2], outcomes[1::2], strict=True):
+        if isinstance(one, SimulationError) or isinstance(two, SimulationError):
+            continue
+        case, apart = cases[k], np.abs(np.asarray(one) - np.asarray(two))[:, cases[k].lead :]
+        size = np.maximum(np.max(np.abs(np.asarray(one)), axis=1), np.finfo(float).tiny)
+        if np.all(apart <= _SAME * size[:, None]) or _moved(case, apart, None)[-1] < UNSEEN:
+            continue
+        worst = int(np.argmax(np.max(apart, axis=1) / size))
+        raise ProblemError(
+            f"two equal simulations differ in {case.channels[worst].variable} by up to {np.max(apart[worst]):.3g}"
+            ": the model draws random numbers, or keeps a state from one run to the next",
+            where=f"{name_of(case.simulator)}, experiment '{case.id}'",
+            fix="fix the seed of its random numbers, or remove its noise",
         )
 
 

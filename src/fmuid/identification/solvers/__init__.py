@@ -75,7 +75,7 @@ def make(name: str, options: Mapping[str, Any], problem: Problem) -> tuple[Solve
                 f"unknown solver option '{next(iter(options))}'",
                 fix=f"in a chain, write {links[0]} = {{ ... }}",
             )
-    solver = Verified(MultiStart(solver, starts) if starts > 1 else solver, solver)
+    solver = Verified(MultiStart(solver, starts) if starts > 1 else solver, _local(solver, problem))
     if problem.combination.kind == "lexicographic":
         solver = Lexicographic(solver)
     solver.check(problem)
@@ -93,6 +93,16 @@ def choose(problem: Problem) -> tuple[str, str]:
     if all(criterion.smooth for _, criterion in problem.criteria) and n > 1:
         return "bobyqa", f"smooth cost of {free} that is not a sum of squares: quadratic models"
     return "sbplx", "non-smooth criteria: a simplex search needs no derivatives"
+
+
+def _local(solver: Solver, problem: Problem) -> Solver:
+    """Return the local solver that continues from where `solver` ended: itself, unless it is a global one."""
+    globally = solver.name in ALGORITHMS and ALGORITHMS[solver.name].finite_bounds
+    if not globally or "evaluations" in getattr(solver, "options", {}):
+        return solver
+    if problem.constraints or problem.combination.kind in ("min_max", "lexicographic"):
+        return NloptSolver("cobyla")
+    return NloptSolver("bobyqa" if len(problem.space) > 1 and problem.smooth else "sbplx")
 
 
 def _of_link(link: str, options: Any) -> dict[str, Any]:

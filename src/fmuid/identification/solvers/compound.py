@@ -119,7 +119,7 @@ class MultiStart:
 
 @dataclass(frozen=True, slots=True)
 class Lexicographic:
-    """Minimises the criteria of priority 1, then those of priority 2 without making the first worse, and so on."""
+    """Minimises criteria by priority; the earlier ones keep their demands, or their best values if larger."""
 
     solver: Solver
     slack: float = field(default=1e-3)  # relative: without it, later levels could not move

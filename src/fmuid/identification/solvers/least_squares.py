@@ -21,6 +21,7 @@ from fmuid.identification.solvers.box import CandidateFailedError, around_failur
 from fmuid.identification.solvers.search import Outcome, Search, Status, StopSearch, number_of
 from fmuid.identification.solvers.trust_region import BlockedError, SettledError, trust_region
 
+NOTHING_MOVES = "no free parameter changes a prediction"
 _FLAT = 3.0  # times the noise of the cost: a smaller change is meaningless
 _FLAT_TRIALS = 2
 _LEVEL = 1e-4  # relative change of the cost below which the search is about to settle
@@ -73,8 +74,8 @@ class TrustRegion:
             )
         except SettledError:
             ended = Outcome(Status.CONVERGED, "the cost changes by no more than the simulator's noise")
-        except BlockedError:
-            ended = Outcome(Status.STALLED, "every further step fails")
+        except BlockedError as blocked:
+            ended = Outcome(Status.STALLED, str(blocked))
         else:
             ended = Outcome(Status.CONVERGED if status else Status.BUDGET, _in_words(status))
         at_best = ended.status is Status.CONVERGED and search.reached is search.best
@@ -133,7 +134,10 @@ class _Trials:
         here = self.search.evaluate(x)
         exact = self.search.problem.exact.jacobian(here)
         self.exact = exact is not None
-        return exact if exact is not None else self.differences(here.x).jacobian(self._evaluate, here)
+        j = exact if exact is not None else self.differences(here.x).jacobian(self._evaluate, here)
+        if not j.any():
+            raise BlockedError(NOTHING_MOVES)
+        return j
 
     def differences(self, x: FloatArray) -> Differences:
         """Return the difference quotients; the noise floor they need is measured at `x` if it is unknown."""
@@ -150,7 +154,7 @@ class _Trials:
         if not evaluation.ok:
             self.blocked += 1
             if self.blocked == _BLOCKED:
-                raise BlockedError
+                raise BlockedError("every further step fails")
             return np.full(len(self.first.residuals), np.nan)
         if evaluation.cost < (1.0 - _PROGRESS) * best.cost:
             self.blocked = 0

@@ -257,7 +257,7 @@ def _optimized(opt: Any, functions: _Functions, start: FloatArray) -> Outcome | 
         functions.reraise()
         if functions.stuck:
             return Outcome(Status.CONVERGED, "the solver no longer moves")
-        return Outcome(Status.FAILED, f"NLopt failed {error}".strip())
+        return Outcome(Status.STALLED, f"NLopt failed {error}".strip())
     functions.reraise()
     messages = {
         nlopt.FTOL_REACHED: "cost no longer changes",
