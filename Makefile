@@ -35,7 +35,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility identify-temperature-lab paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind designed-experiments blind-abroad rehearse-abroad discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example screenshots docs release clean
+.PHONY: all setup fmus coupled test test-all test-page lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility identify-temperature-lab paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind designed-experiments blind-abroad rehearse-abroad discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example screenshots docs release clean
 all: identify
 
 setup: $(READY)
@@ -213,7 +213,11 @@ lint: $(DEVELOPER)
 ABREAST := --numprocesses 2 --dist loadfile
 
 test: lint
-	$(BIN)/pytest $(ABREAST) -m "not slow"
+	$(BIN)/pytest $(ABREAST) -m "not slow and not browser"
+
+# The local page, looked at with Chromium; skipped where it is missing.
+test-page: $(DEVELOPER)
+	$(BIN)/pytest tests/page
 
 test-all: lint
 	$(BIN)/pytest $(ABREAST)

@@ -382,3 +382,8 @@ def _parameter_lines(variable: Variable) -> list[str]:
     if low > 0:
         lines.append('scale = "log"')
     return [*lines, ""]
+
+
+def parameter_text(variable: Variable) -> str:
+    """Return the table of a free parameter as `new_campaign` writes it: the model's value, and guessed bounds."""
+    return "\n".join(_parameter_lines(variable))

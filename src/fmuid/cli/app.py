@@ -20,6 +20,7 @@ from fmuid.cli import (
     demonstrating,
     designing,
     importing,
+    opening,
     ranking,
     simulating,
 )
@@ -51,6 +52,7 @@ app.command("compare")(comparing.compare)
 app.command("import")(importing.import_)
 app.command("export")(importing.export)
 app.command("report")(identification.report)
+app.command("open")(opening.open_)
 
 
 @app.callback(invoke_without_command=True)

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from fmuid.cli.output import CampaignPath, Json, Printer, Quiet, Trust
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
-
-if TYPE_CHECKING:
-    from fmuid.identification.check import Effect
 
 
 def check(
@@ -33,34 +30,30 @@ def check(
     """
     from fmuid.campaigns.campaign_toml import load_campaign
     from fmuid.core.formatting import counted
-    from fmuid.identification.check import check_effects, check_signals, load_models, match_models
-    from fmuid.identification.identify import check_stages
+    from fmuid.identification.check import load_models
+    from fmuid.identification.full_check import static_check, with_effects
 
     loaded = load_campaign(campaign, trust=trust)
     models = load_models(loaded)
-    findings = match_models(loaded, models) + check_signals(loaded)
-    if not any(f.level == "error" for f in findings):
-        check_stages(loaded, models)
-    effects: tuple[Effect, ...] = ()
+    found = static_check(loaded, models)
     printer = Printer(quiet, json)
     if simulate:
         with (
             printer.working("changing the parameters one by one"),
             supervised(workers, time_limit, memory_limit) as runner,
         ):
-            found, effects = check_effects(loaded, models, runner)
-        findings += found
-    errors = sum(f.level == "error" for f in findings)
+            found = with_effects(found, loaded, models, runner)
+    errors = found.errors
     sizes = (("model", models), ("parameter", loaded.parameters), ("stage", loaded.stages))
     printer.say(
         f"{loaded.name}: {counted(len(loaded.measurements), 'run')} ({len(loaded.identification)} to identify,"
         f" {len(loaded.validation)} to validate), {', '.join(counted(len(what), word) for word, what in sizes)}"
     )
-    if effects:
+    if found.effects:
         header = ("stage", "parameter", "sigma for 1 %", "step", "noise floor", "most in")
-        rows = [(e.stage, e.parameter, e.change, e.step, e.floor, e.criterion) for e in effects]
+        rows = [(e.stage, e.parameter, e.change, e.step, e.floor, e.criterion) for e in found.effects]
         printer.table(header, rows)
-    for finding in findings:
+    for finding in found.findings:
         printer.say(f"{finding.level}: {finding}")
     printer.say(counted(errors, "error") if errors else "no errors")
     if not errors:
@@ -69,8 +62,8 @@ def check(
         {
             "campaign": loaded.name,
             "ok": not errors,
-            "findings": [asdict(f) for f in findings],
-            "effects": [asdict(e) for e in effects],
+            "findings": [asdict(f) for f in found.findings],
+            "effects": [asdict(e) for e in found.effects],
         }
     )
     return 1 if errors else 0

@@ -135,7 +135,7 @@ def import_(
         if file.stem in experiments:
             raise FmuidError(f"a run '{file.stem}' already exists", where=file, fix="rename the file")
         with printer.working(f"reading {file}"):
-            run = read_run(file, signal or (), base, _layout(columns, rate))
+            run = read_run(file, signal or (), base, layout_of(columns, rate))
         notes += [(str(file), note) for note in run.notes]
         begin, end = spans.get(file.stem, (float("-inf"), float("inf")))
         shifts = numbers(shift or [], "--shift")
@@ -260,7 +260,7 @@ def init(
     from fmuid.campaigns.starting import by_name
 
     printer = Printer(quiet, json)
-    given = _model(fmu, model, class_name, root or [])
+    given = given_of(fmu, model, class_name, root or [])
     shown = printer.working(f"trying the parameters of {given.fmu.name}")
     with shown as progress, supervised(workers, time_limit, memory_limit) as runner:
         made = new_campaign(
@@ -272,7 +272,7 @@ def init(
             base=_time_base(resample, align, method or []),
             units=pairs(unit or [], "--unit"),
             sigmas=numbers(sigma or [], "--sigma"),
-            layout=_layout(columns, rate),
+            layout=layout_of(columns, rate),
             progress=progress,
             runner=runner,
         )
@@ -284,7 +284,8 @@ def init(
     printer.write({"out": out, "guesses": made.guesses})
 
 
-def _layout(columns: str | None, rate: float | None) -> TableLayout:
+def layout_of(columns: str | None, rate: float | None) -> TableLayout:
+    """Return the layout that `--columns` and `--rate` describe."""
     from fmuid.data.table_layout import TableLayout
 
     return TableLayout(tuple(name.strip() for name in columns.split(",")) if columns else (), rate)
@@ -320,7 +321,8 @@ def _span(texts: list[str]) -> tuple[float, float]:
     return span
 
 
-def _model(fmu: Path | None, model: Path | None, class_name: str | None, roots: list[Path]) -> GivenModel:
+def given_of(fmu: Path | None, model: Path | None, class_name: str | None, roots: list[Path]) -> GivenModel:
+    """Return the model that `--fmu` or `--model` names."""
     from fmuid.campaigns.starting import given_model
 
     given = [file for file in (fmu, model) if file is not None]

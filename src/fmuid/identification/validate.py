@@ -157,22 +157,28 @@ def validate(
             fix="validate on a campaign with the same parameters",
         )
     values = campaign.start_values | dict(found)
-    cases = _cases(campaign, chosen, simulators or load_models(campaign), values)
-    outcomes = runner([(case.simulator, case.task, case.start_values(values)) for case in cases])
+    cases = cases_of(campaign, chosen, simulators or load_models(campaign), values)
     scores: list[RunScore] = []
     predictions: list[FloatArray | None] = []
-    for case, outcome in zip(cases, outcomes, strict=True):
-        if isinstance(outcome, SimulationError):
-            scores += _scores(case, None, str(outcome))
-            predictions.append(None)
-        else:
-            sensed = case.sensed(outcome, values)
-            scores += _scores(case, sensed, None)
-            predictions.append(sensed)
+    for case, outcome in zip(cases, predicted(cases, values, runner), strict=True):
+        sensed, failure = (None, str(outcome)) if isinstance(outcome, SimulationError) else (outcome, None)
+        predictions.append(sensed)
+        scores += _scores(case, sensed, failure)
     return Validation(tuple(scores), cases, tuple(predictions))
 
 
-def _cases(
+def predicted(
+    cases: Sequence[Case], values: Mapping[str, float], runner: Runner = in_process
+) -> list[FloatArray | SimulationError]:
+    """Simulate cases; return the (channels, N) sensor readings of each, or why it cannot be simulated."""
+    outcomes = runner([(case.simulator, case.task, case.start_values(values)) for case in cases])
+    return [
+        outcome if isinstance(outcome, SimulationError) else case.sensed(outcome, values)
+        for case, outcome in zip(cases, outcomes, strict=True)
+    ]
+
+
+def cases_of(
     campaign: Campaign,
     runs: Sequence[Experiment],
     simulators: Mapping[str, Simulator],

@@ -1,0 +1,399 @@
+"""Prepare: connect columns and variables, choose parameters and runs, beside the file that this edits."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from nicegui import run, ui
+
+from fmuid.core.errors import FmuidError
+from fmuid.page.elements import (
+    Choice,
+    Field,
+    Notes,
+    button,
+    curve,
+    element,
+    enable,
+    set_text,
+    text,
+    told,
+)
+from fmuid.page.placed_messages import Kind, Message, by_place
+from fmuid.page.workspace import TIMINGS, Column, ParameterRow, Workspace
+from fmuid.report.plots.figure_data import pretty_unit
+
+_NOT_USED = "(not used)"
+_TIMING = {
+    "hold": "held until the next sample",
+    "linear": "linear between samples",
+    "preceding": "a sample acts from the time of the previous one",
+}
+_STATES = {"free": "free", "fixed": "fixed", "known": "known"}
+_ROLES = {"identification": "identification", "validation": "validation", "none": "not used"}
+_QUIET = 1.2  # s without an edit before the parameters' effects are simulated
+
+
+class PrepareView:
+    """The first tab of the page."""
+
+    def __init__(self, workspace: Workspace) -> None:
+        self._work = workspace
+        self._shown = -1
+        self._effects_of = -1
+        self._busy = False
+        self._run = next((r.id for r in workspace.runs if not r.repeats_another), "")
+        self._dragged: str | None = None
+        self._updates: list[Callable[[Mapping[tuple[Kind, str], list[Message]]], None]] = []
+        self._shape: object = None
+        with element("div", "beside"):
+            self._main = element("div")
+            with element("section", "side", aria_label="The file"):
+                self._side()
+        self._build()
+        ui.timer(0.4, self._tick)
+
+    # ---------------------------------------------------------------- what the file says
+
+    def _side(self) -> None:
+        text("h2", "campaign.toml")
+        with element("div", "buttons"):
+            self._undo = button("Undo", lambda: self._act(self._work.undo))
+            self._redo = button("Redo", lambda: self._act(lambda: self._work.edit(lambda f: f.redo())))
+        self._file = element("textarea", "file", aria_label="Text of campaign.toml", spellcheck="false")
+        self._file.props["value"] = self._work.file.text
+        self._file.on("change", self._typed, js_handler="(event) => emit(event.target.value)")
+        text("p", f"Saved as {self._work.file.path}. Comments are kept.", "soft")
+
+    def _typed(self, event: Any) -> None:
+        self._act(lambda: self._work.edit(lambda f: f.replace(str(event.args))))
+
+    def _act(self, action: Callable[[], object]) -> None:
+        with told():
+            action()
+        self._show()
+
+    # ---------------------------------------------------------------- structure
+
+    def _structure(self) -> object:
+        work = self._work
+        columns = tuple((c.name, c.unit) for c in work.columns(self._run)) if self._run else ()
+        setup = self._setup
+        return (
+            self._run,
+            columns,
+            tuple(work.variables(setup)) if setup else (),
+            tuple((row.name, row.in_file) for row in work.parameters()),
+            tuple(r.id for r in work.runs),
+        )
+
+    @property
+    def _setup(self) -> str:
+        return self._work.measurements[self._run].setup if self._run else ""
+
+    def _build(self) -> None:
+        self._shape = self._structure()
+        self._updates.clear()
+        self._main.clear()
+        with self._main:
+            self._status = text("p", "", "headline", role="status")
+            self._notes("campaign", "")
+            self._columns()
+            self._parameters()
+            self._runs()
+            self._graph()
+        self._shown = -1
+        self._show()
+        ui.timer(0.05, self._simulate, once=True)
+
+    def _show(self) -> None:
+        """Bring everything up to date; elements stay, so that the keyboard's focus does."""
+        if self._structure() != self._shape:
+            self._build()
+            return
+        if self._shown == self._work.version:
+            return
+        self._shown = self._work.version
+        messages = by_place(self._work.messages)
+        for update in self._updates:
+            update(messages)
+        errors = sum(m.level == "error" for m in self._work.messages)
+        others = sum(m.level == "warning" for m in self._work.messages)
+        words = f"{errors} to correct" if errors else "Ready to run"
+        set_text(self._status, words + (f", {others} warnings" if others > 1 else ", 1 warning" if others else ""))
+        if self._file.props["value"] != self._work.file.text:
+            self._file.props["value"] = self._work.file.text
+            self._file.update()
+        enable(self._undo, self._work.file.can_undo)
+        enable(self._redo, self._work.file.can_redo)
+
+    async def _tick(self) -> None:
+        with told():
+            self._work.follow()
+        if self._shown != self._work.version:
+            self._show()
+            await self._simulate()
+        if self._effects_of != self._work.version and not self._busy:
+            version = self._work.version
+            await asyncio.sleep(_QUIET)
+            if version != self._work.version:
+                return
+            self._busy = True
+            try:
+                await run.io_bound(self._work.simulate_effects)
+            finally:
+                self._busy = False
+            self._effects_of = self._work.version
+            self._show()
+
+    def _notes(self, kind: Kind, name: str) -> None:
+        notes = Notes()
+        self._updates.append(lambda messages: notes.show(messages.get((kind, name), [])))
+
+    # ---------------------------------------------------------------- columns and variables
+
+    def _columns(self) -> None:
+        text("h2", "Log and model")
+        if not self._run:
+            return
+        setup = self._setup
+        self._notes("model", setup)
+        with element("div", "buttons"):
+            text("span", "Show run")
+            Choice("Run to show", {r.id: r.id for r in self._work.runs}, self._run, self._choose_run)
+            text("span", "Inputs are")
+            self._timing(setup)
+        with element("table", "rows", aria_label="Columns of the log and variables of the model"):
+            _header("Column of the log", "Measured, simulated", "Variable of the model")
+            with element("tbody"):
+                for column in self._work.columns(self._run):
+                    self._column(column, setup)
+        self._chips = element("div")
+        self._updates.append(lambda _: self._free_variables(setup))
+
+    def _timing(self, setup: str) -> None:
+        options = {key: _TIMING.get(key, key) for key in TIMINGS}
+        path = ("models", setup, "interpolation")
+        choice = Choice(
+            "Timing of inputs between samples",
+            options,
+            self._work.timing(setup),
+            lambda key: self._act(lambda: self._work.edit(lambda f: f.set(path, key))),
+        )
+        self._updates.append(lambda _: choice.show(self._work.timing(setup)))
+
+    def _choose_run(self, run: str) -> None:
+        self._run = run
+        self._build()
+
+    def _column(self, column: Column, setup: str) -> None:
+        variables = self._work.variables(setup)
+        options = {"": _NOT_USED}
+        options |= {n: f"{n} [{pretty_unit(v.unit or '') or '1'}], {v.causality}" for n, v in variables.items()}
+        row = element("tr", draggable="true")
+        row.on("dragstart", lambda _: setattr(self, "_dragged", column.name))
+        with row:
+            with element("th", "name", scope="row"):
+                text("span", column.name)
+                text("span", f" [{pretty_unit(column.unit) or '1'}]" if column.unit else " [?]", "soft")
+            with element("td", data_label="Measured, simulated"):
+                measured = ("measured", column.time, column.values)
+                picture = ui.html(curve(f"{column.name} over time", [measured]), sanitize=False)
+                self._pictures = {**getattr(self, "_pictures", {}), column.name: (picture, measured)}
+            with element("td", "wide", data_label="Variable of the model"):
+                choice = Choice(
+                    f"Variable for {column.name}",
+                    options,
+                    column.variable or "",
+                    lambda key: self._connect(column.name, key or None),
+                )
+                notes = Notes()
+        now = column.variable or ""
+
+        def update(messages: Mapping[tuple[Kind, str], list[Message]]) -> None:
+            current = {c.name: c.variable or "" for c in self._work.columns(self._run)}
+            choice.show(current.get(column.name, now))
+            own = messages.get(("signal", column.name), [])
+            if not current.get(column.name):
+                own = [m for m in own if m.level != "note"]
+            notes.show(own)
+
+        self._updates.append(update)
+
+    def _connect(self, column: str, variable: str | None) -> None:
+        self._act(lambda: self._work.connect(column, variable, self._setup))
+        self._show()
+
+    def _free_variables(self, setup: str) -> None:
+        taken = {c.variable for c in self._work.columns(self._run)}
+        left = {n: v for n, v in self._work.variables(setup).items() if n not in taken}
+        self._chips.clear()
+        if not left:
+            return
+        with self._chips:
+            text("p", "Variables without a column. Drag a column onto one, or choose in the table.", "soft")
+            with element("ul", "chips"):
+                for name, variable in left.items():
+                    unit = pretty_unit(variable.unit or "") or "1"
+                    chip = text("li", f"{variable.causality} {name} [{unit}]", "chip name")
+                    chip.on("dragover", js_handler="(event) => event.preventDefault()")
+                    chip.on("drop", lambda _, name=name: self._dropped(name))
+
+    def _dropped(self, variable: str) -> None:
+        if self._dragged is not None:
+            self._connect(self._dragged, variable)
+        self._dragged = None
+
+    async def _simulate(self) -> None:
+        """Draw the simulation at the start values over each measured curve."""
+        if not self._run:
+            return
+        lines = await run.io_bound(self._work.simulated, self._run) or {}
+        for name, (picture, measured) in self._pictures.items():
+            drawn = [measured, *([("simulated", *lines[name])] if name in lines else [])]
+            what = f"{name} over time, measured" + (" and simulated" if name in lines else "")
+            if (content := curve(what, drawn)) != picture.content and not picture.is_deleted:
+                picture.set_content(content)
+
+    # ---------------------------------------------------------------- parameters
+
+    def _parameters(self) -> None:
+        rows = self._work.parameters()
+        mine, others = [r for r in rows if r.in_file], [r for r in rows if not r.in_file]
+        text("h2", "Parameters")
+        self._table("Parameters of the campaign", mine)
+        if others:
+            with element("details"):
+                text("summary", f"{len(others)} more parameters of the model, fixed at its values")
+                self._table("Other parameters of the model", others)
+
+    def _table(self, label: str, rows: list[ParameterRow]) -> None:
+        with element("table", "rows", aria_label=label):
+            _header("Parameter", "", "Start", "Lower", "Upper", "Unit", "Reason")
+            with element("tbody"):
+                for row in rows:
+                    self._parameter(row)
+
+    def _parameter(self, row: ParameterRow) -> None:
+        name = row.name
+        fields: dict[str, Field] = {}
+        with element("tr"):
+            with element("th", "name wide", scope="row"):
+                text("span", name)
+                if row.description:
+                    text("div", row.description, "soft")
+                notes = Notes()
+            with element("td", "wide"):
+                state = Choice(
+                    f"{name} is",
+                    _STATES,
+                    row.state,
+                    lambda key: self._act(lambda: self._work.set_state(name, key)),
+                )
+            for key in ("start", "lower", "upper"):
+                with element("td", data_label=key.capitalize()):
+                    fields[key] = Field(
+                        f"{key.capitalize()} of {name}",
+                        _shown(getattr(row, key)),
+                        lambda typed, key=key: self._number(name, key, typed),  # type: ignore[misc]
+                        "6.5em",
+                    )
+                    fields[key].enable(row.in_file)
+            text("td", pretty_unit(row.unit), data_label="Unit")
+            reason = text("td", row.reason, "soft wide", data_label="Reason")
+
+        def update(messages: Mapping[tuple[Kind, str], list[Message]]) -> None:
+            now = next((r for r in self._work.parameters() if r.name == name), row)
+            state.show(now.state)
+            for key, field in fields.items():
+                field.show(_shown(getattr(now, key)))
+            set_text(reason, now.reason)
+            notes.show(messages.get(("parameter", name), []))
+
+        self._updates.append(update)
+
+    def _number(self, name: str, key: str, typed: str) -> None:
+        def change() -> None:
+            try:
+                value = float(typed.replace("−", "-")) if typed.strip() else None
+            except ValueError:
+                what = f"'{typed}' is not a number"
+                raise FmuidError(what, where=f"{key} of {name}", fix="write it as in 1e-3") from None
+            if value is not None and not math.isfinite(value):
+                value = None
+            self._work.edit(lambda f: f.set(("parameters", name, key), value))
+
+        with told():
+            change()
+        self._work.version += 1  # shows the file's value again if the text was refused
+        self._show()
+
+    # ---------------------------------------------------------------- runs and model
+
+    def _runs(self) -> None:
+        text("h2", "Runs")
+        self._notes("roles", "")
+        firsts = [r for r in self._work.runs if not r.repeats_another]
+        with element("table", "rows", aria_label="Recorded runs"):
+            _header("Run", "Used for", "Repeats", "Samples", "Duration")
+            with element("tbody"):
+                for first in firsts:
+                    repeats = [r.id for r in self._work.runs if first.id in (r.repeat_of, r.repeat_of_reference)]
+                    with element("tr"):
+                        with element("th", "name wide", scope="row"):
+                            text("span", first.id)
+                            notes = Notes()
+                        with element("td", data_label="Used for"):
+                            choice = Choice(
+                                f"Use of run {first.id}",
+                                _ROLES,
+                                self._work.role(first.id),
+                                lambda key, id=first.id: self._act(lambda: self._work.set_role(id, key)),  # type: ignore[misc]
+                            )
+                        text("td", ", ".join(repeats) or "none", "name", data_label="Repeats")
+                        text("td", str(first.time.size), data_label="Samples")
+                        text("td", f"{first.time[-1] - first.time[0]:.4g} s", data_label="Duration")
+
+                    def update(
+                        messages: Mapping[tuple[Kind, str], list[Message]],
+                        id: str = first.id,
+                        choice: Choice = choice,
+                        notes: Notes = notes,
+                    ) -> None:
+                        choice.show(self._work.role(id))
+                        notes.show(messages.get(("experiment", id), []))
+
+                    self._updates.append(update)
+        for stage in self._work.file.tables.get("stages", {}):
+            self._notes("stage", stage)
+
+    def _graph(self) -> None:
+        campaign = self._work.campaign
+        source = campaign.models[self._setup].source if campaign and self._setup in campaign.models else None
+        if source is None:
+            return
+        from fmuid.report.model_graph import drawing, graph_of
+        from fmuid.simulation.model_source import flat_model
+
+        try:
+            drawn = drawing(graph_of(flat_model(source)), ())
+        except FmuidError:
+            return
+        if drawn is not None:
+            text("h2", "Model")
+            with element("figure", "model-graph"):
+                ui.html(drawn.svg, sanitize=False)
+                text("figcaption", drawn.caption, "soft")
+
+
+def _header(*names: str) -> None:
+    with element("thead"), element("tr"):
+        for name in names:
+            text("th", name, scope="col")
+
+
+def _shown(value: float | None) -> str:
+    return "" if value is None else f"{value:.6g}"

@@ -1,0 +1,110 @@
+"""From logs to a campaign that is ready to run, by the page alone."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+import urllib.error
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("nicegui", reason="needs the extra [page]")
+pytestmark = pytest.mark.browser
+
+Opened = Callable[..., str]
+
+
+def status_of(address: str, **headers: str) -> int:
+    try:
+        with urllib.request.urlopen(urllib.request.Request(address, headers=headers)) as answer:
+            return int(answer.status)
+    except urllib.error.HTTPError as error:
+        return error.code
+
+
+def table(folder: Path) -> dict[str, Any]:
+    return tomllib.loads((folder / "campaign" / "campaign.toml").read_text())
+
+
+def test_a_campaign_is_made_corrected_and_undone_in_the_page(tank: Path, opened: Opened, browser: Any) -> None:
+    address = opened(*sorted(tank.glob("*.csv")), "--model", "Tank.mo", cwd=tank)
+    assert status_of(address) == 200
+    assert status_of(re.sub(r"/[^/]+/$", "/wrong/", address)) == 403
+    assert status_of(re.sub(r"/[^/]+/$", "/", address)) == 403
+    assert status_of(address, Host="evil.example:80") == 403
+
+    page = browser.new_page()
+    page.goto(address)
+    page.get_by_role("status").get_by_text("Ready to run").wait_for()
+    before = (tank / "campaign" / "campaign.toml").read_text()
+
+    # A column is connected with nothing, and the message about it is in its row.
+    variable = page.get_by_label("Variable for probe")
+    assert variable.input_value() == "T"
+    variable.select_option("")
+    row = page.get_by_role("row").filter(has=variable)
+    page.get_by_role("status").get_by_text("1 to correct").wait_for()
+    assert (
+        "map" not in (tank / "campaign" / "campaign.toml").read_text()
+        or "probe" not in table(tank)["models"]["Tank"]["map"]
+    )
+
+    # An unused column of the log is dragged onto the free variable; its unit does not fit.
+    page.get_by_role("row").filter(has_text="spare").drag_to(page.get_by_text("output T [K]"))
+    page.get_by_text("'V' cannot be converted").first.wait_for()
+    page.get_by_role("row").filter(has=variable).drag_to(page.get_by_text("output T [K]"))
+    page.get_by_role("status").get_by_text("Ready to run").wait_for()
+    assert table(tank)["models"]["Tank"]["map"] == {"heater": "P", "probe": "T"}
+    assert row.locator("svg .simulated").count() == 1
+
+    # A bound below the start is an error in the parameter's row; the keyboard's focus stays.
+    lower = page.get_by_label("Lower of C")
+    lower.fill("9000")
+    lower.press("Tab")
+    parameter = page.get_by_role("row").filter(has=lower)
+    parameter.get_by_text("start 4000 is outside").wait_for()
+    assert page.evaluate("document.activeElement.getAttribute('aria-label')") == "Upper of C"
+    page.get_by_role("button", name="Undo").click()
+    page.get_by_role("status").get_by_text("Ready to run").wait_for()
+    assert lower.input_value() == "400"
+
+    # Fixed, known, free again: comments stay.
+    page.get_by_label("T_room is").select_option("known")
+    page.get_by_role("textbox", name="Text of campaign.toml")
+    page.wait_for_function("document.querySelector('textarea.file').value.includes('known = true')")
+    assert table(tank)["parameters"]["T_room"]["known"] is True
+    assert "# Runs for the fit" in (tank / "campaign" / "campaign.toml").read_text()
+    while page.get_by_role("button", name="Undo").is_enabled():
+        page.get_by_role("button", name="Undo").click()
+        page.wait_for_timeout(300)
+    assert (tank / "campaign" / "campaign.toml").read_text() == before
+
+
+def test_the_text_can_be_edited_and_another_program_too(tank: Path, opened: Opened, browser: Any) -> None:
+    address = opened(*sorted(tank.glob("*.csv")), "--model", "Tank.mo", cwd=tank)
+    page = browser.new_page()
+    page.set_viewport_size({"width": 400, "height": 800})
+    page.goto(address)
+    page.get_by_role("status").get_by_text("Ready to run").wait_for()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 400
+    sizes = page.evaluate(
+        "[...document.querySelectorAll('main *')].filter((e) => e.textContent.trim() && e.offsetParent)"
+        ".map((e) => parseFloat(getComputedStyle(e).fontSize))"
+    )
+    assert min(sizes) >= 12
+
+    file = tank / "campaign" / "campaign.toml"
+    file.write_text(file.read_text().replace("start = 4000.0", "start = 4321.0"))
+    page.wait_for_function("document.querySelector('[aria-label=\"Start of C\"]').value === '4321'")
+    text = page.get_by_role("textbox", name="Text of campaign.toml")
+    text.fill(file.read_text().replace("start = 4321.0", "start = 4444.0"))
+    text.blur()
+    page.wait_for_function("document.querySelector('[aria-label=\"Start of C\"]').value === '4444'")
+    text.fill("[campaign\n")
+    text.blur()
+    page.get_by_text("is not TOML").wait_for()
+    assert "4444" in file.read_text()
