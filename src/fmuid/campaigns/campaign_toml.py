@@ -44,6 +44,10 @@ from fmuid.simulation.coupled.coupling_table import CoupledTable, coupling_of
 
 FILE_NAME = "campaign.toml"
 MAX_STARTS, MAX_DRAWS, MAX_POINTS = 1000, 100_000, 1000  # of a solver, Monte Carlo, a Pareto front
+SIGNAL_TIMINGS: Mapping[Causality, tuple[Timing, ...]] = {
+    "input": ("held", "linear"),
+    "output": ("held", "held-read-after"),
+}
 _Table = Mapping[str, Any]
 
 
@@ -364,7 +368,7 @@ def _check_signal_table(name: str, table: _SignalTable, known: Collection[str], 
 
 
 def _signal_timing(timing: Timing, causality: Causality, where: str) -> Timing:
-    known = ("held", "linear") if causality == "input" else ("held", "held-read-after")
+    known = SIGNAL_TIMINGS[causality]
     if timing not in known:
         what = f"timing is '{timing}', which {causality}s cannot have"
         raise CampaignError(what, where=where, fix=f"choose {' or '.join(known)}")

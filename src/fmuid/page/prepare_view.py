@@ -9,6 +9,7 @@ from typing import Any
 
 from nicegui import run, ui
 
+from fmuid.campaigns.campaign_toml import SIGNAL_TIMINGS
 from fmuid.core.errors import FmuidError
 from fmuid.page.elements import (
     Choice,
@@ -28,10 +29,12 @@ from fmuid.report.plots.figure_data import pretty_unit
 
 _NOT_USED = "(not used)"
 _TIMING = {
-    "hold": "held until the next sample",
+    "held": "held until the next sample",
     "linear": "linear between samples",
+    "held-read-after": "held, outputs read just after",
     "preceding": "a sample acts from the time of the previous one",
 }
+_OF_SIGNALS = {"": "as the model", "held": "held", "linear": "linear", "held-read-after": "read after"}
 _STATES = {"free": "free", "fixed": "fixed", "known": "known"}
 _ROLES = {"identification": "identification", "validation": "validation", "none": "not used"}
 _QUIET = 1.2  # s without an edit before the parameters' effects are simulated
@@ -80,7 +83,9 @@ class PrepareView:
 
     def _structure(self) -> object:
         work = self._work
-        columns = tuple((c.name, c.unit) for c in work.columns(self._run)) if self._run else ()
+        recorded = {} if not self._run else work.measurements[self._run].signals
+        kinds = {name: signal.causality for name, signal in recorded.items()}
+        columns = tuple((c.name, c.unit, kinds.get(c.name)) for c in work.columns(self._run)) if self._run else ()
         setup = self._setup
         return (
             self._run,
@@ -164,10 +169,10 @@ class PrepareView:
         with element("div", "buttons"):
             text("span", "Show run")
             Choice("Run to show", {r.id: r.id for r in self._work.runs}, self._run, self._choose_run)
-            text("span", "Inputs are")
+            text("span", "Timing")
             self._timing(setup)
         with element("table", "rows", aria_label="Columns of the log and variables of the model"):
-            _header("Column of the log", "Measured, simulated", "Variable of the model")
+            _header("Column of the log", "Measured, simulated", "Variable of the model", "Timing")
             with element("tbody"):
                 for column in self._work.columns(self._run):
                     self._column(column, setup)
@@ -176,12 +181,11 @@ class PrepareView:
 
     def _timing(self, setup: str) -> None:
         options = {key: _TIMING.get(key, key) for key in TIMINGS}
-        path = ("models", setup, "interpolation")
         choice = Choice(
             "Timing of inputs between samples",
             options,
             self._work.timing(setup),
-            lambda key: self._act(lambda: self._work.edit(lambda f: f.set(path, key))),
+            lambda key: self._act(lambda: self._work.set_timing(setup, key)),
         )
         self._updates.append(lambda _: choice.show(self._work.timing(setup)))
 
@@ -211,11 +215,23 @@ class PrepareView:
                     lambda key: self._connect(column.name, key or None),
                 )
                 notes = Notes()
+            signal = self._work.measurements[self._run].signals.get(column.name)
+            timing = None
+            with element("td", data_label="Timing"):
+                if signal is not None:
+                    timing = Choice(
+                        f"Timing of {column.name}",
+                        {key: _OF_SIGNALS[key] for key in ("", *SIGNAL_TIMINGS[signal.causality])},
+                        self._work.signal_timing(column.name),
+                        lambda key: self._act(lambda: self._work.set_signal_timing(column.name, key)),
+                    )
         now = column.variable or ""
 
         def update(messages: Mapping[tuple[Kind, str], list[Message]]) -> None:
             current = {c.name: c.variable or "" for c in self._work.columns(self._run)}
             choice.show(current.get(column.name, now))
+            if timing is not None:
+                timing.show(self._work.signal_timing(column.name))
             own = messages.get(("signal", column.name), [])
             if not current.get(column.name):
                 own = [m for m in own if m.level != "note"]

@@ -11,7 +11,7 @@ import numpy as np
 
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.campaigns.new_campaign import parameter_text
-from fmuid.core.campaign import Campaign, Sampling
+from fmuid.core.campaign import Campaign, Timing
 from fmuid.core.errors import FmuidError
 from fmuid.core.experiments import Causality, Experiment, Measurements, Signal
 from fmuid.core.immutable import FloatArray
@@ -28,7 +28,8 @@ from fmuid.page.placed_messages import Message
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator, Variable
 
-TIMINGS = get_args(Sampling)
+TIMINGS: tuple[str, ...] = get_args(Timing)
+_OLD = {"hold": "held"}  # of the key `interpolation`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,8 +243,25 @@ class Workspace:
         self.refresh()
 
     def timing(self, setup: str) -> str:
-        """Return when the inputs of a setup act."""
-        return str(self.file.tables.get("models", {}).get(setup, {}).get("interpolation", TIMINGS[0]))
+        """Return when the inputs of a setup act, and when its outputs are read."""
+        table = self.file.tables.get("models", {}).get(setup, {})
+        old = str(table.get("interpolation", TIMINGS[0]))
+        return str(table.get("timing", _OLD.get(old, old)))
+
+    def set_timing(self, setup: str, timing: str) -> None:
+        """Choose when the inputs of a setup act, and when its outputs are read."""
+        self.file.set_all({("models", setup, "timing"): timing, ("models", setup, "interpolation"): None})
+        self.refresh()
+
+    def signal_timing(self, column: str) -> str:
+        """Return the timing of one signal where it differs from that of its model, or nothing."""
+        return str(self.file.tables.get("signals", {}).get(column, {}).get("timing", ""))
+
+    def set_signal_timing(self, column: str, timing: str) -> None:
+        """Choose the timing of one signal; nothing means that of its model."""
+        if timing or self.signal_timing(column):
+            self.file.set(("signals", column, "timing"), timing or None)
+            self.refresh()
 
     def parameters(self) -> list[ParameterRow]:
         """Return the campaign's parameters, then the other parameters of its models."""
