@@ -14,9 +14,10 @@ from collections.abc import Iterable, Sequence
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from fmu_build.errors import BuildError, ModelicaError
+from fmu_build.front.standard_folders import standard_folders
 from fmu_build.sources import source_files
 
 Compiler = Literal["own", "omc"]
@@ -88,22 +89,34 @@ def build(
         from fmu_build.packaging import package
 
         flat = load(file, class_name, folders)
-        read = flat.files
+        read, libraries = flat.files, flat.libraries
         model = compile_flat(flat)
         for warning in model.warnings:
-            logging.getLogger(__name__).warning("%s: %s", class_name, warning)
+            logging.getLogger(__name__).warning("warning: %s: %s", class_name, warning)
         built = package(model, target, fmi=2 if fmi == "2" else 3)
     elif compiler == "omc":
-        read = source_files(file, folders)
+        read, libraries = source_files(file, folders), ()
         built = _openmodelica(file, class_name, target, fmi, folders)
     else:
         raise BuildError(f"no Modelica compiler {compiler!r}", fix="choose own or omc")
     partial = stamp.with_name(f".{stamp.name}.{os.getpid()}")
-    record = {"options": options, "fmu": _digest(built), "files": {str(p.resolve()): _digest(p) for p in read}}
+    record: dict[str, Any] = {
+        "options": options,
+        "fmu": _digest(built),
+        "files": {str(p.resolve()): _digest(p) for p in read},
+    }
+    record["libraries"] = libraries
     record["beside"] = _beside(record["files"], folders)
     partial.write_text(json.dumps(record))
     partial.replace(stamp)
     return built
+
+
+def libraries_of(fmu: Path) -> tuple[tuple[str, str], ...]:
+    """Return names and versions of the libraries from which `build` made an FMU."""
+    stamp = fmu.with_suffix(".stamp")
+    record = json.loads(stamp.read_text()) if stamp.is_file() else {}
+    return tuple((name, version) for name, version in record.get("libraries", ()))
 
 
 _TOOLS = ("casadi",)
@@ -138,7 +151,7 @@ def built_by() -> str:
 
 def _options(class_name: str, fmi: str, compiler: str, file: Path, roots: Sequence[Path]) -> str:
     """Digest of everything that the FMU depends on in addition to the Modelica sources."""
-    places = [str(p.resolve()) for p in (file, *roots)]
+    places = [str(p.resolve()) for p in (file, *roots, *standard_folders())]
     return hashlib.sha256(json.dumps([class_name, fmi, compiler, places, built_by()]).encode()).hexdigest()
 
 

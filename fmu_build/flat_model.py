@@ -228,6 +228,8 @@ class FlatModel:
         The instance tree by path; "" is the model itself.
     files
         Source files that were used.
+    libraries
+        Versions of the libraries that were used, by name.
     structural
         Names of parameters whose value was used up by flattening (sizes, conditions of components, branches).
     """
@@ -247,6 +249,7 @@ class FlatModel:
     experiment: Experiment = field(default_factory=lambda: Experiment(None, None, None, None))
     structural: frozenset[str] = frozenset()
     files: tuple[Path, ...] = ()
+    libraries: tuple[tuple[str, str], ...] = ()
     warnings: tuple[str, ...] = ()
 
     def error(self, what: str, at: Place | None, fix: str | None = None) -> ModelicaError:

@@ -20,6 +20,7 @@ from tests.every_law import every_law
 ROOT = Path(__file__).parents[1]
 FMUS = ROOT / "build" / "fmus"  # where `make fmus` puts them too
 MODELICA = ROOT / "modelica"
+os.environ["MODELICAPATH"] = ""  # no tool's libraries
 os.environ["FMU_BUILD_CFLAGS"] = "-O0"  # most FMUs of tests take longer to compile than to simulate
 ACTUATOR = ("FixedShaft", "FreeShaft", "EccentricLoad")
 SETUPS = (*ACTUATOR, "LinearAxisOpenLoop", "LinearAxisClosedLoop")

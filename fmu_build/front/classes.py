@@ -160,6 +160,7 @@ class ClassDef:
     outside: ClassDef | None = None  # the class it is written in
     path: str = ""  # qualified name
     loader: Any = None  # finds members of a package that have their own files
+    folder: str = ""  # that of such a package
     _parse: Callable[[ClassDef], None] | None = None  # the remaining parsing
 
     def postpone(self, parse: Callable[[ClassDef], None]) -> None:

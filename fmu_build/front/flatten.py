@@ -161,6 +161,7 @@ class _Flattener:
             experiment=_experiment(definition),
             structural=frozenset(self.resolver.structural),
             files=tuple(sorted(self.world.library.used)),
+            libraries=tuple(self.world.library.versions().items()),
             warnings=tuple(self.resolver.warnings),
         )
         type_check.check(flat)

@@ -540,8 +540,11 @@ class World:
         top = self.library.top(first)
         fix = "with --root, or as `roots` of the model in campaign.toml"
         if first in self.library.stand_ins:
-            has = "none of the library directories has it" if self.library.roots else "it is not shipped"
-            return f"this needs the Modelica Standard Library, and {has}; give the folder it lies in {fix}"
+            return (
+                "this needs the Modelica Standard Library, which is not found: get it with `git clone "
+                "https://github.com/modelica/ModelicaStandardLibrary` or as the zip of a release there, "
+                f"and pass its folder {fix}"
+            )
         if top is None:
             roots = [str(r) for r in self.library.roots]
             where = f"none of the library directories has '{first}'" if roots else f"'{first}' is in no library"

@@ -9,9 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fmu_build.errors import ModelicaError
-from fmu_build.front.classes import ClassDef
-from fmu_build.front.parser import parse
-from fmu_build.syntax import Place
+from fmu_build.front.classes import Argument, ClassDef, Redeclaration
+from fmu_build.front.parser import annotation, parse
+from fmu_build.front.standard_folders import standard_folders
+from fmu_build.syntax import Literal, Place
 
 _OWN = Path(__file__).parent / "standard"  # imported by every user, if no library has it
 
@@ -30,6 +31,7 @@ class Library:
     def __init__(self, file: Path, roots: Sequence[Path]) -> None:
         self.used: dict[Path, None] = {}
         self.roots = [Path(r).resolve() for r in roots]
+        self._standard = standard_folders()
         self._tops: dict[str, ClassDef | None] = {}
         self._scanned = False
         self.stand_ins: set[str] = set()  # classes taken from our own file
@@ -65,8 +67,8 @@ class Library:
         return found
 
     def _find(self, name: str) -> ClassDef | None:
-        for root in self.roots:
-            for folder in (root / name, *sorted(root.glob(f"{name} *"), reverse=True)):
+        for root in (*self.roots, *self._standard):
+            for folder in self._versions(root, name):
                 if (folder / "package.mo").is_file():
                     return self._folder(folder)
             if (root / f"{name}.mo").is_file():
@@ -81,6 +83,32 @@ class Library:
             self.stand_ins.add(name)
             return self._single(_OWN / f"{name}.mo", name)
         return None
+
+    def _versions(self, root: Path, name: str) -> list[Path]:
+        """Folders of a library in a directory: the version that the model uses, then the newest first."""
+        found = [root / name, *sorted(root.glob(f"{name} *"), reverse=True)]
+        wanted = f"{name} {self._used_version(name) or ''}"
+        return sorted(found, key=lambda folder: not folder.name.startswith(wanted))
+
+    def _used_version(self, name: str) -> str | None:
+        """Version of a library that the model's ``uses`` annotation names."""
+        for top in list(self._tops.values()):
+            for used in _arguments(top, "uses"):
+                if used.name == name:
+                    return _text(used, "version")
+        return None
+
+    def versions(self) -> dict[str, str]:
+        """Versions of the libraries that the model uses, by name."""
+        found: dict[str, str] = {}
+        for name, top in sorted(self._tops.items()):
+            used = top is not None and top.loader is not None and name not in self.stand_ins
+            if top is None or not used or self.file.is_relative_to(Path(top.folder)):
+                continue
+            version = _string(next((a for a in annotation(top.annotation) if a.name == "version"), None))
+            if version is not None:
+                found[name] = version
+        return found
 
     def _scan(self) -> None:
         """Search, once, files whose names may differ from those of their classes."""
@@ -156,6 +184,7 @@ class Library:
             return found
 
         package.loader = load
+        package.folder = str(folder)
         return package
 
 
@@ -167,6 +196,24 @@ def _package_folder(file: Path) -> Path | None:
     while (folder.parent / "package.mo").is_file():
         folder = folder.parent
     return folder
+
+
+def _arguments(top: ClassDef | None, name: str) -> list[Argument]:
+    """Arguments of a part of a class's annotation."""
+    for part in annotation(top.annotation) if top is not None else ():
+        if isinstance(part, Argument) and part.name == name:
+            return [a for a in part.modification.arguments if isinstance(a, Argument)]
+    return []
+
+
+def _text(argument: Argument, name: str) -> str | None:
+    """Text of an argument's argument, as of ``Modelica(version = "4.0.0")``."""
+    return _string(next((a for a in argument.modification.arguments if a.name == name), None))
+
+
+def _string(argument: Argument | Redeclaration | None) -> str | None:
+    value = argument.modification.value if isinstance(argument, Argument) else None
+    return value.value if isinstance(value, Literal) and isinstance(value.value, str) else None
 
 
 def place_of(path: Path) -> Place:

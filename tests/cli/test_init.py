@@ -273,6 +273,27 @@ def test_a_model_may_use_a_library_in_another_folder(
     )
 
 
+def test_a_campaign_records_the_versions_of_libraries_that_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MODELICAPATH", str(tmp_path / "libraries"))
+    package = Path("libraries/Motors/package.mo")
+    package.parent.mkdir(parents=True)
+    package.write_text(f'package Motors\n{WINDING}annotation(version = "1.2.0"); end Motors;\n')
+    Path("Drive.mo").write_text("model Drive\n  extends Motors.Winding;\nend Drive;\n")
+    write_square_wave("run.csv")
+    code, _, err = fmuid("init", "run.csv", "--model", "Drive.mo", "--workers", "0")
+    assert (code, err) == (0, "")
+    assert 'libraries = { "Motors" = "1.2.0" }' in Path("campaign/campaign.toml").read_text()
+
+    package.write_text(package.read_text().replace("1.2.0", "1.3.0"))
+    with pytest.warns(
+        UserWarning, match=r"Drive\.mo: the campaign was made with Motors 1\.2\.0, but 1\.3\.0 is used"
+    ):
+        assert fmuid("check", "campaign", "--workers", "0")[0] == 0
+
+
 def test_a_model_may_be_in_a_package_that_is_a_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
 ) -> None:

@@ -20,7 +20,7 @@ REFUSED = {
     "One o(k = break);": "'break'",
     "Real x = missing;": "'missing'",
     "Real x = Modelica.Constants.nothing;": "'Modelica.Constants' has no 'nothing'",
-    "Modelica.Blocks.Sources.Sine s;": "this needs the Modelica Standard Library, and it is not shipped; give the folder it lies in with --root",
+    "Modelica.Blocks.Sources.Sine s;": "this needs the Modelica Standard Library, which is not found: get it with",
     "Real x(start = 1, fixed = true); parameter Real k = x; equation der(x) = -k;": "parameter 'k'",
     "Real k = 5; One o(k = k);": "parameter 'o.k' depends on 'k', which is not a parameter",
     "Real x; equation Connections.root(x); x = 1;": "Connections.root",

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmu_build import build, compile_modelica
+from fmu_build import build, compile_modelica, load
 from fmu_build.errors import ModelicaError
 from fmu_build.model import CompiledModel
 from fmuid.simulation.fmu import Fmu
@@ -113,10 +113,38 @@ def test_units_constants_and_connectors_are_there_without_the_library(tmp_path):
 def test_what_the_library_alone_has_says_what_root_needs(tmp_path):
     file = tmp_path / "M.mo"
     file.write_text("model M\n  Modelica.Blocks.Sources.Sine s;\nend M;\n")
-    with pytest.raises(
-        ModelicaError, match=r"M\.mo:2: .*needs the Modelica Standard Library, and it is not shipped"
-    ):
+    with pytest.raises(ModelicaError, match=r"M\.mo:2: .*needs the Modelica Standard Library.*git clone .*--root"):
         compile_modelica(file, "M")
-    (tmp_path / "elsewhere").mkdir()
-    with pytest.raises(ModelicaError, match=r"M\.mo:2: .*none of the library directories has it; .*--root"):
-        compile_modelica(file, "M", [tmp_path / "elsewhere"])
+
+
+def library(folder: Path, version: str) -> None:
+    folder.mkdir(parents=True)
+    text = f'package Mech constant Real k = {version[0]}; annotation(version = "{version}"); end Mech;'
+    (folder / "package.mo").write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("places", "uses", "version"),
+    [
+        (["path/Mech"], "", "4.0.0"),
+        ([".openmodelica/libraries/Mech 4.0.0+maint.om"], "", "4.0.0"),
+        ([".openmodelica/libraries/Mech 3.2.3", ".openmodelica/libraries/Mech 4.0.0"], "", "4.0.0"),
+        ([".openmodelica/libraries/Mech 4.0.0", ".openmodelica/libraries/Mech 3.2.3"], "3.2.3", "3.2.3"),
+        ([".openmodelica/libraries/Mech 3.2.3", "path/Mech 4.0.0"], "", "4.0.0"),
+        ([".openmodelica/libraries/Mech 4.0.0", "root/Mech 3.2.3"], "", "3.2.3"),
+    ],
+)
+def test_libraries_of_modelica_tools_are_found(tmp_path, monkeypatch, places, uses, version):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("MODELICAPATH", str(tmp_path / "path"))
+    for place in places:
+        library(tmp_path / place, "3.2.3" if place.endswith("3.2.3") else "4.0.0")
+    file = tmp_path / "M.mo"
+    (tmp_path / "root").mkdir(exist_ok=True)
+    file.write_text(f'model M Real x = Mech.k; annotation(uses(Mech(version = "{uses}"))); end M;')
+    flat = load(file, "M", [tmp_path / "root"])
+    assert flat.libraries == (("Mech", version),)
+    monkeypatch.setenv("MODELICAPATH", "")
+    if "root" not in places[-1]:
+        with pytest.raises(ModelicaError, match="'Mech'"):
+            load(file, "M")

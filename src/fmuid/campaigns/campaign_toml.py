@@ -69,6 +69,7 @@ class _ModelTable(CoupledTable):
     class_: str = msgspec.field(name="class", default="")
     effects: str = ""
     roots: list[str] = []
+    libraries: dict[str, str] = {}
     signal_effects: list[str] = []
 
 
@@ -524,7 +525,8 @@ def _source(table: _ModelTable, folder: Path, where: str) -> ModelSource | None:
     if not table.source:
         if table.class_:
             raise CampaignError("names a class without its source", where=where, fix='write source = "file.mo"')
-        for key, value in (("effects", table.effects), ("roots", table.roots)):
+        optional = (("effects", table.effects), ("roots", table.roots), ("libraries", table.libraries))
+        for key, value in optional:
             if value:
                 raise CampaignError(f"has {key} but no source", where=where, fix='write source = "file.mo"')
         return None
@@ -533,7 +535,8 @@ def _source(table: _ModelTable, folder: Path, where: str) -> ModelSource | None:
             "source applies to a single FMU only", where=where, fix="leave it out for coupled ones"
         )
     effects = folder / table.effects if table.effects else None
-    return ModelSource.at(folder / table.source, table.class_, effects, (folder / root for root in table.roots))
+    source = ModelSource.at(folder / table.source, table.class_, effects, (folder / r for r in table.roots))
+    return replace(source, libraries=tuple(table.libraries.items()))
 
 
 def _file_of(path: Path) -> Path:

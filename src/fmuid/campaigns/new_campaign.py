@@ -307,6 +307,8 @@ def _toml(
         named = [f"source = {toml_text(path)}", f"class = {toml_text(model.class_name)}"]
         roots = [toml_text(path_from(folder, root)) for root in model.roots]
         named += [f"roots = [{', '.join(roots)}] # folders of the libraries that it uses"] if roots else []
+        versions = [f"{toml_text(name)} = {toml_text(version)}" for name, version in model.libraries]
+        named += [f"libraries = {{ {', '.join(versions)} }} # their versions"] if versions else []
     renamed = ", ".join(f"{toml_text(k)} = {toml_text(v)}" for k, v in mapping.items())
     lines = [
         "# A campaign: which model, which parameters, which runs. See docs/formats.md.",

@@ -39,9 +39,9 @@ def given_model(model: Path, class_name: str | None = None, roots: Sequence[Path
                 raise FmuidError(f"{what} without a Modelica model", where=model, fix=fix)
         return GivenModel(model)
     source = ModelSource.at(model, class_name, roots=roots)
-    from fmuid.simulation.model_source import built_model  # slow to import
+    from fmuid.simulation.model_source import built_model, with_libraries  # slow to import
 
-    return GivenModel(built_model(source), source)
+    return GivenModel(built_model(source), with_libraries(source))
 
 
 def by_name(files: Sequence[Path]) -> dict[str, Path]:

@@ -29,13 +29,14 @@ class ModelSource:
     """Modelica source of a model: the file that contains the class, and its qualified name.
 
     `effects` is a catalogue of expression effects that the model includes at its ports. `roots` are folders of
-    the libraries that it uses.
+    the libraries that it uses, `libraries` names and versions of those with which the campaign was made.
     """
 
     file: Path
     class_name: str
     effects: Path | None = None
     roots: tuple[Path, ...] = ()
+    libraries: tuple[tuple[str, str], ...] = ()
 
     @classmethod
     def at(

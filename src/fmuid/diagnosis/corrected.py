@@ -272,6 +272,8 @@ class _Document:
             said["effects"] = self._path(source.effects)
         if source.roots:
             said["roots"] = [self._path(root) for root in source.roots]
+        if source.libraries:
+            said["libraries"] = dict(source.libraries)
         return said
 
     def _stage(self, free: list[str], tie: Mapping[str, str]) -> dict[str, Any]:

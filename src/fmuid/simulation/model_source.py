@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import os
+import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 from fmu_build import build, compile_flat, load
-from fmu_build.build import built_by
+from fmu_build.build import built_by, libraries_of
 from fmu_build.flat_model import FlatModel
 from fmu_build.instrument import Added, State, Term, instrument
 from fmu_build.model_ports import find_ports
@@ -31,6 +32,7 @@ def flat_model(source: ModelSource) -> FlatModel:
         The catalogue does not exist, or its effects have no expressions.
     """
     flat = load(source.file, source.class_name, source.roots)
+    _check_libraries(source, flat.libraries)
     if source.effects is None:
         return flat
     effects = _effects(source.effects)
@@ -57,7 +59,26 @@ def built_model(source: ModelSource) -> Path:
     """
     if source.effects is not None:
         return built_with_terms(source, flat_model(source), (), ())
-    return build(source.file, source.class_name, _folder(source), roots=source.roots)
+    fmu = build(source.file, source.class_name, _folder(source), roots=source.roots)
+    _check_libraries(source, libraries_of(fmu))
+    return fmu
+
+
+def with_libraries(source: ModelSource) -> ModelSource:
+    """Return the source of a built model with the versions of the libraries that it uses."""
+    return replace(source, libraries=libraries_of(_folder(source) / f"{_stem(source)}.fmu"))
+
+
+def _check_libraries(source: ModelSource, found: Sequence[tuple[str, str]]) -> None:
+    """Warn if a library has another version than the one with which the campaign was made."""
+    made = dict(source.libraries)
+    for name, version in found:
+        if made.get(name, version) != version:
+            warnings.warn(
+                f"{source.file}: the campaign was made with {name} {made[name]}, but {version} is used; "
+                f"give the folder of {made[name]} as `roots`, or change `libraries`",
+                stacklevel=2,
+            )
 
 
 def built_with_terms(source: ModelSource, flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -> Path:
