@@ -104,7 +104,7 @@ def _check_discrete(scope: ModelScope, equations: Equations) -> None:
         targets = definable(scope, equation)
         values = [side for side in equation.sides or () if not any(key(side) == key(t) for t in targets)]
         declared = scope.declared(targets[0]) if targets else None
-        if declared is None or not any(map(scope.is_continuous, values)):
+        if declared is None or not any(map(scope.changes_between_events, values)):
             continue
         if not {declared.name, declared.variable.name} & scope.in_whens:
             raise scope.flat.error(

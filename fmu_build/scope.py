@@ -60,6 +60,7 @@ class ModelScope:
         self._relation_of: dict[tuple[int, bool], SX] = {}
         self._step_of: dict[int, SX] = {}
         self._starting: SX | None = None
+        self._sampled: set[int] = set()  # counters of sample(), which is a function of them and of time
         self._derivative: dict[int, SX] = {}
         self.integral: dict[int, SX] = {}  # derivative symbol -> the symbol it is the derivative of
         self._previous: dict[int, SX] = {}
@@ -185,6 +186,13 @@ class ModelScope:
         """Whether an expression can change between events."""
         return not self.graph.symbols(value) <= self._discrete
 
+    def changes_between_events(self, value: SX) -> bool:
+        """Whether an expression changes between events, which ``sample()`` does not although it has the time."""
+        symbols = self.graph.symbols(value)
+        if symbols & self._sampled:
+            symbols = symbols - {key(self.time)}
+        return not symbols <= self._discrete
+
     def relation(self, difference: SX, inclusive: bool) -> SX:
         """Truth of ``difference > 0``, an event if it is continuous."""
         if not self.is_continuous(difference):
@@ -218,6 +226,7 @@ class ModelScope:
             raise ValueError("sample() with a start or an interval that varies")
         count = SX.sym(f"sample {len(self.time_events) + 1}")
         before = self.previous_symbol(count)
+        self._sampled.add(key(before))
         self._discrete.add(key(count))
         due = SX.binary(ca.OP_LE, first + before * distance, self.time)
         # At initialisation, count the instants before the start of the simulation.

@@ -261,3 +261,11 @@ def test_a_bridge_of_ideal_diodes_rectifies(tmp_path):
         falling = 12 * math.sin(w * leaves) * math.exp(-since)
         expected.append(max(falling, 12 * abs(math.sin(w * t))))
     np.testing.assert_allclose(v[at > 0.0125], expected, atol=2e-3)
+
+
+def test_a_boolean_variable_may_be_a_sample(tmp_path):
+    file = tmp_path / "M.mo"
+    file.write_text("model M Boolean b = sample(0.1, 0.2); discrete Real y(start = 0, fixed = true); "
+                    "equation when b then y = pre(y) + 1; end when; end M;")  # fmt: skip
+    result = fmpy.simulate_fmu(str(build(file, "M", tmp_path)), stop_time=1, output_interval=0.05, output=["y"])
+    np.testing.assert_array_equal(result["y"][[0, 1, 3, 5, 7, -1]], [0, 0, 1, 1, 2, 5])
