@@ -657,12 +657,13 @@ def test_whatever_stops_a_run_it_ends_with_130_and_says_how_it_goes_on(folder: P
     assert result["stages"][0]["failures"] == 0  # no worker was taken for one that crashed
 
 
-def test_a_second_ctrl_c_ends_at_once_in_one_line(folder: Path) -> None:
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_second_signal_ends_at_once_in_one_line(folder: Path, name: str) -> None:
     endless(folder)
     run = subprocess.Popen([*FMUID, "identify", "bench", "--out", "run"], stderr=subprocess.PIPE, text=True)
     under_way(Path("run"))
     for _ in range(50):
-        run.send_signal(signal.SIGINT)
+        run.send_signal(getattr(signal, name))
     _, err = run.communicate(timeout=600)
     assert run.returncode == 130, err
     assert err.splitlines()[-1] in ("fmuid: stopped at once", "fmuid: interrupted")

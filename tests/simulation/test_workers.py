@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import textwrap
+import threading
 import time
 from concurrent.futures import Executor
 from pathlib import Path
@@ -373,3 +374,19 @@ def test_workers_of_a_killed_search_say_nothing(tmp_path):
         process.kill()  # in the midst of answers
         _, errors = process.communicate(timeout=600)
     assert errors == ""
+
+
+def test_a_pool_whose_last_calls_were_cancelled_ends():
+    """The supervisor learns of the shutdown and of the cancelled calls in the same turn."""
+    for _ in range(5):
+        pool = WorkerPool(1)
+        assert pool.submit(int).result(60) == 0
+        running = pool.submit(time.sleep, 0.2)
+        queued = [pool.submit(int) for _ in range(200)]
+        for future in queued:
+            future.cancel()
+        ended = threading.Thread(target=pool.shutdown, daemon=True)
+        ended.start()
+        ended.join(30.0)
+        assert not ended.is_alive()
+        assert running.result() is None

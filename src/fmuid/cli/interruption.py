@@ -18,7 +18,7 @@ _MOMENT = 0.01  # s
 class Interruption:
     """Turns the first signal into a `KeyboardInterrupt`, so that what was reached is saved.
 
-    A second Ctrl-C ends the process at once: everything is on disk, but for a summary that can be made again.
+    A second Ctrl-C or SIGTERM ends the process at once: everything is on disk, but for a summary that can be made again.
     A signal that whoever started the process has it ignore (as nohup does) stays ignored.
 
     Where an exception would leave locks of the import system held, or would be ignored as those of finalizers are,
@@ -62,7 +62,7 @@ class Interruption:
                 return
             self._stopping = True
             raise KeyboardInterrupt
-        if number == signal.SIGINT:
+        if number in (signal.SIGINT, signal.SIGTERM):
             if self._code not in (_RUNNING, INTERRUPTED):  # everything was done when the first one came
                 os._exit(self._code)
             shown = b"\x1b[?25h" if sys.stderr is not None and sys.stderr.isatty() else b""  # the cursor again

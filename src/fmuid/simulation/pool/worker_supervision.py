@@ -189,11 +189,13 @@ class Supervisor:
 
     def _turn(self) -> bool:
         """Hand out work, wait for an event and handle it; False when everything is finished."""
-        with self._lock:
-            abandoning, over = self._abandoning, self._closing and not self._pending
-        if abandoning or (over and not any(w.calls for w in self._team)):
+        if self._abandoning:
             return False
-        self._hand_out()
+        self._hand_out()  # drops cancelled calls, which may be the last ones
+        with self._lock:
+            over = self._closing and not self._pending
+        if over and not any(w.calls for w in self._team):
+            return False
         sources = [self._wake_reader.fileno(), *(w.connection.fileno() for w in self._team)]
         for source in mp_connection.wait(sources, self._patience()):
             if source == self._wake_reader.fileno():
