@@ -6,8 +6,9 @@ from pathlib import Path
 
 from fmu_build.flat_model import FlatModel
 from fmu_build.model_ports import find_ports
-from fmuid.diagnosis.catalogue import Catalogue, load_catalogue
 from fmuid.diagnosis.made_catalogue import SIZES, Place, catalogue_text
+from fmuid.effects.effect import Catalogue
+from fmuid.effects.effects_file import load_catalogue
 
 HEAD = 'format = "fmuid-effects"\nversion = 1\n'
 

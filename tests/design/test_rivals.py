@@ -16,12 +16,11 @@ from fmuid.design.planned import planned_run
 from fmuid.design.rivals import SETTLED, Apart, DiagnosisDesign, design_for_diagnosis
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import Fitted, fit_effects
-from fmuid.diagnosis.catalogue import Catalogue, Effect
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.next_experiment import chances, rival_of
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.subject import Subject
+from fmuid.effects.effect import Catalogue, Effect, Unknown
 from fmuid.identification.problem.cases import measured_case
 from fmuid.simulation.simulator import Task, Variable
 from tests.diagnosis.plants import DT, EFFECTS, SIGMA, TWIN, Mass, plant

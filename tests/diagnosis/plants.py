@@ -13,13 +13,10 @@ import numpy as np
 
 from benchmarks.virtual_rig.library import compiled
 from fmuid.core.errors import SimulationError
-from fmuid.diagnosis.catalogue import Catalogue, Effect
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.ports import Port
-from fmuid.diagnosis.refit import Unknown
-from fmuid.diagnosis.regimes import Regime
 from fmuid.diagnosis.subject import Subject
+from fmuid.effects.effect import Catalogue, Effect, Port, Regime, Unknown
 from fmuid.identification.problem.cases import measured_case
 from fmuid.simulation.simulator import Task, Variable
 

@@ -18,7 +18,8 @@ from fmuid.diagnosis.cross_validation import (
 )
 from fmuid.diagnosis.null_distribution import Null
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.refit import Refit, Unknown, refit
+from fmuid.diagnosis.refit import Refit, refit
+from fmuid.effects.effect import Unknown
 
 TIME = np.linspace(0.0, 1.0, 501)
 

@@ -8,7 +8,6 @@ import pytest
 
 from fmuid.diagnosis import decide, diagnose
 from fmuid.diagnosis.candidates import Fitted
-from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import HeldOut
 from fmuid.diagnosis.decide import (
     closed_by,
@@ -19,9 +18,10 @@ from fmuid.diagnosis.decide import (
     survivors,
 )
 from fmuid.diagnosis.ports import Decoy
-from fmuid.diagnosis.refit import Refit, Unknown
+from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.summary import _gap_text
 from fmuid.diagnosis.verdict import NONE, UNKNOWN
+from fmuid.effects.effect import Effect, Unknown
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from plants import PORTS, misread, plant
 
 from fmuid.diagnosis.candidates import fit_effects
 from fmuid.diagnosis.entry import entries, likelier, places, with_knots
-from fmuid.diagnosis.ports import Port
 from fmuid.diagnosis.refit import refit
+from fmuid.effects.effect import Port
 
 
 def found(subject, knots=None, **options):

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from fmuid.diagnosis.candidates import fit_effects
-from fmuid.diagnosis.catalogue import Catalogue
 from fmuid.diagnosis.diagnose import _settled
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.horizon import approached, beginning, early
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.refit import Unknown, refit
+from fmuid.diagnosis.refit import refit
 from fmuid.diagnosis.subject import Subject
+from fmuid.effects.effect import Catalogue, Unknown
 from fmuid.identification.problem.cases import measured_case
 from fmuid.simulation.simulator import Task, Variable
 

@@ -28,7 +28,6 @@ from fmuid.core.campaign import ModelSource, ModelSpec
 from fmuid.core.errors import SimulationError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
-from fmuid.diagnosis.catalogue import load_catalogue
 from fmuid.diagnosis.made_catalogue import (
     Held,
     catalogue_text,
@@ -38,7 +37,8 @@ from fmuid.diagnosis.made_catalogue import (
     with_catalogue,
 )
 from fmuid.diagnosis.subject import subject_of
-from fmuid.diagnosis.variants import Variants, carrier, left_out, terms_of
+from fmuid.diagnosis.variants import Variants, carrier, left_out
+from fmuid.effects.effects_file import load_catalogue
 from fmuid.simulation import model_source
 from fmuid.simulation.coupled.loading import load_simulator
 from fmuid.simulation.fmu import load_fmu
@@ -58,7 +58,7 @@ def flat(name):
 def everything(model, folder):
     """Every law at every port that makes no variant, as terms and the parameters that they use."""
     catalogue = every_law(model, folder)
-    terms = [t for e in catalogue.effects.values() if not e.variant for t in terms_of(e, e.id)]
+    terms = [t for e in catalogue.effects.values() if not e.variant for t in e.terms]
     added = [Added(u.name, e.neutral[u.name]) for e in catalogue.effects.values() for u in e.unknowns]
     for port in catalogue.ports.values():
         if port.input is not None:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from fmuid.core.errors import SimulationError
-from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.power import hidden, smallest_seen
-from fmuid.diagnosis.refit import Refit, Unknown
+from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import score_effects
 from fmuid.diagnosis.verdict import Hidden
+from fmuid.effects.effect import Effect, Unknown
 
 # One run of three samples; the model's parameter does what the first component is.
 OBSERVED = SimpleNamespace(

@@ -7,9 +7,9 @@ import pytest
 
 from fmuid.core.errors import SimulationError
 from fmuid.diagnosis import scores
-from fmuid.diagnosis.catalogue import Effect
-from fmuid.diagnosis.refit import Refit, Unknown
+from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import Score, nominal_basis, score_effects, stack, without_aliases
+from fmuid.effects.effect import Effect, Unknown
 
 
 def recorded(*deviations):

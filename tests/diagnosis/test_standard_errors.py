@@ -6,9 +6,10 @@ from scipy.signal import lfilter
 
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.refit import Refit, Unknown
+from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import stack
 from fmuid.diagnosis.standard_errors import standard_errors
+from fmuid.effects.effect import Unknown
 
 TIME = 5e-3 * np.arange(200)
 TRUTH = np.array([1.0, 0.5])

@@ -14,7 +14,6 @@ from fmu_build.model_ports import find_ports
 from fmuid.cli.app import run
 from fmuid.core.campaign import ModelSource
 from fmuid.diagnosis.made_catalogue import possible_laws
-from fmuid.diagnosis.variants import terms_of
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.model_source import built_model, built_with_terms
 from fmuid.simulation.simulator import Task
@@ -155,7 +154,7 @@ def test_all_off_the_outputs_are_bit_for_bit_the_plain_ones(name, tmp_path):
     catalogue = every_law(flat(name), tmp_path)
     effects = [e for e in catalogue.effects.values() if not e.variant and not e.states]
     assert effects
-    terms = [term for e in effects for term in terms_of(e, e.id)]
+    terms = [term for e in effects for term in e.terms]
     added = [Added(u.name, e.neutral[u.name]) for e in effects for u in e.unknowns]
     changed = built_with_terms(source(name), flat(name), terms, added)
     assert np.array_equal(simulated(built_model(source(name)), name), simulated(changed, name))

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmuid.diagnosis.catalogue import Catalogue, Effect, Sensor
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.ports import Port
-from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.subject import Subject
+from fmuid.effects.effect import Catalogue, Effect, Port, Sensor, Unknown
 from fmuid.identification.problem.cases import measured_case
 from fmuid.simulation.simulator import Task, Variable
 

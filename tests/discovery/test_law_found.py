@@ -16,8 +16,8 @@ from benchmarks.abroad.thermal_block import THERMAL_BLOCK as BLOCK
 from benchmarks.discovery.case import cases, make_campaign
 from fmu_build.instrument import State
 from fmuid.cli.app import run
-from fmuid.diagnosis.catalogue import Effect
 from fmuid.discovery.injected import of_second_order
+from fmuid.effects.effect import Effect
 
 SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
 

@@ -9,11 +9,11 @@ from fmu_build import compile_flat, load
 from fmu_build.instrument import Added, Term, instrument
 from fmu_build.model_ports import find_ports
 from fmuid.core.toml_tables import toml_document
-from fmuid.diagnosis.catalogue import load_catalogue
 from fmuid.discovery.injected import Law, entry
 from fmuid.discovery.places import Spot
 from fmuid.discovery.terms import HIDDEN, Quantity, Shape, library
 from fmuid.discovery.terms import Term as LawTerm
+from fmuid.effects.effects_file import load_catalogue
 from tests.diagnosis.test_made_catalogue import RIGS
 
 TIME = np.linspace(0.0, 10.0, 2001)

@@ -25,7 +25,7 @@ from fmu_build.errors import UserError
 from fmuid.campaigns import campaign_toml
 from fmuid.core.experiments import Measurements
 from fmuid.data.crosscheck_csv import read_csv
-from fmuid.diagnosis.catalogue import load_catalogue
+from fmuid.effects.effects_file import load_catalogue
 from fmuid.identification.check import check_signals, load_models, match_models
 from fmuid.identification.identify import check_stages
 from fmuid.simulation.coupled.loading import load_system

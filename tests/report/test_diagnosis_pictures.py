@@ -5,13 +5,11 @@ import numpy as np
 import pytest
 
 from fmuid.data.noise.runs import RepeatedRuns
-from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.localisation import excess_map
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.ports import Port
-from fmuid.diagnosis.refit import Refit, Unknown
-from fmuid.diagnosis.regimes import Regime
+from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.verdict import Verdict
+from fmuid.effects.effect import Effect, Port, Regime, Unknown
 from fmuid.report.diagnosis_arrays import pictures_of
 
 TIME = np.arange(2000) * 0.01

@@ -12,11 +12,11 @@ from fmu_build import build as build_modelica
 from fmuid.core.campaign import CriterionSpec, ParameterSpec
 from fmuid.core.errors import FmuError
 from fmuid.core.formulas import parse
-from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.refit import Unknown, refit
+from fmuid.diagnosis.refit import refit
 from fmuid.diagnosis.scores import score_effects
+from fmuid.effects.effect import Effect, Unknown
 from fmuid.identification.problem import exact_derivatives
 from fmuid.identification.problem.cases import measured_case
 from fmuid.identification.problem.derivatives import Differences, noise_floor

@@ -18,8 +18,8 @@ _MOMENT = 0.01  # s
 class Interruption:
     """Turns the first signal into a `KeyboardInterrupt`, so that what was reached is saved.
 
-    A second Ctrl-C or SIGTERM ends the process at once: everything is on disk, but for a summary that can be made again.
-    A signal that whoever started the process has it ignore (as nohup does) stays ignored.
+    A second Ctrl-C or SIGTERM ends the process at once: everything is on disk, but for a summary that can be made
+    again. A signal that whoever started the process has it ignore (as nohup does) stays ignored.
 
     Where an exception would leave locks of the import system held, or would be ignored as those of finalizers are,
     it is raised a moment later.

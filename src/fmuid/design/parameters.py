@@ -25,9 +25,9 @@ from fmuid.design.excitation_search import Excitation, Judged, search
 from fmuid.design.planned import Planned, planned_run, template_of
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.slopes import linear_at, predicted
 from fmuid.diagnosis.subject import unknown_of
+from fmuid.effects.effect import Unknown
 from fmuid.identification.problem.cases import Case, from_campaign
 from fmuid.identification.problem.solver_error import solver_accuracy
 from fmuid.simulation.runners import Runner

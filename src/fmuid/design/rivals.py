@@ -24,7 +24,6 @@ from fmuid.design.excitation_search import Excitation, Judged, search
 from fmuid.design.planned import Planned, planned_run
 from fmuid.design.rehearsal import rehearsed
 from fmuid.diagnosis.candidates import Fitted, fit_effects
-from fmuid.diagnosis.catalogue import Sensor
 from fmuid.diagnosis.decide import SAME
 from fmuid.diagnosis.extended_model import CampaignModel, Prediction
 from fmuid.diagnosis.next_experiment import (
@@ -38,6 +37,7 @@ from fmuid.diagnosis.next_experiment import (
 )
 from fmuid.diagnosis.slopes import linear_at, predicted
 from fmuid.diagnosis.subject import Subject
+from fmuid.effects.effect import Sensor
 from fmuid.identification.problem.cases import Case
 
 SETTLED = SAME

@@ -27,16 +27,15 @@ from fmuid.core.files import user_cache, write_atomically
 from fmuid.core.immutable import FloatArray
 from fmuid.core.progress import Say, quiet
 from fmuid.data.noise.transform import from_real_spectrum, real_spectrum
-from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.ports import Port
 from fmuid.diagnosis.projection import project_off
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.regimes import bases
 from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Verdict
+from fmuid.effects.effect import Effect, Port
 
 KINDS = ("none", "one", "shape", "two", "unknown")
 SHARES = (0.25, 0.25, 0.2, 0.15, 0.15)

@@ -9,7 +9,6 @@ import numpy as np
 
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
-from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import HeldOut, leave_each_out
 from fmuid.diagnosis.horizon import approached, early
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, gap
@@ -19,6 +18,7 @@ from fmuid.diagnosis.scores import Score, nominal_basis, score_effects, stack, w
 from fmuid.diagnosis.standard_errors import standard_errors
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Estimate
+from fmuid.effects.effect import Effect
 
 _ESCAPES = 2  # from local minima of one refit
 _TWINS = 4  # number of effects, left out in favour of one that was found, that are refitted in its place

@@ -17,8 +17,8 @@ from fmu_build.modelica_text import modelica_text
 from fmuid.core.campaign import SEPARATOR, Campaign, ModelSource, ModelSpec, without_owner
 from fmuid.core.files import path_from, write_atomically
 from fmuid.core.toml_tables import read_toml, toml_document
-from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.subject import Subject, carrier
+from fmuid.effects.effect import Effect
 from fmuid.identification.identified_models import start_values, write_models
 from fmuid.simulation.coupled.loading import load_model
 from fmuid.simulation.model_source import built_model, flat_model

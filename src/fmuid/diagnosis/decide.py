@@ -8,13 +8,13 @@ import numpy as np
 
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.candidates import Fitted
-from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import advantage, closure
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed
 from fmuid.diagnosis.ports import Decoy
-from fmuid.diagnosis.refit import Unknown, about
+from fmuid.diagnosis.refit import about
 from fmuid.diagnosis.scores import stack
 from fmuid.diagnosis.verdict import NONE, UNKNOWN, Kind
+from fmuid.effects.effect import Effect, Unknown
 
 # Calibrated on the virtual rig (`make blind`), never on data whose answer is to be found.
 SIGNIFICANCE = 0.01

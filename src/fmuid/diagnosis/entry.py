@@ -19,9 +19,10 @@ from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.decide import OPEN, log_evidence, spread
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.ports import Port, hats, moved_by
+from fmuid.diagnosis.ports import hats, moved_by
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import nominal_basis
+from fmuid.effects.effect import Port
 
 # Of a course in each experiment; the finer ones, a third as far apart, if the coarser ones leave too much.
 _KNOTS = (24, 70)

@@ -13,8 +13,9 @@ from dataclasses import replace
 
 from fmuid.core.errors import SimulationError
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.refit import Unknown, about, descend
+from fmuid.diagnosis.refit import about, descend
 from fmuid.diagnosis.subject import Subject
+from fmuid.effects.effect import Unknown
 from fmuid.identification.problem.cases import Case
 
 _SHARES = (1 / 8, 1 / 4, 1 / 2)  # of every run

@@ -26,10 +26,10 @@ from fmuid.core.files import remove_unused, user_cache, write_atomically
 from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray
 from fmuid.core.toml_tables import Table, convert, read_toml, toml_document, toml_text
-from fmuid.diagnosis.catalogue import load_catalogue
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.flat_expressions import courses_at, largest_flow, names_at
 from fmuid.diagnosis.variants import carrier
+from fmuid.effects.effects_file import load_catalogue
 from fmuid.identification.problem.cases import experiments_of
 from fmuid.identification.problem.segments import in_segments
 from fmuid.simulation.model_source import built_model, flat_model

@@ -19,15 +19,14 @@ from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.level import NoiseLevel
 from fmuid.diagnosis.candidates import Fitted
-from fmuid.diagnosis.catalogue import Sensor
 from fmuid.diagnosis.decide import OPEN, SAME, spread
 from fmuid.diagnosis.extended_model import CampaignModel, Prediction
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.scores import stack
 from fmuid.diagnosis.slopes import Linear, linear_at, predicted
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import AddedSensor, NextExperiment
+from fmuid.effects.effect import Sensor, Unknown
 from fmuid.identification.problem.cases import Case, Channel
 from fmuid.simulation.simulator import default_tolerance
 

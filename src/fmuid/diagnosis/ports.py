@@ -18,37 +18,13 @@ from fmuid.data.filtering import first_order
 from fmuid.diagnosis.cross_validation import HeldOut, leave_each_out
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.refit import Refit, Unknown
+from fmuid.diagnosis.refit import Refit
+from fmuid.effects.effect import Port, Unknown
 
 OWN_PAST = "its own past"
 _PASTS = 6  # number of time constants of a memory, from a few samples to part of the longest run
 Basis = tuple[tuple[FloatArray, ...], ...]
 """Basis functions, each with (N,) samples for every experiment."""
-
-
-@dataclass(frozen=True, slots=True)
-class Port:
-    """A place where an effect may act: an additive input of the model, or an output that is misread.
-
-    Attributes
-    ----------
-    name
-        Name of the port, as used by effects.
-    input, output
-        The model's input that is zero by default, or the measured output.
-    magnitude
-        A plausible disturbance in `unit`, at which responses are taken.
-    added
-        Whether `input` is to be added to the model's source, to the flow or the signal at the port of this name.
-    """
-
-    name: str
-    input: str | None
-    output: str | None
-    magnitude: float
-    unit: str = ""
-    description: str = ""
-    added: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,11 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Predict, Refit
 from fmuid.diagnosis.scores import Score, score_trials
 from fmuid.diagnosis.verdict import Hidden
+from fmuid.effects.effect import Effect
 
 _PLAUSIBLE = 3.0  # largest plausible size, in trials: a refit starts from no farther away
 _ENOUGH = 1.1  # times the smallest size, or the signature wanted: as close as a statement about sizes needs

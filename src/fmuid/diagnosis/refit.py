@@ -13,6 +13,7 @@ from scipy.optimize import lsq_linear
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.observed import Observed
+from fmuid.effects.effect import Unknown
 from fmuid.identification.solvers.trust_region import SettledError, trust_region
 
 Predict = Callable[[Sequence[Mapping[str, float]]], Sequence[Sequence[FloatArray] | SimulationError]]
@@ -33,21 +34,6 @@ _PATIENCE = 10  # consecutive trial points without improvement; each is four tim
 
 Slopes = Literal["exact", "near", "wide"]
 """Source of derivatives: the model, differences over a plausible step, or over many steps to either side."""
-
-
-@dataclass(frozen=True, slots=True)
-class Unknown:
-    """A parameter that is searched: bounds, and a step that is small but well above solver noise.
-
-    With an `sd`, prior knowledge of it is a normal distribution around its start.
-    """
-
-    name: str
-    start: float
-    lower: float
-    upper: float
-    step: float
-    sd: float = np.inf
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,39 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.ports import Basis, harmonics, hats, pasts, quantile_knots, times
-
-
-@dataclass(frozen=True, slots=True)
-class Regime:
-    """A variable of the model that laws may depend on.
-
-    Attributes
-    ----------
-    name
-        Name used in the report.
-    variable
-        Variable of the model.
-    kind
-        ``speed`` (its sign is the direction), ``angle`` (in rad; laws repeat every turn) or ``value``.
-    orders
-        Periods per turn, for an angle.
-    ports
-        The only ports where functions of it act; any port if empty.
-    """
-
-    name: str
-    variable: str
-    kind: str = "value"
-    unit: str = ""
-    orders: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
-    ports: tuple[str, ...] = ()
+from fmuid.effects.effect import Regime
 
 
 def trajectories(

@@ -15,10 +15,10 @@ import numpy as np
 
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
-from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.projection import orthonormal, project_off
 from fmuid.diagnosis.refit import Predict, Refit
+from fmuid.effects.effect import Effect
 
 _NEARLY = 0.98  # correlation of signatures above which effects are compared again at matched sizes
 _COMPARED = 3  # number of the most similar ones compared

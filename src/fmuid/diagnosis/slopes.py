@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from fmuid.core.errors import SimulationError
 from fmuid.diagnosis.extended_model import CampaignModel, Prediction
-from fmuid.diagnosis.refit import Unknown
+from fmuid.effects.effect import Unknown
 
 
 @dataclass(frozen=True, slots=True, eq=False)

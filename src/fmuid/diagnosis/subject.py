@@ -16,14 +16,14 @@ from fmuid.core.errors import CampaignError, FmuError
 from fmuid.core.experiments import Experiment
 from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray
-from fmuid.diagnosis.catalogue import Catalogue, Effect, load_catalogue
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.own_inputs import as_repeats
-from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.segment_states import findings_of, with_states
 from fmuid.diagnosis.variants import Variants, left_out
 from fmuid.diagnosis.verdict import LeftOut
+from fmuid.effects.effect import Catalogue, Effect, Unknown
+from fmuid.effects.effects_file import load_catalogue
 from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
 from fmuid.identification.problem.segments import in_segments, last_stages
 from fmuid.identification.problem.solver_error import SolverAccuracy, accuracy, solver_accuracy

@@ -15,7 +15,7 @@ from fmu_build.model_ports import find_ports
 from fmu_build.suggest import suggestion
 from fmuid.core.campaign import ModelSource, ModelSpec
 from fmuid.core.errors import CampaignError, SimulationError
-from fmuid.diagnosis.catalogue import Catalogue, Effect
+from fmuid.effects.effect import Catalogue, Effect
 from fmuid.simulation.model_source import built_with_terms, effects_inside, flat_model
 from fmuid.simulation.simulator import Simulator
 
@@ -73,9 +73,8 @@ def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Co
     every = []
     for effect in catalogue.effects.values():
         if effect.expression and effect.port in known and effect.id not in inside:
-            addition = _addition(effect, flat)
             acts = not effect.variant or effect.id in tried
-            every.append(addition if acts else replace(addition, terms=[]))
+            every.append(_Addition(effect.terms if acts else [], effect.added(flat.variables)))
     for port in catalogue.ports.values():
         if port.added and port.input and port.name in known:
             where = f"[ports.{port.name!r}] input"
@@ -87,15 +86,6 @@ def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Co
             every.append(_Addition([term], [Added(port.input, 0.0, port.unit, port.description, input=True)]))
 
     return _with_what_fits(source, flat, every)
-
-
-def _addition(effect: Effect, flat: FlatModel) -> _Addition:
-    names = [
-        Added(u.name, effect.neutral[u.name], effect.units.get(u.name, ""), effect.description)
-        for u in effect.unknowns
-        if u.name not in flat.variables
-    ]
-    return _Addition(terms_of(effect, f"[effects.{effect.id!r}] expression"), names)
 
 
 def _with_what_fits(source: ModelSource, flat: FlatModel, additions: Sequence[_Addition]) -> Path:
@@ -165,27 +155,10 @@ def _why_not(effect: Effect, models: Iterable[FlatModel]) -> str:
     """Return what is said when flat models are compiled with an effect alone."""
     for flat in models:
         try:
-            compile_flat(instrument(flat, *_together([_addition(effect, flat)])))
+            compile_flat(instrument(flat, effect.terms, effect.added(flat.variables)))
         except ModelicaError as error:
             return error.what
     return "it does not go together with other effects"
-
-
-def terms_of(effect: Effect, where: str) -> list[Term]:
-    """Return the terms that add an effect: while it is off, they vanish at no cost and its states stand still."""
-    sizes = [u.name for u in effect.unknowns if u.name not in effect.shapes]
-    neutral = [(name, effect.neutral[name]) for name in sizes]
-    on = " or ".join(f"abs({name} - {off!r}) > 0" if off else f"abs({name}) > 0" for name, off in neutral)
-    if not on or effect.acts == "cut":
-        return [Term(effect.port, effect.acts, effect.expression, where, effect.states)]
-
-    def gated(text: str, off: str = "0") -> str:
-        return f"noEvent(if {on} then {text} else {off})" if text else ""
-
-    states = tuple(replace(s, derivative=gated(s.derivative)) for s in effect.states)
-    value = gated(effect.expression, "p" if effect.acts == "signal" else "0")
-    first = Term(effect.port, effect.acts, value, where, states, gated(effect.reaction))
-    return [first, Term(effect.port, "flow", gated(effect.flow), where)] if effect.flow else [first]
 
 
 @dataclass(frozen=True, eq=False)

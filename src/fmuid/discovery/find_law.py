@@ -15,7 +15,6 @@ from fmuid.core.errors import SimulationError
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, refitted_early, without
-from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.cross_validation import advantage, closure, closure_interval
 from fmuid.diagnosis.diagnose import Found, where_it_enters
 from fmuid.diagnosis.entry import likelier
@@ -29,6 +28,7 @@ from fmuid.discovery.injected import Law, entry, of_second_order, with_laws
 from fmuid.discovery.places import Spot, spot
 from fmuid.discovery.selection import Chosen, Proposal, choose, instead
 from fmuid.discovery.terms import HIDDEN, evaluated, names_in
+from fmuid.effects.effect import Effect
 from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.simulator import Simulator
 

@@ -13,12 +13,11 @@ from fmu_build.errors import ModelicaError
 from fmu_build.instrument import State
 from fmuid.core.campaign import ModelSpec
 from fmuid.core.immutable import FloatArray
-from fmuid.diagnosis.catalogue import Effect
-from fmuid.diagnosis.refit import Unknown
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.variants import built_with, left_out
 from fmuid.discovery.places import Spot
 from fmuid.discovery.terms import HIDDEN, Term
+from fmuid.effects.effect import Effect, Unknown
 from fmuid.simulation.segmented import in_place_of
 from fmuid.simulation.simulator import Simulator
 

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from fmuid.core.errors import SimulationError
 from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray
-from fmuid.diagnosis.catalogue import Effect
 from fmuid.diagnosis.diagnose import Found
 from fmuid.diagnosis.extended_model import Prediction
-from fmuid.diagnosis.ports import Basis, Port, hats, quantile_knots, times
+from fmuid.diagnosis.ports import Basis, hats, quantile_knots, times
 from fmuid.diagnosis.refit import Refit
-from fmuid.diagnosis.regimes import Regime, folded, trajectories
+from fmuid.diagnosis.regimes import folded, trajectories
 from fmuid.diagnosis.scores import stack
+from fmuid.effects.effect import Effect, Port, Regime
 from fmuid.report.diagnosis_figures import (
     Branch,
     DiagnosisPictures,

@@ -13,12 +13,11 @@ from pathlib import Path
 from fmu_build import build, compile_flat, load
 from fmu_build.build import built_by, libraries_of
 from fmu_build.flat_model import FlatModel
-from fmu_build.instrument import Added, State, Term, instrument
+from fmu_build.instrument import Added, Term, instrument
 from fmu_build.model_ports import find_ports
 from fmuid.core.campaign import ModelSource
-from fmuid.core.errors import CampaignError
 from fmuid.core.files import remove_unused, user_cache
-from fmuid.core.toml_tables import read_toml
+from fmuid.effects.effects_file import load_catalogue
 
 
 def flat_model(source: ModelSource) -> FlatModel:
@@ -35,16 +34,16 @@ def flat_model(source: ModelSource) -> FlatModel:
     _check_libraries(source, flat.libraries)
     if source.effects is None:
         return flat
-    effects = _effects(source.effects)
+    effects = load_catalogue(source.effects).effects.values()
     ports = {port.name for port in find_ports(flat)}
     # A campaign's models share a catalogue, but each has only some of its ports.
-    here = [e for e in effects if e[0].port in ports] or effects
-    return instrument(flat, [term for term, _ in here], [one for _, added in here for one in added])
+    here = [e for e in effects if e.port in ports] or [*effects]
+    return instrument(flat, [term for e in here for term in e.terms], [one for e in here for one in e.added()])
 
 
 def effects_inside(source: ModelSource) -> frozenset[str]:
     """Return the ids of the effects that the model includes."""
-    return frozenset() if source.effects is None else frozenset(read_toml(source.effects).get("effects", {}))
+    return frozenset() if source.effects is None else frozenset(load_catalogue(source.effects).effects)
 
 
 def built_model(source: ModelSource) -> Path:
@@ -110,28 +109,6 @@ def _digest(source: ModelSource, flat: FlatModel, terms: Sequence[Term], added: 
     contents = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
     inside = [replace(term, where="") for term in terms]
     return hashlib.sha256(repr((contents, inside, [*added], built_by())).encode()).hexdigest()
-
-
-def _effects(catalogue: Path) -> list[tuple[Term, list[Added]]]:
-    """Return the term of each effect of a catalogue, and the parameters that it uses."""
-    found = []
-    for name, effect in read_toml(catalogue).get("effects", {}).items():
-        where = f"{catalogue} [effects.{name!r}]"
-        try:
-            states = tuple(
-                State(n, s["derivative"], s.get("start", "0"), s.get("unit", ""))
-                for n, s in effect.get("states", {}).items()
-            )
-            term = Term(effect["port"], effect.get("acts", "flow"), effect["expression"], where, states)
-            added = [
-                Added(n, float(p.get("neutral", p.get("start", 0.0))), p.get("unit", ""), effect["description"])
-                for n, p in effect["parameters"].items()
-            ]
-        except (KeyError, AttributeError, TypeError, ValueError):
-            fix = "name a catalogue whose effects have a port, an expression and parameters"
-            raise CampaignError("is not an effect that a model can include", where=where, fix=fix) from None
-        found.append((term, added))
-    return found
 
 
 def _stem(source: ModelSource) -> str:

@@ -6,8 +6,7 @@ The file format: ``docs/formats.md``.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -18,118 +17,7 @@ from fmu_build.instrument import Acts, State
 from fmu_build.suggest import suggestion
 from fmuid.core.errors import CampaignError
 from fmuid.core.toml_tables import Table, convert, read_toml
-from fmuid.diagnosis.ports import Port
-from fmuid.diagnosis.refit import Unknown
-from fmuid.diagnosis.regimes import Regime
-
-
-@dataclass(frozen=True, slots=True)
-class Effect:
-    """One effect of a catalogue.
-
-    Attributes
-    ----------
-    id
-        Short name; part of the interface.
-    description, source
-        Description of the effect, and its physical source.
-    port
-        Place where it acts on the model.
-    unknowns
-        Its parameters, both sizes and shapes; all are free in a refit.
-    neutral
-        Values at which the effect is off; for a shape, which matters only while the effect is on, its start value.
-    shapes
-        The parameters that are shapes.
-    natural
-        The parameters whose bounds are where the law itself ends, such as a share of 0 or 1.
-    acts, expression
-        How the effect acts at a port of the model's source, and the Modelica expression added there; empty if the
-        model already has the effect (see `fmu_build.instrument`).
-    flow, reaction
-        Flow that acts beside a drop of potential, through the branch or out of its first node; empty if none does.
-    states
-        States of the expression.
-    usual
-        Whether this law is physically usual at this port, and so preferred among indistinguishable effects.
-    variant
-        Whether the effect changes the model even while it is off. Such a model is built only when the effect is
-        tried.
-    trials
-        Plausible values for scoring: two or three magnitudes, with shapes where they matter.
-    two_sided
-        Whether a size of the opposite sign is equally plausible.
-    units
-        Units of the parameters.
-    """
-
-    id: str
-    description: str
-    port: str
-    unknowns: tuple[Unknown, ...]
-    neutral: Mapping[str, float]
-    trials: tuple[Mapping[str, float], ...]
-    source: str = ""
-    two_sided: bool = False
-    units: Mapping[str, str] = field(default_factory=dict)
-    shapes: frozenset[str] = frozenset()
-    natural: frozenset[str] = frozenset()
-    acts: Acts = "flow"
-    expression: str = ""
-    flow: str = ""
-    reaction: str = ""
-    states: tuple[State, ...] = ()
-    usual: bool = True
-    variant: bool = False
-
-    @property
-    def preference(self) -> tuple[bool, int, bool]:
-        """Key by which indistinguishable effects are sorted: first the usual, the simple, a deviating value."""
-        return not self.usual, len(self.unknowns), not self.id.startswith("value@")
-
-    def scaled(self, trial: Mapping[str, float], factor: float, *, clipped: bool = True) -> dict[str, float]:
-        """Return a trial with sizes scaled by `factor` from neutral, by default kept within their bounds."""
-        values = {**self.neutral, **trial}
-        for u in self.unknowns:
-            if u.name in trial and u.name not in self.shapes:
-                neutral = self.neutral[u.name]
-                value = neutral + factor * (trial[u.name] - neutral)
-                values[u.name] = float(np.clip(value, u.lower, u.upper)) if clipped else value
-        return values
-
-    def without(self, names: Collection[str]) -> Effect:
-        """Return the effect without some of its parameters, and without the trials that concern them."""
-        return replace(
-            self,
-            unknowns=tuple(u for u in self.unknowns if u.name not in names),
-            neutral={n: v for n, v in self.neutral.items() if n not in names},
-            trials=tuple(trial for trial in self.trials if not trial.keys() & set(names)),
-            shapes=self.shapes - set(names),
-            natural=self.natural - set(names),
-            units={n: u for n, u in self.units.items() if n not in names},
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Sensor:
-    """A sensor that could be added: the variable of the model that it would read, and its white noise."""
-
-    name: str
-    variable: str
-    noise: float
-    unit: str = ""
-    description: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Catalogue:
-    """Effects, ports, regimes and sensors by id, and FMUs with effects (by file stem of the plain FMU)."""
-
-    effects: Mapping[str, Effect]
-    ports: Mapping[str, Port]
-    regimes: Mapping[str, Regime] = field(default_factory=dict)
-    models: Mapping[str, str] = field(default_factory=dict)
-    sensors: Mapping[str, Sensor] = field(default_factory=dict)
+from fmuid.effects.effect import Catalogue, Effect, Port, Regime, Sensor, Unknown
 
 
 class _Parameter(Table):
