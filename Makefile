@@ -238,7 +238,7 @@ failing-writes: $(DEVELOPER)
 	FMUID_EVERY=1 $(BIN)/pytest tests/simulation/test_failing_writes.py -s
 
 # Every peer has its own environment; one that cannot be set up is listed as missing.
-PEERS := aixcalibuha modestpy sundae
+PEERS := aixcalibuha modestpy mujoco pypesto sundae
 PEER_PYTHON ?= $(PYTHON)
 build/peers/%/.ready: benchmarks/peers/%.txt
 	$(PEER_PYTHON) -m venv build/peers/$*

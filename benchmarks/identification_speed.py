@@ -45,6 +45,7 @@ PEERS = (  # name shown, environment (None: this one), script, arguments
         ("differential_evolution",),
     ),
     ("ModestPy 0.1.1, genetic algorithm + pattern search", "modestpy", "with_modestpy.py", ("GA_LEGACY+PS",)),
+    ("pyPESTO 0.7.0, SciPy's least squares", "pypesto", "with_pypesto.py", ()),
     ("FMPy 0.3.32 and SciPy's least squares by hand", None, "with_fmpy.py", ()),
 )
 

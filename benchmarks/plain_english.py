@@ -56,7 +56,6 @@ NOT_YET: tuple[str, ...] = (
     "docs/blind_notes.md",
     "docs/laws.md",
     "docs/modelica.md",
-    "docs/other-tools.md",
     "docs/standard_library.md",
     "docs/tutorials/paper.md",
     "fmu_build/aliases.py",
